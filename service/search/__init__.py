@@ -1,0 +1,1 @@
+"""Searches: pure functions from what was told to what to try next."""

@@ -1,0 +1,157 @@
+"""What a search is: a fold over the finished generations.
+
+::
+
+    history = []
+    while isinstance(proposal := search.propose(history), Proposal):
+        scores = {i: evaluate(proposal.genes[i]) for i in proposal.to_evaluate}
+        history.append(proposal.complete(scores, history))
+
+A search keeps nothing between two calls. What it proposes is a function of its
+settings, its seed and the history, so a study resumed from its journal goes on
+as if it had never stopped. Candidates stand in a generation by their index;
+the order in which their scores arrived is nowhere recorded.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.search.space import FloatArray, Space
+from storage.errors import InputError
+
+__all__ = ["FloatArray", "Generation", "Proposal", "Search", "Space", "Stopped"]
+
+
+@dataclass(frozen=True, eq=False)
+class Generation:
+    """A population with its scores; lower is better.
+
+    Parameters
+    ----------
+    genes : ndarray, shape (n, d)
+        One candidate per row, in the order of the parameter space.
+    scores : ndarray, shape (n,)
+        ``-inf`` for volumes that are identical (the logarithm of GSF), ``+inf``
+        for a simulation that failed; never NaN.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not fit together or a score is NaN.
+    """
+
+    genes: FloatArray
+    scores: FloatArray
+
+    def __post_init__(self) -> None:
+        genes, scores = _frozen(self.genes), _frozen(self.scores)
+        if genes.ndim != 2 or len(genes) == 0 or scores.shape != (len(genes),):
+            raise InputError(
+                "A generation needs genes of shape (n, d) and n scores, got shapes "
+                f"{genes.shape} and {scores.shape}."
+            )
+        if np.isnan(scores).any():
+            first = int(np.flatnonzero(np.isnan(scores))[0])
+            raise InputError(
+                f"Candidate {first} has the score NaN, which cannot be ranked. "
+                "Tell a failed simulation as +inf."
+            )
+        object.__setattr__(self, "genes", genes)
+        object.__setattr__(self, "scores", scores)
+
+    @property
+    def ranking(self) -> NDArray[np.intp]:
+        """Candidates from best to worst, shape (n,); ties stay in index order."""
+        return np.argsort(self.scores, kind="stable")
+
+    @property
+    def best(self) -> int:
+        """Index of the best candidate."""
+        return int(np.argmin(self.scores))
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """The next population.
+
+    Parameters
+    ----------
+    genes : ndarray, shape (n, d)
+        One candidate per row.
+    carried : tuple of int or None, length n
+        For an elite, its index in the generation before, whose score still
+        holds; ``None`` for a candidate that needs an evaluation.
+    """
+
+    genes: FloatArray
+    carried: tuple[int | None, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "genes", _frozen(self.genes))
+        if len(self.carried) != len(self.genes):
+            raise InputError(
+                f"A proposal of {len(self.genes)} candidates needs as many entries in "
+                f"`carried`, got {len(self.carried)}."
+            )
+
+    @property
+    def to_evaluate(self) -> tuple[int, ...]:
+        """Indices of the candidates that need an evaluation."""
+        return tuple(index for index, origin in enumerate(self.carried) if origin is None)
+
+    def complete(self, scores: Mapping[int, float], history: Sequence[Generation]) -> Generation:
+        """Make a generation of the scores told so far.
+
+        Parameters
+        ----------
+        scores : mapping of int to float
+            Score by candidate index, in any order; exactly those of `to_evaluate`.
+        history : sequence of Generation
+            The generations before; the last one gives the carried scores.
+
+        Raises
+        ------
+        InputError
+            If a candidate is missing or unknown.
+        """
+        expected = set(self.to_evaluate)
+        if expected != set(scores):
+            missing = sorted(expected - set(scores))
+            unknown = sorted(set(scores) - expected)
+            raise InputError(
+                f"A generation is complete when {len(expected)} candidates have a score; "
+                f"missing: {missing}, not asked for: {unknown}."
+            )
+        values = [
+            scores[index] if origin is None else history[-1].scores[origin]
+            for index, origin in enumerate(self.carried)
+        ]
+        return Generation(self.genes, np.asarray(values, dtype=np.float64))
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """The end of a search, with its reason in words."""
+
+    reason: str
+
+
+class Search(Protocol):
+    """A strategy."""
+
+    def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
+        """Return the population that follows `history`, or why there is none.
+
+        Must be pure: equal arguments give equal answers, bit for bit.
+        """
+        ...
+
+
+def _frozen(values: FloatArray) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,210 @@
+"""The genetic search of the thesis, as MATLAB's ``ga`` would run it.
+
+One generation becomes the next::
+
+    elites       the best `elite`, unchanged and not evaluated again
+    crossover    round(crossover_fraction * (population - elite)) children of two parents
+    mutation     the rest, children of one parent
+
+With the thesis' settings 84 = 2 + 66 + 16, from 148 parents.
+
+Generations are counted with the initial population: 15 generations of 84 are
+84 * 15 = 1260 candidates at most, 84 + 14 * 82 = 1232 of them evaluated.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from service.search.base import Generation, Proposal, Stopped
+from service.search.operators import (
+    AdaptiveFeasible,
+    Initial,
+    Mutation,
+    Progress,
+    rank_expectation,
+    scattered_crossover,
+    stochastic_uniform,
+    uniform_population,
+)
+from service.search.space import FloatArray, Space
+from service.search.stall import Stall
+from storage.errors import InputError
+
+
+@dataclass(frozen=True)
+class GeneticSettings:
+    """How the population evolves; the defaults are the thesis'.
+
+    Parameters
+    ----------
+    population : int
+        Candidates per generation, >= 2.
+    generations : int
+        Populations in total, the initial one included, >= 1.
+    elite : int
+        Best candidates carried over, ``0 <= elite < population``.
+    crossover_fraction : float
+        Share of the children that are not elite, from 0 to 1.
+    stall : Stall or None
+        When to stop early; ``None`` never does.
+    mutation : Mutation
+        `AdaptiveFeasible` (default) or `Gaussian`.
+    initial : callable
+        `uniform_population` (default) or `latin_hypercube`.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+
+    population: int = 84
+    generations: int = 15
+    elite: int = 2
+    crossover_fraction: float = 0.8
+    stall: Stall | None = field(default_factory=Stall)
+    mutation: Mutation = field(default_factory=AdaptiveFeasible)
+    initial: Initial = uniform_population
+
+    def __post_init__(self) -> None:
+        if self.population < 2:
+            raise InputError(f"search.population must be at least 2, got {self.population}.")
+        if self.generations < 1:
+            raise InputError(f"search.generations must be at least 1, got {self.generations}.")
+        if not 0 <= self.elite < self.population:
+            raise InputError(
+                f"search.elite must be from 0 to population - 1 = {self.population - 1}, "
+                f"got {self.elite}: somebody has to be new in every generation."
+            )
+        if not 0 <= self.crossover_fraction <= 1:
+            raise InputError(
+                f"search.crossover_fraction must lie in [0, 1], got {self.crossover_fraction}."
+            )
+
+    @property
+    def crossover_children(self) -> int:
+        """Children of two parents in every generation but the first."""
+        # Halves are rounded up; round() would take them to the even neighbour.
+        return math.floor(self.crossover_fraction * (self.population - self.elite) + 0.5)
+
+    @property
+    def mutation_children(self) -> int:
+        """Children of one parent in every generation but the first."""
+        return self.population - self.elite - self.crossover_children
+
+    @property
+    def parents(self) -> int:
+        """Parents selected for one generation."""
+        return 2 * self.crossover_children + self.mutation_children
+
+    @property
+    def most_evaluations(self) -> int:
+        """Evaluations if the search runs to its last generation."""
+        return self.population + (self.generations - 1) * (self.population - self.elite)
+
+
+class GeneticSearch:
+    """A `Search`: selection by rank, crossover and mutation within bounds.
+
+    Parameters
+    ----------
+    space : Space
+        What is searched.
+    settings : GeneticSettings
+        How.
+    seed : int
+        0 <= seed < 2**32. Generation ``g`` draws from ``default_rng([seed, g])``
+        and from nothing else.
+
+    Raises
+    ------
+    InputError
+        If the seed is out of range.
+
+    Examples
+    --------
+    >>> space = Space.from_bounds({"E_fat_kpa": (5, 20)})
+    >>> search = GeneticSearch(space, GeneticSettings(population=4, generations=2), seed=1)
+    >>> history = []
+    >>> while isinstance(proposal := search.propose(history), Proposal):
+    ...     scores = {i: abs(proposal.genes[i, 0] - 10) for i in proposal.to_evaluate}
+    ...     history.append(proposal.complete(scores, history))
+    >>> proposal
+    Stopped(reason='all 2 generations are done')
+    >>> len(history), history[1].scores.min() <= history[0].scores.min()
+    (2, np.True_)
+    """
+
+    def __init__(self, space: Space, settings: GeneticSettings, seed: int) -> None:
+        if not 0 <= seed < 2**32:
+            raise InputError(f"seed must lie in [0, 2**32), got {seed}.")
+        self.space = space
+        self.settings = settings
+        self.seed = seed
+
+    def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
+        """Return the population after `history`, or why there is none.
+
+        Raises
+        ------
+        InputError
+            If the history does not come from these settings and this space.
+        """
+        self._check(history)
+        rng = np.random.default_rng([self.seed, len(history)])
+        if not history:
+            return self._fresh(rng)
+        bests = best_so_far(history)
+        reason = self._reason_to_stop(bests)
+        if reason is not None:
+            return Stopped(reason)
+        if np.isposinf(history[-1].scores).all():
+            # There is nobody to breed from: failures have no order among them.
+            return self._fresh(rng)
+        return self._breed(rng, history[-1], bests)
+
+    def _fresh(self, rng: np.random.Generator) -> Proposal:
+        size = self.settings.population
+        return Proposal(self.settings.initial(rng, size, self.space), (None,) * size)
+
+    def _breed(self, rng: np.random.Generator, last: Generation, bests: FloatArray) -> Proposal:
+        settings = self.settings
+        ranking = last.ranking
+        expectation = rank_expectation(ranking, settings.parents)
+        parents = last.genes[stochastic_uniform(rng, expectation, settings.parents)]
+        pairs, singles = np.split(parents, [2 * settings.crossover_children])
+        crossed = scattered_crossover(rng, pairs[0::2], pairs[1::2])
+        progress = Progress(len(bests), settings.generations, bests)
+        mutated = settings.mutation(rng, singles, self.space, progress)
+        elites = ranking[: settings.elite]
+        children = settings.crossover_children + settings.mutation_children
+        return Proposal(
+            np.concatenate([last.genes[elites], crossed, mutated]),
+            (*(int(index) for index in elites), *(None,) * children),
+        )
+
+    def _reason_to_stop(self, bests: FloatArray) -> str | None:
+        if np.isneginf(bests[-1]):
+            return "identical volumes reached: the best score is -inf and cannot improve"
+        if len(bests) >= self.settings.generations:
+            return f"all {self.settings.generations} generations are done"
+        return None if self.settings.stall is None else self.settings.stall.reason(bests)
+
+    def _check(self, history: Sequence[Generation]) -> None:
+        expected = (self.settings.population, self.space.dimension)
+        for number, generation in enumerate(history):
+            if generation.genes.shape != expected:
+                raise InputError(
+                    f"Generation {number} holds {generation.genes.shape[0]} candidates of "
+                    f"{generation.genes.shape[1]} parameters; this search makes {expected[0]} of "
+                    f"{expected[1]}. The study was changed after it was started: restore its "
+                    "population and parameters, or start a new study."
+                )
+
+
+def best_so_far(history: Sequence[Generation]) -> FloatArray:
+    """Best score up to each generation, shape (g,), never increasing."""
+    return np.minimum.accumulate([generation.scores.min() for generation in history])

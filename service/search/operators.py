@@ -1,0 +1,235 @@
+"""The operators of the genetic search, as functions of an explicit generator.
+
+What MATLAB's ``ga`` does with a bounded problem and its default options, written
+from its public description: rank scaling, stochastic uniform selection (Baker
+1987), scattered crossover. The constants of its adaptive feasible mutation are
+not documented; `AdaptiveFeasible` follows the idea with constants of our own.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.search.space import FloatArray, Space
+from storage.errors import InputError
+
+IndexArray = NDArray[np.intp]
+Initial = Callable[[np.random.Generator, int, Space], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """Where the search stands when children are made.
+
+    Parameters
+    ----------
+    generation : int
+        Index of the generation being made; 0 is the initial population.
+    generations : int
+        Number of populations at most.
+    bests : ndarray, shape (generation,)
+        Best score up to each finished generation.
+    """
+
+    generation: int
+    generations: int
+    bests: FloatArray
+
+
+class Mutation(Protocol):
+    """Turns parents into children, within the bounds."""
+
+    def __call__(
+        self, rng: np.random.Generator, parents: FloatArray, space: Space, progress: Progress
+    ) -> FloatArray:
+        """Return one child (m, d) for each parent (m, d)."""
+        ...
+
+
+def uniform_population(rng: np.random.Generator, size: int, space: Space) -> FloatArray:
+    """Draw `size` independent points, uniform in the box, shape (size, d)."""
+    return space.from_unit(rng.random((size, space.dimension)))
+
+
+def latin_hypercube(rng: np.random.Generator, size: int, space: Space) -> FloatArray:
+    """Draw `size` points of which each of `size` equal slices of every axis holds one.
+
+    References
+    ----------
+    McKay, Beckman and Conover, Technometrics 21 (1979) 239-245.
+    """
+    slices = np.tile(np.arange(size, dtype=np.float64)[:, None], (1, space.dimension))
+    shuffled = rng.permuted(slices, axis=0)
+    return space.from_unit((shuffled + rng.random(shuffled.shape)) / size)
+
+
+def rank_expectation(ranking: IndexArray, parents: int) -> FloatArray:
+    """Return how many of `parents` parents each candidate should be.
+
+    ``parents r^(-1/2) / sum_r r^(-1/2)`` with rank ``r = 1`` for the best: the
+    spread of the scores plays no part, so neither -inf nor +inf disturbs it.
+
+    Parameters
+    ----------
+    ranking : ndarray of int, shape (n,)
+        Candidates from best to worst.
+    parents : int
+        Number of parents wanted.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Expectation by candidate index; sums to `parents`.
+
+    Examples
+    --------
+    >>> rank_expectation(np.array([1, 0]), 2).round(3).tolist()
+    [0.828, 1.172]
+    """
+    # The reciprocal of a square root is correctly rounded on every machine; a power is not.
+    weights = 1.0 / np.sqrt(np.arange(1.0, len(ranking) + 1.0))
+    expectation = np.empty(len(ranking))
+    expectation[ranking] = parents * weights / weights.sum()
+    return expectation
+
+
+def stochastic_uniform(
+    rng: np.random.Generator, expectation: FloatArray, parents: int
+) -> IndexArray:
+    """Select parents with evenly spaced pointers on one line, then shuffle them.
+
+    The candidates lie on a line as segments as long as their expectations; the
+    pointers stand one apart behind a single random offset. So a candidate is
+    chosen either floor or ceil of its expectation times, never otherwise.
+
+    Parameters
+    ----------
+    expectation : ndarray, shape (n,)
+        Sums to `parents`.
+    parents : int
+        Number of pointers.
+
+    Returns
+    -------
+    ndarray of int, shape (parents,)
+
+    References
+    ----------
+    Baker, Proc. 2nd Int. Conf. on Genetic Algorithms (1987) 14-21.
+    """
+    ends = np.cumsum(expectation)
+    ends[-1] = parents  # the sum of the segments, without its rounding
+    pointers = rng.random() + np.arange(parents)
+    chosen = np.minimum(np.searchsorted(ends, pointers, side="right"), len(ends) - 1)
+    return rng.permutation(chosen)
+
+
+def scattered_crossover(
+    rng: np.random.Generator, first: FloatArray, second: FloatArray
+) -> FloatArray:
+    """Take each gene of a child from either parent with even odds, shape (m, d)."""
+    return np.where(rng.integers(0, 2, size=first.shape) == 0, first, second)
+
+
+def reflect(unit: FloatArray) -> FloatArray:
+    """Fold points back into the unit cube as mirrors on its walls would."""
+    folded = np.mod(unit, 2.0)
+    return np.where(folded > 1.0, 2.0 - folded, folded)
+
+
+@dataclass(frozen=True)
+class AdaptiveFeasible:
+    """A step in a random direction, as long as steps of late have been worth.
+
+    All lengths are fractions of the range of a parameter. The step grows after a
+    generation that improved the best score and shrinks after one that did not.
+    It is worked out anew from the best scores each time, so nothing has to be
+    stored. A step through a wall is reflected: children always keep the bounds.
+
+    Parameters
+    ----------
+    initial, smallest, largest : float
+        Step length at first and its limits, ``0 < smallest <= initial <= largest``.
+    grow, shrink : float
+        Factors after success and failure. The defaults are powers of two, so the
+        step carries no rounding.
+    """
+
+    initial: float = 1.0
+    smallest: float = 2.0**-10
+    largest: float = 1.0
+    grow: float = 2.0
+    shrink: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0 < self.smallest <= self.initial <= self.largest < np.inf:
+            raise InputError(
+                "Mutation steps need 0 < smallest <= initial <= largest, got "
+                f"{self.smallest}, {self.initial}, {self.largest}."
+            )
+        if not (1 <= self.grow < np.inf and 0 < self.shrink <= 1):
+            raise InputError(
+                "Mutation steps need grow >= 1 and 0 < shrink <= 1, got "
+                f"{self.grow} and {self.shrink}."
+            )
+
+    def step(self, bests: FloatArray) -> float:
+        """Step length after the best scores `bests`, shape (g,), never increasing."""
+        length = self.initial
+        for before, after in zip(bests[:-1], bests[1:], strict=True):
+            if np.isposinf(after):
+                continue  # no simulation has succeeded yet: nothing is learnt
+            factor = self.grow if after < before else self.shrink
+            length = min(max(length * factor, self.smallest), self.largest)
+        return length
+
+    def __call__(
+        self, rng: np.random.Generator, parents: FloatArray, space: Space, progress: Progress
+    ) -> FloatArray:
+        directions = rng.standard_normal(parents.shape)
+        # A zero vector has probability zero; the floor keeps it from dividing by zero.
+        lengths = np.sqrt(np.sum(directions * directions, axis=1, keepdims=True))
+        steps = self.step(progress.bests) * directions / np.maximum(lengths, 1e-300)
+        return space.from_unit(reflect(space.to_unit(parents) + steps))
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Normal noise on every gene, narrower from generation to generation.
+
+    The standard deviation is ``scale (1 - shrink g / G)`` of the range in
+    generation ``g`` of ``G``. MATLAB lets such children leave the bounds; here
+    they are reflected at the walls.
+
+    Parameters
+    ----------
+    scale : float
+        Standard deviation at first, as a fraction of the range; >= 0.
+    shrink : float
+        0 keeps it; 1 brings it towards zero in the last generation.
+    """
+
+    scale: float = 1.0
+    shrink: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.scale < np.inf and 0 <= self.shrink <= 1):
+            raise InputError(
+                "Gaussian mutation needs scale >= 0 and 0 <= shrink <= 1, got "
+                f"{self.scale} and {self.shrink}."
+            )
+
+    def __call__(
+        self, rng: np.random.Generator, parents: FloatArray, space: Space, progress: Progress
+    ) -> FloatArray:
+        deviation = self.scale * (1.0 - self.shrink * progress.generation / progress.generations)
+        noise = deviation * rng.standard_normal(parents.shape)
+        return space.from_unit(reflect(space.to_unit(parents) + noise))
+
+
+#: What a study file may name.
+INITIAL: dict[str, Initial] = {"uniform": uniform_population, "latin-hypercube": latin_hypercube}
+MUTATIONS: dict[str, Mutation] = {"adaptive": AdaptiveFeasible(), "gaussian": Gaussian()}

@@ -1,0 +1,99 @@
+"""When a search has stopped getting better.
+
+Both rules look at the best scores ``B`` of the last ``n`` steps from one
+generation to the next, which takes ``n + 1`` generations:
+
+relative (MATLAB's ``ga`` today)
+    ``|B[g-n] - B[g]| / (n max(1, |B[g]|)) <= tolerance``
+weighted (its documentation before R2014a, when the thesis was computed)
+    ``sum_k w_k |B[g-k] - B[g-k-1]| / (max(1, |B[g-k]|) sum_k w_k) <= tolerance``
+    with ``w_k = 2^-k``, ``k = 0 .. n-1``: a step counts half as much as the one
+    after it.
+
+GSF is a logarithm. At ``-inf`` (identical volumes) nothing can improve and the
+search ends for that reason, before any rule is asked; at ``+inf`` no simulation
+has succeeded yet. Neither is ever subtracted here.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from service.search.space import FloatArray
+from storage.errors import InputError
+
+Rule = Literal["relative", "weighted"]
+
+
+@dataclass(frozen=True)
+class Stall:
+    """Stop after some generations without a noticeable improvement.
+
+    Parameters
+    ----------
+    generations : int
+        Steps looked at, >= 1. The thesis: 5.
+    tolerance : float
+        Average improvement per generation that no longer counts, >= 0. The
+        thesis: 1e-6.
+    rule : {"relative", "weighted"}
+        See the formulas at the top of this file.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+
+    generations: int = 5
+    tolerance: float = 1e-6
+    rule: Rule = "relative"
+
+    def __post_init__(self) -> None:
+        if self.generations < 1:
+            raise InputError(f"stall.generations must be at least 1, got {self.generations}.")
+        if not (np.isfinite(self.tolerance) and self.tolerance >= 0):
+            raise InputError(f"stall.tolerance must be a finite number >= 0, got {self.tolerance}.")
+        if self.rule not in get_args(Rule):
+            raise InputError(
+                f"stall.rule must be one of {', '.join(get_args(Rule))}, got {self.rule!r}."
+            )
+
+    def reason(self, bests: FloatArray) -> str | None:
+        """Why to stop, or ``None`` to go on.
+
+        Parameters
+        ----------
+        bests : ndarray, shape (g,)
+            Best score up to each generation, so never increasing.
+        """
+        if len(bests) <= self.generations:
+            return None
+        window = bests[-self.generations - 1 :]
+        if np.isposinf(window[-1]):
+            return (
+                f"no simulation has succeeded in {len(bests)} generations; see why they failed "
+                "in the status, then narrow the bounds or lower the load"
+            )
+        if not np.isfinite(window).all():
+            return None
+        change = _relative(window) if self.rule == "relative" else _weighted(window)
+        if change > self.tolerance:
+            return None
+        return (
+            f"stalled: average {self.rule} change of the best score over {self.generations} "
+            f"generations is {change:.3g}, tolerance {self.tolerance:g}"
+        )
+
+
+def _relative(window: FloatArray) -> float:
+    steps = len(window) - 1
+    return float(abs(window[0] - window[-1]) / (steps * max(1.0, abs(window[-1]))))
+
+
+def _weighted(window: FloatArray) -> float:
+    newest_first = window[::-1]
+    changes = np.abs(np.diff(newest_first)) / np.maximum(1.0, np.abs(newest_first[:-1]))
+    weights = 0.5 ** np.arange(len(changes))
+    return float(np.sum(weights * changes) / np.sum(weights))

@@ -1,0 +1,1 @@
+"""Finite elements: from constants and loads to a displacement."""

@@ -1,0 +1,1 @@
+"""Images of real organs, read into volumes."""

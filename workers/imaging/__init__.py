@@ -1,0 +1,1 @@
+"""From a displacement back to an image."""

@@ -1,0 +1,1 @@
+"""Labelled voxels from a seed."""

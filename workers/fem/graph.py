@@ -40,7 +40,7 @@ def build_graph(n_nodes: int, tets: IntArray) -> Graph:
 
 
 @njit(**COMPILE)
-def _rows(n_nodes, tets):
+def _rows(n_nodes: int, tets: IntArray) -> tuple[IntArray, IntArray]:
     around = np.zeros(n_nodes + 1, np.int32)
     for e in range(tets.shape[0]):
         for a in range(4):
@@ -78,7 +78,7 @@ def _rows(n_nodes, tets):
 
 
 @njit(**COMPILE)
-def _edges(start, neighbour, tets):
+def _edges(start: IntArray, neighbour: IntArray, tets: IntArray) -> IntArray:
     edge = np.empty((tets.shape[0], 4, 4), np.int32)
     for e in range(tets.shape[0]):
         for a in range(4):

@@ -26,6 +26,11 @@ continuously differentiable, so that a trial step may invert an element.
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from storage.values import FloatArray, IntArray
+
+Float32Array = NDArray[np.float32]
 
 # Reassociation is allowed; NaN and infinity keep their meaning.
 FLAGS = {"contract", "reassoc", "nsz", "arcp"}
@@ -38,7 +43,7 @@ _PHI2 = 10.0 / 9.0 * _PHI0 / J_SMALL**2
 
 
 @njit(inline="always", **COMPILE)
-def _isochoric_factor(J):
+def _isochoric_factor(J: float) -> tuple[float, float, float]:
     """J^(-2/3) and its logarithmic derivatives J phi', J^2 phi''."""
     if J >= J_SMALL:
         c = 1.0 / np.cbrt(J)
@@ -50,7 +55,7 @@ def _isochoric_factor(J):
 
 
 @njit(**COMPILE)
-def shape_gradients(nodes, tets):
+def shape_gradients(nodes: FloatArray, tets: IntArray) -> tuple[FloatArray, FloatArray]:
     """Gradients of the last three shape functions, (m, 3, 3), and volumes, (m,).
 
     The first gradient is minus the sum of the others.
@@ -82,7 +87,9 @@ def shape_gradients(nodes, tets):
 
 
 @njit(inline="always", **COMPILE)
-def _deformation_gradient(x, tets, gradients, e, F):
+def _deformation_gradient(
+    x: FloatArray, tets: IntArray, gradients: FloatArray, e: int, F: FloatArray
+) -> None:
     n0, n1, n2, n3 = tets[e, 0], tets[e, 1], tets[e, 2], tets[e, 3]
     for i in range(3):
         o = x[n0, i]
@@ -94,7 +101,7 @@ def _deformation_gradient(x, tets, gradients, e, F):
 
 
 @njit(inline="always", **COMPILE)
-def _determinant(F):
+def _determinant(F: FloatArray) -> float:
     return (
         F[0, 0] * (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1])
         + F[0, 1] * (F[1, 2] * F[2, 0] - F[1, 0] * F[2, 2])
@@ -103,7 +110,19 @@ def _determinant(F):
 
 
 @njit(**COMPILE)
-def energy(x, tets, gradients, volumes, mu, eta, kappa, plain, fibre, tension_only, nodal_volumes):
+def energy(
+    x: FloatArray,
+    tets: IntArray,
+    gradients: FloatArray,
+    volumes: FloatArray,
+    mu: FloatArray,
+    eta: FloatArray,
+    kappa: FloatArray,
+    plain: bool,
+    fibre: FloatArray,
+    tension_only: bool,
+    nodal_volumes: FloatArray,
+) -> float:
     """Energy of the elements in mJ; `nodal_volumes` receives v_n in mm^3."""
     F = np.empty((3, 3))
     total = 0.0
@@ -132,7 +151,7 @@ def energy(x, tets, gradients, volumes, mu, eta, kappa, plain, fibre, tension_on
 
 
 @njit(**COMPILE)
-def smallest_volume_ratio(x, tets, gradients):
+def smallest_volume_ratio(x: FloatArray, tets: IntArray, gradients: FloatArray) -> float:
     """Smallest J over the elements."""
     F = np.empty((3, 3))
     smallest = np.inf
@@ -144,23 +163,23 @@ def smallest_volume_ratio(x, tets, gradients):
 
 @njit(**COMPILE)
 def assemble(
-    x,
-    tets,
-    gradients,
-    volumes,
-    mu,
-    eta,
-    kappa,
-    plain,
-    fibre,
-    tension_only,
-    pressure,
-    edge,
-    convex,
-    force,
-    K,
-    B,
-):
+    x: FloatArray,
+    tets: IntArray,
+    gradients: FloatArray,
+    volumes: FloatArray,
+    mu: FloatArray,
+    eta: FloatArray,
+    kappa: FloatArray,
+    plain: bool,
+    fibre: FloatArray,
+    tension_only: bool,
+    pressure: FloatArray,
+    edge: IntArray,
+    convex: bool,
+    force: FloatArray,
+    K: Float32Array,
+    B: Float32Array,
+) -> None:
     """Add the internal force, (n, 3) in N, and the tangent, K (edges, 9) and B (edges, 3).
 
     `pressure` is ``kappa_n (v_n / V_n - 1)`` per node; `edge`, (m, 4, 4), is the

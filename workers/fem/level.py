@@ -3,20 +3,18 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from storage.errors import InputError
 from storage.values import FloatArray, IntArray, Tissue
 from workers.fem import kernels, membrane
 from workers.fem.contact import Gap, Touch, touch
+from workers.fem.kernels import Float32Array
 from workers.fem.model import LevelModel
 from workers.fem.problem import Problem
 
 # Frictionless plates leave the body free to drift along x; springs this weak
 # (5 mN per mm of drift for a litre) hold it without being felt.
 DRIFT_SPRING_N_PER_MM4 = 5e-9
-
-Float32Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +160,7 @@ def _constants(model: LevelModel, problem: Problem) -> tuple[FloatArray, FloatAr
     for tissue, c in problem.constants.items():
         table[tissue] = c.mu_mpa, c.fibre_mpa, c.kappa_mpa
     missing = [
-        Tissue(t).name.lower()
+        Tissue(int(t)).name.lower()
         for t in np.flatnonzero(model.fractions.sum(axis=0) > 0)
         if table[t, 0] == 0
     ]

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from storage.values import FloatArray, IntArray
-from workers.fem.kernels import COMPILE
+from workers.fem.kernels import COMPILE, Float32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ def sheet_of(nodes: FloatArray, triangles: IntArray) -> Sheet:
 
 
 @njit(inline="always", **COMPILE)
-def _edges(x, triangles, t, e):
+def _edges(x: FloatArray, triangles: IntArray, t: int, e: FloatArray) -> None:
     for i in range(3):
         o = x[triangles[t, 0], i]
         e[0, i] = x[triangles[t, 1], i] - o
@@ -53,7 +53,9 @@ def _edges(x, triangles, t, e):
 
 
 @njit(**COMPILE)
-def sheet_energy(x, triangles, metric, area, stiffness):
+def sheet_energy(
+    x: FloatArray, triangles: IntArray, metric: FloatArray, area: FloatArray, stiffness: float
+) -> float:
     """Energy in mJ; `stiffness` is mu t in N/mm."""
     e = np.empty((2, 3))
     total = 0.0
@@ -69,7 +71,16 @@ def sheet_energy(x, triangles, metric, area, stiffness):
 
 
 @njit(**COMPILE)
-def sheet_assemble(x, triangles, metric, area, stiffness, edge, force, K):
+def sheet_assemble(
+    x: FloatArray,
+    triangles: IntArray,
+    metric: FloatArray,
+    area: FloatArray,
+    stiffness: float,
+    edge: IntArray,
+    force: FloatArray,
+    K: Float32Array,
+) -> None:
     """Add the sheet's force, (n, 3) in N, and tangent to K, (edges, 9).
 
     `edge`, (k, 3, 3), is the row of K of each pair of corners.

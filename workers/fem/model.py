@@ -88,7 +88,7 @@ def _prepare_level(level: MeshLevel) -> LevelModel:
         tets=tets,
         gradients=gradients,
         volumes=volumes,
-        nodal_volumes=np.bincount(tets.ravel(), np.repeat(volumes / 4, 4), len(nodes)),
+        nodal_volumes=_nodal_sum(len(nodes), tets, volumes / 4),
         fractions=np.asarray(level.fractions, dtype=np.float64),
         graph=graph,
         wall=np.asarray(level.wall, dtype=np.int32),
@@ -100,9 +100,16 @@ def _prepare_level(level: MeshLevel) -> LevelModel:
 
 
 def _pads(n: int, surface: IntArray, area: FloatArray) -> Pads:
-    share = np.bincount(surface.ravel(), np.repeat(area / 3, 3), n)
+    share = _nodal_sum(n, surface, area / 3)
     nodes = np.flatnonzero(share).astype(np.int32)
     return Pads(nodes, share[nodes] * PENALTY_N_PER_MM3)
+
+
+def _nodal_sum(n: int, cells: IntArray, share: FloatArray) -> FloatArray:
+    """Give each corner of each cell its share."""
+    total = np.zeros(n)
+    np.add.at(total, cells, share[:, None])
+    return total
 
 
 def _sheet_edges(graph: Graph, surface: IntArray) -> IntArray:

@@ -13,7 +13,8 @@ from scipy import linalg
 
 from storage.values import FloatArray
 from workers.fem import operators
-from workers.fem.level import Float32Array, Level, Tangent
+from workers.fem.kernels import Float32Array
+from workers.fem.level import Level, Tangent
 
 DEGREE = 3
 # The smoother treats the upper part of the spectrum, [lambda_max / RATIO, lambda_max].

@@ -96,6 +96,9 @@ def minimise(
         step = _direction(level, force, tangent, energy, press, linear, forcing)
         cg_total += step.cg_iterations
         state, energy, length = _line_search(level, state, energy, press, step)
+        gap = press.at(state.travel_mm)
+        if gap.upper_mm <= gap.lower_mm:
+            return Result(state, "the plates met", iteration, cg_total, residual, linear)
         if length == 0:
             if convex:
                 reason = f"no descent at a residual of {residual:.3g} N"

@@ -9,14 +9,30 @@ and 0 where it is held.
 Traffic of one product: 15 edges a node x (36 + 2 x 12 + 2 x 4) bytes = 1 kB a node.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from storage.values import FloatArray, IntArray
 from workers.fem.kernels import COMPILE
+
+AnyFloat = NDArray[np.floating[Any]]
 
 
 @njit(**COMPILE)
-def multiply(start, neighbour, K, B, D, free, x, pressure, y):
+def multiply(
+    start: IntArray,
+    neighbour: IntArray,
+    K: AnyFloat,
+    B: AnyFloat,
+    D: AnyFloat,
+    free: AnyFloat,
+    x: AnyFloat,
+    pressure: AnyFloat,
+    y: AnyFloat,
+) -> None:
     """y = (K + B D B^T) x on the free unknowns; `pressure`, (n,), is scratch."""
     n = x.shape[0]
     pressure[:] = 0.0
@@ -43,7 +59,9 @@ def multiply(start, neighbour, K, B, D, free, x, pressure, y):
 
 
 @njit(**COMPILE)
-def subtract_rank_one(pads, coupling, total, x, y):
+def subtract_rank_one(
+    pads: IntArray, coupling: AnyFloat, total: float, x: AnyFloat, y: AnyFloat
+) -> None:
     """y -= c (c . x) / total, with c = `coupling` along y on `pads`; total 0 means none."""
     if total <= 0.0:
         return
@@ -56,7 +74,16 @@ def subtract_rank_one(pads, coupling, total, x, y):
 
 
 @njit(**COMPILE)
-def invert_diagonal(start, neighbour, diagonal, K, B, D, free, inverse):
+def invert_diagonal(
+    start: IntArray,
+    neighbour: IntArray,
+    diagonal: IntArray,
+    K: AnyFloat,
+    B: AnyFloat,
+    D: AnyFloat,
+    free: AnyFloat,
+    inverse: AnyFloat,
+) -> None:
     """Inverse 3 x 3 diagonal blocks, (n, 9), made safely positive; zero where held."""
     n = start.shape[0] - 1
     m = np.empty((3, 3))
@@ -86,7 +113,7 @@ def invert_diagonal(start, neighbour, diagonal, K, B, D, free, inverse):
 
 
 @njit(inline="always", **COMPILE)
-def _invert_positive(m, shift):
+def _invert_positive(m: FloatArray, shift: float) -> None:
     """Invert a symmetric 3 x 3 matrix in place, damping off-diagonals until it is positive."""
     for _ in range(40):
         c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]
@@ -113,7 +140,7 @@ def _invert_positive(m, shift):
 
 
 @njit(**COMPILE)
-def apply_diagonal(inverse, r, z):
+def apply_diagonal(inverse: AnyFloat, r: AnyFloat, z: AnyFloat) -> None:
     """z = inverse r, block by block."""
     for i in range(r.shape[0]):
         r0, r1, r2 = r[i, 0], r[i, 1], r[i, 2]
@@ -123,7 +150,9 @@ def apply_diagonal(inverse, r, z):
 
 
 @njit(**COMPILE)
-def dense(start, neighbour, K, B, D, free):
+def dense(
+    start: IntArray, neighbour: IntArray, K: AnyFloat, B: AnyFloat, D: AnyFloat, free: AnyFloat
+) -> FloatArray:
     """The tangent as a full symmetric matrix, (3 n, 3 n); 1 on the diagonal where held."""
     n = start.shape[0] - 1
     A = np.zeros((3 * n, 3 * n))

@@ -34,6 +34,8 @@ class Outcome:
         Force on the upper plate.
     contact_area_mm2 : float
         Undeformed surface area pressed against the upper plate.
+    penetration_mm : float
+        Deepest node inside a plate, a measure of the penalty's error.
     min_j : float
         Smallest volume ratio of an element.
     energy_mj : float
@@ -54,6 +56,7 @@ class Outcome:
     plate_displacement_mm: float
     plate_force_n: float
     contact_area_mm2: float
+    penetration_mm: float
     min_j: float
     energy_mj: float
     force_imbalance: float

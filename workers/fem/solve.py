@@ -7,8 +7,6 @@ precondition. There is no load stepping, unless the coarsest mesh needs it.
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from workers.fem import kernels
 from workers.fem.contact import Gap
 from workers.fem.level import Level, State, Tangent
@@ -172,6 +170,7 @@ def _report(finest: Level, problem: Problem, state: State, results: Sequence[Res
             plate_displacement_mm=float(travel),
             plate_force_n=upper,
             contact_area_mm2=float(area),
+            penetration_mm=float(max(at.touch.upper.max(), at.touch.lower.max())),
             min_j=float(min_j),
             energy_mj=at.stored,
             force_imbalance=abs(upper - lower) / max(upper, 1e-12),
@@ -184,8 +183,3 @@ def _report(finest: Level, problem: Problem, state: State, results: Sequence[Res
 def _starting_gap(level: Level) -> Gap:
     y = level.model.nodes[:, 1]
     return Gap(float(y.min()), float(y.max()))
-
-
-__all__ = ["Solution", "solve"]
-
-_ = np

@@ -4,7 +4,6 @@ DICOM gives each slice its own position (PS3.3, C.7.6.2.1.1 and C.7.6.16.2.3);
 that they make a regular stack has to be found out.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +12,10 @@ from numpy.typing import NDArray
 
 from storage.errors import InputError
 from storage.values import FloatArray
+from workers.images.scan import Scan
 
-GAP_TOLERANCE = 0.01
-"""How far a slice may be from its place in the stack, in gaps."""
+GAP_TOLERANCE = 0.05
+"""How far a slice may be from its place in the stack, in gaps (positions are rounded)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,12 @@ class Planes:
 
 
 def stack(
-    positions_mm: FloatArray, orientation: FloatArray, what: str, gap_mm: float | None = None
+    positions_mm: FloatArray,
+    orientation: FloatArray,
+    what: str,
+    *,
+    may_skip: bool = False,
+    gap_mm: float | None = None,
 ) -> Planes:
     """Sort slices along their normal.
 
@@ -50,9 +55,11 @@ def stack(
         ImageOrientationPatient: direction of a row, then of a column.
     what : str
         How to name the image in messages.
+    may_skip : bool, optional
+        Whether slots may stay empty (segmentations leave out empty slices).
     gap_mm : float, optional
-        Distance of neighbours. Slots may then stay empty; otherwise the distance is
-        found from the positions and every slot must be filled.
+        Distance of neighbours where the file states it. Default: the median of the
+        distances found, or the least one when slots may stay empty.
 
     Raises
     ------
@@ -63,25 +70,28 @@ def stack(
     depth = positions_mm @ normal
     order = np.argsort(depth, kind="stable")
     gaps = np.diff(depth[order])
-    apart = gaps[gaps > GAP_TOLERANCE * gaps.max()] if gaps.size and gaps.max() > 0 else gaps[:0]
+    apart = gaps[gaps > max(GAP_TOLERANCE * gaps.max(initial=0.0), 1e-6)]
     if not apart.size:
         raise InputError(
             f"{what} has slices at one position only; a volume needs two or more. "
             "Give the folder with the whole series."
         )
-    gap = float(np.median(apart)) if gap_mm is None else gap_mm
-    place = (depth - depth[order[0]]) / gap
-    slots = np.rint(place).astype(np.intp)
-    uneven = np.abs(place - slots) > GAP_TOLERANCE
     if gap_mm is None:
-        uneven[order[1:]] |= np.diff(slots[order]) > 1
-    if uneven.any():
-        _refuse_gaps(gaps, gap, what)
+        gap_mm = float(apart.min() if may_skip else np.median(apart))
+    jumps = np.rint(gaps / gap_mm).astype(np.intp)
+    slots = np.zeros(depth.size, dtype=np.intp)
+    slots[order[1:]] = np.cumsum(jumps)
+    count = max(int(slots[order[-1]]), 1)
+    even = (depth[order[-1]] - depth[order[0]]) / count
+    shift = np.abs(depth - depth[order[0]] - slots * even)
+    stated_wrong = abs(even - gap_mm) > GAP_TOLERANCE * gap_mm
+    if stated_wrong or shift.max() > GAP_TOLERANCE * even or (jumps.max() > 1 and not may_skip):
+        _refuse_gaps(gaps, gap_mm, what)
 
-    origin, last = positions_mm[order[0]], order[-1]
-    step = (positions_mm[last] - origin) / slots[last]
+    origin = positions_mm[order[0]]
+    step = (positions_mm[order[-1]] - origin) / count
     off = np.linalg.norm(positions_mm - origin - slots[:, None] * step, axis=1)
-    if off.max() > GAP_TOLERANCE * gap:
+    if off.max() > GAP_TOLERANCE * even:
         raise InputError(
             f"{what} has slices that do not lie on one line ({off.max():.3g} mm off). "
             "Resample it on a regular grid first."
@@ -89,22 +99,32 @@ def stack(
     return Planes(slots, step, origin)
 
 
-def _refuse_gaps(gaps: FloatArray, gap: float, what: str) -> None:
-    worst = int(np.argmax(np.abs(gaps - gap)))
+def _refuse_gaps(gaps: FloatArray, gap_mm: float, what: str) -> None:
+    worst = int(np.argmax(np.abs(gaps - gap_mm)))
     raise InputError(
         f"{what} has uneven gaps: slices {worst + 1} and {worst + 2} along the normal are "
-        f"{gaps[worst]:.4g} mm apart, expected {gap:.4g} mm. A slice is missing, or "
+        f"{gaps[worst]:.4g} mm apart, expected {gap_mm:.4g} mm. A slice is missing, or "
         "two series are mixed; complete the series, or resample it on a regular grid."
     )
 
 
-def plane_steps(orientation: FloatArray, pixel_spacing: Sequence[Any] | None) -> FloatArray:
-    """Columns: the steps along column index and row index; NaN without PixelSpacing.
+def plane_scan(
+    values: NDArray[Any], planes: Planes, orientation: FloatArray, pixel_spacing: Any
+) -> Scan:
+    """The scan of a stack.
 
-    PixelSpacing is (distance of rows, distance of columns).
+    Parameters
+    ----------
+    values : ndarray, shape (slots, rows, columns)
+    pixel_spacing : sequence of two numbers, or None
+        DICOM's PixelSpacing: distance of rows, then of columns, in mm.
     """
     rows, columns = (np.nan, np.nan) if pixel_spacing is None else map(float, pixel_spacing)
-    return np.column_stack([orientation[:3] * columns, orientation[3:] * rows])
+    gap = float(np.linalg.norm(planes.step_mm))
+    spacing = np.array([columns, rows, gap])
+    spacing[~(np.isfinite(spacing) & (spacing > 0))] = np.nan
+    directions = np.column_stack([orientation[:3], orientation[3:], planes.step_mm / gap])
+    return Scan(values.transpose(), spacing, directions, planes.origin_mm)
 
 
 def check_orientation(values: Any, what: str) -> FloatArray:

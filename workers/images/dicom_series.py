@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydicom.errors import InvalidDicomError
 
 from storage.errors import InputError
-from workers.images.dicom_planes import check_orientation, plane_steps, stack
+from workers.images.dicom_planes import check_orientation, plane_scan, stack
 from workers.images.dicom_segmentation import is_multi_frame, read_segmentation
 from workers.images.scan import Scan
 
@@ -80,7 +80,8 @@ def _series(images: list[tuple[Path, Any]], what: str) -> Scan:
             raise InputError(f"{path} has another orientation than {images[0][0].name}.")
     positions = np.array([d.ImagePositionPatient for _, d in images], dtype=float)
     planes = stack(positions, orientation, what)
-    twice = [p.name for (p, _), n in zip(images, np.bincount(planes.slots)[planes.slots]) if n > 1]
+    shared = np.bincount(planes.slots)[planes.slots] > 1
+    twice = [path.name for (path, _), other in zip(images, shared, strict=True) if other]
     if twice:
         raise InputError(
             f"{what} has several slices at one position: {', '.join(twice[:4])}. Two series or "
@@ -95,8 +96,7 @@ def _series(images: list[tuple[Path, Any]], what: str) -> Scan:
             values = values.astype(np.promote_types(pixels.dtype, values.dtype))
         values[slot] = pixels
     assert values is not None
-    steps = np.column_stack([plane_steps(orientation, first.get("PixelSpacing")), planes.step_mm])
-    return _scan(values, steps, planes.origin_mm, orientation)
+    return plane_scan(values, planes, orientation, first.get("PixelSpacing"))
 
 
 def _refuse_mixed(images: list[tuple[Path, Any]], what: str) -> None:

@@ -1,0 +1,140 @@
+"""The breast: which constants its tissues take, and how two plates press it.
+
+Ligaments behave as fat (thesis section 4.5); muscle does too, unless its own
+constants are stated. Skin is fat (``none``), fat under a membrane
+(``membrane``), or a tissue of its own in the mesh (``layer``). Fibres run from
+chest wall to nipple, along z.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray, Tissue, Volume
+from workers.fem.problem import (
+    Constants,
+    DistanceControl,
+    ForceControl,
+    Load,
+    Membrane,
+    Problem,
+)
+from workers.mesh.hierarchy import Hierarchy
+from workers.spec import LoadSpec, ModelSpec
+
+Extent = tuple[float, float]
+"""From here to there along y, in mm."""
+
+
+def problem_of(
+    model: ModelSpec, load: LoadSpec, constants: Mapping[str, float], body: Extent,
+    target: Extent | None = None,
+) -> Problem:  # fmt: skip
+    """What the solver is asked.
+
+    Parameters
+    ----------
+    model, load : ModelSpec and LoadSpec
+    constants : mapping of str to float
+        Every parameter of `workers.parameters.BREAST`, inside names and units.
+    body : tuple of float
+        Where the undeformed body begins and ends along y, in mm.
+    target : tuple of float, optional
+        The same of an imaged target; see `plates_of`.
+    """
+    fat = Constants(constants["E_fat"], constants["nu"], constants["eta_fat"])
+    skin = Constants(constants["E_skin"], constants["nu"])
+    tissues = {
+        Tissue.FAT: fat,
+        Tissue.LIGAMENT: fat,
+        Tissue.SKIN: skin if model.skin == "layer" else fat,
+        Tissue.MUSCLE: Constants(constants["E_muscle"], constants["nu"], constants["eta_muscle"]),
+        Tissue.GLANDULAR: Constants(
+            constants["E_glandular"], constants["nu"], constants["eta_glandular"]
+        ),
+    }
+    membrane = Membrane(constants["E_skin"], model.skin_thickness_mm)
+    return Problem(
+        constants=tissues,
+        load=plates_of(load, body, target),
+        membrane=membrane if model.skin == "membrane" else None,
+        fibre=(0.0, 0.0, 1.0),
+        literal_fibre=model.fibres == "literal",
+    )
+
+
+def plates_of(load: LoadSpec, body: Extent, target: Extent | None = None) -> Load:
+    """Where the plates stand.
+
+    Under a force they start at the ends of the undeformed body. At a distance
+    they end centred on the imaged target when there is one, because that is where
+    the device held it, and else centred on the undeformed body.
+    """
+    if load.force_n is not None:
+        return ForceControl(load.force_n, *body)
+    distance = load.plate_distance_mm
+    if distance is None:
+        raise AssertionError("a load has a force or a distance")
+    if distance.lower is not None and distance.upper is not None:
+        return DistanceControl(distance.lower, distance.upper)
+    if distance.final is None:
+        raise AssertionError("plates end at a distance or at two positions")
+    centre = sum(body if target is None else target) / 2
+    return DistanceControl(centre - distance.final / 2, centre + distance.final / 2)
+
+
+def extent_of(volume: Volume) -> Extent:
+    """Where the body begins and ends along y: outer faces of its outermost voxels, in mm.
+
+    Raises
+    ------
+    InputError
+        If the volume is all air.
+    """
+    rows = np.flatnonzero((volume.values != Tissue.AIR).any(axis=(0, 2)))
+    if not len(rows):
+        raise InputError("The volume is all air: there is no body in it. Check its label map.")
+    origin, spacing = volume.origin_mm[1], volume.spacing_mm[1]
+    return (
+        float(origin + (int(rows[0]) - 0.5) * spacing),
+        float(origin + (int(rows[-1]) + 0.5) * spacing),
+    )
+
+
+def check_skin_layer(labels: Volume, hierarchy: Hierarchy) -> None:
+    """Refuse to model skin by elements that cannot resolve it.
+
+    The thickness of the skin is its volume over the area of the free surface; the
+    mean edge of the finest mesh must not be longer.
+
+    Raises
+    ------
+    InputError
+        If the mesh is too coarse, or no voxel is skin.
+    """
+    finest = hierarchy.finest
+    skin_mm3 = np.count_nonzero(labels.values == Tissue.SKIN) * labels.voxel_mm3
+    if not skin_mm3:
+        raise InputError(
+            "skin: layer needs skin voxels, but the body has none. Label its skin, or use "
+            "skin: membrane, which needs no voxels, or skin: none."
+        )
+    thickness = skin_mm3 / _area_mm2(finest.mesh.nodes[finest.surface])
+    edge = _mean_edge_mm(finest.mesh.nodes[finest.mesh.tets])
+    if edge > thickness:
+        raise InputError(
+            f"skin: layer needs elements no longer than the skin is thick: the skin is "
+            f"{thickness:.2g} mm thick, the mean edge of the mesh {edge:.2g} mm. "
+            f"Use skin: membrane with skin_thickness_mm: {thickness:.2g}, or a finer mesh."
+        )
+
+
+def _area_mm2(corners: FloatArray) -> float:
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def _mean_edge_mm(corners: FloatArray) -> float:
+    first, second = np.triu_indices(4, k=1)
+    return float(np.linalg.norm(corners[:, first] - corners[:, second], axis=2).mean())

@@ -1,0 +1,160 @@
+"""What a worker process holds: one thread for each evaluation, and a bounded cache.
+
+The only file of this package that knows Dask. Everything works the same in a
+process that is no Dask worker.
+"""
+
+import os
+import socket
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import fields, is_dataclass
+from typing import Any, TypeVar, cast
+
+import numba
+import numpy as np
+from distributed import Worker, WorkerPlugin, get_worker
+from scipy import sparse
+
+T = TypeVar("T")
+
+# To be set before a worker process imports NumPy: one evaluation, one thread.
+THREAD_ENVIRONMENT = dict.fromkeys(
+    (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "NUMBA_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+    ),
+    "1",
+)
+CACHE_BYTES = 2 * 1024**3
+
+
+class OneThread(WorkerPlugin):
+    """Pins the libraries of a worker to one thread.
+
+    Register it with ``client.register_plugin(OneThread())``. Libraries that read
+    `THREAD_ENVIRONMENT` only when they are loaded need it in the environment in
+    which the worker starts; this plugin sees to those that can still be told.
+    """
+
+    name = "palpate-one-thread"
+    idempotent = True
+
+    def setup(self, worker: Worker) -> None:
+        """Called by Dask on every worker, also on those that join later."""
+        pin_threads()
+
+
+def pin_threads() -> None:
+    """One thread for every numerical library of this process."""
+    os.environ.update(THREAD_ENVIRONMENT)
+    numba.set_num_threads(1)
+
+
+def worker_name() -> str:
+    """The Dask worker that runs this code, or host and process id outside of one."""
+    try:
+        return str(get_worker().name)
+    except ValueError:
+        return f"{socket.gethostname()}-{os.getpid()}"
+
+
+class Cache:
+    """The values used last, as many as fit.
+
+    Parameters
+    ----------
+    capacity_bytes : int
+        The least recently used values leave while the arrays of all take more than
+        this; the newest stays, whatever its size.
+
+    Notes
+    -----
+    Safe for threads: a value is made once, whoever asks first.
+    """
+
+    def __init__(self, capacity_bytes: int = CACHE_BYTES) -> None:
+        self.capacity_bytes = capacity_bytes
+        self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+        self._making: dict[Hashable, threading.Lock] = {}
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable, make: Callable[[], T]) -> T:
+        """The value of `key`, made by `make` unless it is here."""
+        with self._lock:
+            if key in self._values:
+                self._values.move_to_end(key)
+                return cast(T, self._values[key][0])
+            making = self._making.setdefault(key, threading.Lock())
+        with making:
+            with self._lock:
+                if key in self._values:
+                    return cast(T, self._values[key][0])
+            value = make()
+            with self._lock:
+                self._values[key] = (value, size_bytes(value))
+                self._making.pop(key, None)
+                self._evict()
+        return value
+
+    def clear(self) -> None:
+        """Forget everything."""
+        with self._lock:
+            self._values.clear()
+
+    @property
+    def used_bytes(self) -> int:
+        """What the arrays of all values take."""
+        return sum(size for _, size in self._values.values())
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._values
+
+    def _evict(self) -> None:
+        while len(self._values) > 1 and self.used_bytes > self.capacity_bytes:
+            self._values.popitem(last=False)
+
+
+CACHE = Cache()
+"""The cache of this process."""
+
+
+def size_bytes(value: object) -> int:
+    """Bytes of all arrays within a value: dataclasses, containers and plain objects are searched.
+
+    An array that is held twice is counted once.
+    """
+    seen: set[int] = set()
+    total = 0
+    pending: list[object] = [value]
+    while pending:
+        item = pending.pop()
+        if id(item) in seen:
+            continue
+        seen.add(id(item))
+        if isinstance(item, np.ndarray):
+            total += item.nbytes
+        else:
+            pending.extend(_parts(item))
+    return total
+
+
+def _parts(item: object) -> Iterable[object]:
+    if isinstance(item, dict):
+        return item.values()
+    if isinstance(item, list | tuple | set | frozenset):
+        return item
+    if sparse.issparse(item):
+        return vars(item).values()
+    if is_dataclass(item) and not isinstance(item, type):
+        return [getattr(item, field.name) for field in fields(item)]
+    if isinstance(item, type) or callable(item):
+        return ()
+    return vars(item).values() if hasattr(item, "__dict__") else ()

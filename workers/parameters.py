@@ -109,13 +109,10 @@ class Parameter:
         lower, upper = (self.check(value) for value in bounds)
         if not lower < upper:
             low, high = (f"{self.unit.to_door(value):g}" for value in (lower, upper))
+            fixed = "To hold it at one value, put it under case.constants."
             raise InputError(
                 f"{self.door_name} needs [lower, upper] with lower < upper, found [{low}, {high}]. "
-                + (
-                    f"Write [{high}, {low}]."
-                    if lower > upper
-                    else "To hold it at one value, put it under case.constants."
-                )
+                + (f"Write [{high}, {low}]." if lower > upper else fixed)
             )
         return lower, upper
 
@@ -217,7 +214,7 @@ class Vocabulary:
         InputError
             If a name is unknown or a value not admissible.
         """
-        return self._translate(values, lambda p, value: p.check(p.unit.to_inside(float(value))))
+        return self._translate(values, lambda p, value: p.check(p.unit.to_inside(value)))
 
     def bounds_from_door(self, values: Mapping[str, Bounds]) -> dict[str, Bounds]:
         """Search intervals at the door to inside names and units.
@@ -256,11 +253,9 @@ class Vocabulary:
     def _translate(
         self, values: Mapping[str, T], convert: Callable[[Parameter, T], T]
     ) -> dict[str, T]:
-        found = {p.name: convert(p, value) for p, value in self._named(values)}
-        return {name: found[name] for name in self.names if name in found}
-
-    def _named(self, values: Mapping[str, T]) -> Iterator[tuple[Parameter, T]]:
-        return ((self.at_door(name), value) for name, value in values.items())
+        found = [(self.at_door(name), value) for name, value in values.items()]
+        converted = {p.name: convert(p, value) for p, value in found}
+        return {name: converted[name] for name in self.names if name in converted}
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
@@ -279,27 +274,41 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
     return f"unknown {kind} {name!r}: known are {', '.join(known) or 'none'}"
 
 
-def _stiffness(name: str, low_kpa: float, high_kpa: float, neutral_kpa: float, text: str,
-               **more: bool) -> Parameter:  # fmt: skip
-    low, high, neutral = (KPA.to_inside(value) for value in (low_kpa, high_kpa, neutral_kpa))
-    return Parameter(name, KPA, low, high, neutral, text, **more)
+def _stiffness(
+    name: str,
+    low_kpa: float,
+    high_kpa: float,
+    neutral_kpa: float | None,
+    description: str,
+    *,
+    zero: bool = False,
+    follows: str = "",
+) -> Parameter:
+    return Parameter(
+        name,
+        KPA,
+        KPA.to_inside(low_kpa),
+        KPA.to_inside(high_kpa),
+        None if neutral_kpa is None else KPA.to_inside(neutral_kpa),
+        description,
+        open_lower=not zero,
+        follows=follows,
+    )
 
 
-# Intervals and values: thesis section 4.5, its first and third targets.
+# Intervals and neutral values: thesis section 4.5, its first and third targets;
+# muscle, which the thesis does not search, spans resting to tense.
 BREAST = Vocabulary(
     [
         _stiffness("E_fat", 5, 20, 10, "Young's modulus of fat and ligaments"),
-        _stiffness("eta_fat", 50, 200, 100, "fibre stiffness of fat and ligaments",
-                   open_lower=False),
-        _stiffness("E_glandular", 5, 80, 40, "Young's modulus of glandular tissue"),
-        _stiffness("eta_glandular", 50, 200, 150, "fibre stiffness of glandular tissue",
-                   open_lower=False),
+        _stiffness("eta_fat", 50, 200, 100, "fibre stiffness of fat and ligaments", zero=True),
+        _stiffness("E_glandular", 5, 80, 40, "Young's modulus of gland"),
+        _stiffness("eta_glandular", 50, 200, 150, "fibre stiffness of gland", zero=True),
         _stiffness("E_skin", 200, 3000, 1600, "Young's modulus of skin"),
-        Parameter("nu", NUMBER, 0.45, 0.499, 0.49, "Poisson's ratio of every tissue",
-                  admissible=(0.0, 0.5)),
-        Parameter("E_muscle", KPA, 0.005, 0.2, None, "Young's modulus of muscle",
-                  follows="E_fat"),
-        Parameter("eta_muscle", KPA, 0.05, 0.2, None, "fibre stiffness of muscle",
-                  follows="eta_fat", open_lower=False),
+        Parameter("nu", NUMBER, 0.45, 0.499, 0.49, "Poisson's ratio", admissible=(0.0, 0.5)),
+        _stiffness("E_muscle", 5, 200, None, "Young's modulus of muscle", follows="E_fat"),
+        _stiffness(
+            "eta_muscle", 50, 200, None, "fibre stiffness of muscle", zero=True, follows="eta_fat"
+        ),
     ]
-)  # fmt: skip
+)

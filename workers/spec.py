@@ -44,6 +44,19 @@ def _three(given: Any) -> Any:
     return (given, given, given) if isinstance(given, int | float) else given
 
 
+def _exactly_one(record: BaseModel, first: str, second: str) -> None:
+    given = [key for key in (first, second) if getattr(record, key) is not None]
+    if len(given) != 1:
+        found = "both" if given else "neither"
+        raise ValueError(f"give exactly one of {first} and {second}, found {found}")
+
+
+def _ascending(record: BaseModel, low: str, high: str, why: str) -> None:
+    below, above = getattr(record, low), getattr(record, high)
+    if below is not None and above is not None and not below < above:
+        raise ValueError(f"{low} ({below:g}) must be less than {high} ({above:g}): {why}")
+
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 SpacingMm = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
@@ -227,10 +240,10 @@ class ScoreSpec(Door):
         return tuple(tissue_named(name) for name in self.labels)
 
 
-Model = TypeVar("Model", bound=BaseModel)
+Record = TypeVar("Record", bound=BaseModel)
 
 
-def validated(model: type[Model], data: Any, where: str = "") -> Model:
+def validated(model: type[Record], data: Any, where: str = "") -> Record:
     """`data` as a checked `model`.
 
     Parameters
@@ -277,16 +290,3 @@ def _line(error: dict[str, Any]) -> str:
     found = repr(error["input"])
     found = found if len(found) <= 60 else f"{found[:57]}..."
     return f"  {path}: {error['msg']}, found {found}"
-
-
-def _exactly_one(record: BaseModel, first: str, second: str) -> None:
-    given = [key for key in (first, second) if getattr(record, key) is not None]
-    if len(given) != 1:
-        found = "both" if given else "neither"
-        raise ValueError(f"give exactly one of {first} and {second}, found {found}")
-
-
-def _ascending(record: BaseModel, low: str, high: str, why: str) -> None:
-    below, above = getattr(record, low), getattr(record, high)
-    if below is not None and above is not None and not below < above:
-        raise ValueError(f"{low} ({below:g}) must be less than {high} ({above:g}): {why}")

@@ -107,9 +107,7 @@ def _refuse_duplicates(names: tuple[str, ...]) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise InputError(
-                f"The parameter {name} stands twice in the search. Remove one of them."
-            )
+            raise InputError(f"The parameter {name} stands twice in the search. Remove one.")
         seen.add(name)
 
 

@@ -183,8 +183,8 @@ def assemble(
     """Add the internal force, (n, 3) in N, and the tangent, K (edges, 9) and B (edges, 3).
 
     `pressure` is ``kappa_n (v_n / V_n - 1)`` per node; `edge`, (m, 4, 4), is the
-    row of K and B of each pair of nodes. With `convex` the negative part of
-    the fibres' geometric stiffness is left out.
+    row of K and B of each pair of nodes. With `convex` the geometric
+    stiffness of pressure and slack fibres, which may be negative, is left out.
     """
     F = np.empty((3, 3))
     H = np.empty((3, 3))
@@ -252,10 +252,11 @@ def assemble(
             for i in range(3):
                 force[n, i] += m0 * f[a, i] + hh * h[a, i] + c2 * z[a] * w[i]
 
-        if convex and c2 < 0.0:
-            c2 = 0.0
+        if convex:
+            c2 = max(c2, 0.0)
+            pJ = 0.0
         straight = 0.5 * I1 * (m1 + m2) + pJ + stiffening
-        crossed = -hh
+        crossed = -0.5 * m1 * I1 - pJ
         share = 0.25 * J * v
         for a in range(3):
             for b in range(a + 1, 4):

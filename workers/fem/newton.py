@@ -62,6 +62,7 @@ class _Step:
     slope: float
     longest: float
     cg_iterations: int
+    negative: bool
 
 
 def minimise(
@@ -82,11 +83,10 @@ def minimise(
     forcing = LOOSEST
     linear: LinearSolver | None = None
     convex = False
+    moving = press.force_n is not None
     for iteration in range(1, max_iterations + 1):
-        force, tangent = level.linearise(
-            state.x, energy, moving_plate=press.force_n is not None, convex=convex
-        )
-        if press.force_n is not None and tangent.plate_stiffness == 0:
+        force, tangent = level.linearise(state.x, energy, moving_plate=moving, convex=convex)
+        if moving and tangent.plate_stiffness == 0:
             return Result(state, "the plate lost contact", iteration, cg_total, residual, linear)
         residual = _residual(force, energy, press)
         if np.isfinite(last_residual):
@@ -95,6 +95,12 @@ def minimise(
         linear = factory(level, tangent)
         step = _direction(level, force, tangent, energy, press, linear, forcing)
         cg_total += step.cg_iterations
+        if step.negative and not convex:
+            # Far from equilibrium the pressure may turn the tangent indefinite: leave it out.
+            _, tangent = level.linearise(state.x, energy, moving_plate=moving, convex=True)
+            linear = factory(level, tangent)
+            step = _direction(level, force, tangent, energy, press, linear, forcing)
+            cg_total += step.cg_iterations
         state, energy, length = _line_search(level, state, energy, press, step)
         gap = press.at(state.travel_mm)
         if gap.upper_mm <= gap.lower_mm:
@@ -137,7 +143,9 @@ def _direction(
     slope = float(np.vdot(force, u)) + plate * travel
     if slope > 0:
         u, travel, slope = -u, -travel, -slope
-    return _Step(u, travel, slope, float(np.abs(u).max()), correction.iterations)
+    return _Step(
+        u, travel, slope, float(np.abs(u).max()), correction.iterations, correction.negative
+    )
 
 
 def _line_search(

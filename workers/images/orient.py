@@ -119,17 +119,14 @@ def _settle_spacing(header: FloatArray, given: Triple | None, what: str) -> Floa
     known = np.isfinite(header)
     if given is None:
         if not known.all():
-            found = ", ".join(f"{s:g}" if ok else "?" for s, ok in zip(header, known, strict=True))
             raise InputError(
-                f"{what} does not say how far apart its voxels are (x, y, z: {found} mm). "
+                f"{what} does not say how far apart its voxels are (x y z: {_mm(header)} mm). "
                 "Give it with --spacing-mm X Y Z."
             )
         return header
     wanted = np.asarray(given, dtype=float)
     if wanted.shape != (3,) or not np.all(np.isfinite(wanted) & (wanted > 0)):
-        raise InputError(
-            f"--spacing-mm needs three positive numbers, x y z, got {_mm(np.ravel(wanted))}."
-        )
+        raise InputError(f"--spacing-mm needs three positive numbers X Y Z, got {given}.")
     if not np.allclose(wanted[known], header[known], rtol=SPACING_TOLERANCE, atol=0.0):
         raise InputError(
             f"{what} says that its spacing along x, y, z is {_mm(header)} mm, but --spacing-mm "
@@ -139,7 +136,7 @@ def _settle_spacing(header: FloatArray, given: Triple | None, what: str) -> Floa
 
 
 def _mm(lengths: FloatArray) -> str:
-    return " ".join(f"{length:g}" for length in lengths)
+    return " ".join(f"{length:g}" if np.isfinite(length) else "?" for length in lengths)
 
 
 def parse_axes(axes: str | None) -> FloatArray:

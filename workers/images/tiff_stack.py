@@ -69,7 +69,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 @contextmanager
 def _damage_raises(path: Path) -> Iterator[None]:
-    """Raise where tifffile only logs: a file cut short would read as fewer pages."""
+    """One error for all damage; tifffile only logs it where a file has lost pages at its end."""
     said: list[str] = []
 
     class Listener(logging.Handler):
@@ -81,6 +81,10 @@ def _damage_raises(path: Path) -> Iterator[None]:
     logger.addHandler(listener)
     try:
         yield
+    except InputError:
+        raise
+    except Exception as error:  # decoders raise nearly anything
+        said.append(str(error) or type(error).__name__)
     finally:
         logger.removeHandler(listener)
     if said:

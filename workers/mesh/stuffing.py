@@ -176,16 +176,9 @@ def _snap(  # type: ignore[no-untyped-def]
             nodes[v] = place
         elif not on_wall or (wall[edges[chosen, 0]] and wall[edges[chosen, 1]]):
             p, q = edges[chosen, 0], edges[chosen, 1]
-            for c in range(3):
-                nodes[v, c] = place_on(nodes[p, c], nodes[q, c], cut[chosen])
+            nodes[v] = nodes[p] + cut[chosen] * (nodes[q] - nodes[p])
         # else: the outline grazes the wall here; the node stays and counts as lying on it
         distance[v] = 0.0
-
-
-@njit(cache=True, nogil=True)
-def place_on(x0, x1, t):  # type: ignore[no-untyped-def]
-    """Point at the fraction ``t`` between two coordinates."""
-    return x0 + t * (x1 - x0)
 
 
 @njit(cache=True, nogil=True)
@@ -210,11 +203,11 @@ def _gap2(nodes, p, q):  # type: ignore[no-untyped-def]
 def _before(nodes, a, A, b, B):  # type: ignore[no-untyped-def]
     """Whether the diagonal of the face (a, b, B, A) starts in a; A and B are cut points.
 
-    The edge with the shorter remainder goes first. This is an order of the cut edges, so that
-    the three faces of a wedge never form a ring (which has no split without new nodes).
+    It starts at the longer remainder. This is an order of the cut edges, so that the three
+    faces of a wedge never form a ring (which has no split without a new node).
     """
     ra, rb = _gap2(nodes, a, A), _gap2(nodes, b, B)
-    if abs(ra - rb) > 1e-9 * (ra + rb):
+    if ra != rb:
         return ra > rb
     return A < B
 
@@ -240,13 +233,12 @@ def _add(tets, count, nodes, p, q, r, s):  # type: ignore[no-untyped-def]
 def _add_wedge(tets, count, nodes, b, t, up):  # type: ignore[no-untyped-def]
     """Split a wedge with corners b[0..2] below t[0..2] into three tetrahedra.
 
-    ``up[i]`` says that the diagonal of the face between columns i and i+1 runs from b[i] to
-    t[i + 1] (else from b[i + 1] to t[i]). Some column i has its own b and the other b's...
+    ``up[i]`` says that the diagonal of the face between the columns i and i + 1 runs from b[i]
+    to t[i + 1], else from b[i + 1] to t[i]; the three must not be equal.
     """
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        # Both diagonals at column i end in b[i]: faces (i, j) and (k, i).
-        if up[i] and not up[k]:
+        if up[i] and not up[k]:  # both diagonals at column i start in b[i]
             count = _add(tets, count, nodes, b[i], t[0], t[1], t[2])
             if up[j]:  # diagonal b[j] - t[k]
                 count = _add(tets, count, nodes, b[i], b[j], t[j], t[k])

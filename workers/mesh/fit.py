@@ -1,0 +1,80 @@
+"""One mesh of a body at one cell size: stuff, match the volume, improve."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from storage.values import FloatArray, IntArray, TetMesh
+from workers.mesh.improve import improve_shape
+from workers.mesh.lattice import bcc_lattice
+from workers.mesh.node_sets import (
+    boundary_triangles,
+    in_memory_order,
+    largest_piece,
+    split_boundary,
+    triangle_areas_mm2,
+    wall_nodes,
+)
+from workers.mesh.outline import Outline, project
+from workers.mesh.quality import volumes_mm3
+from workers.mesh.stuffing import stuff
+
+
+@dataclass(frozen=True, eq=False)
+class FittedMesh:
+    """A mesh and its nodes on the chest wall (w,)."""
+
+    mesh: TetMesh
+    wall: IntArray
+
+
+def fitted_mesh(outline: Outline, cell_mm: float, *, improve: bool = True) -> FittedMesh:
+    """Tetrahedra that fill an outline.
+
+    Flat triangles between nodes on a round outline cut off some volume, and so does the blur
+    of the outline. The nodes are therefore put on the level of the field at which the
+    mesh has the volume of the body's voxels.
+
+    Parameters
+    ----------
+    outline : Outline
+    cell_mm : float
+        Size of a lattice cell.
+    improve : bool
+        Match the volume and better the worst tetrahedra; without, only the number
+        of nodes means something.
+    """
+    stuffed = stuff(bcc_lattice(outline, cell_mm), outline)
+    kept = stuffed.tets[largest_piece(stuffed.tets)]
+    used = np.zeros(len(stuffed.nodes), np.bool_)
+    used[kept] = True
+    number = np.cumsum(used, dtype=np.int32) - np.int32(1)
+    mesh = TetMesh(stuffed.nodes[used], number[kept])
+    mesh, order = in_memory_order(mesh, 0.5 * cell_mm)
+    wall = wall_nodes(mesh.nodes, outline.wall_z_mm)
+    if improve:
+        on_wall = np.zeros(len(mesh.nodes), np.bool_)
+        on_wall[wall] = True
+        surface, _ = split_boundary(boundary_triangles(mesh.tets), wall)
+        skin = np.zeros(len(mesh.nodes), np.bool_)
+        skin[surface] = True
+        area = float(triangle_areas_mm2(mesh.nodes, surface).sum())
+        level = 0.0
+        for last in (False, False, True):
+            level += (outline.volume_mm3 - float(volumes_mm3(mesh).sum())) / area
+            level = float(np.clip(level, -0.15 * cell_mm, 0.15 * cell_mm))
+            nodes = mesh.nodes.copy()
+            _put_on_level(nodes, skin, on_wall, level, 0.3 * cell_mm, outline.field, outline.frame)
+            mesh = TetMesh(nodes, mesh.tets)
+            if not last:
+                mesh = improve_shape(mesh, skin, on_wall, level, cell_mm, outline)
+    return FittedMesh(mesh, wall)
+
+
+@njit(cache=True, nogil=True)
+def _put_on_level(nodes, skin, on_wall, level, reach, field, frame):  # type: ignore[no-untyped-def]
+    place = np.empty(3)
+    for v in range(len(nodes)):
+        if skin[v] and project(field, frame, nodes[v], level, on_wall[v], reach, place):
+            nodes[v] = place

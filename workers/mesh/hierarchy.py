@@ -1,0 +1,265 @@
+"""From a label volume to nested meshes, coarse to fine."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from storage.errors import InputError
+from storage.values import IntArray, TetMesh, Tissue, Volume
+from workers.mesh.fit import FittedMesh, fitted_mesh
+from workers.mesh.node_sets import boundary_triangles, split_boundary
+from workers.mesh.outline import Outline, outline_of
+from workers.mesh.prolongation import prolongation
+from workers.mesh.tissues import majority_fractions, volume_fractions
+
+STEPS_PER_CELL = 3.5  # samples of the outline along one lattice cell
+FEWEST_CELLS = 4  # across the body's shortest side, for the finest mesh
+
+
+@dataclass(frozen=True, eq=False)
+class MeshLevel:
+    """One mesh of a hierarchy.
+
+    Parameters
+    ----------
+    mesh : TetMesh
+    fractions : ndarray of float32, shape (m, 6)
+        Part of each `Tissue` in each tetrahedron; rows sum to 1. One-hot on the finest level.
+    wall : ndarray of int32, shape (w,)
+        Nodes in the plane of the chest wall.
+    surface : ndarray of int32, shape (k, 3)
+        Triangles of the free surface, outward: the boundary without the wall.
+    prolongation : csr_matrix, shape (n, n_coarser), or None
+        Interpolates values of the next coarser level; None on the coarsest.
+    """
+
+    mesh: TetMesh
+    fractions: NDArray[np.float32]
+    wall: IntArray
+    surface: IntArray
+    prolongation: csr_matrix | None
+
+
+@dataclass(frozen=True, eq=False)
+class Hierarchy:
+    """Meshes of one body.
+
+    Parameters
+    ----------
+    levels : tuple of MeshLevel
+        Coarse to fine.
+    element_size_mm : float
+        Size of a lattice cell of the finest level; edges are 0.87 to 1 of it.
+    """
+
+    levels: tuple[MeshLevel, ...]
+    element_size_mm: float
+
+    @property
+    def finest(self) -> MeshLevel:
+        """The mesh whose solution is wanted."""
+        return self.levels[-1]
+
+
+def build_hierarchy(
+    labels: Volume,
+    *,
+    element_size_mm: float | None = None,
+    nodes: int | None = None,
+    ratio: float = 2.0,
+    coarsest_nodes: int = 300,
+) -> Hierarchy:
+    """Mesh the largest body in a label volume at several sizes.
+
+    Parameters
+    ----------
+    labels : Volume
+        Tissue labels (`Tissue`); 0 is air. The body ends at the plane of its lowest voxel faces
+        in z, the chest wall.
+    element_size_mm : float, optional
+        Size of a lattice cell of the finest mesh.
+    nodes : int, optional
+        Wanted number of nodes of the finest mesh, met within 10 %. Exactly one of
+        ``element_size_mm`` and ``nodes`` is given.
+    ratio : float
+        Cell size of a level over that of the next finer one; > 1.
+    coarsest_nodes : int
+        Coarsening ends at a mesh of at most this many nodes, or at half the body's shortest side.
+
+    Raises
+    ------
+    InputError
+        If the volume holds no tissue, both or none of the sizes are given, the elements
+        are larger than a quarter of the body, or ``ratio`` is not above 1.
+    """
+    _check_request(element_size_mm, nodes, ratio, coarsest_nodes)
+    if element_size_mm is None:
+        assert nodes is not None
+        fine, outline, cell_mm = _mesh_of_nodes(labels, nodes)
+    else:
+        cell_mm = element_size_mm
+        outline = outline_of(labels, cell_mm / STEPS_PER_CELL)
+        _check_size(cell_mm, outline)
+        fine = fitted_mesh(outline, cell_mm)
+
+    fitted = [fine]
+    coarse_mm = cell_mm * ratio
+    while (
+        len(fitted[-1].mesh.nodes) > coarsest_nodes and coarse_mm <= outline.smallest_extent_mm / 2
+    ):
+        fitted.append(fitted_mesh(outline, coarse_mm))
+        coarse_mm *= ratio
+    fitted.reverse()
+    return Hierarchy(_levels(fitted, labels), float(cell_mm))
+
+
+def _levels(fitted: list[FittedMesh], labels: Volume) -> tuple[MeshLevel, ...]:
+    levels: list[MeshLevel] = []
+    for number, (mesh, wall) in enumerate((f.mesh, f.wall) for f in fitted):
+        finest = number == len(fitted) - 1
+        surface, _ = split_boundary(boundary_triangles(mesh.tets), wall)
+        coarser = levels[-1] if levels else None
+        levels.append(
+            MeshLevel(
+                mesh=mesh,
+                fractions=(majority_fractions if finest else volume_fractions)(mesh, labels),
+                wall=wall,
+                surface=surface,
+                prolongation=None
+                if coarser is None
+                else prolongation(coarser.mesh, coarser.wall, mesh.nodes, wall),
+            )
+        )
+    return tuple(levels)
+
+
+def _mesh_of_nodes(labels: Volume, nodes: int) -> tuple[FittedMesh, Outline, float]:
+    """Mesh with about the wanted number of nodes.
+
+    A lattice has 2 / a^3 nodes per volume and the outline adds some per area, so
+    ``n(a) = 2 V / a^3 + s / a^2``; ``s`` is read off each trial, first off a coarser one.
+    """
+    rough = outline_of(labels, _rough_step(labels))
+    volume = rough.volume_mm3
+    target = float(nodes)
+    cell_mm = (2 * volume / (0.25 * target)) ** (1 / 3)
+    cell_mm = min(cell_mm, rough.smallest_extent_mm / FEWEST_CELLS)
+    trial = fitted_mesh(outline_of(labels, cell_mm / STEPS_PER_CELL), cell_mm, improve=False)
+    for _ in range(6):
+        area_part = len(trial.mesh.nodes) * cell_mm**2 - 2 * volume / cell_mm
+        cell_mm = _cell_for(target, volume, area_part)
+        outline = outline_of(labels, cell_mm / STEPS_PER_CELL)
+        _check_size(cell_mm, outline)
+        trial = fitted_mesh(outline, cell_mm)
+        if abs(len(trial.mesh.nodes) - target) <= 0.06 * target:
+            break
+    return trial, outline, cell_mm
+
+
+def _rough_step(labels: Volume) -> float:
+    """Step that gives some 40 samples along the volume's longest side."""
+    sides = np.asarray(labels.shape_xyz) * labels.spacing_mm
+    return float(sides.max() / 40)
+
+
+def _cell_for(nodes: float, volume: float, area_part: float) -> float:
+    """Solve ``nodes = 2 volume / a^3 + area_part / a^2`` for a > 0 (Newton, from the left)."""
+    a = (2 * volume / nodes) ** (1 / 3)
+    for _ in range(50):
+        value = 2 * volume / a**3 + area_part / a**2 - nodes
+        slope = -6 * volume / a**4 - 2 * area_part / a**3
+        a -= value / slope
+    return float(a)
+
+
+def _check_request(
+    element_size_mm: float | None, nodes: int | None, ratio: float, coarsest_nodes: int
+) -> None:
+    if (element_size_mm is None) == (nodes is None):
+        raise InputError(
+            "Give exactly one of element_size_mm and nodes, "
+            f"got element_size_mm={element_size_mm} and nodes={nodes}."
+        )
+    if element_size_mm is not None and not (np.isfinite(element_size_mm) and element_size_mm > 0):
+        raise InputError(f"element_size_mm must be a positive number, got {element_size_mm}.")
+    if nodes is not None and nodes < 1:
+        raise InputError(f"nodes must be a positive number, got {nodes}; try nodes: 5000.")
+    if not ratio > 1:
+        raise InputError(f"ratio must be above 1 (2 halves the cells), got {ratio}.")
+    if coarsest_nodes < 1:
+        raise InputError(f"coarsest_nodes must be positive, got {coarsest_nodes}.")
+
+
+def _check_size(cell_mm: float, outline: Outline) -> None:
+    side = outline.smallest_extent_mm
+    if cell_mm > side / FEWEST_CELLS:
+        raise InputError(
+            f"Elements of {cell_mm:.3g} mm are too large for a body that is {side:.3g} mm across: "
+            f"at most {side / FEWEST_CELLS:.3g} mm. Give a smaller element_size_mm or more nodes."
+        )
+
+
+SKIN_MM = 1.5  # thickness of a breast's skin when no voxel is labelled skin
+
+
+def skin_resolved(hierarchy_or_size: Hierarchy | float, labels: Volume) -> bool:
+    """Whether the elements are as small as the layer of skin in a volume is thick.
+
+    Parameters
+    ----------
+    hierarchy_or_size : Hierarchy or float
+        Meshes, or the cell size of the finest one in mm.
+    labels : Volume
+        Tissue labels; without any `Tissue.SKIN` there is no layer to resolve.
+    """
+    size = (
+        hierarchy_or_size.element_size_mm
+        if isinstance(hierarchy_or_size, Hierarchy)
+        else float(hierarchy_or_size)
+    )
+    return size <= skin_thickness_mm(labels)
+
+
+def skin_thickness_mm(labels: Volume) -> float:
+    """Mean thickness of the skin: its volume over its area towards the air; 0 without skin."""
+    raise NotImplementedError
+
+
+LEVEL_ARRAYS = ("nodes", "tets", "fractions", "wall", "surface")
+
+
+def to_arrays(hierarchy: Hierarchy) -> dict[str, NDArray[np.generic]]:
+    """Plain arrays of a hierarchy, named ``<level>.<array>``, level 0 the coarsest."""
+    arrays: dict[str, NDArray[np.generic]] = {
+        "element_size_mm": np.array(hierarchy.element_size_mm),
+    }
+    for number, level in enumerate(hierarchy.levels):
+        parts = (level.mesh.nodes, level.mesh.tets, level.fractions, level.wall, level.surface)
+        for name, part in zip(LEVEL_ARRAYS, parts, strict=True):
+            arrays[f"{number}.{name}"] = part
+        if level.prolongation is not None:
+            arrays[f"{number}.prolongation_data"] = level.prolongation.data
+            arrays[f"{number}.prolongation_indices"] = level.prolongation.indices
+            arrays[f"{number}.prolongation_indptr"] = level.prolongation.indptr
+    return arrays
+
+
+def from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> Hierarchy:
+    """Hierarchy from the arrays of `to_arrays`."""
+    levels: list[MeshLevel] = []
+    while f"{len(levels)}.nodes" in arrays:
+        number = len(levels)
+        nodes, tets, fractions, wall, surface = (arrays[f"{number}.{n}"] for n in LEVEL_ARRAYS)
+        matrix = None
+        if levels:
+            data, indices, indptr = (
+                arrays[f"{number}.prolongation_{n}"] for n in ("data", "indices", "indptr")
+            )
+            matrix = csr_matrix(
+                (data, indices, indptr), shape=(len(nodes), len(levels[-1].mesh.nodes))
+            )
+        levels.append(MeshLevel(TetMesh(nodes, tets), fractions, wall, surface, matrix))
+    return Hierarchy(tuple(levels), float(arrays["element_size_mm"]))

@@ -1,0 +1,136 @@
+"""Boundary, wall and order of the nodes of a mesh."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from storage.values import FloatArray, IntArray, TetMesh
+from workers.mesh.quality import FACES
+
+
+def boundary_triangles(tets: IntArray) -> IntArray:
+    """Faces that belong to one tetrahedron only, outward oriented, shape (k, 3) int32."""
+    faces, _, single = _faces(tets)
+    return faces[single]
+
+
+def _faces(tets: IntArray) -> tuple[IntArray, NDArray[np.int64], NDArray[np.int64]]:
+    """All faces (4 m, 3); the pairs of them that coincide (p, 2); and those without a partner."""
+    faces = np.ascontiguousarray(tets[:, FACES].reshape(-1, 3))
+    n = int(tets.max()) + 1 if len(tets) else 0
+    order, pair = _match(faces, n)
+    return faces, order, pair
+
+
+@njit(cache=True, nogil=True)
+def _match(faces, n):  # type: ignore[no-untyped-def]
+    """Bucket the faces by their smallest node and compare within the bucket."""
+    m = len(faces)
+    start = np.zeros(n + 1, np.int64)
+    key = np.empty((m, 3), np.int32)
+    for f in range(m):
+        p, q, r = faces[f, 0], faces[f, 1], faces[f, 2]
+        low, high = min(p, q, r), max(p, q, r)
+        key[f, 0], key[f, 1], key[f, 2] = low, p + q + r - low - high, high
+        start[low + 1] += 1
+    for v in range(n):
+        start[v + 1] += start[v]
+    fill = start[:-1].copy()
+    bucket = np.empty(m, np.int64)
+    for f in range(m):
+        bucket[fill[key[f, 0]]] = f
+        fill[key[f, 0]] += 1
+    pairs = np.empty((m // 2, 2), np.int64)
+    matched = np.zeros(m, np.bool_)
+    count = 0
+    for v in range(n):
+        for a in range(start[v], start[v + 1]):
+            f = bucket[a]
+            if matched[f]:
+                continue
+            for b in range(a + 1, start[v + 1]):
+                g = bucket[b]
+                if key[f, 1] == key[g, 1] and key[f, 2] == key[g, 2]:
+                    pairs[count, 0], pairs[count, 1] = f, g
+                    matched[f] = True
+                    matched[g] = True
+                    count += 1
+                    break
+    return pairs[:count].copy(), np.flatnonzero(~matched)
+
+
+def largest_piece(tets: IntArray) -> NDArray[np.bool_]:
+    """Mask of the tetrahedra of the largest piece that hangs together by faces."""
+    _, pairs, _ = _faces(tets)
+    m = len(tets)
+    owner = pairs // 4
+    graph = coo_matrix((np.ones(len(owner), np.int8), (owner[:, 0], owner[:, 1])), shape=(m, m))
+    count, piece = connected_components(graph, directed=False)
+    if count == 1:
+        return np.ones(m, np.bool_)
+    return piece == np.argmax(np.bincount(piece))
+
+
+def wall_nodes(nodes: FloatArray, wall_z_mm: float) -> IntArray:
+    """Nodes in the plane of the chest wall."""
+    return np.flatnonzero(nodes[:, 2] == wall_z_mm).astype(np.int32)
+
+
+def split_boundary(triangles: IntArray, wall: IntArray) -> tuple[IntArray, IntArray]:
+    """Boundary triangles parted into (free surface, wall)."""
+    n = int(triangles.max()) + 1
+    on_wall = np.zeros(max(n, int(wall.max()) + 1 if len(wall) else 0), np.bool_)
+    on_wall[wall] = True
+    flat = on_wall[triangles].all(axis=1)
+    return triangles[~flat], triangles[flat]
+
+
+def triangle_areas_mm2(nodes: FloatArray, triangles: IntArray) -> FloatArray:
+    """Areas, shape (k,)."""
+    x = nodes[triangles]
+    return 0.5 * np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
+
+
+def nodal_areas_mm2(nodes: FloatArray, triangles: IntArray) -> FloatArray:
+    """A third of the area of the triangles around each node, shape (n,)."""
+    share = np.repeat(triangle_areas_mm2(nodes, triangles) / 3, 3)
+    return np.bincount(triangles.ravel(), weights=share, minlength=len(nodes))
+
+
+def in_memory_order(mesh: TetMesh, step_mm: float) -> tuple[TetMesh, IntArray]:
+    """Neighbours in space next to each other in memory.
+
+    Nodes along a Morton curve of cubes of ``step_mm``, tetrahedra by their smallest node.
+
+    Returns
+    -------
+    mesh : TetMesh
+    order : ndarray of int32, shape (n,)
+        Old number of each new node.
+    """
+    cell = ((mesh.nodes - mesh.nodes.min(axis=0)) / step_mm).astype(np.uint64)
+    code = np.zeros(len(cell), np.uint64)
+    for axis in range(3):
+        code |= _spread_bits(cell[:, axis]) << np.uint64(axis)
+    order = np.argsort(code, kind="stable").astype(np.int32)
+    number = np.empty(len(order), np.int32)
+    number[order] = np.arange(len(order), dtype=np.int32)
+    tets = number[mesh.tets]
+    tets = tets[np.argsort(tets.min(axis=1), kind="stable")]
+    return TetMesh(mesh.nodes[order], np.ascontiguousarray(tets)), order
+
+
+def _spread_bits(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Two zero bits between the lowest 21 bits."""
+    value = value & np.uint64(0x1FFFFF)
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
+    return value

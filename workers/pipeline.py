@@ -1,0 +1,122 @@
+"""The way of a candidate, on one page: phantom > mesh > solve > deform > score.
+
+Values in, values out. Nothing here knows a store or a cluster; `workers.tasks`
+does, and calls these in order.
+"""
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from storage.values import FloatArray, TetMesh, Volume
+from workers.fem.model import Model
+from workers.fem.outcome import Solution
+from workers.fem.solve import solve
+from workers.images.labels import crop_to_body, default_map, relabel, resample_labels
+from workers.images.read import read_volume
+from workers.imaging.warp import warp_labels
+from workers.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.organs.breast import Extent, check_skin_layer, problem_of
+from workers.phantom.breast import generate_breast
+from workers.similarity.score import Score, Scorer
+from workers.spec import CaseSpec, ImageSpec, PhantomSpec, ScoreSpec
+
+
+class Watch:
+    """Seconds spent in each stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time what happens inside."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            spent = time.perf_counter() - start
+            self.seconds[name] = self.seconds.get(name, 0.0) + spent
+
+
+def phantom(spec: PhantomSpec) -> Volume:
+    """Tissue labels of a generated breast."""
+    raise NotImplementedError
+
+
+def image(path: Path, spec: ImageSpec) -> Volume:
+    """Tissue labels of an image file or folder, cropped to the body."""
+    return as_tissues(read_volume(path, spacing_mm=spec.spacing_mm, axes=spec.axes), spec)
+
+
+def as_tissues(volume: Volume, spec: ImageSpec) -> Volume:
+    """A label map of any meaning, as tissues, cropped to the body.
+
+    Without a map, labels must be the numbers of `storage.values.Tissue`.
+    """
+    names = default_map(volume) if spec.labels is None else spec.labels
+    return crop_to_body(relabel(volume, names))
+
+
+def mesh(labels: Volume, case: CaseSpec) -> Hierarchy:
+    """Tetrahedra of the body, coarse to fine.
+
+    Raises
+    ------
+    InputError
+        If the case wants skin elements that the mesh cannot resolve.
+    """
+    hierarchy = build_hierarchy(
+        labels, element_size_mm=case.mesh.element_size_mm, nodes=case.mesh.nodes
+    )
+    if case.model.skin == "layer":
+        check_skin_layer(labels, hierarchy)
+    return hierarchy
+
+
+def simulate(
+    model: Model, case: CaseSpec, constants: Mapping[str, float], body: Extent,
+    target: Extent | None = None,
+) -> Solution:  # fmt: skip
+    """Press the body of `model` as the case says; see `workers.organs.breast.problem_of`."""
+    return solve(model, problem_of(case.model, case.load, constants, body, target))
+
+
+def deform(
+    reference: Volume, body: TetMesh, displacement_mm: FloatArray, lattice: Volume | None = None
+) -> Volume:
+    """The deformed body as labels, on the lattice of the target where there is one."""
+    return warp_labels(reference, body, displacement_mm, lattice)
+
+
+def scorer(target: Volume, spec: ScoreSpec) -> Scorer:
+    """All that candidates with the same target share."""
+    return Scorer(target, labels=spec.tissues, surface=spec.surface)
+
+
+def score(against: Scorer, target: Volume, candidate: Volume) -> Score:
+    """Compare a candidate with the target of `against`, on the target's lattice."""
+    return against.score(on_lattice(candidate, target))
+
+
+def on_lattice(volume: Volume, lattice: Volume) -> Volume:
+    """`volume` itself, or its nearest-neighbour image on the voxels of `lattice` if it is on others.
+
+    The box is that of `volume`, not that of `lattice`: nothing is cut off.
+    """
+    if volume.on_lattice_of(lattice):
+        return volume
+    spacing = np.asarray(lattice.spacing_mm)
+    count = np.asarray(volume.shape_xyz)
+    half = np.asarray(volume.spacing_mm) / 2
+    lower = np.asarray(volume.origin_mm) - half
+    upper = lower + 2 * half * count
+    first = np.floor((lower - lattice.origin_mm) / spacing)
+    last = np.ceil((upper - lattice.origin_mm) / spacing)
+    nx, ny, nz = (int(n) for n in last - first + 1)
+    ox, oy, oz = (float(o) for o in lattice.origin_mm + first * spacing)
+    empty = Volume(np.empty((nz, ny, nx), np.uint8), lattice.spacing_mm, (ox, oy, oz))
+    return resample_labels(volume, empty)

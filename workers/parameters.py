@@ -81,7 +81,7 @@ class Parameter:
         return self.lower, self.upper
 
     def check(self, value: float) -> float:
-        """`value` itself, if it is admissible.
+        """`value`, as a float, if it is admissible.
 
         Raises
         ------
@@ -96,7 +96,7 @@ class Parameter:
                 f"{self.door_name} must be {self._range_text()}, "
                 f"found {self.unit.to_door(value):g}."
             )
-        return value
+        return float(value)
 
     def check_bounds(self, bounds: Bounds) -> Bounds:
         """`bounds` themselves, if they are an interval of admissible values.

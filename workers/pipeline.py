@@ -19,10 +19,10 @@ from workers.images.labels import crop_to_body, default_map, relabel, resample_l
 from workers.images.read import read_volume
 from workers.imaging.warp import warp_labels
 from workers.mesh.hierarchy import Hierarchy, build_hierarchy
-from workers.organs.breast import Extent, check_skin_layer, problem_of
+from workers.organs.breast import Extent, materials_of, problem_of
 from workers.phantom.breast import generate_breast
-from workers.similarity.score import Score, Scorer
-from workers.spec import CaseSpec, ImageSpec, PhantomSpec, ScoreSpec
+from workers.similarity.score import Scorer
+from workers.spec import CaseSpec, ImageSpec, MeshSpec, ModelSpec, PhantomSpec, ScoreSpec
 
 
 class Watch:
@@ -44,7 +44,7 @@ class Watch:
 
 def phantom(spec: PhantomSpec) -> Volume:
     """Tissue labels of a generated breast."""
-    raise NotImplementedError
+    return generate_breast(spec.settings, spec.seed).labels
 
 
 def image(path: Path, spec: ImageSpec) -> Volume:
@@ -61,20 +61,11 @@ def as_tissues(volume: Volume, spec: ImageSpec) -> Volume:
     return crop_to_body(relabel(volume, names))
 
 
-def mesh(labels: Volume, case: CaseSpec) -> Hierarchy:
-    """Tetrahedra of the body, coarse to fine.
-
-    Raises
-    ------
-    InputError
-        If the case wants skin elements that the mesh cannot resolve.
-    """
-    hierarchy = build_hierarchy(
-        labels, element_size_mm=case.mesh.element_size_mm, nodes=case.mesh.nodes
+def mesh(labels: Volume, spec: MeshSpec, model: ModelSpec) -> Hierarchy:
+    """Tetrahedra of the body, coarse to fine; see `workers.organs.breast.materials_of`."""
+    return build_hierarchy(
+        materials_of(labels, model), element_size_mm=spec.element_size_mm, nodes=spec.nodes
     )
-    if case.model.skin == "layer":
-        check_skin_layer(labels, hierarchy)
-    return hierarchy
 
 
 def simulate(
@@ -93,17 +84,12 @@ def deform(
 
 
 def scorer(target: Volume, spec: ScoreSpec) -> Scorer:
-    """All that candidates with the same target share."""
+    """What compares candidates, on the lattice of the target (`on_lattice`), with it."""
     return Scorer(target, labels=spec.tissues, surface=spec.surface)
 
 
-def score(against: Scorer, target: Volume, candidate: Volume) -> Score:
-    """Compare a candidate with the target of `against`, on the target's lattice."""
-    return against.score(on_lattice(candidate, target))
-
-
 def on_lattice(volume: Volume, lattice: Volume) -> Volume:
-    """`volume` itself, or its nearest-neighbour image on the voxels of `lattice` if it is on others.
+    """`volume` on the voxels of `lattice`: itself, or its nearest-neighbour image.
 
     The box is that of `volume`, not that of `lattice`: nothing is cut off.
     """

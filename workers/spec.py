@@ -24,6 +24,7 @@ from storage.values import Tissue
 from workers.images.labels import tissue_named
 from workers.images.orient import parse_axes
 from workers.parameters import BREAST, Bounds, Vocabulary, unknown_name
+from workers.phantom.settings import BreastPhantom
 
 
 def _checked(check: Callable[[Any], object]) -> AfterValidator:
@@ -86,12 +87,36 @@ class Door(BaseModel):
 
 
 class PhantomSpec(Door):
-    """A generated breast."""
+    """A generated breast: a preset, some of its settings changed, and a seed.
 
-    preset: Literal["445ml", "250ml"] = "445ml"
-    spacing_mm: Positive = 1.0
-    glandular_fraction: Annotated[float, Field(ge=0, le=1)] = 0.2
+    The settings are those of `workers.phantom.settings.BreastPhantom`.
+    """
+
+    preset: str = "445ml"
     seed: Annotated[int, Field(ge=0)] = 1
+    spacing_mm: float | None = None
+    glandular_fraction: float | None = None
+    lower_mm: float | None = None
+    upper_mm: float | None = None
+    half_width_mm: float | None = None
+    depth_mm: float | None = None
+    skin_mm: float | None = None
+    ligament_mm: float | None = None
+    compartments: int | None = None
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        try:
+            _ = self.settings
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    @property
+    def settings(self) -> BreastPhantom:
+        """What the generator is asked."""
+        changes = self.model_dump(exclude={"preset", "seed"}, exclude_none=True)
+        return BreastPhantom.preset(self.preset, **changes)
 
 
 class ImageSpec(Door):
@@ -198,10 +223,15 @@ class CaseSpec(Door):
         """What a study of this case can search or hold."""
         return BREAST.without(["E_skin"]) if self.model.skin == "none" else BREAST
 
-    @property
-    def held(self) -> Mapping[str, float]:
-        """Every constant of the case, inside names and units."""
-        return BREAST.complete(BREAST.from_door(self.constants))
+    def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Every constant, inside names and units: `constants`, then the case's, then neutral.
+
+        Raises
+        ------
+        InputError
+            If a name in `constants` is unknown or a value not admissible.
+        """
+        return BREAST.complete(BREAST.from_door(self.constants), constants or {})
 
 
 class TargetSpec(ImageSpec):

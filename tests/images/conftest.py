@@ -21,7 +21,7 @@ def numbered() -> NDArray[np.uint16]:
     return np.arange(4 * 5 * 6, dtype=np.uint16).reshape(4, 5, 6)
 
 
-def _image(sop_class: str, rows: int, columns: int, bits: int) -> Dataset:
+def _image(sop_class: str, shape: tuple[int, ...], bits: int) -> Dataset:
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = sop_class
     meta.MediaStorageSOPInstanceUID = generate_uid()
@@ -31,7 +31,7 @@ def _image(sop_class: str, rows: int, columns: int, bits: int) -> Dataset:
     image.SOPClassUID = sop_class
     image.SOPInstanceUID = meta.MediaStorageSOPInstanceUID
     image.SamplesPerPixel, image.PhotometricInterpretation = 1, "MONOCHROME2"
-    image.Rows, image.Columns = rows, columns
+    image.Rows, image.Columns = shape
     image.BitsAllocated = image.BitsStored = bits
     image.HighBit, image.PixelRepresentation = bits - 1, 0
     return image
@@ -56,7 +56,7 @@ def write_series() -> WriteSeries:
         series, paths = generate_uid(), []
         names = np.random.default_rng(0).permutation(len(values))  # names tell nothing of order
         for index, pixels in enumerate(values):
-            image = _image(CTImageStorage, *pixels.shape, 16)
+            image = _image(CTImageStorage, pixels.shape, 16)
             image.Modality, image.SeriesInstanceUID = "CT", series
             image.ImageOrientationPatient = [float(o) for o in orientation]
             place = np.array(origin, dtype=float) + index * np.array(step, dtype=float)
@@ -85,7 +85,7 @@ def write_segmentation() -> WriteSegmentation:
     ) -> Path:
         bits = 1 if kind == "BINARY" else 8
         pixels = np.array([frame for _, _, frame in frames], dtype=np.uint8)
-        image = _image(SegmentationStorage, *pixels.shape[1:], bits)
+        image = _image(SegmentationStorage, pixels.shape[1:], bits)
         image.Modality, image.SegmentationType = "SEG", kind
         image.NumberOfFrames = len(frames)
         shared, measures, plane = Dataset(), Dataset(), Dataset()

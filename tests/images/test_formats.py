@@ -191,7 +191,7 @@ class TestVoxels:
         assert (values[0, 0, 0], values[2, 2, 2]) == (low, high)
 
     def test_nifti_scale_slope(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
-        image = nib.Nifti1Image(body.transpose(), np.eye(4))
+        image = nib.Nifti1Image(body.transpose(), np.diag([-1.0, -1.0, 1.0, 1.0]))
         image.header.set_slope_inter(2, -1)  # stored numbers stay those of body
         nib.save(image, tmp_path / "a.nii")
         volume = read_volume(tmp_path / "a.nii")

@@ -226,20 +226,26 @@ class TestSpacing:
         with pytest.raises(InputError, match="three positive numbers"):
             read_volume(tmp_path / "a.npy", spacing_mm=bad)  # type: ignore[arg-type]
 
+    @pytest.mark.parametrize("qform", [True, False])
     @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
     def test_nifti_header_without_a_usable_one(
-        self, tmp_path: Path, numbered: NDArray[np.uint16], bad: float
+        self, tmp_path: Path, numbered: NDArray[np.uint16], bad: float, qform: bool
     ) -> None:
         path = tmp_path / "a.nii"
         image = nib.Nifti1Image(numbered, None)
         image.header["pixdim"][1:4] = SPACING
+        if qform:
+            image.set_qform(np.diag([*SPACING, 1.0]), code=1)
         nib.save(image, path)
         raw = bytearray(path.read_bytes())
         raw[76 + 8 : 76 + 12] = np.float32(bad).tobytes()  # pixdim[2] (nifti1.h)
         path.write_bytes(raw)
         with pytest.raises(InputError, match=r"0\.5 \? 2 mm.*--spacing-mm"):
             read_volume(path)
-        assert read_volume(path, spacing_mm=(0.5, 3.0, 2.0)).spacing_mm == (0.5, 3.0, 2.0)
+        volume = read_volume(path, spacing_mm=(0.5, 3.0, 2.0))
+        assert volume.spacing_mm == (0.5, 3.0, 2.0)
+        lies_in_ras = volume.values[0, -1, -1] == numbered[0, 0, 0]
+        assert lies_in_ras == qform  # without a form there is no orientation to turn
 
     def test_nifti_sform_with_a_zero_column(
         self, tmp_path: Path, numbered: NDArray[np.uint16]
@@ -293,10 +299,14 @@ class TestSpacing:
     def test_nifti_units(
         self, tmp_path: Path, numbered: NDArray[np.uint16], unit: str, mm: float
     ) -> None:
-        image = nib.Nifti1Image(numbered, np.diag([*(SPACING / mm), 1.0]))
+        affine = np.diag([*(SPACING / mm), 1.0])
+        affine[:3, 3] = ORIGIN / mm
+        image = nib.Nifti1Image(numbered, affine)
         image.header.set_xyzt_units(unit)
         nib.save(image, tmp_path / "a.nii")
-        assert read_volume(tmp_path / "a.nii").spacing_mm == pytest.approx(tuple(SPACING))
+        volume = read_volume(tmp_path / "a.nii")
+        assert volume.spacing_mm == pytest.approx(tuple(SPACING))
+        np.testing.assert_allclose(places(volume)[0], RAS @ ORIGIN, rtol=1e-6)
 
     def test_nrrd_units(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
         header = {

@@ -68,6 +68,8 @@ class Level:
         self.skin_n_per_mm = 0.0 if skin is None else skin.young_mpa / 3 * skin.thickness_mm
         self.spring = DRIFT_SPRING_N_PER_MM4 * model.nodal_volumes
         self.free = np.ones(model.nodes.shape, np.float32)
+        # Kept by the smoother from one tangent to the next.
+        self.stiffest_mode: Float32Array | None = None
         for axis, fixed in enumerate(problem.wall_fixed):
             if fixed:
                 self.free[model.wall, axis] = 0

@@ -180,15 +180,23 @@ class Multigrid:
             x += step
 
     def _power_iteration(self) -> float:
-        """Largest eigenvalue of inverse-diagonal times tangent, from a fixed start."""
-        r = np.random.default_rng(0).standard_normal(self._level.free.shape)
-        v = (r * self._level.free).astype(np.float32)
+        """Largest eigenvalue of inverse-diagonal times tangent.
+
+        The first tangent of a level starts from noise, later ones from the
+        eigenvector found before: it hardly turns between Newton steps.
+        """
+        level = self._level
+        v, rounds = level.stiffest_mode, 3
+        if v is None:
+            noise = np.random.default_rng(0).standard_normal(level.free.shape)
+            v, rounds = (noise * level.free).astype(np.float32), 12
         y, z = np.empty_like(v), np.empty_like(v)
         largest = 1.0
-        for _ in range(10):
+        for _ in range(rounds):
             self._multiply32(v, y)
             operators.apply_diagonal(self._inverse, y, z)
             length = float(np.linalg.norm(z))
             largest = length / float(np.linalg.norm(v))
             v = z / np.float32(length)
+        level.stiffest_mode = v
         return largest

@@ -40,7 +40,7 @@ def _pages(path: Path) -> NDArray[Any]:
 
 def _folder(folder: Path) -> NDArray[Any]:
     paths = sorted(
-        (p for p in folder.iterdir() if p.suffix.lower() in TIFF_SUFFIXES and p.name[0] != "."),
+        (p for p in folder.iterdir() if _is_slice(p)),
         key=_natural,
     )
     first = _pages(paths[0])
@@ -62,6 +62,10 @@ def _folder(folder: Path) -> NDArray[Any]:
     return stack
 
 
+def _is_slice(path: Path) -> bool:
+    return path.is_file() and path.suffix.lower() in TIFF_SUFFIXES and path.name[0] != "."
+
+
 def _natural(path: Path) -> list[tuple[int, str]]:
     parts = re.split(r"(\d+)", path.name.lower())
     return [(int(p), p) if p.isdigit() else (-1, p) for p in parts]
@@ -71,6 +75,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 def _damage_raises(path: Path) -> Iterator[None]:
     """One error for all damage; tifffile only logs it where a file has lost pages at its end."""
     said: list[str] = []
+    cause: Exception | None = None
 
     class Listener(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -84,8 +89,11 @@ def _damage_raises(path: Path) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:  # decoders raise nearly anything
+        cause = error
         said.append(str(error) or type(error).__name__)
     finally:
         logger.removeHandler(listener)
     if said:
-        raise InputError(f"{path} is damaged or cut short: {said[0]}. Copy or export it again.")
+        raise InputError(
+            f"{path} is damaged or cut short: {said[0]}. Copy or export it again."
+        ) from cause

@@ -39,6 +39,26 @@ EXTENT_BITS = 18
 MIN_BITS = 4
 
 
+def _pierced_faces() -> NDArray[np.uint8]:
+    """For the signs of edges 01, 02, 03, 12, 13, 23 (bits 0 to 5): which faces are pierced.
+
+    Bits 0 to 3 of an entry stand for faces 012, 013, 023, 123. Face abc is
+    pierced when e_ab, e_bc and e_ca = -e_ac agree in sign. Signs that no line
+    can have get no face.
+    """
+    table = np.zeros(64, dtype=np.uint8)
+    for signs in range(64):
+        s01, s02, s03, s12, s13, s23 = (bool(signs >> edge & 1) for edge in range(6))
+        faces = ((s01, s12, s02), (s01, s13, s03), (s02, s23, s03), (s12, s23, s13))
+        hits = [ab == bc != ac for ab, bc, ac in faces]
+        if sum(hits) == 2:
+            table[signs] = sum(1 << face for face, hit in enumerate(hits) if hit)
+    return table
+
+
+_PIERCED = _pierced_faces()
+
+
 def fixed_point(
     nodes_index: NDArray[np.float64], tets: NDArray[np.int32]
 ) -> tuple[NDArray[np.int64], int]:
@@ -201,34 +221,39 @@ def tet_runs(nodes, tets, t, bits, runs):  # type: ignore[no-untyped-def]
         e12 = dz * (z - z1) - dy * y1
         e13 = ez * (z - z1) - ey * y1
         e23 = fz * (z - z2) - fy * y2
+        entered = False
         for iy in range(last_y + 1):
-            s01 = e01 + a >= 0
-            s02 = e02 + b >= 0
-            s03 = e03 + c >= 0
-            s12 = e12 + d >= 0
-            s13 = e13 + e >= 0
-            s23 = e23 + f >= 0
-            low = np.int64(0)
-            high = np.int64(-1)
-            # Face abc is pierced when e_ab, e_bc and e_ca = -e_ac agree in sign.
-            if s01 == s12 and s12 != s02:
-                low = _ceil_on_face(e12, -e02, e01, x0, x1, x2, bits)
-                high = low
-            if s01 == s13 and s13 != s03:
-                x = _ceil_on_face(e13, -e03, e01, x0, x1, x3, bits)
-                low, high = (x, x) if high < 0 else (min(low, x), max(high, x))
-            if s02 == s23 and s23 != s03:
-                x = _ceil_on_face(e23, -e03, e02, x0, x2, x3, bits)
-                low, high = (x, x) if high < 0 else (min(low, x), max(high, x))
-            if s12 == s23 and s23 != s13:
-                x = _ceil_on_face(e23, -e13, e12, x1, x2, x3, bits)
-                low, high = (x, x) if high < 0 else (min(low, x), max(high, x))
-            if high > low:
-                runs[count, 0] = oz + iz
-                runs[count, 1] = oy + iy
-                runs[count, 2] = ox + low
-                runs[count, 3] = ox + high
-                count += 1
+            signs = (
+                np.int64(e01 + a >= 0)
+                | np.int64(e02 + b >= 0) << 1
+                | np.int64(e03 + c >= 0) << 2
+                | np.int64(e12 + d >= 0) << 3
+                | np.int64(e13 + e >= 0) << 4
+                | np.int64(e23 + f >= 0) << 5
+            )
+            pierced = _PIERCED[signs]
+            if pierced:
+                entered = True
+                low = np.int64(-1)
+                high = np.int64(-1)
+                if pierced & 1:
+                    high = _ceil_on_face(e12, -e02, e01, x0, x1, x2, bits)
+                if pierced & 2:
+                    low, high = high, _ceil_on_face(e13, -e03, e01, x0, x1, x3, bits)
+                if pierced & 4:
+                    low, high = high, _ceil_on_face(e23, -e03, e02, x0, x2, x3, bits)
+                if pierced & 8:
+                    low, high = high, _ceil_on_face(e23, -e13, e12, x1, x2, x3, bits)
+                if low > high:
+                    low, high = high, low
+                if high > low:
+                    runs[count, 0] = oz + iz
+                    runs[count, 1] = oy + iy
+                    runs[count, 2] = ox + low
+                    runs[count, 3] = ox + high
+                    count += 1
+            elif entered:  # a tetrahedron is convex: the rest of this plane is outside
+                break
             e01 += ay << bits
             e02 += by << bits
             e03 += cy << bits

@@ -29,6 +29,8 @@ from storage.values import FloatArray, TetMesh, Tissue, Triple, Volume
 from workers.imaging.runs import fixed_point, run_buffer, signed_volume, tet_runs
 
 MAX_VOXELS = 2**32
+# A point midway between two voxels takes the upper one, whatever the last bits say.
+HALF = 0.5 + 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,9 +281,9 @@ def _write_nearest(fixed, bits, nodes, sources, tets, runs, values, out):  # typ
         for r in range(count):
             z, y = runs[r, 0], runs[r, 1]
             # Half a voxel is added once here so that truncation rounds to the nearest.
-            x_line = m[0, 1] * y + m[0, 2] * z + m[0, 3] + 0.5
-            y_line = m[1, 1] * y + m[1, 2] * z + m[1, 3] + 0.5
-            z_line = m[2, 1] * y + m[2, 2] * z + m[2, 3] + 0.5
+            x_line = m[0, 1] * y + m[0, 2] * z + m[0, 3] + HALF
+            y_line = m[1, 1] * y + m[1, 2] * z + m[1, 3] + HALF
+            z_line = m[2, 1] * y + m[2, 2] * z + m[2, 3] + HALF
             line = out[z, y]
             if inside:
                 for x in range(runs[r, 2], runs[r, 3]):
@@ -340,11 +342,7 @@ def _write_trilinear(fixed, bits, nodes, sources, tets, runs, values, out):  # t
                 sx = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
                 sy = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
                 sz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-                if (
-                    -0.5 <= sx < nx - 0.5
-                    and -0.5 <= sy < ny - 0.5
-                    and -0.5 <= sz < nz - 0.5
-                ):
+                if -0.5 <= sx < nx - 0.5 and -0.5 <= sy < ny - 0.5 and -0.5 <= sz < nz - 0.5:
                     line[x] = _trilinear(values, sx, sy, sz)
 
 

@@ -5,16 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from storage.values import FloatArray, IntArray, TetMesh
+from storage.errors import InputError
+from storage.values import IntArray, TetMesh
 from workers.mesh.improve import improve_shape
 from workers.mesh.lattice import bcc_lattice
 from workers.mesh.node_sets import (
     boundary_triangles,
     in_memory_order,
-    largest_piece,
     split_boundary,
     triangle_areas_mm2,
     wall_nodes,
+    without_hinges,
 )
 from workers.mesh.outline import Outline, project
 from workers.mesh.quality import volumes_mm3
@@ -27,6 +28,13 @@ class FittedMesh:
 
     mesh: TetMesh
     wall: IntArray
+
+    @property
+    def has_wall(self) -> bool:
+        """Whether some triangle of the boundary lies in the wall."""
+        if len(self.wall) < 3:
+            return False
+        return len(split_boundary(boundary_triangles(self.mesh.tets), self.wall)[1]) > 0
 
 
 def fitted_mesh(outline: Outline, cell_mm: float, *, improve: bool = True) -> FittedMesh:
@@ -44,32 +52,49 @@ def fitted_mesh(outline: Outline, cell_mm: float, *, improve: bool = True) -> Fi
     improve : bool
         Match the volume and better the worst tetrahedra; without, only the number
         of nodes means something.
+
+    Raises
+    ------
+    InputError
+        If the body is thinner than the samples of its outline.
     """
-    stuffed = stuff(bcc_lattice(outline, cell_mm), outline)
-    kept = stuffed.tets[largest_piece(stuffed.tets)]
+    lattice = bcc_lattice(outline, cell_mm)
+    if not len(lattice.tets):
+        raise InputError(
+            f"The body in the volume ({outline.volume_mm3:.3g} mm3) is too thin for tetrahedra of "
+            f"{cell_mm:.3g} mm. Check the labels and spacing_mm, or give a finer volume."
+        )
+    stuffed = stuff(lattice, outline)
+    kept = without_hinges(stuffed.tets)
     used = np.zeros(len(stuffed.nodes), np.bool_)
     used[kept] = True
     number = np.cumsum(used, dtype=np.int32) - np.int32(1)
     mesh = TetMesh(stuffed.nodes[used], number[kept])
-    mesh, order = in_memory_order(mesh, 0.5 * cell_mm)
+    mesh = in_memory_order(mesh, 0.5 * cell_mm)
     wall = wall_nodes(mesh.nodes, outline.wall_z_mm)
     if improve:
-        on_wall = np.zeros(len(mesh.nodes), np.bool_)
-        on_wall[wall] = True
-        surface, _ = split_boundary(boundary_triangles(mesh.tets), wall)
-        skin = np.zeros(len(mesh.nodes), np.bool_)
-        skin[surface] = True
-        area = float(triangle_areas_mm2(mesh.nodes, surface).sum())
-        level = 0.0
-        for last in (False, False, True):
-            level += (outline.volume_mm3 - float(volumes_mm3(mesh).sum())) / area
-            level = float(np.clip(level, -0.15 * cell_mm, 0.15 * cell_mm))
-            nodes = mesh.nodes.copy()
-            _put_on_level(nodes, skin, on_wall, level, 0.3 * cell_mm, outline.field, outline.frame)
-            mesh = TetMesh(nodes, mesh.tets)
-            if not last:
-                mesh = improve_shape(mesh, skin, on_wall, level, cell_mm, outline)
+        mesh = _improved(mesh, wall, outline, cell_mm)
     return FittedMesh(mesh, wall)
+
+
+def _improved(mesh: TetMesh, wall: IntArray, outline: Outline, cell_mm: float) -> TetMesh:
+    """Alternate between matching the volume and moving nodes; the volume has the last word."""
+    on_wall = np.zeros(len(mesh.nodes), np.bool_)
+    on_wall[wall] = True
+    surface, _ = split_boundary(boundary_triangles(mesh.tets), wall)
+    skin = np.zeros(len(mesh.nodes), np.bool_)
+    skin[surface] = True
+    area = float(triangle_areas_mm2(mesh.nodes, surface).sum())
+    level = 0.0
+    for last in (False, False, True):
+        level += (outline.volume_mm3 - float(volumes_mm3(mesh).sum())) / area
+        level = float(np.clip(level, -0.15 * cell_mm, 0.15 * cell_mm))
+        nodes = mesh.nodes.copy()
+        _put_on_level(nodes, skin, on_wall, level, 0.3 * cell_mm, outline.field, outline.frame)
+        mesh = TetMesh(nodes, mesh.tets)
+        if not last:
+            mesh = improve_shape(mesh, skin, on_wall, level, cell_mm, outline)
+    return mesh
 
 
 @njit(cache=True, nogil=True)

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from storage.errors import InputError
-from storage.values import IntArray, TetMesh, Tissue, Volume
+from storage.values import IntArray, TetMesh, Volume
 from workers.mesh.fit import FittedMesh, fitted_mesh
 from workers.mesh.node_sets import boundary_triangles, split_boundary
 from workers.mesh.outline import Outline, outline_of
@@ -17,6 +18,8 @@ from workers.mesh.tissues import majority_fractions, volume_fractions
 
 STEPS_PER_CELL = 3.5  # samples of the outline along one lattice cell
 FEWEST_CELLS = 4  # across the body's shortest side, for the finest mesh
+FEWEST_COARSE_CELLS = 2
+COUNT_TOLERANCE = 0.06  # of the wanted number of nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +55,12 @@ class Hierarchy:
     levels : tuple of MeshLevel
         Coarse to fine.
     element_size_mm : float
-        Size of a lattice cell of the finest level; edges are 0.87 to 1 of it.
+        Size of a lattice cell of the finest level; edges are 0.87 to 1 of it; NaN for
+        meshes that come from no lattice.
     """
 
     levels: tuple[MeshLevel, ...]
-    element_size_mm: float
+    element_size_mm: float = float("nan")
 
     @property
     def finest(self) -> MeshLevel:
@@ -106,12 +110,14 @@ def build_hierarchy(
         fine = fitted_mesh(outline, cell_mm)
 
     fitted = [fine]
-    coarse_mm = cell_mm * ratio
-    while (
-        len(fitted[-1].mesh.nodes) > coarsest_nodes and coarse_mm <= outline.smallest_extent_mm / 2
-    ):
-        fitted.append(fitted_mesh(outline, coarse_mm))
-        coarse_mm *= ratio
+    while len(fitted[-1].mesh.nodes) > coarsest_nodes:
+        coarse_mm = cell_mm * ratio ** len(fitted)
+        if coarse_mm > outline.smallest_extent_mm / FEWEST_COARSE_CELLS:
+            break
+        coarse = fitted_mesh(outline, coarse_mm)
+        if len(fine.wall) and not coarse.has_wall:
+            break  # the body touches its wall in a spot smaller than these cells
+        fitted.append(coarse)
     fitted.reverse()
     return Hierarchy(_levels(fitted, labels), float(cell_mm))
 
@@ -142,19 +148,26 @@ def _mesh_of_nodes(labels: Volume, nodes: int) -> tuple[FittedMesh, Outline, flo
     A lattice has 2 / a^3 nodes per volume and the outline adds some per area, so
     ``n(a) = 2 V / a^3 + s / a^2``; ``s`` is read off each trial, first off a coarser one.
     """
-    rough = outline_of(labels, _rough_step(labels))
-    volume = rough.volume_mm3
-    target = float(nodes)
-    cell_mm = (2 * volume / (0.25 * target)) ** (1 / 3)
-    cell_mm = min(cell_mm, rough.smallest_extent_mm / FEWEST_CELLS)
-    trial = fitted_mesh(outline_of(labels, cell_mm / STEPS_PER_CELL), cell_mm, improve=False)
+    outline = outline_of(labels, _rough_step(labels))
+    volume = outline.volume_mm3
+    largest_mm = outline.smallest_extent_mm / FEWEST_CELLS
+    cell_mm = min((8 * volume / nodes) ** (1 / 3), largest_mm)
+    outline = outline_of(labels, cell_mm / STEPS_PER_CELL)
+    trial = fitted_mesh(outline, cell_mm, improve=False)
     for _ in range(6):
-        area_part = len(trial.mesh.nodes) * cell_mm**2 - 2 * volume / cell_mm
-        cell_mm = _cell_for(target, volume, area_part)
+        count = len(trial.mesh.nodes)
+        area_part = count * cell_mm**2 - 2 * volume / cell_mm
+        cell_mm = _cell_for(nodes, volume, area_part)
+        if cell_mm > largest_mm:
+            fewest = 2 * volume / largest_mm**3 + area_part / largest_mm**2
+            raise InputError(
+                f"A mesh of {nodes} nodes is too coarse for this body: its shortest side, "
+                f"{outline.smallest_extent_mm:.3g} mm, needs {FEWEST_CELLS} elements across. "
+                f"Ask for {1.1 * fewest:.0f} nodes or more."
+            )
         outline = outline_of(labels, cell_mm / STEPS_PER_CELL)
-        _check_size(cell_mm, outline)
         trial = fitted_mesh(outline, cell_mm)
-        if abs(len(trial.mesh.nodes) - target) <= 0.06 * target:
+        if abs(len(trial.mesh.nodes) - nodes) <= COUNT_TOLERANCE * nodes:
             break
     return trial, outline, cell_mm
 
@@ -198,68 +211,41 @@ def _check_size(cell_mm: float, outline: Outline) -> None:
     if cell_mm > side / FEWEST_CELLS:
         raise InputError(
             f"Elements of {cell_mm:.3g} mm are too large for a body that is {side:.3g} mm across: "
-            f"at most {side / FEWEST_CELLS:.3g} mm. Give a smaller element_size_mm or more nodes."
+            f"at most {side / FEWEST_CELLS:.3g} mm. Give a smaller element_size_mm."
         )
 
 
-SKIN_MM = 1.5  # thickness of a breast's skin when no voxel is labelled skin
-
-
-def skin_resolved(hierarchy_or_size: Hierarchy | float, labels: Volume) -> bool:
-    """Whether the elements are as small as the layer of skin in a volume is thick.
-
-    Parameters
-    ----------
-    hierarchy_or_size : Hierarchy or float
-        Meshes, or the cell size of the finest one in mm.
-    labels : Volume
-        Tissue labels; without any `Tissue.SKIN` there is no layer to resolve.
-    """
-    size = (
-        hierarchy_or_size.element_size_mm
-        if isinstance(hierarchy_or_size, Hierarchy)
-        else float(hierarchy_or_size)
-    )
-    return size <= skin_thickness_mm(labels)
-
-
-def skin_thickness_mm(labels: Volume) -> float:
-    """Mean thickness of the skin: its volume over its area towards the air; 0 without skin."""
-    raise NotImplementedError
-
-
 LEVEL_ARRAYS = ("nodes", "tets", "fractions", "wall", "surface")
+CSR_ARRAYS = ("data", "indices", "indptr")
 
 
-def to_arrays(hierarchy: Hierarchy) -> dict[str, NDArray[np.generic]]:
+def to_arrays(hierarchy: Hierarchy) -> dict[str, NDArray[Any]]:
     """Plain arrays of a hierarchy, named ``<level>.<array>``, level 0 the coarsest."""
-    arrays: dict[str, NDArray[np.generic]] = {
-        "element_size_mm": np.array(hierarchy.element_size_mm),
-    }
+    arrays: dict[str, NDArray[Any]] = {"element_size_mm": np.array(hierarchy.element_size_mm)}
     for number, level in enumerate(hierarchy.levels):
-        parts = (level.mesh.nodes, level.mesh.tets, level.fractions, level.wall, level.surface)
-        for name, part in zip(LEVEL_ARRAYS, parts, strict=True):
-            arrays[f"{number}.{name}"] = part
+        parts: tuple[NDArray[Any], ...] = (
+            level.mesh.nodes,
+            level.mesh.tets,
+            level.fractions,
+            level.wall,
+            level.surface,
+        )
+        arrays |= {f"{number}.{n}": part for n, part in zip(LEVEL_ARRAYS, parts, strict=True)}
         if level.prolongation is not None:
-            arrays[f"{number}.prolongation_data"] = level.prolongation.data
-            arrays[f"{number}.prolongation_indices"] = level.prolongation.indices
-            arrays[f"{number}.prolongation_indptr"] = level.prolongation.indptr
+            for name in CSR_ARRAYS:
+                arrays[f"{number}.prolongation_{name}"] = getattr(level.prolongation, name)
     return arrays
 
 
-def from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> Hierarchy:
+def from_arrays(arrays: Mapping[str, NDArray[Any]]) -> Hierarchy:
     """Hierarchy from the arrays of `to_arrays`."""
     levels: list[MeshLevel] = []
     while f"{len(levels)}.nodes" in arrays:
         number = len(levels)
         nodes, tets, fractions, wall, surface = (arrays[f"{number}.{n}"] for n in LEVEL_ARRAYS)
-        matrix = None
+        matrix: csr_matrix | None = None
         if levels:
-            data, indices, indptr = (
-                arrays[f"{number}.prolongation_{n}"] for n in ("data", "indices", "indptr")
-            )
-            matrix = csr_matrix(
-                (data, indices, indptr), shape=(len(nodes), len(levels[-1].mesh.nodes))
-            )
+            parts = tuple(arrays[f"{number}.prolongation_{n}"] for n in CSR_ARRAYS)
+            matrix = csr_matrix(parts, shape=(len(nodes), len(levels[-1].mesh.nodes)))
         levels.append(MeshLevel(TetMesh(nodes, tets), fractions, wall, surface, matrix))
     return Hierarchy(tuple(levels), float(arrays["element_size_mm"]))

@@ -16,7 +16,7 @@ def improve_shape(
     cell_mm: float,
     outline: Outline,
     passes: int = 4,
-    good: float = 0.6,
+    good: float = 0.7,
 ) -> TetMesh:
     """Move nodes around tetrahedra whose M3 is below ``good``, if the worst one gets better.
 

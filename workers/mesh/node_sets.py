@@ -7,7 +7,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from storage.values import FloatArray, IntArray, TetMesh
-from workers.mesh.quality import FACES
+from workers.mesh.quality import FACES, PAIRS
 
 
 def boundary_triangles(tets: IntArray) -> IntArray:
@@ -19,14 +19,13 @@ def boundary_triangles(tets: IntArray) -> IntArray:
 def _faces(tets: IntArray) -> tuple[IntArray, NDArray[np.int64], NDArray[np.int64]]:
     """All faces (4 m, 3); the pairs of them that coincide (p, 2); and those without a partner."""
     faces = np.ascontiguousarray(tets[:, FACES].reshape(-1, 3))
-    n = int(tets.max()) + 1 if len(tets) else 0
-    order, pair = _match(faces, n)
-    return faces, order, pair
+    pairs, single = _match(faces, int(tets.max()) + 1)
+    return faces, pairs, single
 
 
 @njit(cache=True, nogil=True)
 def _match(faces, n):  # type: ignore[no-untyped-def]
-    """Bucket the faces by their smallest node and compare within the bucket."""
+    """Pairs of equal faces and single ones: compare the faces that share their smallest node."""
     m = len(faces)
     start = np.zeros(n + 1, np.int64)
     key = np.empty((m, 3), np.int32)
@@ -73,6 +72,30 @@ def largest_piece(tets: IntArray) -> NDArray[np.bool_]:
     return piece == np.argmax(np.bincount(piece))
 
 
+def without_hinges(tets: IntArray) -> IntArray:
+    """Largest piece of a mesh whose boundary folds nowhere.
+
+    A rough outline may leave two parts that touch along an edge only, with four boundary
+    triangles around it. The tetrahedra at such an edge go, until there is none.
+    """
+    tets = tets[largest_piece(tets)]
+    while True:
+        hinges = _hinges(boundary_triangles(tets))
+        if not len(hinges):
+            return tets
+        pairs = np.sort(tets[:, PAIRS].reshape(-1, 2), axis=1)
+        key, bad = (p[:, 0].astype(np.int64) << 32 | p[:, 1] for p in (pairs, hinges))
+        tets = tets[~np.isin(key, bad).reshape(-1, len(PAIRS)).any(axis=1)]
+        tets = tets[largest_piece(tets)]
+
+
+def _hinges(triangles: IntArray) -> IntArray:
+    """Edges of a closed surface at which more than two triangles meet, shape (e, 2)."""
+    pairs = np.sort(triangles[:, ((0, 1), (1, 2), (2, 0))].reshape(-1, 2), axis=1)
+    edges, count = np.unique(pairs, axis=0, return_counts=True)
+    return edges[count > 2]
+
+
 def wall_nodes(nodes: FloatArray, wall_z_mm: float) -> IntArray:
     """Nodes in the plane of the chest wall."""
     return np.flatnonzero(nodes[:, 2] == wall_z_mm).astype(np.int32)
@@ -96,19 +119,14 @@ def triangle_areas_mm2(nodes: FloatArray, triangles: IntArray) -> FloatArray:
 def nodal_areas_mm2(nodes: FloatArray, triangles: IntArray) -> FloatArray:
     """A third of the area of the triangles around each node, shape (n,)."""
     share = np.repeat(triangle_areas_mm2(nodes, triangles) / 3, 3)
-    return np.bincount(triangles.ravel(), weights=share, minlength=len(nodes))
+    sums = np.bincount(triangles.ravel(), weights=share, minlength=len(nodes))
+    return np.asarray(sums, np.float64)
 
 
-def in_memory_order(mesh: TetMesh, step_mm: float) -> tuple[TetMesh, IntArray]:
+def in_memory_order(mesh: TetMesh, step_mm: float) -> TetMesh:
     """Neighbours in space next to each other in memory.
 
     Nodes along a Morton curve of cubes of ``step_mm``, tetrahedra by their smallest node.
-
-    Returns
-    -------
-    mesh : TetMesh
-    order : ndarray of int32, shape (n,)
-        Old number of each new node.
     """
     cell = ((mesh.nodes - mesh.nodes.min(axis=0)) / step_mm).astype(np.uint64)
     code = np.zeros(len(cell), np.uint64)
@@ -119,7 +137,7 @@ def in_memory_order(mesh: TetMesh, step_mm: float) -> tuple[TetMesh, IntArray]:
     number[order] = np.arange(len(order), dtype=np.int32)
     tets = number[mesh.tets]
     tets = tets[np.argsort(tets.min(axis=1), kind="stable")]
-    return TetMesh(mesh.nodes[order], np.ascontiguousarray(tets)), order
+    return TetMesh(mesh.nodes[order], np.ascontiguousarray(tets))
 
 
 def _spread_bits(value: NDArray[np.uint64]) -> NDArray[np.uint64]:

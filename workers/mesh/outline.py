@@ -9,7 +9,6 @@ saturates about 2.5 s away, where only its sign matters.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -21,6 +20,7 @@ from storage.errors import InputError
 from storage.values import FloatArray, Triple, Volume
 
 BLUR = 0.9  # blur in grid steps; less shows the voxels' staircase, more rounds the rim
+MARGIN = 6  # samples of air around the body
 SATURATION = 0.006  # occupancy beyond which the distance is cut off (2.5 standard deviations)
 
 
@@ -38,6 +38,8 @@ class Outline:
         Lower face of the body's lowest voxels.
     volume_mm3 : float
         Volume of the body's voxels, enclosed cavities included.
+    free_area_mm2 : float
+        Area of the outline without the wall.
     lower_mm, upper_mm : ndarray, shape (3,)
         Bounding box of the body.
     """
@@ -47,6 +49,7 @@ class Outline:
     step_mm: Triple
     wall_z_mm: float
     volume_mm3: float
+    free_area_mm2: float
     lower_mm: FloatArray
     upper_mm: FloatArray
 
@@ -64,6 +67,9 @@ class Outline:
 def outline_of(labels: Volume, step_mm: float) -> Outline:
     """Outline of the largest connected body in a label volume.
 
+    Pieces are told apart, and cavities filled, at the size of the samples; a pocket that
+    opens into the wall is not a cavity.
+
     Parameters
     ----------
     labels : Volume
@@ -76,92 +82,99 @@ def outline_of(labels: Volume, step_mm: float) -> Outline:
     InputError
         If every voxel is air.
     """
-    spacing = np.asarray(labels.spacing_mm)
+    spacing = np.asarray(labels.spacing_mm, np.float64)
     block = np.maximum(1, np.rint(step_mm / spacing)).astype(np.int64)
-    box = _body_box(labels.values)
-    lo, hi = box[:, 0].copy(), box[:, 1].copy()
-    occupancy = _block_mean(labels.values, lo, hi, block)
-    occupancy = _one_solid_body(occupancy)
+    occupancy, box = _body_occupancy(labels, block)
 
-    step = spacing * block
-    filled = np.argwhere(occupancy.max(axis=(1, 2)) > 0).ravel()
-    occupancy = occupancy[filled[0] :]
-    lo[2] += filled[0] * block[2]
-    wall_z = labels.origin_mm[2] + (lo[2] - 0.5) * spacing[2]
-
-    pad = 6
-    padded = np.pad(occupancy, ((0, pad), (pad, pad), (pad, pad)))
-    first = np.asarray(labels.origin_mm) + (lo - 0.5) * spacing + 0.5 * step
-    origin = first - np.array([pad, pad, 0]) * step
-    field, blurred_volume = _distance(padded, step)
-    del blurred_volume
-    inside = np.argwhere(occupancy > 0)
-    lower = first + (inside.min(axis=0)[::-1] - 0.5) * step
-    upper = first + (inside.max(axis=0)[::-1] + 0.5) * step
-    body_lo = np.asarray(labels.origin_mm) + (box[:, 0] - 0.5) * spacing
-    body_hi = np.asarray(labels.origin_mm) + (box[:, 1] - 0.5) * spacing
+    step: FloatArray = spacing * block
+    lower, upper = np.asarray(labels.origin_mm) + (box - 0.5) * spacing
+    origin = lower + 0.5 * step - np.array([MARGIN, MARGIN, 0]) * step
+    padded = np.pad(occupancy, ((0, MARGIN), (MARGIN, MARGIN), (MARGIN, MARGIN)))
+    field, area = _distance(padded, step)
     return Outline(
         field=field,
         origin_mm=(float(origin[0]), float(origin[1]), float(origin[2])),
         step_mm=(float(step[0]), float(step[1]), float(step[2])),
-        wall_z_mm=float(wall_z),
+        wall_z_mm=float(lower[2]),
         volume_mm3=float(occupancy.sum(dtype=np.float64) * np.prod(step)),
-        lower_mm=np.maximum(lower, body_lo),
-        upper_mm=np.minimum(upper, body_hi),
+        free_area_mm2=area,
+        lower_mm=lower,
+        upper_mm=upper,
     )
 
 
-def _body_box(values: NDArray[Any]) -> NDArray[np.int64]:
-    """First and one-past-last voxel index along x, y, z that is not air, shape (3, 2)."""
-    box = _occupied_box(values)
-    if box[0, 1] <= box[0, 0]:
+def _body_occupancy(
+    labels: Volume, block: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Occupancy of the blocks of the largest body and its box of voxels (2, 3).
+
+    Blocks start at the body's own lowest voxels, so that the wall is a face of blocks: when
+    smaller pieces stretch the box, it is drawn again around the body alone.
+    """
+    box = _occupied_box(labels.values, np.array([(0, 0, 0), labels.shape_xyz], np.int64))
+    if box[1, 0] <= box[0, 0]:
         raise InputError(
             "The volume holds no tissue: every voxel is 0 (air). Check the labels, "
             "or relabel the volume with labels: {value: tissue}."
         )
-    return box
+    for _ in range(4):
+        occupancy = _one_solid_body(_block_mean(labels.values, box, block))
+        filled = np.nonzero(occupancy)
+        blocks = np.array([[a.min(), a.max() + 1] for a in reversed(filled)]).T
+        around = np.minimum(box[0] + blocks * block, box[1])
+        body_box = _occupied_box(labels.values, around)
+        if np.array_equal(body_box, box):
+            break
+        box = body_box
+    return occupancy, box
 
 
 @njit(cache=True, nogil=True)
-def _occupied_box(values):  # type: ignore[no-untyped-def]
-    nz, ny, nx = values.shape
-    box = np.array([[nx, 0], [ny, 0], [nz, 0]])
-    for k in range(nz):
-        for j in range(ny):
+def _occupied_box(values, within):  # type: ignore[no-untyped-def]
+    """First and one-past-last voxel (x, y, z) that is not air inside a box, shape (2, 3)."""
+    box = np.empty((2, 3), np.int64)
+    box[0] = within[1]
+    box[1] = within[0]
+    for k in range(within[0, 2], within[1, 2]):
+        for j in range(within[0, 1], within[1, 1]):
             first = -1
             last = -1
-            for i in range(nx):
+            for i in range(within[0, 0], within[1, 0]):
                 if values[k, j, i] != 0:
                     if first < 0:
                         first = i
                     last = i
             if first >= 0:
                 box[0, 0] = min(box[0, 0], first)
-                box[0, 1] = max(box[0, 1], last + 1)
-                box[1, 0] = min(box[1, 0], j)
+                box[1, 0] = max(box[1, 0], last + 1)
+                box[0, 1] = min(box[0, 1], j)
                 box[1, 1] = max(box[1, 1], j + 1)
-                box[2, 0] = min(box[2, 0], k)
-                box[2, 1] = max(box[2, 1], k + 1)
+                box[0, 2] = min(box[0, 2], k)
+                box[1, 2] = max(box[1, 2], k + 1)
     return box
 
 
 @njit(cache=True, nogil=True)
-def _block_mean(values, lo, hi, block):  # type: ignore[no-untyped-def]
-    """Fraction of tissue in blocks of voxels that start at the corner ``lo`` of the body."""
-    n = (hi - lo + block - 1) // block
+def _block_mean(values, box, block):  # type: ignore[no-untyped-def]
+    """Fraction of tissue in blocks of voxels that start at the lower corner of a box."""
+    n = (box[1] - box[0] + block - 1) // block
     mean = np.zeros((n[2], n[1], n[0]), np.float32)
-    for k in range(lo[2], hi[2]):
-        bk = (k - lo[2]) // block[2]
-        for j in range(lo[1], hi[1]):
-            bj = (j - lo[1]) // block[1]
-            for i in range(lo[0], hi[0]):
-                if values[k, j, i] != 0:
-                    mean[bk, bj, (i - lo[0]) // block[0]] += np.float32(1)
-    full = np.float32(1.0 / (block[0] * block[1] * block[2]))
+    for k in range(box[0, 2], box[1, 2]):
+        bk = (k - box[0, 2]) // block[2]
+        for j in range(box[0, 1], box[1, 1]):
+            bj = (j - box[0, 1]) // block[1]
+            for bi in range(n[0]):
+                start = box[0, 0] + bi * block[0]
+                count = 0
+                for i in range(start, min(start + block[0], box[1, 0])):
+                    if values[k, j, i] != 0:
+                        count += 1
+                mean[bk, bj, bi] += np.float32(count)
+    full = np.float32(block[0] * block[1] * block[2])
     for k in range(n[2]):
         for j in range(n[1]):
             for i in range(n[0]):
-                mean[k, j, i] *= full
+                mean[k, j, i] /= full
     return mean
 
 
@@ -171,21 +184,20 @@ def _one_solid_body(occupancy: NDArray[np.float32]) -> NDArray[np.float32]:
     if count > 1:
         largest = 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
         occupancy = np.where(pieces == largest, occupancy, np.float32(0))
-    # Air that no path leads to from the box's outside; the wall side counts as closed.
-    air = np.pad(occupancy < 0.5, ((0, 1), (1, 1), (1, 1)), constant_values=True)
-    rooms, count = ndimage.label(air)
+    rooms, count = ndimage.label(np.pad(occupancy < 0.5, 1, constant_values=True))
     if count > 1:
-        cavity = ((rooms > 0) & (rooms != rooms[-1, 0, 0]))[:-1, 1:-1, 1:-1]
-        near = ndimage.binary_dilation(cavity) & (occupancy > 0.5) | cavity
-        open_air = ndimage.binary_dilation(rooms == rooms[-1, 0, 0])[:-1, 1:-1, 1:-1]
-        occupancy = np.where(near & ~open_air, np.float32(1), occupancy)
+        inner = (slice(1, -1),) * 3
+        outdoors = rooms[0, 0, 0]
+        cavity = ndimage.binary_dilation((rooms > 0) & (rooms != outdoors))[inner]
+        skin = ndimage.binary_dilation(rooms == outdoors)[inner]
+        occupancy = np.where(cavity & ~skin, np.float32(1), occupancy)
     return occupancy
 
 
 def _distance(
     occupancy: NDArray[np.float32], step: FloatArray
 ) -> tuple[NDArray[np.float32], float]:
-    """Signed distance from block occupancy (see the top of the file)."""
+    """Signed distance (see the top of the file) and free area from the occupancy of blocks."""
     sigma = BLUR * float(step.max())
     blurred = occupancy
     for axis, length in zip((0, 1, 2), step[::-1], strict=True):
@@ -199,7 +211,23 @@ def _distance(
     field[blurred > 0.5] *= -1
     band = (blurred > SATURATION) & (blurred < 1 - SATURATION)
     field[band] = -spread * ndtri(blurred[band])
-    return field, float(blurred.sum(dtype=np.float64))
+    return field, _total_variation(blurred, step)
+
+
+@njit(cache=True, nogil=True)
+def _total_variation(u, step):  # type: ignore[no-untyped-def]
+    """Integral of the slope of ``u``: the area across which it falls from 1 to 0."""
+    nz, ny, nx = u.shape
+    total = 0.0
+    for k in range(nz):
+        for j in range(1, ny - 1):
+            for i in range(1, nx - 1):
+                above, below = u[min(k + 1, nz - 1), j, i], u[max(k - 1, 0), j, i]
+                gx = (u[k, j, i + 1] - u[k, j, i - 1]) / (2 * step[0])
+                gy = (u[k, j + 1, i] - u[k, j - 1, i]) / (2 * step[1])
+                gz = (above - below) / (2 * step[2])
+                total += np.sqrt(gx * gx + gy * gy + gz * gz)
+    return total * step[0] * step[1] * step[2]
 
 
 @njit(cache=True, nogil=True)

@@ -50,14 +50,19 @@ def volume_fractions(mesh: TetMesh, labels: Volume) -> NDArray[np.float32]:
 
 
 def _checked(labels: Volume) -> NDArray[np.uint8]:
+    """Labels as the kernels index them: bytes, none above the last tissue."""
     values = labels.values
-    if not np.issubdtype(values.dtype, np.integer) and values.dtype != np.bool_:
+    if values.dtype.kind not in "biu":
         raise InputError(
             f"Tissue labels must be whole numbers, got {values.dtype}. Relabel the volume first."
         )
-    if values.dtype == np.uint8:
-        return values
-    return values.astype(np.uint8)
+    low, high = int(values.min()), int(values.max())
+    if low < 0 or high >= N_TISSUES:
+        raise InputError(
+            f"Tissue labels must lie in 0 to {N_TISSUES - 1}, got {low} to {high}. "
+            "Relabel the volume with labels: {value: tissue}."
+        )
+    return values if values.dtype == np.uint8 else values.astype(np.uint8)
 
 
 def _frame(labels: Volume) -> tuple[FloatArray, FloatArray]:
@@ -111,9 +116,7 @@ def _vote(nodes, tets, values, corner, per_mm):  # type: ignore[no-untyped-def]
     votes = np.empty(N_TISSUES, np.int64)
     for m in range(len(tets)):
         votes[:] = 0
-        middle = (
-            nodes[tets[m, 0]] + nodes[tets[m, 1]] + nodes[tets[m, 2]] + nodes[tets[m, 3]]
-        ) / 4
+        middle = (nodes[tets[m, 0]] + nodes[tets[m, 1]] + nodes[tets[m, 2]] + nodes[tets[m, 3]]) / 4
         for c in range(4):
             x = nodes[tets[m, c]] + NUDGE * (middle - nodes[tets[m, c]])
             votes[_label_at(values, corner, per_mm, x[0], x[1], x[2])] += 1

@@ -1,4 +1,4 @@
-"""The breast: which constants its tissues take, and how two plates press it.
+"""The breast: its materials, the constants that they take, and how two plates press it.
 
 Ligaments behave as fat (thesis section 4.5); muscle does too, unless its own
 constants are stated. Skin is fat (``none``), fat under a membrane
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from storage.errors import InputError
-from storage.values import FloatArray, Tissue, Volume
+from storage.values import Tissue, Volume
 from workers.fem.problem import (
     Constants,
     DistanceControl,
@@ -20,11 +20,25 @@ from workers.fem.problem import (
     Membrane,
     Problem,
 )
-from workers.mesh.hierarchy import Hierarchy
+from workers.mesh.skin import skin_thickness_mm
 from workers.spec import LoadSpec, ModelSpec
 
 Extent = tuple[float, float]
 """From here to there along y, in mm."""
+
+
+def materials_of(labels: Volume, model: ModelSpec) -> Volume:
+    """Labels in which tissues that behave alike are one, to be meshed.
+
+    An element takes the tissue of most of its five points. Fat, ligament and skin
+    that is no layer are one material; as three tissues they would lose votes that
+    they win together.
+    """
+    alike = np.arange(256, dtype=np.uint8)
+    alike[Tissue.LIGAMENT] = Tissue.FAT
+    if model.skin != "layer":
+        alike[Tissue.SKIN] = Tissue.FAT
+    return Volume(alike[labels.values], labels.spacing_mm, labels.origin_mm)
 
 
 def problem_of(
@@ -102,39 +116,24 @@ def extent_of(volume: Volume) -> Extent:
     )
 
 
-def check_skin_layer(labels: Volume, hierarchy: Hierarchy) -> None:
+def check_skin_layer(labels: Volume, element_size_mm: float) -> None:
     """Refuse to model skin by elements that cannot resolve it.
-
-    The thickness of the skin is its volume over the area of the free surface; the
-    mean edge of the finest mesh must not be longer.
 
     Raises
     ------
     InputError
-        If the mesh is too coarse, or no voxel is skin.
+        If the elements are larger than the skin is thick, or no voxel is skin.
     """
-    finest = hierarchy.finest
-    skin_mm3 = np.count_nonzero(labels.values == Tissue.SKIN) * labels.voxel_mm3
-    if not skin_mm3:
+    thickness = skin_thickness_mm(labels)
+    if not thickness:
         raise InputError(
             "skin: layer needs skin voxels, but the body has none. Label its skin, or use "
             "skin: membrane, which needs no voxels, or skin: none."
         )
-    thickness = skin_mm3 / _area_mm2(finest.mesh.nodes[finest.surface])
-    edge = _mean_edge_mm(finest.mesh.nodes[finest.mesh.tets])
-    if edge > thickness:
+    if element_size_mm > thickness:
         raise InputError(
-            f"skin: layer needs elements no longer than the skin is thick: the skin is "
-            f"{thickness:.2g} mm thick, the mean edge of the mesh {edge:.2g} mm. "
-            f"Use skin: membrane with skin_thickness_mm: {thickness:.2g}, or a finer mesh."
+            f"skin: layer needs elements no larger than the skin is thick: the skin is "
+            f"{thickness:.2g} mm thick, the elements are {element_size_mm:.2g} mm. "
+            f"Use skin: membrane with skin_thickness_mm: {thickness:.2g}, or "
+            f"mesh: {{element_size_mm: {thickness:.2g}}}."
         )
-
-
-def _area_mm2(corners: FloatArray) -> float:
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
-
-
-def _mean_edge_mm(corners: FloatArray) -> float:
-    first, second = np.triu_indices(4, k=1)
-    return float(np.linalg.norm(corners[:, first] - corners[:, second], axis=2).mean())

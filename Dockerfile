@@ -1,0 +1,45 @@
+# One image for the scheduler, the workers and the driver, so that the code is the same on all.
+FROM python:3.11-slim AS build
+
+WORKDIR /source
+RUN python -m venv /opt/palpate
+ENV PATH=/opt/palpate/bin:$PATH
+
+# The dependencies first: they change seldom, and their layer is kept when only code changes.
+COPY pyproject.toml constraints.txt ./
+RUN python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['dependencies'], sep='\n')" > requirements.txt \
+    && pip install --no-cache-dir --disable-pip-version-check -c constraints.txt -r requirements.txt
+
+COPY README.md LICENSE ./
+COPY storage/ storage/
+COPY workers/ workers/
+COPY service/ service/
+RUN pip install --no-cache-dir --disable-pip-version-check --no-deps .
+
+
+FROM python:3.11-slim
+
+RUN useradd --create-home --uid 1000 palpate \
+    && install --directory --owner palpate --group palpate /data
+COPY --from=build /opt/palpate /opt/palpate
+
+# PYTHONSAFEPATH: a folder named `service` beside a study must not shadow the package.
+# One thread per evaluation; the cores are used by more workers. Compiled kernels are
+# kept in the home folder, for the packages are not writable.
+ENV PATH=/opt/palpate/bin:$PATH \
+    PYTHONSAFEPATH=1 \
+    PYTHONUNBUFFERED=1 \
+    NUMBA_CACHE_DIR=/home/palpate/.cache/numba \
+    MPLCONFIGDIR=/home/palpate/.cache/matplotlib \
+    NUMBA_NUM_THREADS=1 \
+    OMP_NUM_THREADS=1 \
+    OPENBLAS_NUM_THREADS=1 \
+    MKL_NUM_THREADS=1 \
+    VECLIB_MAXIMUM_THREADS=1
+
+# By number, so that an orchestrator can tell that it is not root.
+USER 1000
+WORKDIR /data
+VOLUME /data
+EXPOSE 8786 8787
+CMD ["palpate", "--help"]

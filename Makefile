@@ -1,0 +1,69 @@
+# Every target sets itself up: a virtual environment in .venv, once.
+#
+#   make demo        a small search on this machine, and its report
+#   make test        style, types, import rules and all quick tests
+#   make test-slow   the tests that take minutes or run at full scale
+#   make bench       figures: how long things take here
+#   make lint        style, types and import rules alone
+#
+# Another interpreter: make demo PYTHON=/usr/bin/python3.12 (3.11 or newer).
+
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+PYTHON ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-slow bench lint format constraints clean
+
+help:
+	@sed -n 's/^#   //p' Makefile
+
+demo: $(READY)
+	$(BIN)/palpate run examples/demo.yaml --study runs/demo
+	$(BIN)/palpate report runs/demo
+
+test: lint
+	$(BIN)/pytest -m "not slow"
+
+test-slow: $(READY)
+	$(BIN)/pytest -m slow
+
+bench: $(READY)
+	$(BIN)/pytest tests/benchmarks -m "" -s
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+# After a change of the dependencies in pyproject.toml.
+constraints: $(READY)
+	$(BIN)/pip freeze --exclude-editable > constraints.txt
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+# The stamp is written last, so an installation cut short is taken up again.
+$(READY): pyproject.toml constraints.txt
+	@found=; if [ ! -x $(BIN)/python ]; then \
+	    for python in $(or $(PYTHON),python3.11 python3 python3.12 python3.13 python3.14); do \
+	        if "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+	            found="$$python"; break; \
+	        fi; \
+	    done; \
+	    if [ -z "$$found" ]; then \
+	        echo "Palpate needs Python 3.11 or newer and found none$(if $(PYTHON), at $(PYTHON))." >&2; \
+	        echo "Name one: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; \
+	        exit 1; \
+	    fi; \
+	    echo "Setting up $(VENV) with $$found (a minute or two, once)"; \
+	    "$$found" -m venv $(VENV) || { rm -rf $(VENV); exit 1; }; \
+	fi
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@touch $(READY)

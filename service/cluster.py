@@ -1,0 +1,147 @@
+"""Where the work is done: processes of this machine, or an existing scheduler.
+
+One evaluation per process, one thread per evaluation. Worker processes are
+spawned, so a script that opens a cluster needs ``if __name__ == "__main__":``.
+"""
+
+import os
+import socket
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import dask
+import dask.system
+from distributed import Client, LocalCluster
+
+from service.errors import ClusterError
+from storage.errors import InputError
+from workers.resources import THREAD_ENVIRONMENT, OneThread
+
+ALLOWED_FAILURES = 5
+DASHBOARD_PORT = 8787
+
+# Read by the scheduler when it starts, so they have to be set before.
+CONFIG: dict[str, Any] = {
+    # A task is given up after so many deaths of its worker; most are not its fault.
+    "distributed.scheduler.allowed-failures": ALLOWED_FAILURES,
+    # A worker holds a cache on purpose and no results: nothing to spill, no reason to pause.
+    # Beyond 95 % of its share it is ended, which is better than the kernel's choice.
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 0.95,
+    "distributed.worker.use-file-locking": False,
+    "distributed.admin.large-graph-warning-threshold": "1MB",
+}
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A connection to the workers.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        To send tasks with.
+    dashboard : str
+        Address of Dask's page; empty if there is none.
+    local : bool
+        Whether the processes were started by us, and end with us.
+    """
+
+    client: Client
+    dashboard: str
+    local: bool
+
+
+@contextmanager
+def open_cluster(
+    scheduler: str | None = None,
+    workers: int | None = None,
+    *,
+    allowed_failures: int = ALLOWED_FAILURES,
+    connect_s: float = 20.0,
+) -> Iterator[Cluster]:
+    """Start local workers, or connect to a scheduler; close again what was opened.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address such as ``tcp://10.0.0.5:8786``. Default: a cluster of this machine.
+    workers : int, optional
+        Local processes, >= 1; default: one per core.
+    allowed_failures : int
+        Deaths of a worker after which the scheduler gives a task up (local only).
+    connect_s : float
+        How long to try to reach `scheduler`.
+
+    Raises
+    ------
+    ClusterError
+        If the scheduler cannot be reached.
+    InputError
+        If both `scheduler` and `workers` are given, or there are too few workers.
+    """
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers must be at least 1, got {workers}.")
+    if scheduler is not None and workers is not None:
+        raise InputError(
+            "--workers starts processes of this machine, --scheduler uses those of a running "
+            "cluster: give one of them."
+        )
+    opened = _existing(scheduler, connect_s) if scheduler else _local(workers, allowed_failures)
+    with opened as cluster:
+        cluster.client.register_plugin(OneThread())
+        yield cluster
+
+
+@contextmanager
+def _existing(address: str, connect_s: float) -> Iterator[Cluster]:
+    try:
+        client = Client(address, timeout=connect_s, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ClusterError(
+            f"There is no scheduler at {address} ({error}). Start one with `dask scheduler`, or "
+            "leave out --scheduler to use this machine."
+        ) from error
+    with client:
+        yield Cluster(client, client.dashboard_link or "", local=False)
+
+
+@contextmanager
+def _local(workers: int | None, allowed_failures: int) -> Iterator[Cluster]:
+    count = workers or usable_cores()
+    os.environ.update(THREAD_ENVIRONMENT)  # inherited by the workers, before they load NumPy
+    with (
+        tempfile.TemporaryDirectory(prefix="palpate-dask-", ignore_cleanup_errors=True) as scratch,
+        dask.config.set(CONFIG | {"distributed.scheduler.allowed-failures": allowed_failures}),
+        LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=f"127.0.0.1:{free_port(DASHBOARD_PORT)}",
+            local_directory=scratch,
+            silence_logs="CRITICAL",
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield Cluster(client, cluster.dashboard_link or "", local=True)
+
+
+def usable_cores() -> int:
+    """Cores this process may use: fewer than the machine has in a container or a batch job."""
+    return int(dask.system.CPU_COUNT)
+
+
+def free_port(wanted: int) -> int:
+    """`wanted` if nobody listens there, else 0: the system's choice."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", wanted))
+        except OSError:
+            return 0
+    return wanted

@@ -1,0 +1,319 @@
+"""Sends tasks to a Dask cluster and gives back their endings.
+
+A future is released as soon as its ending has been dealt with: `Dispatcher.run`
+yields an ending and releases the future when it is asked for the next one. What
+a worker finished is then never run again because some other worker died.
+
+How an ask ends::
+
+    finished                          the task's own record
+    raised                            crashed, with the traceback of the worker
+    the worker died, once too often   asked again, `asks` times in all; then lost
+    the scheduler forgot it           asked again, as often as it takes
+
+An error of the store (a full disk, another version) is no verdict on a candidate:
+it is raised here and stops the study.
+"""
+
+import errno
+import queue
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Literal
+from uuid import uuid4
+
+from distributed import Client, Future, KilledWorker
+
+from service.errors import ClusterError, Interrupted, TaskError
+from storage.errors import PalpateError, StoreError
+
+Record = dict[str, Any]
+Task = Callable[..., Record]
+
+TICK_S = 0.5
+FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How an ask ended.
+
+    Parameters
+    ----------
+    key : hashable
+        As given to `Dispatcher.run`.
+    kind : {"returned", "crashed", "lost"}
+        See the top of this file.
+    value : dict or None
+        What the task returned.
+    error : Exception or None
+        What it raised.
+    reason : str
+        Why there is no value; empty if there is one.
+    traceback : str
+        On the worker; empty unless crashed.
+    attempts : int
+        How often it was asked for.
+    """
+
+    key: Any
+    kind: Literal["returned", "crashed", "lost"]
+    value: Record | None = None
+    error: BaseException | None = None
+    reason: str = ""
+    traceback: str = ""
+    attempts: int = 1
+
+
+@dataclass
+class _Ask:
+    key: Any
+    arguments: tuple[Any, ...]
+    attempts: int = 0
+    future: Any = field(default=None, repr=False)
+
+
+class Dispatcher:
+    """A bounded number of tasks in flight, and a deadline on every wait.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Connected to the scheduler.
+    asks : int
+        How often a task is asked for whose workers die, before it is lost. (The
+        scheduler itself already tries again; see `service.cluster`.)
+    no_worker_s : float
+        How long to wait while there is no worker.
+    no_ending_s : float
+        How long to wait while there are workers but no task ends.
+    stop : callable
+        Asked between waits; True ends the run with `Interrupted`.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        *,
+        asks: int = 5,
+        no_worker_s: float = 120.0,
+        no_ending_s: float = 4 * 3600.0,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.client = client
+        self.asks = asks
+        self.no_worker_s = no_worker_s
+        self.no_ending_s = no_ending_s
+        self.stop = stop
+        self._threads = 0
+
+    @property
+    def threads(self) -> int:
+        """Evaluations that run at once, as last counted."""
+        self._threads = sum(self._ask_scheduler().values())
+        return self._threads
+
+    def call(self, task: Task, *arguments: Any) -> Record:
+        """Run one task and return its record.
+
+        Raises
+        ------
+        PalpateError
+            As the task raised it; `TaskError` for any other exception.
+        ClusterError
+            If its workers die again and again, or there are none.
+        Interrupted
+            If the study is asked to stop.
+        """
+        (ending,) = self.run(task, [(task.__name__, arguments)])
+        if ending.value is not None:
+            return ending.value
+        if isinstance(ending.error, PalpateError):
+            raise ending.error
+        if ending.kind == "lost":
+            raise ClusterError(
+                f"{task.__name__} was lost: {ending.reason}. Give the workers more memory, or "
+                "make the case smaller."
+            )
+        raise TaskError(f"{task.__name__} failed: {ending.reason}.") from ending.error
+
+    def run(self, task: Task, asks: Iterable[tuple[Any, tuple[Any, ...]]]) -> Iterator[Ending]:
+        """Send tasks, yield their endings as they arrive.
+
+        Parameters
+        ----------
+        task : callable
+            Importable by the workers; small arguments, a small record back.
+        asks : iterable of (key, arguments)
+            Read only as fast as tasks end.
+
+        Raises
+        ------
+        ClusterError
+            If a wait passes its deadline, or the scheduler is gone.
+        StoreError
+            If a worker cannot use the store.
+        Interrupted
+            If the study is asked to stop.
+        """
+        arrived: queue.SimpleQueue[_Ask] = queue.SimpleQueue()
+        waiting = iter(asks)
+        in_flight: dict[int, _Ask] = {}
+        try:
+            while True:
+                limit = 2 * max(1, self._threads)
+                while len(in_flight) < limit and (asked := next(waiting, None)) is not None:
+                    ask = _Ask(*asked)
+                    in_flight[id(ask)] = ask
+                    self._send(task, ask, arrived)
+                if not in_flight:
+                    return
+                ask = self._wait(arrived)
+                ending = self._ending(ask)
+                if ending is None:
+                    self._release(ask)
+                    self._send(task, ask, arrived)
+                    continue
+                yield ending
+                # Whoever asks for the next ending has written this one down.
+                del in_flight[id(ask)]
+                self._release(ask)
+        finally:
+            for ask in in_flight.values():
+                self._release(ask)
+
+    def _send(self, task: Task, ask: _Ask, arrived: "queue.SimpleQueue[_Ask]") -> None:
+        ask.attempts += 1
+        # The key is new every time: Dask remembers the end of a key for a while.
+        key = f"{task.__name__}-{uuid4().hex}"
+        with _as_cluster_error():
+            ask.future = self.client.submit(task, *ask.arguments, key=key, pure=False)
+        ask.future.add_done_callback(lambda _: arrived.put(ask))
+
+    def _release(self, ask: _Ask) -> None:
+        """Let the scheduler forget a task; one that has not started will not start."""
+        if ask.future is not None:
+            with suppress(Exception):
+                ask.future.release()
+            ask.future = None
+
+    def _wait(self, arrived: "queue.SimpleQueue[_Ask]") -> _Ask:
+        begun = alive = time.monotonic()
+        counted = -TICK_S
+        while True:
+            if self.stop():
+                raise Interrupted
+            with suppress(queue.Empty):
+                return arrived.get(timeout=TICK_S if counted > 0 else TICK_S / 10)
+            now = time.monotonic()
+            if now - counted >= 2 * TICK_S:
+                counted = now
+                if self.threads:
+                    alive = now
+            self._check_deadlines(now - begun, now - alive)
+
+    def _check_deadlines(self, waited_s: float, without_worker_s: float) -> None:
+        if without_worker_s > self.no_worker_s:
+            address = self.client.scheduler.address if self.client.scheduler else "ADDRESS"
+            raise ClusterError(
+                f"There has been no worker for {without_worker_s:.0f} s. Start one with "
+                f"`dask worker {address} --nthreads 1`, or let `palpate run` start its own by "
+                "leaving out --scheduler. What is journalled is kept: run the study again to "
+                "continue."
+            )
+        if waited_s > self.no_ending_s:
+            raise ClusterError(
+                f"There are {self._threads} workers, but no task has ended for "
+                f"{waited_s:.0f} s. Look at the dashboard, restart the workers, and run the "
+                "study again to continue."
+            )
+
+    def _ask_scheduler(self) -> dict[str, int]:
+        with _as_cluster_error():
+            if self.client.status == "connecting":
+                return {}
+            if self.client.status != "running":
+                raise OSError(f"the connection is {self.client.status}")
+            return dict(self.client.nthreads())
+
+    def _ending(self, ask: _Ask) -> Ending | None:
+        """The ending of an ask that has arrived; None: ask again."""
+        future: Future = ask.future
+        if future is None or future.status in ("cancelled", "lost"):
+            # The scheduler was restarted or the connection broke; no worker is to blame.
+            ask.attempts -= 1
+            self._outlast_disconnection()
+            return None
+        try:
+            value = future.result(timeout=60.0)
+        except KilledWorker as killed:
+            if ask.attempts < self.asks:
+                return None
+            return Ending(ask.key, "lost", reason=_death(killed), attempts=ask.attempts)
+        except Exception as caught:
+            error = caught
+        else:
+            return Ending(ask.key, "returned", value, attempts=ask.attempts)
+        if future.status != "error":
+            # The result was on a worker that is gone: ask again, the store has it.
+            return None if ask.attempts < self.asks else Ending(
+                ask.key, "lost", error=error, reason=_sentence(error), attempts=ask.attempts
+            )
+        _raise_if_store(error)
+        trace = future.traceback(timeout=60.0)  # of the worker, without our own frames
+        text = "".join(traceback.format_exception(type(error), error, trace))
+        return Ending(ask.key, "crashed", None, error, _sentence(error), text, ask.attempts)
+
+    def _outlast_disconnection(self) -> None:
+        begun = time.monotonic()
+        while self.client.status == "connecting":
+            if self.stop():
+                raise Interrupted
+            if time.monotonic() - begun > self.no_worker_s:
+                break
+            time.sleep(TICK_S)
+        if self.client.status != "running":
+            raise _scheduler_gone(f"the connection is {self.client.status}")
+
+
+class _as_cluster_error:  # noqa: N801 - a context manager
+    """Say in words what Dask raises when the scheduler has gone."""
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, OSError | TimeoutError | RuntimeError):
+            raise _scheduler_gone(_sentence(error)) from error
+
+
+def _scheduler_gone(what: str) -> ClusterError:
+    return ClusterError(
+        f"The scheduler cannot be reached any more: {what}. What is journalled is kept: run the "
+        "study again to continue."
+    )
+
+
+def _raise_if_store(error: BaseException) -> None:
+    if isinstance(error, StoreError):
+        raise error
+    if isinstance(error, OSError) and error.errno in FULL_DISK:
+        raise StoreError(
+            f"A worker cannot write to the store: {error}. Free some space, then run the study "
+            "again to continue."
+        ) from error
+
+
+def _death(killed: KilledWorker) -> str:
+    worker = getattr(killed, "last_worker", None)
+    name = getattr(worker, "address", None) or "unknown"
+    deaths = killed.allowed_failures + 1 if hasattr(killed, "allowed_failures") else "several"
+    return f"its worker died every time, {deaths} deaths in the last ask; last worker {name}"
+
+
+def _sentence(error: BaseException) -> str:
+    text = str(error).strip() or "no message"
+    return f"{type(error).__name__}: {text}"

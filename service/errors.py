@@ -1,0 +1,24 @@
+"""What can go wrong between the driver and its cluster.
+
+::
+
+    PalpateError
+    |-- ClusterError      no scheduler, no workers, nothing finishes; exit code 2
+    `-- TaskError         a preparation crashed on a worker; exit code 2
+
+    Interrupted           the user asked to stop: no error; exit code 130
+"""
+
+from storage.errors import PalpateError
+
+
+class ClusterError(PalpateError):
+    """The cluster cannot do the work."""
+
+
+class TaskError(PalpateError):
+    """A task without which no study can start has crashed."""
+
+
+class Interrupted(Exception):
+    """Somebody asked the study to stop; what is journalled is kept."""

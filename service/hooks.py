@@ -1,0 +1,108 @@
+"""Where observers hang: the loop tells what happened and knows nobody who listens.
+
+::
+
+    started            once, before anything is sent to the cluster
+    prepared           the case and the target are in the store
+    generation_begun   a population is proposed
+    evaluation_ended   once for each ending that is journalled, in order of arrival
+    generation_ended   all scores of a population are known
+    stopped            the search has found its end
+
+On a resumed study the generations that the journal holds are told again, in
+order, so that an observer sees the same story however often a study was
+interrupted; endings that were journalled before are told with ``replayed=True``.
+"""
+
+import logging
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from service.search.base import Generation, Proposal
+from storage.records import EvaluationRecord
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class StudyFacts:
+    """What is known of a study before it runs.
+
+    Parameters
+    ----------
+    name : str
+        As in the study file.
+    folder : str
+        Where the journal lies.
+    most_evaluations : int
+        If the search runs to its last generation.
+    generations : int
+        At most.
+    workers : int
+        Threads that evaluate, at the start.
+    dashboard : str
+        Address of Dask's page; empty if there is none.
+    """
+
+    name: str
+    folder: str
+    most_evaluations: int
+    generations: int
+    workers: int
+    dashboard: str
+
+
+class Observer:
+    """Listens to a study; override what is of interest."""
+
+    def started(self, facts: StudyFacts) -> None:
+        """The loop begins."""
+
+    def prepared(self, what: str, facts: dict[str, Any]) -> None:
+        """``what`` ("case" or "target") is in the store."""
+
+    def generation_begun(self, number: int, proposal: Proposal) -> None:
+        """A population is about to be evaluated."""
+
+    def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        """One candidate has its ending, and the journal has it."""
+
+    def generation_ended(self, number: int, generation: Generation) -> None:
+        """All candidates of a population have their scores."""
+
+    def stopped(self, reason: str) -> None:
+        """The search is over."""
+
+
+class Hooks(Observer):
+    """Passes everything on to all observers; one that fails is dropped, not the study."""
+
+    def __init__(self, observers: Iterable[Observer] = ()) -> None:
+        self._observers = list(observers)
+
+    def _tell(self, hook: str, *args: Any) -> None:
+        for observer in list(self._observers):
+            try:
+                getattr(observer, hook)(*args)
+            except Exception:
+                _log.exception("The observer %r failed in %s and is dropped.", observer, hook)
+                self._observers.remove(observer)
+
+    def started(self, facts: StudyFacts) -> None:
+        self._tell("started", facts)
+
+    def prepared(self, what: str, facts: dict[str, Any]) -> None:
+        self._tell("prepared", what, facts)
+
+    def generation_begun(self, number: int, proposal: Proposal) -> None:
+        self._tell("generation_begun", number, proposal)
+
+    def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        self._tell("evaluation_ended", record, replayed)
+
+    def generation_ended(self, number: int, generation: Generation) -> None:
+        self._tell("generation_ended", number, generation)
+
+    def stopped(self, reason: str) -> None:
+        self._tell("stopped", reason)

@@ -1,0 +1,222 @@
+"""Shows a study while it runs: a live panel on a terminal, plain lines elsewhere."""
+
+import math
+import time
+from collections import Counter
+from typing import Any
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from service.hooks import Observer, StudyFacts
+from service.search.base import Generation, Proposal
+from storage.records import EvaluationRecord
+from storage.status import Status
+
+LINE_EVERY_S = 10.0
+
+
+def progress_observer(console: Console) -> "Progress":
+    """What suits the console: live on a terminal, lines in a log."""
+    return LiveProgress(console) if console.is_terminal else PlainProgress(console)
+
+
+class Progress(Observer):
+    """Counts; the two ways of showing it are below.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        Where to show it.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self.facts: StudyFacts | None = None
+        self.counts: Counter[str] = Counter()
+        self.generation = 0
+        self.asked = 0
+        self.told = 0
+        self.best: EvaluationRecord | None = None
+        self.phase = "starting"
+        self._computed = 0
+        self._since = time.monotonic()
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Stop showing."""
+
+    def started(self, facts: StudyFacts) -> None:
+        """Remember what to expect."""
+        self.facts = facts
+        self.phase = "preparing body and mesh"
+
+    def prepared(self, what: str, facts: dict[str, Any]) -> None:
+        """Say what comes next."""
+        self.phase = "making the target" if what == "case" else "searching"
+
+    def generation_begun(self, number: int, proposal: Proposal) -> None:
+        """Count anew within the generation."""
+        self.phase = "searching"
+        self.generation = number
+        self.asked = len(proposal.to_evaluate)
+        self.told = 0
+
+    def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        """Count, and remember the best."""
+        self.counts[record.status.value] += 1
+        self.told += 1
+        if not replayed and not record.reused:
+            if self._computed == 0:
+                self._since = time.monotonic() - sum(record.seconds.values())
+            self._computed += 1
+        if record.status is Status.DONE and (
+            self.best is None or _gsf(record) < _gsf(self.best)
+        ):
+            self.best = record
+
+    def generation_ended(self, number: int, generation: Generation) -> None:
+        """Nothing more than what the endings said."""
+
+    def stopped(self, reason: str) -> None:
+        """Say why."""
+        self.phase = f"stopped: {reason}"
+
+    @property
+    def ended(self) -> int:
+        """Candidates with an ending."""
+        return sum(self.counts.values())
+
+    @property
+    def per_minute(self) -> float:
+        """Evaluations per minute that this run has computed; 0 when unknown."""
+        spent = time.monotonic() - self._since
+        return 60 * self._computed / spent if self._computed and spent > 0 else 0.0
+
+    @property
+    def left_s(self) -> float:
+        """Seconds to the last generation at the rate so far; infinite when unknown."""
+        if self.facts is None or not self.per_minute:
+            return math.inf
+        return 60 * (self.facts.most_evaluations - self.ended) / self.per_minute
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What there is to say, as (heading, text)."""
+        rows = [("phase", self.phase)]
+        facts = self.facts
+        if facts is None:
+            return rows
+        rows.append(
+            ("generation", f"{self.generation + 1} of {facts.generations} at most, "
+                           f"{self.told} of {self.asked} candidates")
+        )  # fmt: skip
+        if self.best is not None and self.best.score is not None:
+            score = self.best.score
+            rows.append(
+                ("best so far", f"GSF {score['gsf']:.4g}   JC {score['jc']:.4f}   "
+                                f"MHD {score['mhd_mm']:.4g} mm   (candidate {self.best.candidate})")
+            )  # fmt: skip
+        failed = [f"{self.counts[s]} {s}" for s in ("diverged", "crashed", "lost")]
+        shown = ", ".join(text for text in failed if not text.startswith("0 "))
+        done = f"{self.counts['done']} done" + (f", {shown}" if shown else "")
+        rows.append(("evaluations", f"{done}; {facts.most_evaluations} at most"))
+        if self.per_minute:
+            rows.append(
+                ("rate", f"{self.per_minute:.1f} per minute on {facts.workers} workers, "
+                         f"at most {clock(self.left_s)} left")
+            )  # fmt: skip
+        if facts.dashboard:
+            rows.append(("dashboard", facts.dashboard))
+        return rows
+
+
+class LiveProgress(Progress):
+    """A panel that redraws itself."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(console)
+        self._live = Live(console=console, refresh_per_second=2, get_renderable=self._render)
+
+    def __enter__(self) -> "LiveProgress":
+        self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._live.stop()
+
+    def _render(self) -> RenderableType:
+        table = Table.grid(padding=(0, 2))
+        for heading, text in self.rows():
+            table.add_row(Text(heading, style="dim"), Text(text))
+        if self.facts is None:
+            return table
+        bar = ProgressBar(total=self.facts.most_evaluations, completed=self.ended, width=60)
+        return Group(Text(self.facts.name, style="bold"), table, bar)
+
+
+class PlainProgress(Progress):
+    """One line for each generation, and one now and then within it."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(console)
+        self._last = 0.0
+
+    def started(self, facts: StudyFacts) -> None:
+        super().started(facts)
+        where = f", dashboard {facts.dashboard}" if facts.dashboard else ""
+        self._line(f"{facts.name}: {facts.workers} workers, study folder {facts.folder}{where}")
+
+    def prepared(self, what: str, facts: dict[str, Any]) -> None:
+        super().prepared(what, facts)
+        self._line(f"{what} prepared")
+
+    def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        super().evaluation_ended(record, replayed)
+        if not replayed and time.monotonic() - self._last >= LINE_EVERY_S:
+            self._line("; ".join(text for _, text in self.rows()[1:-1]))
+
+    def generation_ended(self, number: int, generation: Generation) -> None:
+        super().generation_ended(number, generation)
+        best = self.best.score if self.best is not None else None
+        found = (
+            f"best GSF {best['gsf']:.6g}, JC {best['jc']:.4f}, MHD {best['mhd_mm']:.4g} mm"
+            if best
+            else "no candidate has a score yet"
+        )
+        self._line(f"generation {number + 1} done: {found}; {self.ended} evaluations")
+
+    def stopped(self, reason: str) -> None:
+        super().stopped(reason)
+        self._line(f"stopped: {reason}")
+
+    def _line(self, text: str) -> None:
+        self._last = time.monotonic()
+        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def clock(seconds: float) -> str:
+    """A duration for a reader.
+
+    Examples
+    --------
+    >>> clock(42.3), clock(3700), clock(200_000)
+    ('42 s', '1 h 2 min', '2 d 7 h')
+    """
+    if not math.isfinite(seconds):
+        return "unknown"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    minutes, hours, days = whole // 60, whole // 3600, whole // 86400
+    if minutes < 60:
+        return f"{minutes} min {whole % 60} s"
+    return f"{hours} h {minutes % 60} min" if days == 0 else f"{days} d {hours % 24} h"
+
+
+def _gsf(record: EvaluationRecord) -> float:
+    return math.inf if record.score is None else float(record.score["gsf"])

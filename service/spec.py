@@ -1,0 +1,232 @@
+"""The one file that a user writes: a case, a target, a score, a search and a seed.
+
+Case, target and score are checked by `workers.spec`; this file adds the search,
+reads YAML, and says in which keys two studies differ.
+"""
+
+from collections.abc import Hashable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import yaml
+from pydantic import Field, StringConstraints, model_validator
+
+from service.search.genetic import GeneticSearch, GeneticSettings
+from service.search.operators import (
+    AdaptiveFeasible,
+    Gaussian,
+    latin_hypercube,
+    uniform_population,
+)
+from service.search.space import Space
+from service.search.stall import Stall
+from storage.digest import digest
+from storage.errors import InputError
+from workers.parameters import unknown_name
+from workers.spec import CaseSpec, Door, DoorBounds, ScoreSpec, TargetSpec, validated
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
+
+
+class StallSpec(Door):
+    """When to stop because nothing gets better; see `service.search.stall`."""
+
+    generations: Annotated[int, Field(ge=1)] = 5
+    tolerance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-6
+    rule: Literal["relative", "weighted"] = "relative"
+
+
+class SearchSpec(Door):
+    """How the parameters are searched; the defaults are the thesis'.
+
+    ``stall: null`` never stops before the last generation.
+    """
+
+    parameters: Annotated[DoorBounds, Field(min_length=1)]
+    population: Annotated[int, Field(ge=2)] = 84
+    generations: Annotated[int, Field(ge=1)] = 15
+    elite: Annotated[int, Field(ge=0)] = 2
+    crossover_fraction: Annotated[float, Field(ge=0, le=1)] = 0.8
+    mutation: Literal["adaptive-feasible", "gaussian"] = "adaptive-feasible"
+    initial: Literal["uniform", "latin-hypercube"] = "uniform"
+    stall: StallSpec | None = StallSpec()
+
+    @model_validator(mode="after")
+    def _somebody_is_new(self) -> Self:
+        if self.elite >= self.population:
+            raise ValueError(
+                f"elite ({self.elite}) must be less than population ({self.population}): "
+                "somebody has to be new in every generation"
+            )
+        return self
+
+    @property
+    def settings(self) -> GeneticSettings:
+        """The same for `GeneticSearch`."""
+        stall = self.stall and Stall(
+            self.stall.generations, self.stall.tolerance, self.stall.rule
+        )
+        return GeneticSettings(
+            population=self.population,
+            generations=self.generations,
+            elite=self.elite,
+            crossover_fraction=self.crossover_fraction,
+            stall=stall,
+            mutation=Gaussian() if self.mutation == "gaussian" else AdaptiveFeasible(),
+            initial=latin_hypercube if self.initial == "latin-hypercube" else uniform_population,
+        )
+
+    @property
+    def space(self) -> Space:
+        """The box that is searched, in the units at the door."""
+        return Space.from_bounds(self.parameters)
+
+
+class StudySpec(Door):
+    """A study: what is asked, of which body, and how it is searched.
+
+    ``keep`` says which deformed volumes stay in the store beside those of the
+    target and of the best candidate.
+    """
+
+    name: Name
+    case: CaseSpec
+    target: TargetSpec
+    score: ScoreSpec = ScoreSpec()
+    search: SearchSpec
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
+    keep: Literal["best", "elites", "all"] = "best"
+
+    @model_validator(mode="after")
+    def _parameters_fit_the_case(self) -> Self:
+        known = self.case.parameters
+        for where, names in (
+            ("search.parameters", self.search.parameters),
+            ("target.constants", self.target.constants or {}),
+        ):
+            for name in names:
+                if name not in known.door_names:
+                    skin = (
+                        " (the case has no skin: case.model.skin is none)"
+                        if name == "E_skin_kpa"
+                        else ""
+                    )
+                    hint = unknown_name("parameter", name, known.door_names)
+                    raise ValueError(f"{where}: {hint}{skin}")
+        for name in self.search.parameters:
+            if name in self.case.constants:
+                raise ValueError(
+                    f"{name} is searched (search.parameters) and held (case.constants): "
+                    "take it out of one of them"
+                )
+        return self
+
+    @property
+    def search_strategy(self) -> GeneticSearch:
+        """The search, ready to propose."""
+        return GeneticSearch(self.search.space, self.search.settings, self.seed)
+
+    def constants_of(self, genes: Mapping[str, float]) -> dict[str, float]:
+        """Searched parameters at the door (kPa) as names and units inside (MPa)."""
+        return self.case.parameters.from_door(genes)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able, defaults written out."""
+        return self.model_dump(mode="json")
+
+    @property
+    def digest(self) -> str:
+        """Short name of everything that the user asked for."""
+        return digest(self.as_dict())
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML in which a key that stands twice is an error, not a quiet replacement."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                line = key_node.start_mark.line + 1
+                raise yaml.YAMLError(f"the key {key!r} stands twice; the second is in line {line}")
+            seen.add(key)
+        return super().construct_mapping(node, deep=deep)
+
+
+def read_spec(path: Path) -> StudySpec:
+    """Read a study file.
+
+    Paths of volumes are taken relative to the folder of the file, and become
+    absolute: a study goes on wherever it is called from.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is no YAML, or a key or value makes no sense.
+    """
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; expected a study file such as {path / 'study.yaml'}.")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(
+            f"There is no study file {path}. Write one with `palpate new breast {path.stem}`."
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} cannot be read as text: {error}.") from error
+    return parse_spec(text, str(path), path.resolve().parent)
+
+
+def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
+    """The study that `text` describes; `where` names it in messages.
+
+    Raises
+    ------
+    InputError
+        If it is no YAML, or a key or value makes no sense.
+    """
+    try:
+        data = yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
+    except yaml.YAMLError as error:
+        raise InputError(f"{where} is not valid YAML: {error}") from error
+    if not isinstance(data, dict):
+        found = "nothing" if data is None else type(data).__name__
+        raise InputError(f"{where} must hold keys such as name, case and search, found {found}.")
+    _make_absolute(data.get("target"), folder)
+    case = data.get("case")
+    _make_absolute(case.get("reference") if isinstance(case, dict) else None, folder)
+    return validated(StudySpec, data, where)
+
+
+def _make_absolute(image: object, folder: Path) -> None:
+    """Replace a path that exists beside the study file; a name in the store stays."""
+    if isinstance(image, dict) and isinstance(image.get("volume"), str):
+        found = (folder / Path(image["volume"]).expanduser()).resolve()
+        if found.exists():
+            image["volume"] = str(found)
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """In which keys two studies differ, one line each.
+
+    Examples
+    --------
+    >>> differences({"seed": 1, "search": {"elite": 2}}, {"seed": 1, "search": {"elite": 3}})
+    ['search.elite: 2 before, 3 now']
+    """
+    old, new = dict(_leaves(before)), dict(_leaves(now))
+    keys = [*old, *(key for key in new if key not in old)]
+    return [
+        f"{key}: {old.get(key, 'absent')} before, {new.get(key, 'absent')} now"
+        for key in keys
+        if old.get(key, "absent") != new.get(key, "absent")
+    ]
+
+
+def _leaves(value: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    for key, item in value.items():
+        if isinstance(item, Mapping) and item:
+            yield from _leaves(item, f"{path}{key}.")
+        else:
+            yield f"{path}{key}", item

@@ -1,0 +1,69 @@
+"""Finished evaluations by digest: what one study has computed, any other may use.
+
+A record is written last, after field and volume, and so vouches for them.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from storage.atomic import write_file
+from storage.errors import StoreError
+from storage.plain import dumps, from_plain, loads, to_plain
+from storage.stores import Store, check_schema
+
+SCHEMA_VERSION = 1
+
+
+def save_evaluation(store: Store, digest: str, record: Mapping[str, Any]) -> None:
+    """Write the record of an evaluation, whole or not at all.
+
+    Parameters
+    ----------
+    store : Store
+    digest : str
+        Name of the evaluation.
+    record : mapping
+        JSON-able; numbers below its top level may be infinite or NaN.
+
+    Raises
+    ------
+    StoreError
+        If the file system refuses.
+    """
+    text = dumps({"schema_version": SCHEMA_VERSION, "record": to_plain(record)})
+    write_file(store.layout.evaluation(digest), text.encode() + b"\n")
+
+
+def load_evaluation(store: Store, digest: str) -> dict[str, Any] | None:
+    """Read the record of an evaluation; None if it has not been finished.
+
+    Raises
+    ------
+    StoreError
+        If the record is damaged.
+    NewerSchemaError
+        If a newer version of Palpate wrote it.
+    """
+    path = store.layout.evaluation(digest)
+    try:
+        written = loads(path.read_bytes())
+        version, record = written["schema_version"], written["record"]
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise StoreError(
+            f"{path} cannot be read: {error.strerror or error}. Check its permissions."
+        ) from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise _damaged(path, error) from error
+    check_schema(version, SCHEMA_VERSION, path)
+    if not isinstance(record, dict):
+        raise _damaged(path, "its record is not an object")
+    return from_plain(record)
+
+
+def _damaged(path: object, why: object) -> StoreError:
+    return StoreError(
+        f"{path} is damaged ({why}). Remove that file and run the study again: this evaluation is "
+        "computed again."
+    )

@@ -1,0 +1,120 @@
+"""Every path, spelled once.
+
+::
+
+    <study>/                    one study, made by `palpate run`
+      study.yaml                what was asked
+      journal.jsonl             what has happened
+      report.html               what came out
+
+    <store>/                    shared by any number of studies
+      palpate-store.json        says that this is a store, and of which schema
+      volumes/<digest>.zarr     phantoms, images, targets and deformed bodies
+      meshes/<digest>.zarr      mesh hierarchies
+      fields/<digest>.zarr      nodal displacements
+      evaluations/<digest>.json finished evaluations
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from storage.errors import StoreError
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+
+
+@dataclass(frozen=True, slots=True)
+class StudyLayout:
+    """Paths of one study.
+
+    Parameters
+    ----------
+    root : Path
+        The folder of the study.
+    """
+
+    root: Path
+
+    @property
+    def study(self) -> Path:
+        """The study file as it was when the study began."""
+        return self.root / "study.yaml"
+
+    @property
+    def journal(self) -> Path:
+        """The journal; see `storage.journal`."""
+        return self.root / "journal.jsonl"
+
+    @property
+    def report(self) -> Path:
+        """The report, one file."""
+        return self.root / "report.html"
+
+
+@dataclass(frozen=True, slots=True)
+class StoreLayout:
+    """Paths of one store.
+
+    Parameters
+    ----------
+    root : Path
+        The folder of the store.
+    """
+
+    root: Path
+
+    @property
+    def marker(self) -> Path:
+        """The file that makes a folder a store."""
+        return self.root / "palpate-store.json"
+
+    @property
+    def volumes(self) -> Path:
+        """Folder of voxel volumes."""
+        return self.root / "volumes"
+
+    @property
+    def meshes(self) -> Path:
+        """Folder of mesh hierarchies."""
+        return self.root / "meshes"
+
+    @property
+    def fields(self) -> Path:
+        """Folder of displacements."""
+        return self.root / "fields"
+
+    @property
+    def evaluations(self) -> Path:
+        """Folder of finished evaluations."""
+        return self.root / "evaluations"
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """All folders of a store."""
+        return self.volumes, self.meshes, self.fields, self.evaluations
+
+    def volume(self, digest: str) -> Path:
+        """One voxel volume."""
+        return self.volumes / f"{_checked(digest)}.zarr"
+
+    def mesh(self, digest: str) -> Path:
+        """One mesh hierarchy."""
+        return self.meshes / f"{_checked(digest)}.zarr"
+
+    def field(self, digest: str) -> Path:
+        """One displacement field."""
+        return self.fields / f"{_checked(digest)}.zarr"
+
+    def evaluation(self, digest: str) -> Path:
+        """One finished evaluation."""
+        return self.evaluations / f"{_checked(digest)}.json"
+
+
+def _checked(digest: str) -> str:
+    if not _NAME.fullmatch(digest):
+        raise StoreError(
+            f"{digest!r} cannot be a name in a store: expected a digest of letters and digits, "
+            "such as 3f2a9c0d1b7e6a54."
+        )
+    return digest

@@ -1,0 +1,109 @@
+"""Meshes: Zarr inside the store, meshio at the door."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.arrays import Arrays, Meta, exists, load_arrays, save_arrays
+from storage.atomic import explained, replacing
+from storage.errors import InputError
+from storage.stores import Store
+from storage.values import TetMesh
+
+FORMATS = (".vtu", ".vtk", ".msh")  # one file each, and all three hold values
+
+
+def save_mesh(
+    store: Store, digest: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]
+) -> None:
+    """Write the arrays of a mesh or a hierarchy, whole or not at all.
+
+    Raises
+    ------
+    StoreError
+        If an array holds no numbers, or the file system refuses.
+    """
+    save_arrays(store.layout.mesh(digest), arrays, meta)
+
+
+def load_mesh(store: Store, digest: str) -> tuple[Arrays, Meta]:
+    """Read what `save_mesh` was given.
+
+    Raises
+    ------
+    StoreError
+        If it is missing or damaged.
+    NewerSchemaError
+        If a newer version of Palpate wrote it.
+    """
+    return load_arrays(store.layout.mesh(digest))
+
+
+def has_mesh(store: Store, digest: str) -> bool:
+    """Whether the mesh is there, complete."""
+    return exists(store.layout.mesh(digest))
+
+
+def export_mesh(
+    path: Path | str,
+    mesh: TetMesh,
+    point_data: Mapping[str, NDArray[Any]] | None = None,
+    cell_data: Mapping[str, NDArray[Any]] | None = None,
+) -> None:
+    """Write tetrahedra as a file that other programs read.
+
+    Parameters
+    ----------
+    path : path
+        Its suffix chooses the format: .vtu or .vtk (ParaView), .msh (Gmsh).
+    mesh : TetMesh
+    point_data : mapping of str to ndarray, shape (n,) or (n, 3), optional
+        Values at nodes, such as ``displacement_mm``.
+    cell_data : mapping of str to ndarray, shape (m,) or (m, 3), optional
+        Values in tetrahedra, such as ``tissue``.
+
+    Raises
+    ------
+    InputError
+        If the suffix is not known or an array does not fit the mesh.
+    StoreError
+        If the file system refuses.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(
+            f"{path} cannot be written: {path.suffix or 'no suffix'!r} is no mesh format known "
+            f"here. Use one of {', '.join(FORMATS)}."
+        )
+    points, cells = dict(point_data or {}), dict(cell_data or {})
+    _check_lengths(points, len(mesh.nodes), "nodes")
+    _check_lengths(cells, len(mesh.tets), "tetrahedra")
+    written = meshio.Mesh(
+        mesh.nodes,
+        [("tetra", mesh.tets)],
+        point_data={name: _writable(values) for name, values in points.items()},
+        cell_data={name: [_writable(values)] for name, values in cells.items()},
+    )
+    with explained(path), replacing(path) as temporary:
+        meshio.write(temporary, written)
+
+
+def _check_lengths(data: Mapping[str, NDArray[Any]], count: int, of: str) -> None:
+    for name, values in data.items():
+        if values.shape not in ((count,), (count, 3)):
+            raise InputError(
+                f"{name!r} has shape {values.shape}, but the mesh has {count} {of}: "
+                f"expected ({count},) or ({count}, 3)."
+            )
+
+
+def _writable(values: NDArray[Any]) -> NDArray[Any]:
+    """Booleans and small integers in a type that all formats know."""
+    kind = values.dtype.kind
+    if kind == "b" or (kind in "iu" and values.dtype.itemsize < 4):
+        return values.astype(np.int32)
+    return values.astype(np.float64) if kind == "f" else values

@@ -1,0 +1,123 @@
+"""Voxel volumes in a store: phantoms, images, targets and deformed bodies.
+
+The array ``values`` is chunked and compressed. Spacing, origin and, for tissue
+labels, their names are attributes beside it.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from storage.arrays import exists, load_arrays, load_meta, save_arrays
+from storage.atomic import is_temporary, withdraw
+from storage.errors import StoreError
+from storage.stores import Store
+from storage.values import Tissue, Triple, Volume
+
+OWN = ("spacing_mm", "origin_mm", "labels", "shape", "dtype")
+LABELS = {str(int(tissue)): tissue.name.lower() for tissue in Tissue}
+
+
+def save_volume(
+    store: Store, digest: str, volume: Volume, *, meta: Mapping[str, Any] | None = None
+) -> None:
+    """Write a volume, whole or not at all; one that is there is kept.
+
+    Parameters
+    ----------
+    store : Store
+    digest : str
+        Its name.
+    volume : Volume
+    meta : mapping, optional
+        Anything that JSON holds: where it comes from, for example.
+
+    Raises
+    ------
+    StoreError
+        If the volume holds no numbers, `meta` uses a key of the volume's own, or the
+        file system refuses.
+    """
+    clash = sorted(set(meta or {}) & set(OWN))
+    if clash:
+        raise StoreError(f"The meta data of a volume cannot hold {clash}: the volume itself does.")
+    values = volume.values
+    attributes = {
+        **(meta or {}),
+        "spacing_mm": [float(s) for s in volume.spacing_mm],
+        "origin_mm": [float(o) for o in volume.origin_mm],
+        "labels": LABELS if _are_tissues(volume) else None,
+        "shape": list(values.shape),
+        "dtype": values.dtype.name,
+    }
+    save_arrays(store.layout.volume(digest), {"values": values}, attributes)
+
+
+def load_volume(store: Store, digest: str) -> Volume:
+    """Read a volume.
+
+    Raises
+    ------
+    StoreError
+        If it is missing or damaged.
+    NewerSchemaError
+        If a newer version of Palpate wrote it.
+    """
+    arrays, meta = load_arrays(store.layout.volume(digest), ["values"])
+    return Volume(arrays["values"], _triple(meta["spacing_mm"]), _triple(meta["origin_mm"]))
+
+
+def volume_meta(store: Store, digest: str) -> dict[str, Any]:
+    """What is known of a volume, without reading its voxels.
+
+    Returns
+    -------
+    dict
+        What was given as `meta`, and ``spacing_mm`` and ``origin_mm`` (x, y, z),
+        ``labels`` (name by label; None if the values are no tissues), ``shape``
+        (nz, ny, nx) and ``dtype``.
+
+    Raises
+    ------
+    StoreError
+        If it is missing or damaged.
+    NewerSchemaError
+        If a newer version of Palpate wrote it.
+    """
+    return load_meta(store.layout.volume(digest))
+
+
+def has_volume(store: Store, digest: str) -> bool:
+    """Whether the volume is there, complete."""
+    return exists(store.layout.volume(digest))
+
+
+def list_volumes(store: Store) -> list[str]:
+    """Digests of all volumes, sorted."""
+    folder = store.layout.volumes
+    if not folder.is_dir():
+        return []
+    paths = (path for path in folder.glob("*.zarr") if not is_temporary(path))
+    return sorted(path.stem for path in paths if exists(path))
+
+
+def remove_volume(store: Store, digest: str) -> bool:
+    """Remove a volume in one step; False if it is not there.
+
+    Raises
+    ------
+    StoreError
+        If the file system refuses.
+    """
+    return withdraw(store.layout.volume(digest))
+
+
+def _are_tissues(volume: Volume) -> bool:
+    values = volume.values
+    return values.dtype == np.uint8 and values.size > 0 and int(values.max()) <= max(Tissue)
+
+
+def _triple(values: list[float]) -> Triple:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -1,0 +1,264 @@
+"""The compose file: valid by the specification, wired together, and its commands run.
+
+There is no Docker engine where these tests run, so images are not built here. The
+scheduler, a worker and their health checks are started as processes of this machine
+instead, with the very commands of the file.
+"""
+
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import dask.config
+import pytest
+import yaml
+
+from service.cluster import CONFIG
+from workers.resources import THREAD_ENVIRONMENT
+
+ROOT = Path(__file__).parents[2]
+COMPOSE = ROOT / "docker-compose.yml"
+BIN = Path(sys.executable).parent
+
+
+def interpolated(text: str) -> str:
+    """Replace ``${NAME:-default}`` by its default, as compose does."""
+    return re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", text)
+
+
+@pytest.fixture(scope="module")
+def compose() -> dict[str, Any]:
+    loaded: dict[str, Any] = yaml.safe_load(interpolated(COMPOSE.read_text()))
+    return loaded
+
+
+def misspelt(tmp_path: Path) -> Path:
+    """A copy with one wrong key, which a validator worth asking must refuse."""
+    copy = tmp_path / "docker-compose.yml"
+    copy.write_text(COMPOSE.read_text().replace("depends_on:", "depend_on:", 1))
+    return copy
+
+
+# --- the specification ---------------------------------------------------------
+
+
+def test_valid_by_the_schema_of_the_compose_specification(tmp_path: Path) -> None:
+    pytest.importorskip(
+        "check_jsonschema", reason="check-jsonschema, which holds the schema, is not installed"
+    )
+    check = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec"]
+    good = subprocess.run([*check, COMPOSE], capture_output=True, text=True, check=False)
+    assert good.returncode == 0, good.stdout
+    bad = subprocess.run([*check, misspelt(tmp_path)], capture_output=True, text=True, check=False)
+    assert bad.returncode == 1
+    assert "'depend_on' was unexpected" in bad.stdout
+
+
+def test_valid_by_docker_compose_itself(tmp_path: Path) -> None:
+    docker = shutil.which("docker")
+    version = [docker or "docker", "compose", "version"]
+    if docker is None or subprocess.run(version, capture_output=True, check=False).returncode:
+        pytest.skip("the compose plugin of docker is not installed")
+    config = [docker, "compose", "-f"]
+    good = subprocess.run(
+        [*config, COMPOSE, "config", "--format", "json"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"WORKERS": "7"},
+    )
+    assert good.returncode == 0, good.stderr
+    assert json.loads(good.stdout)["services"]["worker"]["deploy"]["replicas"] == 7
+    bad = subprocess.run(
+        [*config, misspelt(tmp_path), "config", "-q"], capture_output=True, check=False
+    )
+    assert bad.returncode == 1
+
+
+# --- how it is wired -------------------------------------------------------------
+
+
+def test_one_scheduler_scaled_workers_one_driver(compose: dict[str, Any]) -> None:
+    services = compose["services"]
+    assert set(services) == {"scheduler", "worker", "driver"}
+    assert services["worker"]["deploy"]["replicas"] >= 1
+    # A fixed name or a published port would make --scale fail at the second worker.
+    assert "container_name" not in services["worker"]
+    assert "ports" not in services["worker"]
+    assert len({service["image"] for service in services.values()}) == 1
+
+
+def test_every_service_waits_for_those_it_needs(compose: dict[str, Any]) -> None:
+    services = compose["services"]
+    waits = {name: set(service.get("depends_on", {})) for name, service in services.items()}
+    assert waits == {"scheduler": set(), "worker": {"scheduler"}, "driver": {"scheduler", "worker"}}
+    for service in services.values():
+        for needed, how in service.get("depends_on", {}).items():
+            assert how == {"condition": "service_healthy"}
+            assert "test" in services[needed]["healthcheck"]
+
+
+def test_all_share_the_store_and_the_safe_path(compose: dict[str, Any]) -> None:
+    assert list(compose["volumes"]) == ["data"]
+    for service in compose["services"].values():
+        assert "data:/data" in service["volumes"]
+        assert service["environment"]["PYTHONSAFEPATH"] == "1"
+
+
+def test_the_driver_runs_a_study_that_is_there(compose: dict[str, Any]) -> None:
+    command = compose["services"]["driver"]["command"]
+    assert command == [
+        *("palpate", "run", "/studies/demo.yaml", "--study", "/data/runs/demo"),
+        *("--scheduler", "tcp://scheduler:8786", "--store", "/data/store"),
+    ]
+    assert (ROOT / "examples" / "demo.yaml").exists()
+
+
+def test_addresses_agree(compose: dict[str, Any]) -> None:
+    services = compose["services"]
+    scheduler = services["scheduler"]["command"]
+    port = scheduler[scheduler.index("--port") + 1]
+    assert services["worker"]["command"][2] == f"tcp://scheduler:{port}"
+    assert f"tcp://scheduler:{port}" in services["driver"]["command"]
+    for name in ("scheduler", "worker"):
+        command = services[name]["command"]
+        page = command[command.index("--dashboard-address") + 1]
+        assert f"localhost{page}/health" in services[name]["healthcheck"]["test"][-1]
+
+
+def test_the_dashboard_is_open_to_this_machine_only(compose: dict[str, Any]) -> None:
+    assert compose["services"]["scheduler"]["ports"] == ["127.0.0.1:8787:8787"]
+
+
+def test_a_worker_takes_one_evaluation_and_no_more_memory_than_it_may(
+    compose: dict[str, Any],
+) -> None:
+    worker = compose["services"]["worker"]
+    command = worker["command"]
+    for option in ("--nthreads", "--nworkers"):
+        assert command[command.index(option) + 1] == "1"
+    limit = command[command.index("--memory-limit") + 1]
+    assert limit == worker["deploy"]["resources"]["limits"]["memory"]
+
+
+def test_dask_is_told_the_same_as_by_a_cluster_of_our_own(compose: dict[str, Any]) -> None:
+    for name in ("scheduler", "worker"):
+        told = dask.config.collect_env(compose["services"][name]["environment"])
+        for key, value in CONFIG.items():
+            if key.startswith(("distributed.scheduler.", "distributed.worker.")):
+                assert dask.config.get(key, config=told) == value, key
+
+
+def test_the_image_keeps_evaluations_to_one_thread() -> None:
+    final = (ROOT / "Dockerfile").read_text().rpartition("\nFROM ")[2]
+    for name, value in THREAD_ENVIRONMENT.items():
+        assert f"{name}={value}" in final
+    assert "PYTHONSAFEPATH=1" in final
+    assert re.search(r"^USER [1-9]\d*$", final, re.MULTILINE), "the image must not run as root"
+
+
+def test_the_image_is_given_all_that_it_copies() -> None:
+    allowed = {
+        line[1:].strip("/")
+        for line in (ROOT / ".dockerignore").read_text().splitlines()
+        if line.startswith("!")
+    }
+    copied: set[str] = set()
+    for line in (ROOT / "Dockerfile").read_text().splitlines():
+        if line.startswith("COPY ") and "--from" not in line:
+            copied |= {source.strip("/") for source in line.split()[1:-1]}
+    assert copied == allowed
+    for name in copied:
+        assert (ROOT / name).exists(), name
+
+
+# --- the commands ----------------------------------------------------------------
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
+    program = [str(BIN / command[0]), *command[1:]]
+    with subprocess.Popen(
+        program,
+        env=os.environ | environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+def healthy(test: list[str]) -> bool:
+    assert test[:2] == ["CMD", "python"]
+    done = subprocess.run([sys.executable, *test[2:]], capture_output=True, check=False)
+    return done.returncode == 0
+
+
+def becomes_healthy(test: list[str], patience_s: float = 60) -> bool:
+    deadline = time.monotonic() + patience_s
+    while time.monotonic() < deadline:
+        if healthy(test):
+            return True
+        time.sleep(0.2)
+    return False
+
+
+def test_the_commands_start_and_their_health_checks_tell_the_truth(tmp_path: Path) -> None:
+    """The file's own commands, with the host and the ports of a container replaced."""
+    ports = {name: str(free_port()) for name in ("8786", "8787", "8788")}
+    text = interpolated(COMPOSE.read_text()).replace("tcp://scheduler:", "tcp://127.0.0.1:")
+    text = text.replace("/tmp/dask", str(tmp_path / "dask"))
+    for written, free in ports.items():
+        text = re.sub(rf"\b{written}\b", free, text)
+    services = yaml.safe_load(text)["services"]
+    scheduler, worker = services["scheduler"], services["worker"]
+
+    assert not healthy(scheduler["healthcheck"]["test"])
+    with ExitStack() as stack:
+        stack.enter_context(running(scheduler["command"], scheduler["environment"]))
+        assert becomes_healthy(scheduler["healthcheck"]["test"])
+        assert not healthy(worker["healthcheck"]["test"])
+        stack.enter_context(running(worker["command"], worker["environment"]))
+        assert becomes_healthy(worker["healthcheck"]["test"])
+        assert work_done(f"tcp://127.0.0.1:{ports['8786']}") == 5
+    assert not healthy(scheduler["healthcheck"]["test"])
+    assert not healthy(worker["healthcheck"]["test"])
+
+
+def work_done(address: str) -> int:
+    """What a client gets from the worker; in a process of its own, which leaves no threads."""
+    client = (
+        "import sys; from distributed import Client\n"
+        "with Client(sys.argv[1], timeout=20) as client:\n"
+        "    client.wait_for_workers(1, timeout=30)\n"
+        "    print(client.submit(len, 'Lagos').result(timeout=30))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", client, address],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=90,
+    )
+    return int(done.stdout)

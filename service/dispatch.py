@@ -259,8 +259,12 @@ class Dispatcher:
             return Ending(ask.key, "returned", value, attempts=ask.attempts)
         if future.status != "error":
             # The result was on a worker that is gone: ask again, the store has it.
-            return None if ask.attempts < self.asks else Ending(
-                ask.key, "lost", error=error, reason=_sentence(error), attempts=ask.attempts
+            return (
+                None
+                if ask.attempts < self.asks
+                else Ending(
+                    ask.key, "lost", error=error, reason=_sentence(error), attempts=ask.attempts
+                )
             )
         _raise_if_store(error)
         trace = future.traceback(timeout=60.0)  # of the worker, without our own frames

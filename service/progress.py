@@ -75,9 +75,7 @@ class Progress(Observer):
             if self._computed == 0:
                 self._since = time.monotonic() - sum(record.seconds.values())
             self._computed += 1
-        if record.status is Status.DONE and (
-            self.best is None or _gsf(record) < _gsf(self.best)
-        ):
+        if record.status is Status.DONE and (self.best is None or _gsf(record) < _gsf(self.best)):
             self.best = record
 
     def generation_ended(self, number: int, generation: Generation) -> None:

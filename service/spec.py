@@ -63,9 +63,7 @@ class SearchSpec(Door):
     @property
     def settings(self) -> GeneticSettings:
         """The same for `GeneticSearch`."""
-        stall = self.stall and Stall(
-            self.stall.generations, self.stall.tolerance, self.stall.rule
-        )
+        stall = self.stall and Stall(self.stall.generations, self.stall.tolerance, self.stall.rule)
         return GeneticSettings(
             population=self.population,
             generations=self.generations,
@@ -166,7 +164,9 @@ def read_spec(path: Path) -> StudySpec:
         If there is no such file, it is no YAML, or a key or value makes no sense.
     """
     if path.is_dir():
-        raise InputError(f"{path} is a folder; expected a study file such as {path / 'study.yaml'}.")
+        raise InputError(
+            f"{path} is a folder; expected a study file such as {path / 'study.yaml'}."
+        )
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -187,7 +187,7 @@ def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
         If it is no YAML, or a key or value makes no sense.
     """
     try:
-        data = yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
+        data = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         raise InputError(f"{where} is not valid YAML: {error}") from error
     if not isinstance(data, dict):

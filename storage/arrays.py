@@ -15,9 +15,8 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
-from zarr.errors import BaseZarrError
 
-from storage.atomic import explained, publishing
+from storage.atomic import explained, publishing, withdraw
 from storage.errors import StoreError
 from storage.plain import from_plain, to_plain
 from storage.stores import check_schema
@@ -60,6 +59,7 @@ def save_arrays(
         _check_array(name, array)
     if exists(path):
         return
+    withdraw(path)  # a folder that has lost its description would keep its name for ever
     attributes = {
         "schema_version": SCHEMA_VERSION,
         "meta": to_plain(meta or {}),
@@ -112,7 +112,7 @@ def load_arrays(path: Path, names: Iterable[str] | None = None) -> tuple[Arrays,
         try:
             stored = zarr.open_array(path, path=name, mode="r")
             array = np.asarray(stored[...])
-        except (OSError, ValueError, RuntimeError, KeyError, BaseZarrError) as error:
+        except (OSError, ValueError, RuntimeError, KeyError) as error:
             raise _damaged(path, f"array {name!r} cannot be read: {error}") from error
         array = array.astype(array.dtype.newbyteorder("="), order="C", copy=False)
         if _crc32(array) != checksums[name]:
@@ -146,10 +146,9 @@ def _attributes(path: Path) -> dict[str, Any]:
         )
     try:
         attributes = zarr.open_group(path, mode="r", zarr_format=3).attrs.asdict()
-        version = attributes["schema_version"]
-    except (OSError, ValueError, KeyError, TypeError, BaseZarrError) as error:
+        check_schema(attributes["schema_version"], SCHEMA_VERSION, path)
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise _damaged(path, f"its description cannot be read: {error!r}") from error
-    check_schema(version, SCHEMA_VERSION, path)
     if not all(isinstance(attributes.get(key), dict) for key in ("meta", "crc32")):
         raise _damaged(path, "its description is incomplete")
     return attributes

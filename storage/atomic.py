@@ -48,7 +48,9 @@ def explained(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise StoreError(f"Cannot write {path}: {error.strerror or error}. {hint(error)}") from error
+        raise StoreError(
+            f"Cannot write {path}: {error.strerror or error}. {hint(error)}"
+        ) from error
 
 
 def temporary_sibling(path: Path) -> Path:

@@ -47,7 +47,8 @@ def load_evaluation(store: Store, digest: str) -> dict[str, Any] | None:
     path = store.layout.evaluation(digest)
     try:
         written = loads(path.read_bytes())
-        version, record = written["schema_version"], written["record"]
+        check_schema(written["schema_version"], SCHEMA_VERSION, path)
+        return from_plain(dict(written["record"]))
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -55,15 +56,7 @@ def load_evaluation(store: Store, digest: str) -> dict[str, Any] | None:
             f"{path} cannot be read: {error.strerror or error}. Check its permissions."
         ) from error
     except (ValueError, KeyError, TypeError) as error:
-        raise _damaged(path, error) from error
-    check_schema(version, SCHEMA_VERSION, path)
-    if not isinstance(record, dict):
-        raise _damaged(path, "its record is not an object")
-    return from_plain(record)
-
-
-def _damaged(path: object, why: object) -> StoreError:
-    return StoreError(
-        f"{path} is damaged ({why}). Remove that file and run the study again: this evaluation is "
-        "computed again."
-    )
+        raise StoreError(
+            f"{path} is damaged ({error!r}). Remove that file and run the study again: this "
+            "evaluation is computed again."
+        ) from error

@@ -85,9 +85,7 @@ def to_number(value: Any) -> Any:
 
 def from_plain(record: dict[str, Any]) -> dict[str, Any]:
     """Undo `to_plain` for a record: texts at its top stay texts, deeper ones may be numbers."""
-    return {
-        key: item if isinstance(item, str) else to_number(item) for key, item in record.items()
-    }
+    return {key: item if isinstance(item, str) else to_number(item) for key, item in record.items()}
 
 
 def dumps(value: Any) -> str:

@@ -102,6 +102,7 @@ def _make(layout: StoreLayout) -> None:
 def _check(layout: StoreLayout) -> None:
     try:
         version = loads(layout.marker.read_bytes())["schema_version"]
+        check_schema(version, SCHEMA_VERSION, layout.root)
     except FileNotFoundError as error:
         found = "has no palpate-store.json" if layout.root.is_dir() else "is missing"
         raise StoreError(
@@ -118,7 +119,6 @@ def _check(layout: StoreLayout) -> None:
             f"{layout.marker} is damaged ({error}). Remove that file and run the study again: "
             "what the store holds is found again."
         ) from error
-    check_schema(version, SCHEMA_VERSION, layout.root)
 
 
 def check_schema(version: Any, known: int, where: object) -> None:
@@ -128,14 +128,11 @@ def check_schema(version: Any, known: int, where: object) -> None:
     ------
     NewerSchemaError
         If `version` is above `known`.
-    StoreError
+    ValueError
         If `version` is no version number.
     """
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
-        raise StoreError(
-            f"{where}: schema_version is {version!r}, expected a whole number from 1 to {known}. "
-            "The file is damaged; remove it to have it made again."
-        )
+        raise ValueError(f"schema_version is {version!r}, expected a whole number from 1")
     if version > known:
         raise NewerSchemaError(
             f"{where} was written by a newer version of Palpate (schema {version}; this version "

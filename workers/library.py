@@ -6,14 +6,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from storage.arrays import load_meta
 from storage.digest import array_digest, digest, file_digest, source_digest
+from storage.errors import InputError
 from storage.meshes import has_mesh, load_mesh, save_mesh
 from storage.stores import Store
 from storage.values import Tissue, Volume
-from storage.volumes import has_volume, load_volume, save_volume, volume_meta
+from storage.volumes import has_volume, list_volumes, load_volume, save_volume, volume_meta
 from workers import pipeline
 from workers.fem.model import Model, prepare
-from workers.images.labels import label_counts
+from workers.images.labels import default_map, label_counts
 from workers.mesh.hierarchy import Hierarchy, from_arrays, to_arrays
 from workers.organs.breast import Extent, extent_of
 from workers.pipeline import Watch
@@ -89,8 +91,7 @@ class Library:
                 hierarchy = pipeline.mesh(labels, spec, model)
             facts = _facts(labels, hierarchy) | {"seconds": watch.seconds}
             save_mesh(self.store, name, to_arrays(hierarchy), {"volume": volume, "facts": facts})
-        _, meta = load_mesh(self.store, name)
-        return name, meta["facts"]
+        return name, load_meta(self.store.layout.mesh(name))["facts"]
 
     def volume(self, name: str) -> Volume:
         """A stored volume."""
@@ -117,7 +118,7 @@ class Library:
 
     def imaged(self, name: str) -> bool:
         """Whether a stored volume comes from an image rather than from a simulation."""
-        return volume_meta(self.store, name).get("kind") != "simulated"
+        return volume_meta(self.store, name).get("kind") not in ("simulated", "evaluation")
 
     def _key(self, kind: str, name: str) -> tuple[str, str, str]:
         return kind, str(self.store.root), name
@@ -131,11 +132,31 @@ class Library:
         return name
 
     def _stored(self, given: str, spec: ImageSpec) -> str:
-        name = find_volume(self.store, given)
+        name = self._find(given)
+        if spec.spacing_mm is not None or spec.axes is not None:
+            raise InputError(
+                f"{given} is a volume of the store, which has its spacing and axes: take "
+                "spacing_mm and axes out, or give the file."
+            )
         if spec.labels is None:
+            default_map(self.volume(name))
             return name
-        volume = pipeline.as_tissues(self.volume(name), spec)
-        return self.add(volume, {"kind": "image", "from": name})
+        return self.add(pipeline.as_tissues(self.volume(name), spec), {"kind": "image"})
+
+    def _find(self, given: str) -> str:
+        """The digest of the stored volume that has this digest or name."""
+        stored = list_volumes(self.store)
+        if given in stored:
+            return given
+        named = [v for v in stored if volume_meta(self.store, v).get("name") == given]
+        if len(named) == 1:
+            return named[0]
+        if named:
+            raise InputError(f"{given} names several volumes: give one of {', '.join(named)}.")
+        raise InputError(
+            f"{given} is neither a file or folder (looked up from {Path.cwd()}) nor a volume of "
+            f"the store {self.store.root}. Check the path, or import the image first."
+        )
 
 
 def _facts(labels: Volume, hierarchy: Hierarchy) -> dict[str, Any]:

@@ -13,7 +13,6 @@ Constants in these records have inside names and units, ``{"E_fat": 0.01}``.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -116,15 +115,15 @@ def simulate_once(case: Record, constants: Mapping[str, float], store: str) -> R
     values = spec.complete(constants)
     name = digest("simulation", *_asked(spec, prepared, values))
     done = load_evaluation(library.store, name)
-    if done is None:
+    if done is None or not _has(library.store, done["volume"]):
         watch = Watch()
         solution = _solve(library, spec, prepared, values, None, watch)
         volume = None
         if solution.outcome.converged:
             deformed = _deform(library, prepared, solution.displacement_mm, None, watch)
             volume = library.add(deformed, {"kind": "simulated", "constants": values})
-        done = _ending(name, values, solution, watch) | {"volume": volume}
-        _save(library.store, done, solution)
+        ending = _ending(name, values, solution, watch) | {"volume": volume}
+        done = _save(library.store, ending, solution)
     return done
 
 
@@ -172,12 +171,11 @@ def evaluate(request: Record) -> Record:
             against = library.scorer(target, how)
         deformed = _deform(library, prepared, solution.displacement_mm, target, watch)
         with watch.stage("score"):
-            score = asdict(against.score(deformed))
+            score = against.score(deformed).as_dict()
         if request.get("keep_volume"):
             _save_volume(library.store, name, deformed, values)
-    done = _ending(name, values, solution, watch) | {"score": score}
-    _save(library.store, done, solution)
-    return done | {"reused": False}
+    ending = _ending(name, values, solution, watch) | {"score": score}
+    return _save(library.store, ending, solution) | {"reused": False}
 
 
 def evaluation_digest(
@@ -238,7 +236,7 @@ def score_volumes(
     scores = {}
     for label in labels:
         how = validated(ScoreSpec, {"labels": [label], "surface": surface}, "The score")
-        scores[how.labels[0]] = asdict(library.scorer(target, how).score(body))
+        scores[how.labels[0]] = library.scorer(target, how).score(body).as_dict()
     return scores
 
 
@@ -249,7 +247,7 @@ def undeformed_score(
     library = Library(open_store(store))
     how = validated(ScoreSpec, score or {}, "The score")
     body = pipeline.on_lattice(library.volume(prepared["volume"]), library.volume(target))
-    return asdict(library.scorer(target, how).score(body))
+    return library.scorer(target, how).score(body).as_dict()
 
 
 def _asked(spec: CaseSpec, prepared: Record, values: Mapping[str, float]) -> list[Any]:
@@ -317,11 +315,21 @@ def _ending(name: str, values: Mapping[str, float], solution: Solution, watch: W
     }
 
 
-def _save(store: Store, record: Record, solution: Solution) -> None:
-    """The field first, the record last: a record vouches for the rest."""
+def _save(store: Store, record: Record, solution: Solution) -> Record:
+    """Store the field first, the record last: it vouches for the rest.
+
+    What comes back is what a later reader will find.
+    """
+    name = record["digest"]
     if np.isfinite(solution.displacement_mm).all():
-        save_field(store, record["digest"], solution.displacement_mm)
-    save_evaluation(store, record["digest"], record)
+        save_field(store, name, solution.displacement_mm)
+    save_evaluation(store, name, record)
+    return load_evaluation(store, name) or record
+
+
+def _has(store: Store, volume: str | None) -> bool:
+    """Whether a volume is there, where one is expected: somebody may have removed it."""
+    return volume is None or has_volume(store, volume)
 
 
 def _save_volume(store: Store, name: str, volume: Volume, values: Mapping[str, float]) -> None:

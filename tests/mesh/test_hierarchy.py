@@ -47,7 +47,7 @@ def assert_sound(level, wall_z_mm=0.0):
 
 
 def test_every_level_is_sound(meshes):
-    assert [len(level.mesh.nodes) for level in meshes.levels][0] <= 300
+    assert len(meshes.levels[0].mesh.nodes) <= 300
     assert len(meshes.levels) == 3
     for level in meshes.levels:
         assert_sound(level)
@@ -126,13 +126,13 @@ def test_place_in_space(breast):
     ],
 )
 def test_other_bodies(make_body, name, inside):
-    labels = body = make_body(inside, (65.0, 65.0), 66.0)
+    labels = make_body(inside, (65.0, 65.0), 66.0)
     meshes = build_hierarchy(labels, nodes=2500)
-    voxels_mm3 = np.count_nonzero(body.values) * body.voxel_mm3
+    voxels_mm3 = np.count_nonzero(labels.values) * labels.voxel_mm3
     for level in meshes.levels:
         assert_sound(level)
         assert measures(level.mesh)["aspect"].max() < 8
-    assert volumes_mm3(meshes.finest.mesh).sum() == pytest.approx(voxels_mm3, rel=1e-3)
+    assert volumes_mm3(meshes.finest.mesh).sum() == pytest.approx(voxels_mm3, rel=2e-3)
 
 
 def test_a_rough_body_has_no_hinges(make_body):
@@ -141,7 +141,7 @@ def test_a_rough_body_has_no_hinges(make_body):
 
     def inside(x, y, z):
         ripple = sum(np.sin(a * x + b * y + c * z) for a, b, c in wave)
-        return x**2 + y**2 + z**2 < (48 + 5 * ripple) ** 2
+        return x**2 + y**2 + z**2 < (46 + 8 * ripple) ** 2
 
     level = build_hierarchy(make_body(inside, (65.0, 65.0), 64.0), nodes=2500).finest
     surface = boundary_triangles(level.mesh.tets)

@@ -8,7 +8,7 @@ import pytest
 from storage.values import TetMesh
 from workers.mesh.quality import measures, summarise, volumes_mm3
 
-REGULAR = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], float)
+REGULAR = np.array([(1, 1, 1), (-1, 1, -1), (1, -1, -1), (-1, -1, 1)], float)
 CORNER = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float)
 LATTICE = np.array([(0, 0, 0), (0.5, -0.5, -0.5), (0.5, 0.5, -0.5), (1, 0, 0)])
 

@@ -52,7 +52,7 @@ def test_fractions_of_two_layers(breast):
     values = breast.values.copy()
     height = 20.0
     z = breast.origin_mm[2] + np.arange(len(values)) * breast.spacing_mm[2]
-    values[z > height] *= GLAND
+    values[z > height] *= np.uint8(GLAND)
     below = np.pi * 85 * 50 * (height - height**3 / (3 * 50**2))
     above = 2 / 3 * np.pi * 85 * 50 * 50 - below
     meshes = build_hierarchy(Volume(values, breast.spacing_mm, breast.origin_mm), nodes=5000)

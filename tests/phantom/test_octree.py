@@ -34,7 +34,7 @@ def fine():
     [
         ("445ml", {}, 1),
         ("250ml", {}, 2),
-        ("445ml", {"compartments": 1200}, 3),
+        ("445ml", {"compartments": 800}, 3),
         ("445ml", {"compartments": 25, "ligament_mm": 3.0, "skin_mm": 4.0}, 4),
         ("250ml", {"ligament_mm": 0.0, "skin_mm": 0.0, "spacing_mm": 1.7}, 5),
     ],
@@ -89,7 +89,7 @@ def test_ligament_is_where_a_wall_is_met_within_half_its_thickness(fine):
     """Walk from a voxel centre against the gradient of f_best - f_j in small steps."""
     settings, compartments, ids = fine
     zyx = np.argwhere(ids >= LIGAMENT_ID)
-    zyx = zyx[np.random.default_rng(1).choice(len(zyx), 400, replace=False)]
+    zyx = zyx[np.random.default_rng(1).choice(len(zyx), 200, replace=False)]
     S, seeds = compartments.precision[:, UNPACK], compartments.seeds_mm
 
     def discriminants(points):
@@ -111,7 +111,7 @@ def test_ligament_is_where_a_wall_is_met_within_half_its_thickness(fine):
         difference = along[..., i] - along[:, np.arange(len(near)), near]
         wrong += bool((difference <= 0).any()) != (here == LIGAMENT_ID)
     # Only walls that cross within a step of the end of the walk may differ.
-    assert wrong <= 4
+    assert wrong <= 2
     share = np.mean(ids[tuple(zyx.T)] == LIGAMENT_ID)
     assert 0.05 < share < 0.25
 
@@ -131,17 +131,17 @@ def test_same_points_get_the_same_ids_at_another_spacing():
     assert np.count_nonzero(a != b[1::3, 1::3, 1::3]) <= 2
 
 
-@pytest.mark.parametrize("skin", [1.0, 1.5, 3.0])
+@pytest.mark.parametrize("skin", [1.5, 2.5])
 def test_skin_is_as_thick_as_asked_for(skin):
     """Distance to a dense sample of the outline, independent of the kernel's formula."""
     settings = BreastPhantom(
         lower_mm=30, upper_mm=60, half_width_mm=35, depth_mm=30, skin_mm=skin, compartments=50
     )
     ids, _ = partition(settings, compartments_of(settings))
-    t = np.linspace(0, np.pi / 2, 500)
-    p = np.linspace(0, 2 * np.pi, 1500)
+    t = np.linspace(0, np.pi / 2, 350)
+    p = np.linspace(0, 2 * np.pi, 1000)
     # Past the chest wall too: the skin is cut there, not closed.
-    polar, around = (v.ravel() for v in np.meshgrid(np.append(t, t[1:60] + np.pi / 2), p))
+    polar, around = (v.ravel() for v in np.meshgrid(np.append(t, t[1:40] + np.pi / 2), p))
     x = np.sin(polar) * np.cos(around)
     outline = np.column_stack(
         [
@@ -151,7 +151,7 @@ def test_skin_is_as_thick_as_asked_for(skin):
         ]
     )
     zyx = np.argwhere(ids > 0)
-    depth, _ = cKDTree(outline).query(points_of(settings, zyx), distance_upper_bound=skin + 1)
+    depth, _ = cKDTree(outline).query(points_of(settings, zyx), distance_upper_bound=skin + 0.2)
     is_skin = ids[tuple(zyx.T)] == SKIN_ID
     assert is_skin.sum() > 5000
     assert depth[is_skin].max() < skin + 0.05

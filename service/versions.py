@@ -1,0 +1,46 @@
+"""Which code makes the numbers: packages, interpreter, and our own source."""
+
+import platform
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+
+import service.search
+import workers
+from storage.digest import source_digest
+
+PACKAGES = ("numpy", "scipy", "numba", "scikit-image", "zarr", "dask", "distributed")
+
+
+@cache
+def code_digest() -> str:
+    """Name of all source that a result depends on: the workers' and the search's."""
+    return source_digest([_folder(workers.__file__), _folder(service.search.__file__)])
+
+
+def palpate_version() -> str:
+    """Of the installed distribution."""
+    try:
+        return metadata.version("palpate")
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+@cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    named = {
+        "palpate": palpate_version(),
+        "code": code_digest(),
+        "python": platform.python_version(),
+    }
+    return tuple((named | {name: metadata.version(name) for name in PACKAGES}).items())
+
+
+def versions() -> dict[str, str]:
+    """Palpate, its code, Python and the packages that results depend on."""
+    return dict(_versions())
+
+
+def _folder(file: str | None) -> Path:
+    assert file is not None  # packages on disk
+    return Path(file).parent

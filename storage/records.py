@@ -1,0 +1,202 @@
+"""What a journal says.
+
+::
+
+    study         first line: what was asked, and with which versions
+    evaluation    one line for each ending of a candidate, in order of arrival
+
+A record that makes no sense cannot be made, so none can be read either.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Self
+
+from storage.errors import JournalError
+from storage.plain import to_number, to_plain
+from storage.status import Status
+from storage.stores import check_schema
+
+SCHEMA_VERSION = 1
+
+Json = dict[str, Any]
+
+
+class _Record:
+    """To and from JSON, by the fields of the dataclass."""
+
+    kind: ClassVar[str]
+
+    def to_json(self) -> Json:
+        """A line of the journal, as plain values."""
+        named: Any = self
+        plain = {f.name: to_plain(getattr(self, f.name)) for f in fields(named)}
+        return {"kind": self.kind, "schema_version": SCHEMA_VERSION, **plain}
+
+    @classmethod
+    def from_json(cls, record: Mapping[str, Any]) -> Self:
+        """Undo `to_json`.
+
+        Raises
+        ------
+        JournalError
+            If the record is of another kind, lacks something or makes no sense.
+        NewerSchemaError
+            If a newer version of Palpate wrote it.
+        """
+        values = {k: v for k, v in record.items() if k not in ("kind", "schema_version")}
+        dataclass_type: Any = cls
+        expected = {f.name for f in fields(dataclass_type)}
+        if record.get("kind") != cls.kind or set(values) != expected:
+            wrong = sorted(expected ^ set(values))
+            raise JournalError(
+                f"Expected a record of kind {cls.kind!r}, found {record.get('kind')!r}; fields "
+                f"missing or unknown: {', '.join(wrong) or 'none'}. The journal is damaged: "
+                "start a new study; evaluations in the store are used again."
+            )
+        try:
+            check_schema(record.get("schema_version"), SCHEMA_VERSION, f"A {cls.kind} record")
+            return cls(**values)
+        except (TypeError, ValueError, AttributeError) as error:
+            raise JournalError(
+                f"A {cls.kind} record cannot be read: {error}. The journal is damaged: start a "
+                "new study; evaluations in the store are used again."
+            ) from error
+
+
+@dataclass(frozen=True)
+class StudyRecord(_Record):
+    """What a study is.
+
+    Parameters
+    ----------
+    spec_digest : str
+        Name of `spec`.
+    spec : mapping
+        The study file with all defaults filled in.
+    versions : mapping of str to str
+        Of Palpate, its code and the packages that results depend on.
+    """
+
+    kind: ClassVar[str] = "study"
+
+    spec_digest: str
+    spec: Mapping[str, Any]
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.spec_digest:
+            _refuse("a study has no digest")
+        if not isinstance(self.spec, Mapping) or not isinstance(self.versions, Mapping):
+            _refuse("spec and versions of a study must be mappings")
+
+
+@dataclass(frozen=True)
+class EvaluationRecord(_Record):
+    """How the evaluation of one candidate ended.
+
+    Parameters
+    ----------
+    candidate : int
+        Its number in the study, from 0.
+    generation : int
+        From 0.
+    genes : mapping of str to float
+        Parameters by name, finite.
+    digest : str
+        Name of the evaluation in the store.
+    status : Status
+        done, diverged, crashed or lost.
+    score : mapping of str to float, optional
+        With ``gsf``, which may be infinite; exactly when done.
+    outcome : mapping, optional
+        What the solver says; see `workers.fem.outcome`.
+    reason : str
+        Why there is no score; empty exactly when done.
+    traceback : str
+        Of a crash; empty otherwise.
+    seconds : mapping of str to float
+        Spent in each stage.
+    worker : str
+        Where it ran; empty when not known.
+    attempts : int
+        How often it was sent out, from 1.
+    reused : bool
+        Whether the store had it already.
+
+    Raises
+    ------
+    JournalError
+        If the parts contradict each other.
+    """
+
+    kind: ClassVar[str] = "evaluation"
+    # Kept as plain values, in which "-inf" is a number.
+    numeric: ClassVar[tuple[str, ...]] = ("genes", "score", "outcome", "seconds")
+
+    candidate: int
+    generation: int
+    genes: Mapping[str, float]
+    digest: str
+    status: Status
+    score: Mapping[str, Any] | None = None
+    outcome: Mapping[str, Any] | None = None
+    reason: str = ""
+    traceback: str = ""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    worker: str = ""
+    attempts: int = 1
+    reused: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "status", Status(self.status))
+        for part in self.numeric:
+            object.__setattr__(self, part, to_number(to_plain(getattr(self, part))))
+        name = f"candidate {self.candidate} is {self.status}"
+        if not (_is_count(self.candidate, 0) and _is_count(self.generation, 0)):
+            _refuse(f"{name}, but its number or generation ({self.generation}) is no count")
+        if not _is_count(self.attempts, 1):
+            _refuse(f"{name} after {self.attempts!r} attempts")
+        if not all(math.isfinite(gene) for gene in self.genes.values()):
+            _refuse(f"{name} with genes that are not finite: {dict(self.genes)}")
+        if not (self.status.is_ending or self.status is Status.LOST):
+            _refuse(f"{name}, which is no ending")
+        self._check_ending(name)
+
+    def _check_ending(self, name: str) -> None:
+        done = self.status is Status.DONE
+        if done != (self.score is not None):
+            _refuse(f"{name} {'without' if done else 'with'} a score")
+        if self.score is not None and math.isnan(self.score.get("gsf", math.nan)):
+            _refuse(f"{name} with gsf {self.score.get('gsf')!r}, expected a number")
+        if done == bool(self.reason):
+            _refuse(f"{name}, with the reason {self.reason!r}")
+        if (self.status is Status.CRASHED) != bool(self.traceback):
+            _refuse(f"{name} {'with' if self.traceback else 'without'} a traceback")
+
+
+Record = StudyRecord | EvaluationRecord
+
+
+def record_of(line: Mapping[str, Any]) -> Record:
+    """The record that a line of a journal holds.
+
+    Raises
+    ------
+    JournalError
+        If it is of no known kind, or makes no sense.
+    NewerSchemaError
+        If a newer version of Palpate wrote it.
+    """
+    if line.get("kind") == StudyRecord.kind:
+        return StudyRecord.from_json(line)
+    return EvaluationRecord.from_json(line)
+
+
+def _is_count(value: Any, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+
+
+def _refuse(what: str) -> None:
+    raise JournalError(f"This record makes no sense: {what}.")

@@ -1,0 +1,180 @@
+"""A store is made where it can be, refused where it cannot, and says why."""
+
+import json
+import os
+import stat
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from stores_at_hand import labels, run_python
+
+from storage.errors import NewerSchemaError, StoreError
+from storage.layout import StoreLayout, StudyLayout
+from storage.stores import open_store
+from storage.volumes import list_volumes, load_volume, save_volume
+
+DAY_S = 86_400
+
+
+@pytest.fixture
+def as_nobody(tmp_path: Path) -> Iterator[Path]:
+    """A folder that this process may enter but not write."""
+    root = os.geteuid() == 0
+    for folder in (tmp_path, *tmp_path.parents[:2]):
+        folder.chmod(0o755)
+    locked = tmp_path / "locked"
+    locked.mkdir()
+    locked.chmod(0o555)
+    if root:
+        os.seteuid(65534)
+    yield locked
+    if root:
+        os.seteuid(0)
+    locked.chmod(0o755)
+
+
+def test_a_store_is_made_once_and_found_again(tmp_path):
+    made = open_store(tmp_path / "deep" / "store")
+    assert made.root == tmp_path / "deep" / "store"
+    assert json.loads(made.layout.marker.read_text())["schema_version"] == 1
+    assert open_store(str(made), create=False) == made
+
+
+def test_a_relative_location_means_the_same_everywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert open_store("store").root == tmp_path / "store"
+    assert open_store("~/store").root == tmp_path / "home" / "store"
+
+
+@pytest.mark.parametrize("location", ["s3://bucket/store", "gs://b", "file:///tmp/x", "az+x://y"])
+@pytest.mark.parametrize("kind", [str, Path])
+def test_a_url_is_refused_and_no_folder_is_made(location, kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(StoreError, match=r"local folders only.*Give a folder"):
+        open_store(kind(location))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_store_is_not_made_on_looking(tmp_path):
+    with pytest.raises(StoreError, match="it is missing"):
+        open_store(tmp_path / "store", create=False)
+    assert not (tmp_path / "store").exists()
+    with pytest.raises(StoreError, match=r"no palpate-store\.json"):
+        open_store(tmp_path, create=False)
+
+
+def test_a_file_is_no_store(tmp_path):
+    file = tmp_path / "file"
+    file.write_text("x")
+    with pytest.raises(StoreError, match="is a file"):
+        open_store(file)
+    with pytest.raises(StoreError, match="Cannot write"):
+        open_store(file / "store")
+
+
+def test_a_place_that_cannot_be_written_is_refused(as_nobody):
+    with pytest.raises(StoreError, match=r"Permission denied.*choose another place"):
+        open_store(as_nobody / "store")
+    with pytest.raises(StoreError, match=r"Permission denied|cannot be written"):
+        open_store(as_nobody)
+
+
+def test_a_store_that_cannot_be_written_can_be_read(as_nobody, tmp_path):
+    os.seteuid(os.getuid())
+    store = open_store(tmp_path / "store")
+    save_volume(store, "v", labels())
+    folders = (store.root, *store.layout.folders)
+    for folder in folders:
+        folder.chmod(0o555)
+    if os.getuid() == 0:
+        os.seteuid(65534)
+
+    assert load_volume(open_store(store.root, create=False), "v").values.shape == (5, 6, 7)
+    with pytest.raises(StoreError, match="cannot be written by you"):
+        open_store(store.root)
+    with pytest.raises(StoreError, match="Permission denied"):
+        save_volume(store, "w", labels())
+    os.seteuid(os.getuid())
+    for folder in folders:
+        folder.chmod(0o755)
+
+
+def test_a_store_of_a_newer_version_asks_for_an_upgrade_and_is_left_alone(tmp_path):
+    text = '{"schema_version": 2, "sharded": true}'
+    (tmp_path / "palpate-store.json").write_text(text)
+    for create in (True, False):
+        with pytest.raises(NewerSchemaError, match=r"schema 2.*Upgrade"):
+            open_store(tmp_path, create=create)
+    assert [p.name for p in tmp_path.iterdir()] == ["palpate-store.json"]
+    assert (tmp_path / "palpate-store.json").read_text() == text
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"schema_version":"one"}', "\xff", "3"])
+def test_a_damaged_marker_is_an_error_with_a_way_out(tmp_path, text):
+    (tmp_path / "palpate-store.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(StoreError, match=r"damaged.*Remove that file"):
+        open_store(tmp_path)
+    (tmp_path / "palpate-store.json").unlink()
+    open_store(tmp_path)
+
+
+def test_leftovers_of_killed_writers_are_not_seen_and_go_after_a_day(tmp_path):
+    store = open_store(tmp_path)
+    save_volume(store, "kept", labels())
+    old, young = (store.layout.volumes / f".tmp-{n}-abc-x.zarr" for n in (1, 2))
+    for folder in (old, young):
+        (folder / "values").mkdir(parents=True)
+        (folder / "zarr.json").write_text("{}")
+    old_file = store.layout.evaluations / ".tmp-3-abc-x.json"
+    old_file.write_text("{")
+    past = time.time() - DAY_S - 60
+    for path in (old, old_file, store.layout.volume("kept")):
+        os.utime(path, (past, past))
+
+    assert list_volumes(store) == ["kept"]
+    assert list_volumes(open_store(tmp_path)) == ["kept"]
+    assert not old.exists()
+    assert not old_file.exists()
+    assert young.exists()
+
+
+def test_many_processes_open_a_new_store_at_once(tmp_path):
+    code = """
+import sys
+from multiprocessing import get_context
+from storage.stores import open_store
+if __name__ == "__main__":
+    with get_context("fork").Pool(8) as pool:
+        roots = pool.map(open_store, [sys.argv[1]] * 64)
+    print(len(set(roots)))
+"""
+    ran = run_python(code, tmp_path / "store")
+    assert ran.stdout == "1\n", ran.stderr
+    names = {p.name for p in (tmp_path / "store").iterdir()}
+    assert names == {"palpate-store.json", "volumes", "meshes", "fields", "evaluations"}
+
+
+def test_files_have_the_permissions_that_the_umask_gives(tmp_path):
+    before = os.umask(0o027)
+    try:
+        store = open_store(tmp_path / "store")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(store.layout.marker.stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a/b", ".hidden", ".tmp-x", "a\n", "a" * 200])
+def test_a_name_cannot_lead_out_of_its_folder(tmp_path, name):
+    layout = StoreLayout(tmp_path)
+    for place in (layout.volume, layout.mesh, layout.field, layout.evaluation):
+        with pytest.raises(StoreError, match="cannot be a name"):
+            place(name)
+
+
+def test_the_paths_of_a_study(tmp_path):
+    layout = StudyLayout(tmp_path)
+    names = [p.name for p in (layout.study, layout.journal, layout.report)]
+    assert names == ["study.yaml", "journal.jsonl", "report.html"]

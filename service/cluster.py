@@ -34,6 +34,8 @@ CONFIG: dict[str, Any] = {
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": 0.95,
     "distributed.worker.use-file-locking": False,
+    # After this long Dask would strike a worker that is just then being restarted off its list.
+    "distributed.deploy.lost-worker-timeout": "10000 days",
     "distributed.admin.large-graph-warning-threshold": "1MB",
 }
 

@@ -33,7 +33,8 @@ from storage.errors import PalpateError, StoreError
 Record = dict[str, Any]
 Task = Callable[..., Record]
 
-TICK_S = 0.5
+TICK_S = 0.25
+COUNT_EVERY_S = 1.0
 FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 
 
@@ -109,11 +110,15 @@ class Dispatcher:
         self.no_ending_s = no_ending_s
         self.stop = stop
         self._threads = 0
+        self._counted = -COUNT_EVERY_S
 
     @property
     def threads(self) -> int:
-        """Evaluations that run at once, as last counted."""
-        self._threads = sum(self._ask_scheduler().values())
+        """Evaluations that can run at once, counted anew every `COUNT_EVERY_S`."""
+        now = time.monotonic()
+        if now - self._counted >= COUNT_EVERY_S:
+            self._threads = sum(self._ask_scheduler().values())
+            self._counted = now
         return self._threads
 
     def call(self, task: Task, *arguments: Any) -> Record:
@@ -128,17 +133,17 @@ class Dispatcher:
         Interrupted
             If the study is asked to stop.
         """
-        (ending,) = self.run(task, [(task.__name__, arguments)])
-        if ending.value is not None:
-            return ending.value
-        if isinstance(ending.error, PalpateError):
-            raise ending.error
-        if ending.kind == "lost":
-            raise ClusterError(
-                f"{task.__name__} was lost: {ending.reason}. Give the workers more memory, or "
-                "make the case smaller."
-            )
-        raise TaskError(f"{task.__name__} failed: {ending.reason}.") from ending.error
+        (record,) = self.all(task, [(task.__name__, arguments)])
+        return record
+
+    def all(self, task: Task, asks: Iterable[tuple[Any, tuple[Any, ...]]]) -> list[Record]:
+        """Run tasks that must not fail; their records, in order of arrival.
+
+        Raises
+        ------
+        As `call`.
+        """
+        return [_value(task, ending) for ending in self.run(task, asks)]
 
     def run(self, task: Task, asks: Iterable[tuple[Any, tuple[Any, ...]]]) -> Iterator[Ending]:
         """Send tasks, yield their endings as they arrive.
@@ -164,8 +169,11 @@ class Dispatcher:
         in_flight: dict[int, _Ask] = {}
         try:
             while True:
-                limit = 2 * max(1, self._threads)
-                while len(in_flight) < limit and (asked := next(waiting, None)) is not None:
+                # One for each thread: a task whose worker dies takes no innocent one with it.
+                while (
+                    len(in_flight) < max(1, self.threads)
+                    and (asked := next(waiting, None)) is not None
+                ):
                     ask = _Ask(*asked)
                     in_flight[id(ask)] = ask
                     self._send(task, ask, arrived)
@@ -202,18 +210,14 @@ class Dispatcher:
 
     def _wait(self, arrived: "queue.SimpleQueue[_Ask]") -> _Ask:
         begun = alive = time.monotonic()
-        counted = -TICK_S
-        while True:
-            if self.stop():
-                raise Interrupted
+        while not self.stop():
             with suppress(queue.Empty):
-                return arrived.get(timeout=TICK_S if counted > 0 else TICK_S / 10)
+                return arrived.get(timeout=TICK_S)
             now = time.monotonic()
-            if now - counted >= 2 * TICK_S:
-                counted = now
-                if self.threads:
-                    alive = now
+            if self.threads:
+                alive = now
             self._check_deadlines(now - begun, now - alive)
+        raise Interrupted
 
     def _check_deadlines(self, waited_s: float, without_worker_s: float) -> None:
         if without_worker_s > self.no_worker_s:
@@ -281,6 +285,19 @@ class Dispatcher:
             time.sleep(TICK_S)
         if self.client.status != "running":
             raise _scheduler_gone(f"the connection is {self.client.status}")
+
+
+def _value(task: Task, ending: Ending) -> Record:
+    if ending.value is not None:
+        return ending.value
+    if isinstance(ending.error, PalpateError):
+        raise ending.error
+    if ending.kind == "lost":
+        raise ClusterError(
+            f"{task.__name__} was lost: {ending.reason}. Give the workers more memory, or make "
+            "the case smaller."
+        )
+    raise TaskError(f"{task.__name__} failed: {ending.reason}.") from ending.error
 
 
 class _as_cluster_error:  # noqa: N801 - a context manager

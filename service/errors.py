@@ -20,5 +20,5 @@ class TaskError(PalpateError):
     """A task without which no study can start has crashed."""
 
 
-class Interrupted(Exception):
+class Interrupted(Exception):  # noqa: N818 - the user's wish, no error
     """Somebody asked the study to stop; what is journalled is kept."""

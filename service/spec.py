@@ -63,13 +63,13 @@ class SearchSpec(Door):
     @property
     def settings(self) -> GeneticSettings:
         """The same for `GeneticSearch`."""
-        stall = self.stall and Stall(self.stall.generations, self.stall.tolerance, self.stall.rule)
+        stall = self.stall
         return GeneticSettings(
             population=self.population,
             generations=self.generations,
             elite=self.elite,
             crossover_fraction=self.crossover_fraction,
-            stall=stall,
+            stall=None if stall is None else Stall(**stall.model_dump()),
             mutation=Gaussian() if self.mutation == "gaussian" else AdaptiveFeasible(),
             initial=latin_hypercube if self.initial == "latin-hypercube" else uniform_population,
         )

@@ -133,6 +133,7 @@ class _Run:
         self.replayed = frozenset(told.endings)
         self.case = self.spec.case.model_dump(mode="json")
         self.score = self.spec.score.model_dump(mode="json")
+        self.steps: list[Step] = []
         self.prepared: Record = {}
         self.target: Record = {}
 
@@ -148,6 +149,7 @@ class _Run:
         self._prepare(workers)
         course = Course(self.spec.search_strategy, self.spec.search.space.names)
         while isinstance(step := course.next(), Step):
+            self.steps.append(step)
             self._evaluate(step)
             generation = course.close(step, self.endings)
             self._keep_volumes(step, generation)
@@ -196,20 +198,11 @@ class _Run:
         for ending in self.dispatcher.run(self.tasks.evaluate, asks):
             if ending.kind == "lost":
                 lost.append(ending)
+                _judge_losses(lost, len(asks))
             else:
                 self._journal(step, waiting[ending.key], ending, reused=False)
-        self._judge_losses(lost, len(asks))
         for ending in lost:
             self._journal(step, waiting[ending.key], ending, reused=False)
-
-    def _judge_losses(self, lost: list[Ending], asked: int) -> None:
-        """Where many are lost the cluster is to blame: nothing is said of the candidates."""
-        if len(lost) > max(1, LOST_SHARE * asked):
-            raise ClusterError(
-                f"{len(lost)} of {asked} candidates have lost their workers again and again: "
-                f"{lost[0].reason}. The workers may have too little memory: start fewer with "
-                "--workers, then run the study again; what is finished is kept."
-            )
 
     def _journal(self, step: Step, candidates: list[int], ending: Ending, *, reused: bool) -> None:
         """Write down an ending for all candidates that share it, then tell of it."""
@@ -251,9 +244,7 @@ class _Run:
             ending = self.endings[candidate]
             if ending.status is Status.DONE and not has_volume(self.store, ending.digest):
                 asks.append((candidate, (self._request(step, candidate),)))
-        for ending in self.dispatcher.run(self.tasks.keep_volume, asks):
-            if ending.error is not None:
-                raise ending.error
+        self.dispatcher.all(self.tasks.keep_volume, asks)
 
     def _conclude(self, stopped: Stopped, course: Course) -> Conclusion:
         best = best_of(self.endings)
@@ -266,11 +257,7 @@ class _Run:
     def _end(self, stopped: Stopped, best: EvaluationRecord | None) -> End:
         if best is None:
             return End(stopped.reason, None, None, {}, self._elapsed())
-        again = Course(self.spec.search_strategy, self.spec.search.space.names)
-        while isinstance(step := again.next(), Step) and step.number < best.generation:
-            again.close(step, self.endings)
-        assert isinstance(step, Step)  # the best candidate's own
-        self._make_volumes(step, [best.candidate])
+        self._make_volumes(self.steps[best.generation], [best.candidate])
         solid = sorted(self.prepared.get("facts", {}).get("tissue_ml", {}))
         per_label = self.dispatcher.call(
             self.tasks.compare, str(self.store.root), self.target["target"], best.digest,
@@ -287,9 +274,18 @@ class _Run:
 
 def best_of(endings: Mapping[int, EvaluationRecord]) -> EvaluationRecord | None:
     """The candidate with the lowest score, the first of equals; None if none has one."""
-    scored = [endings[c] for c in sorted(endings) if math.isfinite(-score_of(endings[c]))]
-    scored += [r for r in endings.values() if score_of(r) == -math.inf]
-    return min(scored, key=lambda r: (score_of(r), r.candidate), default=None)
+    scored = [endings[c] for c in sorted(endings) if score_of(endings[c]) < math.inf]
+    return min(scored, key=score_of, default=None)
+
+
+def _judge_losses(lost: list[Ending], asked: int) -> None:
+    """Where many are lost the cluster is to blame: nothing is said of the candidates."""
+    if len(lost) > max(1, LOST_SHARE * asked):
+        raise ClusterError(
+            f"{len(lost)} of {asked} candidates have lost their workers again and again: "
+            f"{lost[0].reason}. The workers may have too little memory: start fewer with "
+            "--workers, then run the study again; what is finished is kept."
+        )
 
 
 def _record(step: Step, candidate: int, ending: Ending, reused: bool) -> EvaluationRecord:

@@ -117,7 +117,7 @@ def publishing(path: Path) -> Iterator[Path]:
 
 def sync(path: Path) -> None:
     """Return when a file or a folder is on disk."""
-    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     except OSError as error:

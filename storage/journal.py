@@ -147,9 +147,7 @@ class Journal:
 
     def _open(self) -> int:
         try:
-            return os.open(
-                self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, mode=0o666
-            )
+            return os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, mode=0o666)
         except OSError as error:
             raise self._failed("opened", error) from error
 

@@ -14,7 +14,8 @@ from storage.errors import InputError
 from storage.stores import Store
 from storage.values import TetMesh
 
-FORMATS = (".vtu", ".vtk", ".msh")  # one file each, and all three hold values
+# One file each, and all hold values. Meshio alone would take .msh for the one of Ansys.
+FORMATS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
 
 
 def save_mesh(
@@ -89,7 +90,7 @@ def export_mesh(
         cell_data={name: [_writable(values)] for name, values in cells.items()},
     )
     with explained(path), replacing(path) as temporary:
-        meshio.write(temporary, written)
+        meshio.write(temporary, written, file_format=FORMATS[path.suffix.lower()])
 
 
 def _check_lengths(data: Mapping[str, NDArray[Any]], count: int, of: str) -> None:

@@ -89,8 +89,8 @@ def from_plain(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def dumps(value: Any) -> str:
-    """One line of compact JSON."""
-    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    """One line of compact JSON, in ASCII: any text can be written, lone surrogates too."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 
 def loads(text: str | bytes) -> Any:

@@ -48,19 +48,16 @@ class _Record:
         values = {k: v for k, v in record.items() if k not in ("kind", "schema_version")}
         dataclass_type: Any = cls
         expected = {f.name for f in fields(dataclass_type)}
-        if record.get("kind") != cls.kind or set(values) != expected:
-            wrong = sorted(expected ^ set(values))
-            raise JournalError(
-                f"Expected a record of kind {cls.kind!r}, found {record.get('kind')!r}; fields "
-                f"missing or unknown: {', '.join(wrong) or 'none'}. The journal is damaged: "
-                "start a new study; evaluations in the store are used again."
-            )
         try:
             check_schema(record.get("schema_version"), SCHEMA_VERSION, f"A {cls.kind} record")
+            if record.get("kind") != cls.kind:
+                raise ValueError(f"its kind is {record.get('kind')!r}")
+            if wrong := sorted(expected ^ set(values)):
+                raise ValueError(f"fields missing or unknown: {', '.join(wrong)}")
             return cls(**values)
-        except (TypeError, ValueError, AttributeError) as error:
+        except (TypeError, ValueError, AttributeError, JournalError) as error:
             raise JournalError(
-                f"A {cls.kind} record cannot be read: {error}. The journal is damaged: start a "
+                f"A {cls.kind} record cannot be read ({error}). The journal is damaged: start a "
                 "new study; evaluations in the store are used again."
             ) from error
 
@@ -199,4 +196,4 @@ def _is_count(value: Any, least: int) -> bool:
 
 
 def _refuse(what: str) -> None:
-    raise JournalError(f"This record makes no sense: {what}.")
+    raise JournalError(f"this record makes no sense: {what}")

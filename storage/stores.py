@@ -72,7 +72,7 @@ def open_store(location: str | Path, *, create: bool = True) -> Store:
     if create:
         _make(layout)
     _check(layout)
-    if os.access(root, os.W_OK):
+    if _writable(root):
         for folder in (root, *layout.folders):
             clean_leftovers(folder)
     return Store(root)
@@ -88,7 +88,7 @@ def _make(layout: StoreLayout) -> None:
         for folder in layout.folders:
             folder.mkdir(exist_ok=True)
     for folder in (layout.root, *layout.folders):
-        if not os.access(folder, os.W_OK | os.X_OK):
+        if not _writable(folder):
             raise StoreError(
                 f"{folder} cannot be written by you. Choose another store or change its "
                 "permissions."
@@ -97,6 +97,11 @@ def _make(layout: StoreLayout) -> None:
         about = "A store of Palpate: volumes, meshes and evaluations by digest."
         text = dumps({"schema_version": SCHEMA_VERSION, "about": about})
         write_file(layout.marker, text.encode() + b"\n")
+
+
+def _writable(folder: Path) -> bool:
+    effective = os.access in os.supports_effective_ids
+    return os.access(folder, os.W_OK | os.X_OK, effective_ids=effective)
 
 
 def _check(layout: StoreLayout) -> None:

@@ -4,6 +4,7 @@ The only file of this package that knows Dask. Everything works the same in a
 process that is no Dask worker.
 """
 
+import logging
 import os
 import socket
 import threading
@@ -12,14 +13,14 @@ from collections.abc import Callable, Hashable, Iterable
 from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
 from distributed import Worker, WorkerPlugin, get_worker
-from scipy import sparse
 
 T = TypeVar("T")
 
-# To be set before a worker process imports NumPy: one evaluation, one thread.
+_log = logging.getLogger(__name__)
+
+# One evaluation, one thread. Libraries read this once, when they are loaded.
 THREAD_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -31,11 +32,11 @@ CACHE_BYTES = 2 * 1024**3
 
 
 class OneThread(WorkerPlugin):
-    """Pins the libraries of a worker to one thread.
+    """Tells the libraries of a worker to use one thread.
 
-    Register it with ``client.register_plugin(OneThread())``. Libraries that read
-    `THREAD_ENVIRONMENT` only when they are loaded need it in the environment in
-    which the worker starts; this plugin sees to those that can still be told.
+    Register it with ``client.register_plugin(OneThread())``. It comes in time for
+    numba, but not for the BLAS of NumPy, which Dask itself loads: a worker that
+    starts without `THREAD_ENVIRONMENT` logs a warning.
     """
 
     name = "palpate-one-thread"
@@ -43,13 +44,13 @@ class OneThread(WorkerPlugin):
 
     def setup(self, worker: Worker) -> None:
         """Called by Dask on every worker, also on those that join later."""
-        pin_threads()
-
-
-def pin_threads() -> None:
-    """One thread for every numerical library of this process."""
-    os.environ.update(THREAD_ENVIRONMENT)
-    numba.set_num_threads(1)
+        if os.environ.get("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS")) != "1":
+            _log.warning(
+                "The worker %s was started without OMP_NUM_THREADS=1 and OPENBLAS_NUM_THREADS=1: "
+                "evaluations side by side may slow each other down. Set them where it is started.",
+                worker.name,
+            )
+        os.environ.update(THREAD_ENVIRONMENT)
 
 
 def worker_name() -> str:
@@ -148,8 +149,6 @@ def _parts(item: object) -> Iterable[object]:
         return item.values()
     if isinstance(item, list | tuple | set | frozenset):
         return item
-    if sparse.issparse(item):
-        return vars(item).values()
     if is_dataclass(item) and not isinstance(item, type):
         return [getattr(item, field.name) for field in fields(item)]
     if isinstance(item, type) or callable(item):

@@ -12,7 +12,7 @@ travel; workers read them by digest and hold those used last in `CACHE`.
 Constants in these records have inside names and units, ``{"E_fat": 0.01}``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from storage.values import FloatArray, Volume
 from storage.volumes import has_volume, save_volume
 from workers import pipeline
 from workers.fem.outcome import Solution
+from workers.images.labels import label_counts
 from workers.library import Library, code_version
 from workers.organs.breast import check_skin_layer
 from workers.pipeline import Watch
@@ -222,21 +223,24 @@ def keep_volume(request: Record) -> str:
 
 
 def score_volumes(
-    store: str, target: str, candidate: str, labels: tuple[str, ...], surface: str = "boundary"
+    store: str, target: str, candidate: str, labels: Sequence[str], surface: str = "boundary"
 ) -> Record:
     """Compare two stored volumes tissue by tissue.
 
     Returns
     -------
     dict
-        The score of each of `labels`, by its name.
+        The score of each of `labels` that the target has, by its name.
     """
     library = Library(open_store(store))
-    body = pipeline.on_lattice(library.volume(candidate), library.volume(target))
+    goal = library.volume(target)
+    body = pipeline.on_lattice(library.volume(candidate), goal)
+    present = label_counts(goal)
     scores = {}
     for label in labels:
         how = validated(ScoreSpec, {"labels": [label], "surface": surface}, "The score")
-        scores[how.labels[0]] = library.scorer(target, how).score(body).as_dict()
+        if how.tissues[0] in present:
+            scores[how.labels[0]] = library.scorer(target, how).score(body).as_dict()
     return scores
 
 

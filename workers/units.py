@@ -53,6 +53,4 @@ class Unit:
 
 
 KPA = Unit("kPa", "MPa", 1000.0)
-MM = Unit("mm", "mm", 1.0)
-NEWTON = Unit("N", "N", 1.0)
 NUMBER = Unit("", "", 1.0)

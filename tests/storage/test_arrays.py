@@ -3,7 +3,9 @@
 import errno
 import json
 import math
+import os
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +123,7 @@ def test_the_first_writer_of_a_name_wins(tmp_path):
 
 def test_a_writer_that_comes_second_at_the_very_end_discards_its_own(tmp_path, monkeypatch):
     path = tmp_path / "x.zarr"
-    rename = module.os.rename if hasattr(module, "os") else __import__("os").rename
+    rename = os.rename
 
     def slow(source: Path, target: Path) -> None:
         monkeypatch.setattr("storage.atomic.os.rename", rename)
@@ -146,8 +148,6 @@ for n in range(20):
     a = load_arrays(path / f"{n}.zarr")[0]["a"]
     assert (a == a[0, 0, 0]).all()
 """
-    from concurrent.futures import ThreadPoolExecutor
-
     with ThreadPoolExecutor(3) as pool:
         ran = list(pool.map(lambda n: run_python(code, tmp_path, str(n)), range(3)))
     assert [r.returncode for r in ran] == [0, 0, 0], ran[0].stderr

@@ -35,7 +35,11 @@ def test_the_name_is_known_and_does_not_change_between_versions():
 
 
 def test_other_processes_with_other_hash_seeds_agree():
-    code = "from storage.digest import digest; import ast, sys; print(digest(ast.literal_eval(sys.argv[1])))"
+    code = """
+import ast, sys
+from storage.digest import digest
+print(digest(ast.literal_eval(sys.argv[1])))
+"""
     names = {run_python(code, repr(CASE)).stdout.strip() for _ in range(2)}
     assert names == {digest(CASE)}
 
@@ -111,7 +115,9 @@ def test_files_are_named_by_their_bytes(tmp_path):
     (tmp_path / "a.nrrd").write_bytes(b"abc")
     (tmp_path / "b.nrrd").write_bytes(b"abc")
     # FIPS 180-2, appendix B.1: sha256("abc") = ba7816bf 8f01cfea ...
-    assert file_digest(tmp_path / "a.nrrd") == file_digest(tmp_path / "b.nrrd") == "ba7816bf8f01cfea"
+    assert (
+        file_digest(tmp_path / "a.nrrd") == file_digest(tmp_path / "b.nrrd") == "ba7816bf8f01cfea"
+    )
 
 
 def test_folders_are_named_by_names_and_bytes(tmp_path):

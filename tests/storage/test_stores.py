@@ -5,6 +5,7 @@ import os
 import stat
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,21 +19,28 @@ from storage.volumes import list_volumes, load_volume, save_volume
 DAY_S = 86_400
 
 
+@contextmanager
+def nobody_may_write(*folders: Path) -> Iterator[None]:
+    """Take the right to write from these folders, and from root his privilege."""
+    for folder in folders:
+        folder.chmod(0o555)
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(user)
+        for folder in folders:
+            folder.chmod(0o755)
+
+
 @pytest.fixture
-def as_nobody(tmp_path: Path) -> Iterator[Path]:
-    """A folder that this process may enter but not write."""
-    root = os.geteuid() == 0
+def open_path(tmp_path: Path) -> Path:
+    """A temporary folder that other users may enter."""
     for folder in (tmp_path, *tmp_path.parents[:2]):
         folder.chmod(0o755)
-    locked = tmp_path / "locked"
-    locked.mkdir()
-    locked.chmod(0o555)
-    if root:
-        os.seteuid(65534)
-    yield locked
-    if root:
-        os.seteuid(0)
-    locked.chmod(0o755)
+    return tmp_path
 
 
 def test_a_store_is_made_once_and_found_again(tmp_path):
@@ -75,31 +83,23 @@ def test_a_file_is_no_store(tmp_path):
         open_store(file / "store")
 
 
-def test_a_place_that_cannot_be_written_is_refused(as_nobody):
-    with pytest.raises(StoreError, match=r"Permission denied.*choose another place"):
-        open_store(as_nobody / "store")
-    with pytest.raises(StoreError, match=r"Permission denied|cannot be written"):
-        open_store(as_nobody)
+def test_a_place_that_cannot_be_written_is_refused(open_path):
+    with nobody_may_write(open_path):
+        for place in (open_path / "store", open_path):
+            with pytest.raises(StoreError, match=r"Permission denied.*choose another place"):
+                open_store(place)
 
 
-def test_a_store_that_cannot_be_written_can_be_read(as_nobody, tmp_path):
-    os.seteuid(os.getuid())
-    store = open_store(tmp_path / "store")
+def test_a_store_that_cannot_be_written_can_be_read(open_path):
+    store = open_store(open_path / "store")
     save_volume(store, "v", labels())
-    folders = (store.root, *store.layout.folders)
-    for folder in folders:
-        folder.chmod(0o555)
-    if os.getuid() == 0:
-        os.seteuid(65534)
-
-    assert load_volume(open_store(store.root, create=False), "v").values.shape == (5, 6, 7)
-    with pytest.raises(StoreError, match="cannot be written by you"):
-        open_store(store.root)
-    with pytest.raises(StoreError, match="Permission denied"):
-        save_volume(store, "w", labels())
-    os.seteuid(os.getuid())
-    for folder in folders:
-        folder.chmod(0o755)
+    with nobody_may_write(store.root, *store.layout.folders):
+        readable = open_store(store.root, create=False)
+        assert load_volume(readable, "v").values.shape == (5, 6, 7)
+        with pytest.raises(StoreError, match="cannot be written by you"):
+            open_store(store.root)
+        with pytest.raises(StoreError, match="Permission denied"):
+            save_volume(readable, "w", labels())
 
 
 def test_a_store_of_a_newer_version_asks_for_an_upgrade_and_is_left_alone(tmp_path):

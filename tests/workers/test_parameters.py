@@ -6,7 +6,7 @@ import pytest
 
 from storage.errors import InputError
 from workers.parameters import BREAST, Parameter, Vocabulary, unknown_name
-from workers.units import KPA, MM, NUMBER
+from workers.units import KPA, NUMBER
 
 FRICTION = Parameter(
     "friction", NUMBER, 0.0, 0.5, 0.0, "of the plates", admissible=(0.0, 1.0), open_lower=False
@@ -28,7 +28,6 @@ def test_a_pure_number_has_no_unit_in_its_name():
     assert KPA.name_at_door("E_fat") == "E_fat_kpa"
     assert KPA.text(0.01) == "10 kPa"
     assert NUMBER.text(0.49) == "0.49"
-    assert MM.name_at_door("skin_thickness") == "skin_thickness_mm"
 
 
 @pytest.mark.parametrize(

@@ -117,7 +117,8 @@ def test_an_evaluation_that_the_store_has_is_not_computed_again(study, evaluated
 def test_a_volume_kept_later_is_the_one_that_was_scored(study, evaluated):
     name = tasks.keep_volume(study.request())
     assert name == evaluated["digest"]
-    one = tasks.score_volumes(study.store, study.target, name, ("glandular", "fat"))
+    one = tasks.score_volumes(study.store, study.target, name, ("glandular", "fat", "muscle"))
+    assert set(one) == {"glandular", "fat"}  # the target has no muscle
     assert one["glandular"] == evaluated["score"]
     assert one["fat"]["jc"] > one["glandular"]["jc"]
     kept = load_volume(study.house, name)
@@ -240,7 +241,7 @@ def test_a_stored_volume_is_found_by_digest_and_by_name(tmp_path):
 
 
 def test_a_volume_that_is_nowhere_is_told_where_it_was_looked_for(tmp_path):
-    with pytest.raises(InputError, match="neither a file or folder .* nor a volume of the store"):
+    with pytest.raises(InputError, match=r"neither a file or folder .* nor a volume of the store"):
         tasks.make_target(CASE, {"volume": "nowhere"}, str(tmp_path / "store"))
 
 
@@ -255,7 +256,8 @@ def test_imaged_plates_stand_where_the_target_is(study):
     case = CASE | {"load": {"plate_distance_mm": {"final": 44}}}
     made = tasks.make_target(case, {"constants": HIDDEN}, study.store)
     body = load_volume(study.house, made["target"])
-    shifted = Volume(body.values, body.spacing_mm, (body.origin_mm[0], body.origin_mm[1] + 10, 1.0))
+    x, y, z = body.origin_mm
+    shifted = Volume(body.values, body.spacing_mm, (x, y + 10, z))
     imaged = Library(study.house).add(shifted, {"kind": "image"})
     request = study.request(
         case=case, target=imaged, constants={"E_fat": 0.012, "E_glandular": 0.03}

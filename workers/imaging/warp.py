@@ -187,23 +187,28 @@ def _rasterise(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume) -> _
         raise InputError("The mesh has no elements, so there is nothing to deform.")
     tets = np.ascontiguousarray(mesh.tets, dtype=np.int32)
     deformed = _index_coordinates(mesh.nodes + displacement, lattice)
-    used = deformed[np.unique(tets)]
-    # A body thinner than a voxel may hold no centre: the box keeps one voxel all the same.
-    start = np.ceil(used.min(axis=0))
-    size = np.maximum(np.floor(used.max(axis=0)) - start + 1.0, 1.0)
-    if float(np.prod(size)) > MAX_VOXELS:
+    used = np.unique(tets)
+    base = np.floor(deformed[used].min(axis=0))
+    extent = deformed[used].max(axis=0) - base
+    if float(np.prod(extent + 1.0)) > MAX_VOXELS:
         raise InputError(
-            f"The deformed body would fill a box of {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} "
-            "voxels. Check that the simulation converged, or use larger voxels."
+            f"The deformed body would fill a box of {extent[0]:.4g} x {extent[1]:.4g} x "
+            f"{extent[2]:.4g} voxels. Check that the displacement is in mm and that the "
+            "simulation converged, or use larger voxels."
         )
-    nodes = deformed - start
-    fixed, bits = fixed_point(nodes, tets)
+    fixed, bits = fixed_point(deformed - base, tets)
+    # The box follows from the snapped corners, so that no run can leave it. A body
+    # thinner than a voxel may hold no centre: the box keeps one voxel all the same.
+    first = -(-fixed[used].min(axis=0) >> bits)
+    end = np.maximum(-(-fixed[used].max(axis=0) >> bits), first + 1)
+    fixed -= first << bits
+    start = base + first
     ox, oy, oz = (np.asarray(lattice.origin_mm) + start * lattice.spacing_mm).tolist()
-    nx, ny, nz = size.astype(int).tolist()
+    nx, ny, nz = (end - first).tolist()
     return _Raster(
         fixed=fixed,
         bits=bits,
-        nodes=nodes,
+        nodes=deformed - start,
         tets=tets,
         runs=run_buffer(fixed, tets, bits),
         shape=(nz, ny, nx),

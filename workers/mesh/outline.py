@@ -122,7 +122,7 @@ def _body_occupancy(
         filled = np.nonzero(occupancy)
         blocks = np.array([[a.min(), a.max() + 1] for a in reversed(filled)]).T
         around = np.minimum(box[0] + blocks * block, box[1])
-        body_box = _occupied_box(labels.values, around)
+        body_box = _occupied_box(labels.values, np.ascontiguousarray(around))
         if np.array_equal(body_box, box):
             break
         box = body_box

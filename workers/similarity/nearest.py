@@ -27,7 +27,7 @@ NEAR = 12
 FAR = 64
 # Looks per voxel of the box that cost about as much as: preparing step 3; a distance map.
 NEAR_LOOKS = 1.0
-FAR_LOOKS = 6.0
+FAR_LOOKS = 2.0
 SAMPLE = 500  # open misses from which the work of step 3 is foretold
 NO_VOXEL = np.iinfo(np.uint16).max
 

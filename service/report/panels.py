@@ -1,0 +1,104 @@
+"""Reference, target, best candidate and difference side by side, seen along one axis."""
+
+from collections.abc import Sequence
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from service.report import palette
+from service.report.bodies import Bodies
+from service.report.canvas import SMALL_PT, TEXT_PT, calm, figure
+from service.report.palette import INK, Difference
+from service.report.slices import (
+    AXES,
+    Section,
+    View,
+    difference,
+    frame_mm,
+    middle_mm,
+    section,
+)
+from storage.values import Tissue, Triple
+
+WIDTH_IN = 10.6
+_TISSUES = palette.lookup(palette.TISSUES)
+_DIFFERENCES = palette.lookup(palette.DIFFERENCES)
+
+
+def panels(bodies: Bodies, view: View, tissues: Sequence[Tissue]) -> Figure | None:
+    """Draw one view of all bodies that are there; None if there is none.
+
+    The planes pass through the middle of `tissues`: of the target for target and best
+    candidate, so that both are cut in the same place, and of the undeformed body for
+    itself.
+    """
+    shown = _sections(bodies, view, tissues)
+    if not shown:
+        return None
+    left, right, bottom, top = frame_mm([s for _, s, _ in shown])
+    panel_in = WIDTH_IN / 4
+    height = panel_in * (top - bottom) / (right - left) + 0.85
+    drawn = figure(WIDTH_IN * len(shown) / 4, min(height, 6.0))
+    row = drawn.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
+    for axes, (title, cut, is_difference) in zip(row, shown, strict=True):
+        table = _DIFFERENCES if is_difference else _TISSUES
+        axes.imshow(table[cut.values], origin="lower", extent=cut.extent_mm, interpolation="none")
+        axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+        axes.set_title(title, fontsize=TEXT_PT, color=INK, loc="left", pad=6)
+        _frame(axes, view)
+    row[0].set_ylabel(f"{AXES[view.up]}, mm", fontsize=SMALL_PT)
+    return drawn
+
+
+def middles(bodies: Bodies, tissues: Sequence[Tissue]) -> tuple[Triple | None, Triple | None]:
+    """Where the undeformed body and the target are cut."""
+    first = None if bodies.reference is None else middle_mm(bodies.reference, tissues)
+    explained = bodies.target if bodies.target is not None else bodies.best
+    return first, None if explained is None else middle_mm(explained, tissues)
+
+
+def present(bodies: Bodies) -> list[tuple[str, str]]:
+    """(colour, name) of every tissue that a legend needs."""
+    volumes = [v for v in (bodies.reference, bodies.target, bodies.best) if v is not None]
+    there = [t for t in Tissue if t and any((v.values == t).any() for v in volumes)]
+    return [(palette.TISSUES[t], t.name.lower()) for t in there]
+
+
+def difference_legend() -> list[tuple[str, str]]:
+    """(colour, meaning) of the colours of a difference."""
+    meaning = {
+        Difference.BOTH: "in both",
+        Difference.ONLY_TARGET: "only in the target",
+        Difference.ONLY_BEST: "only in the best candidate",
+        Difference.BODY: "rest of the body",
+    }
+    return [(palette.DIFFERENCES[kind], text) for kind, text in meaning.items()]
+
+
+def _sections(
+    bodies: Bodies, view: View, tissues: Sequence[Tissue]
+) -> list[tuple[str, Section, bool]]:
+    undeformed, deformed = middles(bodies, tissues)
+    shown = []
+    cuts: dict[str, Section] = {}
+    for title, volume, middle in (
+        ("Undeformed", bodies.reference, undeformed),
+        ("Target", bodies.target, deformed),
+        ("Best candidate", bodies.best, deformed),
+    ):
+        if volume is not None and middle is not None:
+            cuts[title] = section(volume, view, middle[view.normal])
+            shown.append((title, cuts[title], False))
+    if "Target" in cuts and "Best candidate" in cuts:
+        names = " + ".join(t.name.lower() for t in tissues)
+        compared = difference(cuts["Target"], cuts["Best candidate"], tissues)
+        shown.append((f"Difference, {names}", compared, True))
+    return shown
+
+
+def _frame(axes: Axes, view: View) -> None:
+    calm(axes, grid="")
+    axes.set_xlabel(f"{AXES[view.across]}, mm", fontsize=SMALL_PT)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.yaxis.set_major_locator(MaxNLocator(5))

@@ -1,0 +1,159 @@
+"""Numbers, names and findings as a reader wants them."""
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from markupsafe import Markup, escape
+
+MINUS = "\u2212"
+NARROW = "\u202f"
+NONE = "\u2013"
+
+_GREEK = {"eta": "η", "nu": "ν", "E": "E"}
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number with so many significant digits, a real minus, and no trailing zeros.
+
+    Examples
+    --------
+    >>> number(10.1234), number(12345678.0), number(float("inf")), number(None)
+    ('10.12', '12345678', '∞', '–')
+    """
+    if value is None or math.isnan(value):
+        return NONE
+    if math.isinf(value):
+        return "∞" if value > 0 else f"{MINUS}∞"
+    size = abs(value)
+    if size >= 10**digits:
+        text = f"{value:.0f}"
+    elif size and size < 1e-3:
+        mantissa, exponent = f"{value:.{digits - 2}e}".split("e")
+        text = f"{mantissa}·10^{int(exponent)}"
+    else:
+        text = f"{value:.{digits}g}"
+    return text.replace("-", MINUS)
+
+
+def count(value: int) -> str:
+    """A whole number, its thousands apart.
+
+    Examples
+    --------
+    >>> count(1260).replace(NARROW, " ")
+    '1 260'
+    """
+    return f"{value:,}".replace(",", NARROW).replace("-", MINUS)
+
+
+def percent(share: float | None, digits: int = 1) -> str:
+    """A signed relative error.
+
+    Examples
+    --------
+    >>> percent(0.0123), percent(-0.2), percent(None)
+    ('+1.2 %', '−20.0 %', '–')
+    """
+    if share is None:
+        return NONE
+    return f"{100 * share:+.{digits}f} %".replace("-", MINUS)
+
+
+def duration(seconds: float) -> str:
+    """A time span.
+
+    Examples
+    --------
+    >>> duration(0.0123), duration(42.3), duration(3700), duration(200_000)
+    ('12.3 ms', '42.3 s', '1 h 1 min', '2 d 7 h')
+    """
+    if seconds < 1:
+        return f"{1000 * seconds:.3g} ms"
+    if seconds < 100:
+        return f"{seconds:.3g} s"
+    minutes, hours, days = seconds / 60, seconds / 3600, seconds / 86400
+    if minutes < 60:
+        return f"{int(minutes)} min {int(seconds % 60)} s"
+    if days < 1:
+        return f"{int(hours)} h {int(minutes % 60)} min"
+    return f"{int(days)} d {int(hours % 24)} h"
+
+
+def bare(name: str, unit: str) -> str:
+    """The name of a parameter without the unit at its end.
+
+    Examples
+    --------
+    >>> bare("E_fat_kpa", "kPa"), bare("nu", ""), bare("E_fat", "kPa")
+    ('E_fat', 'nu', 'E_fat')
+    """
+    ending = f"_{unit.lower()}"
+    return name[: -len(ending)] if unit and name.endswith(ending) else name
+
+
+def label(name: str, unit: str) -> str:
+    """A parameter on an axis.
+
+    Examples
+    --------
+    >>> label("eta_fat_kpa", "kPa")
+    'η fat, kPa'
+    """
+    head, _, tail = bare(name, unit).partition("_")
+    text = f"{_GREEK.get(head, head)} {tail.replace('_', ' ')}".strip()
+    return f"{text}, {unit}" if unit else text
+
+
+def symbol(name: str, unit: str = "") -> Markup:
+    """A parameter in running text.
+
+    Examples
+    --------
+    >>> symbol("E_fat_kpa", "kPa")
+    Markup('<i>E</i><sub>fat</sub>')
+    """
+    head, _, tail = bare(name, unit).partition("_")
+    below = Markup("<sub>{}</sub>").format(tail.replace("_", " ")) if tail else Markup("")
+    return Markup("<i>{}</i>").format(_GREEK.get(head, head)) + below
+
+
+def powers(text: str) -> Markup:
+    """`number`'s powers of ten, raised.
+
+    Examples
+    --------
+    >>> powers("1.4·10^−10")
+    Markup('1.4·10<sup>−10</sup>')
+    """
+    return Markup(re.sub(r"\^([−\d]+)", r"<sup>\1</sup>", str(escape(text))))
+
+
+def joined(items: list[Any]) -> Markup:
+    """Items in a sentence: commas, and an "and" before the last."""
+    parts = [escape(item) for item in items]
+    if len(parts) < 2:
+        return Markup("").join(parts)
+    return Markup(", ").join(parts[:-1]) + Markup(" and ") + parts[-1]
+
+
+def at_edge(estimate: float, bounds: tuple[float, float], share: float = 0.01) -> bool:
+    """Whether an estimate lies so near to a bound that the bound may have made it."""
+    low, high = bounds
+    return min(estimate - low, high - estimate) < share * (high - low)
+
+
+def verdict(estimates: Mapping[str, Mapping[str, Any]]) -> list[Markup]:
+    """What was found, one phrase for each parameter."""
+    phrases = []
+    for name, found in estimates.items():
+        if found["estimate"] is None:
+            continue
+        unit = found["unit"] or ""
+        phrase = symbol(name, unit) + f" {number(found['estimate'], 3)} {unit}".rstrip()
+        error = found.get("relative_error")
+        if error is not None:
+            phrase += f", {percent(error)} from the target"
+        phrases.append(phrase)
+    return phrases

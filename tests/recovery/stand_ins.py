@@ -1,0 +1,152 @@
+"""Tasks with the manners of the real ones and an arithmetic that takes no time.
+
+They keep the contract of `workers.tasks`: idempotent, the record in the store
+last, divergence an ordinary ending, everything a function of the request. Each
+execution leaves one line in `LOG`, written when the evaluation is finished.
+
+A file `MANNERS` in the store makes them slow, or makes them crash or die where
+the first gene is above a bound.
+"""
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from service.chronicle import Chronicle
+from service.dispatch import Ending
+from service.spec import StudySpec, parse_spec
+from service.study import Conclusion, Study, Tasks
+from storage.digest import digest
+from storage.errors import StoreError
+from storage.evaluations import load_evaluation, save_evaluation
+from storage.layout import StudyLayout
+from storage.stores import open_store
+
+Record = dict[str, Any]
+LOG = "executions.log"
+MANNERS = "manners.json"
+TRUTH = {"E_fat": 0.010, "E_glandular": 0.040}
+SPEC = """
+name: demo
+case: {reference: {phantom: {preset: 445ml}}, mesh: {nodes: 2000}}
+target: {constants: {E_fat_kpa: 10, E_glandular_kpa: 40}}
+search:
+  parameters: {E_fat_kpa: [5, 20], E_glandular_kpa: [5, 80]}
+  population: 12
+  generations: 5
+seed: 7
+"""
+
+
+def small_spec(text: str = SPEC) -> StudySpec:
+    return parse_spec(text, "the test's study", Path())
+
+
+def prepare(case: Record, store: str) -> Record:
+    open_store(store)
+    return {"volume": digest("body", case["reference"]), "mesh": "mesh", "facts": {"tissue_ml": {}}}
+
+
+def target(case: Record, wanted: Record, store: str) -> Record:
+    return {"target": digest(case, wanted), "kind": "simulated"}
+
+
+def name_of(case: Record, prepared: Record, target: str, constants: Record, score: Record) -> str:
+    return digest(case, prepared, target, constants, score)
+
+
+def evaluate(request: Record) -> Record:
+    store = open_store(request["store"])
+    done = load_evaluation(store, request["digest"])
+    if done is not None:
+        return done | {"reused": True}
+    constants = request["constants"]
+    misbehave(store.root, constants["E_fat"])
+    apart = math.hypot(*(constants[name] / true - 1 for name, true in TRUTH.items()))
+    record: Record = {"digest": request["digest"], "seconds": {"solve": 0.01}, "worker": "w"}
+    if constants["E_glandular"] > 0.076:
+        record |= {"status": "diverged", "reason": "no equilibrium at 60 N", "score": None}
+    else:
+        jc = 1 / (1 + apart)
+        score = {"jc": jc, "mhd_mm": apart, "mhd_voxels": apart, "gsf": math.log((1 - jc) * apart)}
+        record |= {"status": "done", "reason": "", "score": score}
+    save_evaluation(store, request["digest"], record)
+    with (store.root / LOG).open("a") as file:  # one write, as many processes append
+        file.write(request["digest"] + "\n")
+    return record | {"reused": False}
+
+
+def misbehave(store: Path, fat: float) -> None:
+    path = store / MANNERS
+    manners = json.loads(path.read_text()) if path.exists() else {}
+    time.sleep(manners.get("seconds", 0.0))
+    if fat > manners.get("crash_above", math.inf):
+        raise ZeroDivisionError(f"no such tissue: E_fat = {fat}")
+    if fat > manners.get("full_disk_above", math.inf):
+        raise StoreError("the disk of this worker is full")
+    if fat > manners.get("die_above", math.inf):
+        os.kill(os.getpid(), 9)
+
+
+def set_manners(store: Path, **manners: float) -> None:
+    open_store(store)
+    (store / MANNERS).write_text(json.dumps(manners))
+
+
+def keep_volume(request: Record) -> str:
+    return str(request["digest"])
+
+
+def compare(store: str, target: str, candidate: str, labels: Any, surface: str) -> Record:
+    return {}
+
+
+TASKS = Tasks(prepare, target, evaluate, name_of, keep_volume, compare)
+
+
+class Inline:
+    """A dispatcher without a cluster: one task after the other, in this process."""
+
+    threads = 1
+
+    def call(self, task: Callable[..., Any], *arguments: Any) -> Any:
+        return task(*arguments)
+
+    def all(self, task: Callable[..., Any], asks: Iterable[tuple[Any, tuple[Any, ...]]]) -> Any:
+        return [task(*arguments) for _, arguments in asks]
+
+    def run(
+        self, task: Callable[..., Any], asks: Iterable[tuple[Any, tuple[Any, ...]]]
+    ) -> Iterator[Ending]:
+        for key, arguments in asks:
+            yield Ending(key, "returned", task(*arguments))
+
+
+def run(folder: Path, dispatcher: Any, spec: StudySpec | None = None, **more: Any) -> Conclusion:
+    """Run a study in `folder`, its store beside it."""
+    return Study(spec or small_spec(), folder, tasks=TASKS, **more).run(dispatcher)
+
+
+def told(folder: Path) -> dict[int, tuple[Any, ...]]:
+    """What the journal says of each candidate, to the last bit; not who computed it when."""
+    endings = Chronicle.read(StudyLayout(folder).journal).endings
+    return {
+        c: (dict(r.genes), r.generation, r.digest, r.status, r.score, r.reason)
+        for c, r in sorted(endings.items())
+    }
+
+
+def executions(folder: Path) -> list[str]:
+    """Digests of finished evaluations, once for each time they were computed."""
+    path = folder.parent / "store" / LOG
+    return path.read_text().split() if path.exists() else []
+
+
+def assert_each_ran_once(folder: Path) -> None:
+    ran = executions(folder)
+    assert len(ran) == len(set(ran))
+    assert set(ran) == {ending[2] for ending in told(folder).values()}

@@ -1,0 +1,291 @@
+"""A study gives the same candidates and scores, whatever happens on the way.
+
+The reference is a run without any cluster, one candidate after the other.
+"""
+
+import json
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from service import folder as study_folder
+from service.chronicle import Chronicle
+from service.cluster import open_cluster
+from service.dispatch import Dispatcher
+from service.errors import ClusterError, Interrupted
+from service.hooks import Observer
+from service.study import Study
+from stand_ins import (
+    SPEC,
+    TASKS,
+    Inline,
+    assert_each_ran_once,
+    executions,
+    run,
+    set_manners,
+    small_spec,
+    told,
+)
+from storage import journal as storage_journal
+from storage.errors import InputError, JournalError, NewerSchemaError, StoreError
+from storage.layout import StudyLayout
+from storage.records import EvaluationRecord
+from storage.status import Status
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Any]:
+    with open_cluster(workers=2, allowed_failures=0) as cluster:
+        yield cluster.client
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[int, tuple[Any, ...]]:
+    folder = tmp_path_factory.mktemp("reference") / "demo"
+    run(folder, Inline())
+    return told(folder)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "runs" / "demo"
+
+
+def journal_of(folder: Path) -> Path:
+    return StudyLayout(folder).journal
+
+
+def test_a_run_evaluates_all_but_elites(reference: dict[int, tuple[Any, ...]]) -> None:
+    assert len(reference) == 12 + 4 * 10
+    elites = {12 * g + i for g in range(1, 5) for i in range(2)}
+    assert not elites & set(reference)
+    assert {ending[3] for ending in reference.values()} == {Status.DONE, Status.DIVERGED}
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_number_of_workers_changes_nothing(
+    client: Any, folder: Path, reference: dict[int, tuple[Any, ...]], workers: int
+) -> None:
+    client.cluster.scale(workers)
+    client.wait_for_workers(workers, timeout=60)
+    while len(client.nthreads()) != workers:
+        pass
+    run(folder, Dispatcher(client))
+    client.cluster.scale(2)
+    assert told(folder) == reference
+    assert_each_ran_once(folder)
+
+
+@pytest.mark.parametrize("asked", [1, 9, 30])
+def test_stopping_and_going_on_changes_nothing(
+    client: Any, folder: Path, reference: dict[int, tuple[Any, ...]], asked: int
+) -> None:
+    class Count(Observer):
+        ended = 0
+
+        def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+            Count.ended += 1
+
+    with pytest.raises(Interrupted):
+        run(folder, Dispatcher(client, stop=lambda: Count.ended >= asked), observers=[Count()])
+    before = told(folder)
+    assert asked <= len(before) < len(reference)
+    run(folder, Dispatcher(client))
+    assert told(folder) == reference
+    assert_each_ran_once(folder)
+
+
+def test_a_finished_study_runs_nothing_again(folder: Path) -> None:
+    first = run(folder, Inline())
+    ran = executions(folder)
+    second = run(folder, Inline())
+    assert executions(folder) == ran
+    assert second.best == first.best
+
+
+def test_another_study_uses_what_is_in_the_store(folder: Path) -> None:
+    run(folder, Inline())
+    ran = executions(folder)
+    other = folder.with_name("other")
+    run(other, Inline())
+    assert executions(other) == ran
+    assert told(other) == told(folder)
+    endings = Chronicle.read(journal_of(other)).endings.values()
+    assert all(record.reused for record in endings)
+
+
+def test_a_crash_is_an_ending_with_its_traceback(client: Any, folder: Path) -> None:
+    set_manners(folder.parent / "store", crash_above=0.017)
+    conclusion = run(folder, Dispatcher(client))
+    endings = Chronicle.read(journal_of(folder)).endings.values()
+    crashed = [r for r in endings if r.status is Status.CRASHED]
+    assert crashed
+    assert all(r.genes["E_fat_kpa"] > 17 for r in crashed)
+    assert all(r.genes["E_fat_kpa"] <= 17 for r in endings if r.status is Status.DONE)
+    for record in crashed:
+        assert record.reason.startswith("ZeroDivisionError: no such tissue: E_fat = 0.01")
+        assert "in misbehave" in record.traceback
+        assert "distributed" not in record.traceback
+    assert conclusion.best is not None
+    assert conclusion.best.status is Status.DONE
+
+
+def test_a_candidate_that_kills_its_workers_is_lost_and_the_study_goes_on(
+    client: Any, folder: Path
+) -> None:
+    # Of the first twelve candidates exactly one lies above this bound.
+    spec = small_spec(SPEC.replace("generations: 5", "generations: 1"))
+    run(folder.parent.parent / "look" / "demo", Inline(), spec)
+    first = told(folder.parent.parent / "look" / "demo").values()
+    highest, second = sorted((e[0]["E_fat_kpa"] / 1000 for e in first), reverse=True)[:2]
+    set_manners(folder.parent / "store", die_above=(highest + second) / 2)
+    run(folder, Dispatcher(client, asks=2), spec)
+    lost = [r for r in Chronicle.read(journal_of(folder)).endings.values() if r.status == "lost"]
+    assert [record.attempts for record in lost] == [2]
+    assert "worker died" in lost[0].reason
+    assert len(told(folder)) == 12
+
+
+def test_a_cluster_whose_workers_all_die_is_no_verdict(
+    client: Any, folder: Path, reference: dict[int, tuple[Any, ...]]
+) -> None:
+    set_manners(folder.parent / "store", die_above=0.012)
+    with pytest.raises(ClusterError, match="too little memory"):
+        run(folder, Dispatcher(client, asks=1))
+    assert all(ending[3] != Status.LOST for ending in told(folder).values())
+    set_manners(folder.parent / "store")
+    run(folder, Dispatcher(client))
+    assert told(folder) == reference
+
+
+def test_a_full_disk_of_a_worker_is_no_verdict(
+    client: Any, folder: Path, reference: dict[int, tuple[Any, ...]]
+) -> None:
+    set_manners(folder.parent / "store", full_disk_above=0.012)
+    with pytest.raises(StoreError, match="disk of this worker is full"):
+        run(folder, Dispatcher(client))
+    set_manners(folder.parent / "store")
+    run(folder, Dispatcher(client))
+    assert told(folder) == reference
+
+
+def test_a_full_disk_while_journalling_keeps_what_is_written(
+    folder: Path, reference: dict[int, tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = storage_journal._write_all
+    calls = 0
+
+    def fills_up(handle: int, data: bytes) -> None:
+        nonlocal calls
+        calls += 1
+        if calls > 20:
+            written(handle, data[: len(data) // 2])
+            raise OSError(28, "No space left on device")
+        written(handle, data)
+
+    monkeypatch.setattr(storage_journal, "_write_all", fills_up)
+    with pytest.raises(JournalError, match="disk is full"):
+        run(folder, Inline())
+    monkeypatch.undo()
+    assert 0 < len(told(folder)) < len(reference)
+    run(folder, Inline())
+    assert told(folder) == reference
+
+
+def test_a_second_driver_is_refused(folder: Path) -> None:
+    study = Study(small_spec(), folder, tasks=TASKS)
+    with study.folder.open(), pytest.raises(JournalError, match="already running"):
+        run(folder, Inline())
+
+
+def test_a_torn_last_line_never_happened(
+    folder: Path, reference: dict[int, tuple[Any, ...]]
+) -> None:
+    run(folder, Inline())
+    data = journal_of(folder).read_bytes()
+    journal_of(folder).write_bytes(data[: 3 * len(data) // 5])
+    run(folder, Inline())
+    assert told(folder) == reference
+
+
+def test_a_damaged_line_is_refused_with_its_number(folder: Path) -> None:
+    run(folder, Inline())
+    lines = journal_of(folder).read_bytes().splitlines(keepends=True)
+    lines[6] = b'{"kind": "evaluation", \x00\x00\n'
+    journal_of(folder).write_bytes(b"".join(lines))
+    with pytest.raises(JournalError, match="line 7"):
+        run(folder, Inline())
+
+
+def test_genes_that_the_search_would_not_propose_are_refused(folder: Path) -> None:
+    run(folder, Inline())
+    lines = [json.loads(line) for line in journal_of(folder).read_text().splitlines()]
+    tampered = next(line for line in lines if line.get("candidate") == 5)
+    tampered["genes"]["E_fat_kpa"] += 1e-9
+    journal_of(folder).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(JournalError, match="Candidate 5"):
+        run(folder, Inline())
+
+
+def test_a_newer_store_and_a_newer_journal_are_refused(folder: Path) -> None:
+    run(folder, Inline())
+    marker = folder.parent / "store" / "palpate-store.json"
+    marker.write_text(marker.read_text().replace('"schema_version":1', '"schema_version":2'))
+    with pytest.raises(NewerSchemaError, match="newer version"):
+        run(folder, Inline())
+    journal = journal_of(folder)
+    journal.write_text(journal.read_text().replace('"schema_version":1', '"schema_version":2'))
+    with pytest.raises(NewerSchemaError, match="newer version"):
+        run(folder, Inline())
+
+
+def test_a_changed_study_is_refused_with_the_keys_that_differ(folder: Path) -> None:
+    run(folder, Inline())
+    changed = small_spec(SPEC.replace("population: 12", "population: 14"))
+    with pytest.raises(InputError, match=r"search\.population: 12 before, 14 now"):
+        run(folder, Inline(), changed)
+
+
+def test_changed_code_is_refused_unless_accepted(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(folder, Inline())
+    other = study_folder.versions() | {"code": "another"}
+    monkeypatch.setattr(study_folder, "versions", lambda: other)
+    with pytest.raises(InputError, match="--accept-new-code"):
+        run(folder, Inline())
+    run(folder, Inline(), accept_new_code=True)
+
+
+def test_a_changed_image_is_refused(folder: Path) -> None:
+    run(folder, Inline())
+    changed = replace(TASKS, target=lambda *_: {"target": "another", "kind": "image"})
+    with pytest.raises(InputError, match="target of this study was"):
+        Study(small_spec(), folder, tasks=changed).run(Inline())  # type: ignore[arg-type]
+
+
+def test_an_observer_that_fails_is_dropped(
+    folder: Path, reference: dict[int, tuple[Any, ...]], caplog: pytest.LogCaptureFixture
+) -> None:
+    class Broken(Observer):
+        def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+            raise RuntimeError("the screen is gone")
+
+    with caplog.at_level(logging.ERROR):
+        run(folder, Inline(), observers=[Broken()])
+    assert told(folder) == reference
+    assert len(caplog.records) == 1
+
+
+def test_waiting_for_workers_has_an_end(client: Any, folder: Path) -> None:
+    client.cluster.scale(0)
+    while client.nthreads():
+        pass
+    try:
+        with pytest.raises(ClusterError, match="no worker for"):
+            run(folder, Dispatcher(client, no_worker_s=1.0))
+    finally:
+        client.cluster.scale(2)

@@ -1,0 +1,209 @@
+"""A volume keeps its voxels and its place; a mesh, a field and a record keep all they hold."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import zarr
+from stores_at_hand import labels, run_python, same_bits
+
+from storage.errors import NewerSchemaError, StoreError
+from storage.evaluations import load_evaluation, save_evaluation
+from storage.fields import has_field, load_field, save_field
+from storage.meshes import has_mesh, load_mesh, save_mesh
+from storage.stores import open_store
+from storage.values import Volume
+from storage.volumes import (
+    has_volume,
+    list_volumes,
+    load_volume,
+    remove_volume,
+    save_volume,
+    volume_meta,
+)
+
+
+@pytest.fixture
+def store(tmp_path):
+    return open_store(tmp_path / "store")
+
+
+def test_voxels_spacing_and_origin_come_back_bit_for_bit(store):
+    volume = labels()
+    save_volume(store, "v", volume)
+    read = load_volume(store, "v")
+    assert same_bits(read.values, volume.values)
+    assert read.spacing_mm == volume.spacing_mm == (0.3, 0.5, 0.7)
+    assert read.origin_mm == volume.origin_mm
+    assert read.on_lattice_of(volume, tolerance=1e-15)
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.int16, np.float32])
+def test_compartments_and_grey_values_have_no_label_names(store, dtype):
+    values = (np.arange(60).reshape(3, 4, 5) - 3).astype(dtype)
+    save_volume(store, "v", Volume(values, (1, 2, 3)))
+    assert same_bits(load_volume(store, "v").values, values)
+    assert volume_meta(store, "v")["labels"] is None
+
+
+def test_grey_bytes_are_no_tissues(store):
+    save_volume(store, "v", Volume(np.full((1, 1, 1), 6, np.uint8), (1, 1, 1)))
+    assert volume_meta(store, "v")["labels"] is None
+
+
+def test_a_view_of_a_volume_is_stored_as_it_is_seen(store):
+    whole = np.random.default_rng(0).integers(0, 6, (20, 20, 20), dtype=np.uint8)
+    view = whole[3:17:2, ::-1, 5:].transpose(2, 0, 1)
+    save_volume(store, "v", Volume(view, (1, 1, 1)))
+    read = load_volume(store, "v").values
+    assert np.array_equal(read, view)
+    assert read.flags.c_contiguous
+
+
+def test_more_than_one_chunk_along_every_axis(store):
+    values = np.random.default_rng(0).integers(0, 6, (130, 129, 257), dtype=np.uint8)
+    save_volume(store, "v", Volume(values, (0.25, 0.25, 0.25)))
+    assert same_bits(load_volume(store, "v").values, values)
+
+
+def test_what_is_known_of_a_volume_is_there_without_its_voxels(store):
+    meta = {"kind": "phantom", "settings": {"seed": 1, "best": -math.inf}, "name": "inf"}
+    save_volume(store, "v", labels(), meta=meta)
+    for chunk in (store.layout.volume("v") / "values" / "c").rglob("0"):
+        if chunk.is_file():
+            chunk.unlink()
+    known = volume_meta(store, "v")
+    assert {key: known[key] for key in meta} == meta
+    assert known["spacing_mm"] == [0.3, 0.5, 0.7]
+    assert known["shape"] == [5, 6, 7]
+    assert known["dtype"] == "uint8"
+    assert known["labels"]["2"] == "glandular"
+
+
+def test_other_programs_find_spacing_and_labels_in_the_attributes(store):
+    save_volume(store, "v", labels())
+    attributes = zarr.open_group(store.layout.volume("v"), mode="r").attrs.asdict()["meta"]
+    assert attributes["origin_mm"] == [-12.25, 0.1, 1e-3]
+    assert attributes["labels"]["0"] == "air"
+
+
+def test_meta_data_cannot_contradict_the_volume(store):
+    with pytest.raises(StoreError, match="'spacing_mm'"):
+        save_volume(store, "v", labels(), meta={"spacing_mm": [1, 1, 1]})
+    assert not has_volume(store, "v")
+
+
+def test_volumes_are_listed_and_removed(store):
+    for name in ("b", "a"):
+        save_volume(store, name, labels())
+    assert list_volumes(store) == ["a", "b"]
+    assert remove_volume(store, "a")
+    assert not remove_volume(store, "a")
+    assert list_volumes(store) == ["b"]
+    assert [p.name for p in store.layout.volumes.iterdir()] == ["b.zarr"]
+    with pytest.raises(StoreError, match=r"a\.zarr is not in the store"):
+        load_volume(store, "a")
+
+
+def test_a_volume_half_removed_is_gone(store):
+    save_volume(store, "v", labels())
+    code = """
+import os, signal, sys
+from storage import atomic
+from storage.stores import open_store
+from storage.volumes import remove_volume
+atomic.discard = lambda path: os.kill(os.getpid(), signal.SIGKILL)
+remove_volume(open_store(sys.argv[1]), "v")
+"""
+    assert run_python(code, store.root).returncode == -9
+    assert not has_volume(store, "v")
+    assert list_volumes(store) == []
+
+
+def test_a_mesh_comes_back_with_its_meta_data(store):
+    arrays = {"0.nodes": np.random.default_rng(0).random((4, 3)), "size": np.array(2.5)}
+    facts = {"volume": "v", "facts": {"nodes": 4, "seconds": {"mesh": 0.5}}}
+    assert not has_mesh(store, "m")
+    save_mesh(store, "m", arrays, facts)
+    read, meta = load_mesh(store, "m")
+    assert has_mesh(store, "m")
+    assert all(same_bits(read[name], arrays[name]) for name in arrays)
+    assert meta == facts
+
+
+def test_a_field_comes_back(store):
+    field = np.random.default_rng(0).normal(size=(1000, 3))
+    save_field(store, "f", field)
+    assert has_field(store, "f")
+    assert same_bits(load_field(store, "f"), field)
+
+
+@pytest.mark.parametrize("bad", [np.zeros((4, 2)), np.zeros(3), np.zeros((4, 3), np.float32)])
+def test_what_is_no_displacement_is_refused(store, bad):
+    with pytest.raises(StoreError, match=r"expected \(n, 3\) and float64"):
+        save_field(store, "f", bad)
+    assert not has_field(store, "f")
+
+
+RECORD = {
+    "digest": "e",
+    "status": "done",
+    "reason": "inf",
+    "score": {"gsf": -math.inf, "mhd_mm": 0.0, "jc": 1.0},
+    "outcome": {"newton_iterations": [3, 2], "residual_n": 1e-9, "converged": True},
+    "seconds": {"solve": 0.1 + 0.2},
+}
+
+
+def test_an_evaluation_comes_back_with_its_infinities(store):
+    assert load_evaluation(store, "e") is None
+    save_evaluation(store, "e", RECORD)
+    assert load_evaluation(store, "e") == RECORD
+
+
+def test_an_evaluation_may_hold_numpy_numbers_tuples_and_nan(store):
+    record = {"score": {"gsf": np.float64("inf")}, "outcome": {"n": (np.int64(3),), "r": math.nan}}
+    save_evaluation(store, "e", record)
+    read = load_evaluation(store, "e")
+    assert read["score"]["gsf"] == math.inf
+    assert read["outcome"]["n"] == [3]
+    assert math.isnan(read["outcome"]["r"])
+
+
+def test_evaluations_are_json_that_any_program_reads(store):
+    save_evaluation(store, "e", RECORD)
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    text = store.layout.evaluation("e").read_text()
+    assert json.loads(text, parse_constant=refuse)["record"]["score"]["gsf"] == "-inf"
+
+
+def test_an_evaluation_is_whole_or_not_there(store):
+    code = """
+import os, signal, sys
+from pathlib import Path
+from storage.evaluations import save_evaluation
+from storage.stores import open_store
+Path.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+save_evaluation(open_store(sys.argv[1]), "e", {"a": 1})
+"""
+    assert run_python(code, store.root).returncode == -9
+    assert load_evaluation(store, "e") is None
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", '{"schema_version":1}', '{"schema_version":1,"record":3}']
+)
+def test_a_damaged_evaluation_is_an_error_with_a_way_out(store, text):
+    store.layout.evaluation("e").write_text(text)
+    with pytest.raises(StoreError, match=r"damaged.*Remove that file"):
+        load_evaluation(store, "e")
+
+
+def test_an_evaluation_of_a_newer_version_asks_for_an_upgrade(store):
+    store.layout.evaluation("e").write_text('{"schema_version":2,"record":{}}')
+    with pytest.raises(NewerSchemaError, match="Upgrade"):
+        load_evaluation(store, "e")

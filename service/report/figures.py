@@ -57,7 +57,7 @@ def convergence(points: Sequence[Point], best: Sequence[float], mean: Sequence[f
     Infinite scores have no place on the axis: identical volumes (-inf) are drawn as
     triangles along the bottom, failures (+inf) as crosses along the top.
     """
-    drawn = figure(7.6, 3.5)
+    drawn = figure(10.4, 3.7)
     axes = calm(drawn.subplots())
     numbers = np.array([p.generation + 1 for p in points], dtype=float)
     scores = np.array([p.gsf for p in points], dtype=float)
@@ -96,7 +96,7 @@ def ranges(found: Sequence[Found], cloud: Mapping[str, Sequence[float]]) -> Figu
     cloud : mapping of str to sequence of float
         Values of good evaluations by name, drawn faintly.
     """
-    drawn = figure(7.6, 0.75 + 0.62 * len(found))
+    drawn = figure(10.4, 0.7 + 0.66 * len(found))
     axes = drawn.subplots()
     axes.spines[:].set_visible(False)
     axes.set(xlim=(-0.02, 1.02), ylim=(len(found) - 0.45, -0.6), xticks=[])
@@ -116,7 +116,7 @@ def ranges(found: Sequence[Found], cloud: Mapping[str, Sequence[float]]) -> Figu
 
 def scatter(found: Found, points: Sequence[Point], generations: int) -> Figure:
     """Scores over one parameter: a narrow valley means that the images fix it."""
-    drawn = figure(3.7, 2.75)
+    drawn = figure(5.1, 2.9)
     axes = calm(drawn.subplots(), grid="both")
     scored = [p for p in points if math.isfinite(p.gsf)]
     ordered = sorted(scored, key=lambda p: p.generation)
@@ -127,10 +127,14 @@ def scatter(found: Found, points: Sequence[Point], generations: int) -> Figure:
     )  # fmt: skip
     if found.target is not None:
         axes.axvline(found.target, color=INK, linewidth=1.1, linestyle=(0, (2, 2)))
-    if found.estimate is not None and scored:
-        lowest = min(p.gsf for p in scored)
-        axes.scatter([found.estimate], [lowest], s=70, facecolors="none", edgecolors=VERMILION,
-                     linewidths=1.8, zorder=5)  # fmt: skip
+    low, high = limits([p.gsf for p in scored] or [-1.0, 0.0])
+    axes.set_ylim(low, high)
+    identical = [p.genes[found.name] for p in points if p.gsf == -math.inf]
+    axes.scatter(identical, [low] * len(identical), marker="v", s=26, color=BLUE, clip_on=False)
+    if found.estimate is not None:
+        lowest = low if identical else min((p.gsf for p in scored), default=low)
+        axes.scatter([found.estimate], [lowest], s=80, facecolors="none", edgecolors=VERMILION,
+                     linewidths=1.8, zorder=5, clip_on=False)  # fmt: skip
     room = 0.02 * (found.upper - found.lower)
     axes.set(xlim=(found.lower - room, found.upper + room), xlabel=found.label, ylabel="GSF")
     axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -140,7 +144,7 @@ def scatter(found: Found, points: Sequence[Point], generations: int) -> Figure:
 
 def stages(seconds: Mapping[str, float]) -> Figure:
     """Shares of the time that evaluations took, stage by stage."""
-    drawn = figure(7.6, 0.85)
+    drawn = figure(10.4, 0.9)
     axes = drawn.subplots()
     axes.axis("off")
     total = sum(seconds.values())

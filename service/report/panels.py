@@ -21,7 +21,7 @@ from service.report.slices import (
 )
 from storage.values import Tissue, Triple
 
-WIDTH_IN = 10.6
+PANEL_IN = (2.3, 2.9)  # at most: width, height
 _TISSUES = palette.lookup(palette.TISSUES)
 _DIFFERENCES = palette.lookup(palette.DIFFERENCES)
 
@@ -37,9 +37,9 @@ def panels(bodies: Bodies, view: View, tissues: Sequence[Tissue]) -> Figure | No
     if not shown:
         return None
     left, right, bottom, top = frame_mm([s for _, s, _ in shown])
-    panel_in = WIDTH_IN / 4
-    height = panel_in * (top - bottom) / (right - left) + 0.85
-    drawn = figure(WIDTH_IN * len(shown) / 4, min(height, 6.0))
+    per_mm = min(PANEL_IN[0] / (right - left), PANEL_IN[1] / (top - bottom))
+    width, height = per_mm * (right - left), per_mm * (top - bottom)
+    drawn = figure(len(shown) * (width + 0.18) + 0.62, height + 0.85)
     row = drawn.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (title, cut, is_difference) in zip(row, shown, strict=True):
         table = _DIFFERENCES if is_difference else _TISSUES

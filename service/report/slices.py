@@ -41,7 +41,7 @@ class View:
 VIEWS = (
     View("coronal", normal=2, across=0, up=1),
     View("transverse", normal=0, across=2, up=1),
-    View("sagittal", normal=1, across=2, up=0),
+    View("sagittal", normal=1, across=0, up=2),
 )
 
 

@@ -151,9 +151,10 @@ def verdict(estimates: Mapping[str, Mapping[str, Any]]) -> list[Markup]:
         if found["estimate"] is None:
             continue
         unit = found["unit"] or ""
-        phrase = symbol(name, unit) + f" {number(found['estimate'], 3)} {unit}".rstrip()
+        value = f"{number(found['estimate'], 3)} {unit}".rstrip()
+        phrase = symbol(name, unit) + Markup(" <b>{}</b>").format(value)
         error = found.get("relative_error")
         if error is not None:
-            phrase += f", {percent(error)} from the target"
+            phrase += Markup(', <span class="off">{} from the target</span>').format(percent(error))
         phrases.append(phrase)
     return phrases

@@ -55,7 +55,7 @@ def test_every_level_is_sound(meshes):
 
 @pytest.mark.parametrize("nodes", [2000, 12000])
 def test_volume_and_wall_of_the_half_ellipsoid(breast, breast_mm3, nodes):
-    level = build_hierarchy(breast, nodes=nodes, coarsest_nodes=nodes * 2).finest
+    level = build_hierarchy(breast, nodes=nodes).finest
     assert len(level.mesh.nodes) == pytest.approx(nodes, rel=0.1)
     assert volumes_mm3(level.mesh).sum() == pytest.approx(breast_mm3, rel=0.01)
     _, wall = split_boundary(boundary_triangles(level.mesh.tets), level.wall)
@@ -86,13 +86,13 @@ def test_quality(meshes):
 
 
 def test_element_size_is_the_lattice_cell(breast):
-    meshes = build_hierarchy(breast, element_size_mm=8.0, coarsest_nodes=10000)
+    meshes = build_hierarchy(breast, element_size_mm=8.0)
     assert meshes.element_size_mm == 8.0
     assert np.median(measures(meshes.finest.mesh)["volume_mm3"]) == pytest.approx(8**3 / 12)
 
 
 def test_ratio_is_the_cell_size_between_levels(breast):
-    meshes = build_hierarchy(breast, element_size_mm=5.0, ratio=1.6, coarsest_nodes=600)
+    meshes = build_hierarchy(breast, element_size_mm=5.0)
     medians = [np.median(measures(m.mesh)["volume_mm3"]) for m in meshes.levels]
     assert len(medians) == 4
     assert medians[-2] / medians[-1] == pytest.approx(1.6**3, rel=1e-6)

@@ -3,9 +3,10 @@
 import sys
 from pathlib import Path
 
+from stand_ins import run
+
 from service.cluster import open_cluster
 from service.dispatch import Dispatcher
-from stand_ins import run
 
 
 def main(folder: str, where: str, value: str) -> None:

@@ -11,13 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service import folder as study_folder
-from service.chronicle import Chronicle
-from service.cluster import open_cluster
-from service.dispatch import Dispatcher
-from service.errors import ClusterError, Interrupted
-from service.hooks import Observer
-from service.study import Study
 from stand_ins import (
     SPEC,
     TASKS,
@@ -29,6 +22,14 @@ from stand_ins import (
     small_spec,
     told,
 )
+
+from service import folder as study_folder
+from service.chronicle import Chronicle
+from service.cluster import open_cluster
+from service.dispatch import Dispatcher
+from service.errors import ClusterError, Interrupted
+from service.hooks import Observer
+from service.study import Study
 from storage import journal as storage_journal
 from storage.errors import InputError, JournalError, NewerSchemaError, StoreError
 from storage.layout import StudyLayout

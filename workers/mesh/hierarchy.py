@@ -18,7 +18,9 @@ from workers.mesh.tissues import majority_fractions, volume_fractions
 
 STEPS_PER_CELL = 3.5  # samples of the outline along one lattice cell
 FEWEST_CELLS = 4  # across the body's shortest side, for the finest mesh
-FEWEST_COARSE_CELLS = 2
+COARSEST_CELL = 0.43  # of the body's shortest side
+RATIO = 2.3  # wanted ratio of cell sizes between levels
+LEAST_RATIO = 1.4  # closer levels are not worth their work
 COUNT_TOLERANCE = 0.06  # of the wanted number of nodes
 
 
@@ -73,8 +75,6 @@ def build_hierarchy(
     *,
     element_size_mm: float | None = None,
     nodes: int | None = None,
-    ratio: float = 2.0,
-    coarsest_nodes: int = 300,
 ) -> Hierarchy:
     """Mesh the largest body in a label volume at several sizes.
 
@@ -88,18 +88,14 @@ def build_hierarchy(
     nodes : int, optional
         Wanted number of nodes of the finest mesh, met within 10 %. Exactly one of
         ``element_size_mm`` and ``nodes`` is given.
-    ratio : float
-        Cell size of a level over that of the next finer one; > 1.
-    coarsest_nodes : int
-        Coarsening ends at a mesh of at most this many nodes, or at half the body's shortest side.
 
     Raises
     ------
     InputError
-        If the volume holds no tissue, both or none of the sizes are given, the elements
-        are larger than a quarter of the body, or ``ratio`` is not above 1.
+        If the volume holds no tissue, both or none of the sizes are given, or the elements
+        are larger than a quarter of the body.
     """
-    _check_request(element_size_mm, nodes, ratio, coarsest_nodes)
+    _check_request(element_size_mm, nodes)
     if element_size_mm is None:
         assert nodes is not None
         fine, outline, cell_mm = _mesh_of_nodes(labels, nodes)
@@ -110,16 +106,24 @@ def build_hierarchy(
         fine = fitted_mesh(outline, cell_mm)
 
     fitted = [fine]
-    while len(fitted[-1].mesh.nodes) > coarsest_nodes:
-        coarse_mm = cell_mm * ratio ** len(fitted)
-        if coarse_mm > outline.smallest_extent_mm / FEWEST_COARSE_CELLS:
-            break
+    for coarse_mm in _coarser_cells(cell_mm, outline.smallest_extent_mm):
         coarse = fitted_mesh(outline, coarse_mm)
         if len(fine.wall) and not coarse.has_wall:
             break  # the body touches its wall in a spot smaller than these cells
         fitted.append(coarse)
     fitted.reverse()
     return Hierarchy(_levels(fitted, labels), float(cell_mm))
+
+
+def _coarser_cells(cell_mm: float, shortest_mm: float) -> list[float]:
+    """Cell sizes of the coarser levels, in equal ratios up to the coarsest that still works.
+
+    The coarsest level (some 150 nodes) is factored, so its size is what should
+    not depend on the finest; the number of levels brings the ratio near `RATIO`.
+    """
+    factor = shortest_mm * COARSEST_CELL / cell_mm
+    count = max(round(np.log(max(factor, 1.0)) / np.log(RATIO)), 1 if factor > LEAST_RATIO else 0)
+    return [cell_mm * factor ** (k / count) for k in range(1, count + 1)]
 
 
 def _levels(fitted: list[FittedMesh], labels: Volume) -> tuple[MeshLevel, ...]:
@@ -188,9 +192,7 @@ def _cell_for(nodes: float, volume: float, area_part: float) -> float:
     return float(a)
 
 
-def _check_request(
-    element_size_mm: float | None, nodes: int | None, ratio: float, coarsest_nodes: int
-) -> None:
+def _check_request(element_size_mm: float | None, nodes: int | None) -> None:
     if (element_size_mm is None) == (nodes is None):
         raise InputError(
             "Give exactly one of element_size_mm and nodes, "
@@ -200,10 +202,6 @@ def _check_request(
         raise InputError(f"element_size_mm must be a positive number, got {element_size_mm}.")
     if nodes is not None and nodes < 1:
         raise InputError(f"nodes must be a positive number, got {nodes}; try nodes: 5000.")
-    if not ratio > 1:
-        raise InputError(f"ratio must be above 1 (2 halves the cells), got {ratio}.")
-    if coarsest_nodes < 1:
-        raise InputError(f"coarsest_nodes must be positive, got {coarsest_nodes}.")
 
 
 def _check_size(cell_mm: float, outline: Outline) -> None:

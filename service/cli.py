@@ -1,0 +1,89 @@
+"""The command `palpate`.
+
+Exit codes: 0 done; 1 a fault of ours, with its traceback; 2 something that the
+user can put right, said in one message; 130 interrupted, and how to go on.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import click
+import typer
+
+from service.commands import (
+    bench,
+    doctor,
+    import_,
+    mesh,
+    new,
+    phantom,
+    report,
+    run,
+    show,
+    simulate,
+    status,
+)
+from storage.errors import PalpateError
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="palpate",
+    help="The stiffness of living tissue from images, by finite elements and search.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from service.versions import palpate_version
+
+        typer.echo(f"palpate {palpate_version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Say it.")
+    ] = False,
+) -> None:
+    pass
+
+
+app.command("new")(new.new)
+app.command("run")(run.run)
+app.command("status")(status.status)
+app.command("show")(show.show)
+app.command("report")(report.report)
+app.command("import")(import_.import_image)
+app.command("phantom")(phantom.phantom)
+app.command("mesh")(mesh.mesh)
+app.command("simulate")(simulate.simulate)
+app.command("doctor")(doctor.doctor)
+app.command("bench")(bench.bench)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; its exit code."""
+    try:
+        code = app(arguments, standalone_mode=False)
+        sys.stdout.flush()
+    except click.exceptions.Abort:
+        typer.echo("Interrupted.", err=True)
+        return INTERRUPTED
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except PalpateError as error:
+        typer.echo(f"Error: {error}", err=True)
+        return 2
+    except BrokenPipeError:  # a reader such as `head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return int(code or 0)

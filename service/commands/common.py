@@ -1,0 +1,111 @@
+"""What commands share: options, and how results are written."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from service.spec import StudySpec
+
+RUNS = Path("runs")
+
+JsonOption = Annotated[bool, typer.Option("--json", help="One JSON record on standard output.")]
+StoreOption = Annotated[
+    Path | None,
+    typer.Option("--store", help="Folder of volumes and evaluations. Default: runs/store."),
+]
+StudyArgument = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="[STUDY]",
+        help="A study's folder, file or name. Default: the study in runs/ that ran last.",
+        show_default=False,
+    ),
+]
+
+
+def print_json(value: Any) -> None:
+    """One record, readable by people as well; infinities as the texts "-inf" and "inf"."""
+    from storage.plain import to_plain
+
+    typer.echo(json.dumps(to_plain(value), indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def find_study(given: Path | None) -> Path:
+    """The folder of a study from what a user types.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    if given is None:
+        return _latest()
+    if given.is_dir():
+        return given
+    if given.is_file():
+        from service.spec import read_spec
+
+        return RUNS / read_spec(given).name
+    if (RUNS / given).is_dir():
+        return RUNS / given
+    known = ", ".join(str(folder) for folder in _studies()) or "none"
+    raise InputError(f"There is no study {given}. Studies in {RUNS.absolute()}: {known}.")
+
+
+def load_spec(given: Path) -> "StudySpec":
+    """The study in a file, or in a study's folder.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it makes no sense.
+    """
+    from service.spec import read_spec
+    from storage.layout import StudyLayout
+
+    return read_spec(StudyLayout(given).study if given.is_dir() else given)
+
+
+def constants_option(spec: "StudySpec", given: list[str]) -> dict[str, float]:
+    """``E_fat_kpa=12`` as inside names and units, for one simulation.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value is no number.
+    """
+    stated: dict[str, float] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        try:
+            stated[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise InputError(f"--set {text}: expected NAME=VALUE, such as --set E_fat_kpa=12.")
+    return spec.case.parameters.from_door(stated)
+
+
+def _latest() -> Path:
+    studies = _studies()
+    if not studies:
+        raise InputError(
+            f"There is no study in {RUNS.absolute()}. Start one with `palpate new breast NAME` "
+            "and `palpate run NAME.yaml`, or give a study's folder."
+        )
+    return studies[-1]
+
+
+def _studies() -> list[Path]:
+    """Folders with a journal, the one written last at the end."""
+    from storage.layout import StudyLayout
+
+    if not RUNS.is_dir():
+        return []
+    found = [folder for folder in RUNS.iterdir() if StudyLayout(folder).journal.is_file()]
+    return sorted(found, key=lambda folder: StudyLayout(folder).journal.stat().st_mtime)

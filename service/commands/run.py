@@ -1,0 +1,110 @@
+"""`palpate run`: start a study, or go on with it."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.commands.common import RUNS, JsonOption, load_spec, print_json
+
+if TYPE_CHECKING:
+    from service.study import Study
+
+INTERRUPTED = 130
+
+
+def run(
+    study: Annotated[Path, typer.Argument(help="A study file, or a study's folder.")],
+    folder: Annotated[
+        Path | None,
+        typer.Option("--study", help="The study's folder. Default: runs/NAME.", show_default=False),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(help="Processes of this machine. Default: one per core.", show_default=False),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Use a running Dask cluster, tcp://HOST:8786."),
+    ] = None,
+    store: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of volumes and evaluations, seen by all workers. Default: that of the "
+            "last run, else the folder store beside the study's.",
+            show_default=False,
+        ),
+    ] = None,
+    accept_new_code: Annotated[
+        bool, typer.Option(help="Continue although the code has changed since the last run.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a study, or continue it: an existing study goes on where it was.
+
+    Ctrl-C stops it at any time; the same command continues it.
+    """
+    from rich.console import Console
+
+    from service.progress import progress_observer
+    from service.results import study_results
+    from service.study import Study
+
+    spec = load_spec(study)
+    home = folder or (study if study.is_dir() else RUNS / spec.name)
+    progress = progress_observer(Console(stderr=as_json, highlight=False))
+    made = Study(
+        spec, home, store, observers=[progress], accept_new_code=accept_new_code
+    )
+    if made.ended:
+        typer.echo(f"{home} is complete: nothing to run.", err=True)
+    else:
+        with progress:
+            code = _run_until_stopped(made, scheduler, workers)
+        if code:
+            again = f"palpate run {study}" + (f" --study {folder}" if folder else "")
+            typer.echo(f"Interrupted; what is finished is kept. To continue: {again}", err=True)
+            raise typer.Exit(code)
+    found = study_results(home)
+    if as_json:
+        print_json(found)
+    else:
+        from service.commands.report import print_report
+
+        print_report(found, Console(highlight=False))
+
+
+def _run_until_stopped(study: "Study", scheduler: str | None, workers: int | None) -> int:
+    from service.cluster import open_cluster
+    from service.dispatch import Dispatcher
+    from service.errors import Interrupted
+
+    with _stop_requests() as requests:
+        try:
+            with open_cluster(scheduler, workers) as cluster:
+                dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
+                study.run(dispatcher, cluster.dashboard)
+        except (Interrupted, KeyboardInterrupt):
+            return INTERRUPTED
+    return 0
+
+
+@contextmanager
+def _stop_requests() -> Iterator[list[int]]:
+    """Collect SIGINT and SIGTERM; the second one interrupts at once."""
+    requests: list[int] = []
+
+    def note(number: int, frame: Any) -> None:
+        requests.append(number)
+        if len(requests) > 1:
+            raise KeyboardInterrupt
+
+    before = {s: signal.signal(s, note) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield requests
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

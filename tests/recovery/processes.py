@@ -1,0 +1,65 @@
+"""Processes that the tests start, and kill on purpose."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from stand_ins import told
+
+from service.cluster import ALLOWED_FAILURES
+
+HERE = Path(__file__).parent
+
+
+def kill_and_finish(folder: Path, where: list[str], killed_after: list[int]) -> None:
+    """Kill a driver with signal 9 once the journal holds so many endings; let the last one end."""
+    command = [sys.executable, str(HERE / "driver.py"), str(folder), *where]
+    for count in killed_after:
+        driver = subprocess.Popen(command)
+        try:
+            while len(told(folder)) < count:
+                assert driver.poll() is None, "the driver ended before it was killed"
+                time.sleep(0.02)
+        finally:
+            driver.kill()
+            driver.wait()
+    subprocess.run(command, check=True, timeout=60)
+
+
+@contextmanager
+def plain_cluster(folder: Path, workers: int) -> Iterator[str]:
+    """`dask scheduler` and `dask worker`, each a process of its own; its address."""
+    port = unused_port()
+    address = f"tcp://127.0.0.1:{port}"
+    environment = os.environ | {
+        "PYTHONPATH": str(HERE),
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(ALLOWED_FAILURES),
+    }
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    worker = ["worker", address, "--nthreads", "1", "--no-dashboard", "--local-directory"]
+    with (folder / "log").open("w") as log:
+        started = [
+            subprocess.Popen(dask + arguments, env=environment, stdout=log, stderr=log)
+            for arguments in [scheduler, *([[*worker, str(folder / "dask")]] * workers)]
+        ]
+    try:
+        yield address
+    finally:
+        for process in reversed(started):
+            process.terminate()
+        for process in started:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=10)
+            process.kill()
+
+
+def unused_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

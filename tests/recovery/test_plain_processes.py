@@ -1,0 +1,19 @@
+"""The processes of a compose file: a scheduler, workers, and drivers that are killed."""
+
+from pathlib import Path
+
+from processes import kill_and_finish, plain_cluster
+from stand_ins import Inline, executions, run, set_manners, told
+
+
+def test_drivers_come_and_go_beside_a_running_scheduler(tmp_path: Path) -> None:
+    run(tmp_path / "undisturbed" / "demo", Inline())
+    folder = tmp_path / "runs" / "demo"
+    set_manners(folder.parent / "store", seconds=0.1)
+    with plain_cluster(tmp_path, workers=2) as address:
+        kill_and_finish(folder, ["--scheduler", address], killed_after=[2, 11, 23])
+    assert told(folder) == told(tmp_path / "undisturbed" / "demo")
+    # A worker outlives its driver and may finish what the next driver has asked for again:
+    # at most what was under way, one evaluation on each worker for each kill.
+    ran = executions(folder)
+    assert len(ran) - len(set(ran)) <= 3 * 2

@@ -1,0 +1,43 @@
+"""Workers killed with signal 9: finished evaluations are kept, unfinished ones asked for again."""
+
+import os
+import random
+import signal
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from stand_ins import Inline, assert_each_ran_once, run, set_manners, told
+
+from service.cluster import open_cluster
+from service.dispatch import Dispatcher
+
+
+def test_five_workers_killed(tmp_path: Path) -> None:
+    run(tmp_path / "undisturbed" / "demo", Inline())
+    folder = tmp_path / "runs" / "demo"
+    set_manners(folder.parent / "store", seconds=0.2)
+    killed: list[int] = []
+    over = threading.Event()
+
+    def kill(client: Any) -> None:
+        chance = random.Random(5)
+        while len(killed) < 5 and not over.wait(chance.uniform(0.2, 0.6)):
+            with suppress(OSError, TimeoutError):  # a worker may be going at this moment
+                pids = client.run(os.getpid, on_error="ignore").values()
+                pid = chance.choice(sorted(set(pids) - set(killed)))
+                os.kill(pid, signal.SIGKILL)
+                killed.append(pid)
+                time.sleep(0.2)
+
+    with open_cluster(workers=2) as cluster:
+        killer = threading.Thread(target=kill, args=(cluster.client,))
+        killer.start()
+        run(folder, Dispatcher(cluster.client))
+        over.set()
+        killer.join()
+    assert len(killed) == 5
+    assert told(folder) == told(tmp_path / "undisturbed" / "demo")
+    assert_each_ran_once(folder)

@@ -50,7 +50,7 @@ class StudyFolder:
         if self.root.exists() and not self.root.is_dir():
             raise InputError(f"{self.root} is a file, expected a study folder: choose another.")
         told = Chronicle.read(self.layout.journal)
-        if told.study is not None:
+        if told.study is not None and told.sessions:
             self._refuse_other_study(told.study)
             self._refuse_other_code(told)
         return told
@@ -70,13 +70,16 @@ class StudyFolder:
         return Journal(self.layout.journal)
 
     def begin(self, journal: Journal) -> Chronicle:
-        """Read the journal under its lock; a new study gets its first line."""
+        """Read the journal under its lock; a new study gets its first line.
+
+        Until its preparation has succeeded once a study may still be changed.
+        """
         told = self.check()
-        if not self.layout.study.exists():
-            asked = yaml.safe_dump(self.spec.as_dict(), sort_keys=False, allow_unicode=True)
-            write_file(self.layout.study, (HEAD + asked).encode())
-        if told.study is None:
-            journal.append(StudyRecord(self.spec.digest, self.spec.as_dict(), versions()).to_json())
+        if told.study is not None and told.study.spec_digest == self.spec.digest:
+            return told
+        asked = yaml.safe_dump(self.spec.as_dict(), sort_keys=False, allow_unicode=True)
+        write_file(self.layout.study, (HEAD + asked).encode())
+        journal.append(StudyRecord(self.spec.digest, self.spec.as_dict(), versions()).to_json())
         return told
 
     def default_store(self, told: Chronicle) -> Path:

@@ -97,7 +97,7 @@ class Study:
         self.tasks = tasks or Tasks()
         self.hooks = Hooks(observers)
         self.folder = StudyFolder(folder, spec, accept_new_code=accept_new_code)
-        self.folder.check()
+        self.ended = self.folder.check().end is not None
         self._wanted_store = store
 
     def run(self, dispatcher: Dispatcher, dashboard: str = "") -> Conclusion:

@@ -56,9 +56,7 @@ def run(
     spec = load_spec(study)
     home = folder or (study if study.is_dir() else RUNS / spec.name)
     progress = progress_observer(Console(stderr=as_json, highlight=False))
-    made = Study(
-        spec, home, store, observers=[progress], accept_new_code=accept_new_code
-    )
+    made = Study(spec, home, store, observers=[progress], accept_new_code=accept_new_code)
     if made.ended:
         typer.echo(f"{home} is complete: nothing to run.", err=True)
     else:

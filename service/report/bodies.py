@@ -20,6 +20,7 @@ from workers.images.labels import tissue_named
 from workers.mesh.hierarchy import from_arrays
 from workers.similarity.score import Scorer, Surface
 
+
 @dataclass(frozen=True, eq=False)
 class Bodies:
     """Volumes that were found, and a sentence for each that was not.
@@ -47,7 +48,7 @@ class Bodies:
         if candidate is None or self.target is None:
             return {}
         body = pipeline.on_lattice(candidate, self.target)
-        scored = {}
+        scored: dict[str, Mapping[str, float]] = {}
         for label in labels:
             try:
                 scorer = Scorer(self.target, (tissue_named(label),), surface)
@@ -109,8 +110,7 @@ def _explained(
     if has_volume(store, best):
         return _stored(store, best, "best candidate", missing)
     mesh = session.prepared.get("mesh")
-    made_again = reference is not None and mesh and has_mesh(store, mesh) and has_field(store, best)
-    if not made_again:
+    if reference is None or not mesh or not (has_mesh(store, mesh) and has_field(store, best)):
         return _stored(store, None, "best candidate", missing)
     try:
         arrays, _ = load_mesh(store, mesh)

@@ -8,6 +8,7 @@ import io
 import re
 import threading
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -19,9 +20,10 @@ from service.report.palette import INK, RULE, SOFT_INK
 FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 TEXT_PT = 10.0
 SMALL_PT = 9.0
+GRID_EDGE = "#aab2bd"
 
 # Matplotlib reads these two settings from its global ones when it writes.
-_WRITING = {"svg.fonttype": "none", "svg.hashsalt": "palpate"}
+_WRITING: Any = {"svg.fonttype": "none", "svg.hashsalt": "palpate"}
 _lock = threading.Lock()
 _FONT_LIST = re.compile(r"'DejaVu Sans'(?:, (?:'[^']*'|[\w-]+))*")
 
@@ -46,16 +48,17 @@ def calm(axes: Axes, *, grid: str = "y") -> Axes:
     return axes
 
 
-GRID_EDGE = "#aab2bd"
-
-
-def legend(axes: Axes, **options: object) -> None:
+def legend(axes: Axes, **options: Any) -> None:
     """A legend without a frame, above the axes."""
-    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 4} | options
+    place: dict[str, Any] = {
+        "loc": "lower left",
+        "bbox_to_anchor": (0.0, 1.0),
+        "ncols": 4,
+    } | options
     axes.legend(
         frameon=False, fontsize=SMALL_PT, labelcolor=SOFT_INK, borderaxespad=0.2,
         handletextpad=0.5, columnspacing=1.4, **place,
-    )  # type: ignore[arg-type]  # fmt: skip
+    )  # fmt: skip
 
 
 def svg(drawn: Figure) -> str:

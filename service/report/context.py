@@ -8,8 +8,8 @@ from markupsafe import Markup
 
 from service.report import tables
 from service.report.evidence import Evidence
+from service.report.panels import difference_legend, present
 from service.report.pictures import (
-    Picture,
     best_tenth,
     convergence_picture,
     found_parameters,
@@ -19,7 +19,6 @@ from service.report.pictures import (
     section_pictures,
     stage_picture,
 )
-from service.report.panels import difference_legend, present
 from service.report.words import (
     at_edge,
     count,
@@ -30,7 +29,6 @@ from service.report.words import (
     verdict,
 )
 from storage.plain import to_plain
-from storage.status import Status
 
 BEFORE_LABELS = ("fat", "glandular", "skin", "muscle", "ligament")
 
@@ -49,14 +47,14 @@ def context(evidence: Evidence) -> dict[str, Any]:
 
 
 def _head(evidence: Evidence) -> dict[str, Any]:
-    told, score = evidence.results, evidence.results["score"]
+    told, score = evidence.results, _score(evidence)
     phrases = verdict(told["estimates"])
-    sentence = Markup("{}.").format(joined_long(phrases)) if phrases else "Nothing found yet."
+    sentence = _sentence(phrases) if phrases else "Nothing found yet."
     tiles: list[tuple[str, str, str]] = []
     if score:
         tiles = [
             ("Jaccard coefficient", number(score["jc"]), ""),
-            ("Mean surface distance", number(score["mhd_mm"], 3), "mm"),
+            ("Modified Hausdorff distance", number(score["mhd_mm"], 3), "mm"),
             ("GSF", number(score["gsf"]), ""),
         ]
     tiles.append(("Evaluations", count(len(evidence.endings)), ""))
@@ -70,27 +68,42 @@ def _head(evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def joined_long(phrases: list[Markup]) -> Markup:
-    """Phrases that hold commas themselves, so semicolons stand between them."""
-    return Markup("; ").join(phrases)
+def _sentence(phrases: list[Markup]) -> Markup:
+    """Phrases that hold commas themselves, none of them broken over two lines."""
+    ends = [";"] * (len(phrases) - 1) + ["."]
+    return Markup("\n").join(
+        Markup('<span class="found">{}{}</span>').format(phrase, end)
+        for phrase, end in zip(phrases, ends, strict=True)
+    )
 
 
 def _lead(evidence: Evidence) -> str:
-    score, stopped = evidence.results["score"], evidence.results["stopped"]
+    score, stopped = _score(evidence), evidence.results["stopped"]
     sentences = []
     if score:
         tissues = " and ".join(evidence.spec["score"]["labels"])
+        what = "surfaces" if evidence.spec["score"]["surface"] == "boundary" else "voxels"
         sentences.append(
             f"With the best constants, {tissues} tissue of simulation and target share "
-            f"{100 * score['jc']:.1f} % of the volume that they fill together, and their surfaces "
+            f"{100 * score['jc']:.1f} % of the volume that they fill together, and their {what} "
             f"lie {number(score['mhd_mm'], 3)} mm ({number(score['mhd_voxels'], 2)} voxels) apart "
             "on average."
         )
     if stopped:
-        sentences.append(f"The search stopped because {stopped}.")
+        sentences.append(f"The search has ended: {stopped}.")
+    elif evidence.results["state"] == "running":
+        sentences.append("The search is still running: all numbers are those of the best so far.")
     else:
-        sentences.append("The search has not ended: all numbers are those of the best so far.")
+        sentences.append(
+            "The search was interrupted: all numbers are those of the best so far. Running the "
+            "study again continues it."
+        )
     return " ".join(sentences)
+
+
+def _score(evidence: Evidence) -> dict[str, float] | None:
+    """The best candidate's score; None if there is no best candidate."""
+    return dict(evidence.results["score"]) if evidence.best is not None else None
 
 
 def _warnings(evidence: Evidence) -> list[Markup]:
@@ -151,7 +164,7 @@ def _bodies(evidence: Evidence) -> dict[str, Any]:
 
 
 def _search(evidence: Evidence) -> dict[str, Any]:
-    generations = evidence.results["generations"]
+    generations = [g for g in evidence.results["generations"] if g["complete"]]
     search = evidence.spec["search"]
     rows = [
         (index + 1, number(g["best"], 5), number(g["mean"], 5))
@@ -169,7 +182,8 @@ def _search(evidence: Evidence) -> dict[str, Any]:
     )
     return {
         "convergence": convergence_picture(points_of(evidence.endings), generations),
-        "about_search": f"{len(generations)} generations of {search['population']} candidates; "
+        "about_search": f"{_plural(len(generations), 'complete generation')} of "
+        f"{search['population']} candidates; "
         f"the best {search['elite']} of each live on unchanged and are not evaluated again.",
         "generations": rows,
         "failures": failed,
@@ -189,24 +203,20 @@ def _simulation(evidence: Evidence) -> dict[str, Any]:
 
 def _time(evidence: Evidence) -> dict[str, Any]:
     told = evidence.results
-    computed = [r for r in evidence.endings if r.seconds and not r.reused]
-    spent, wall = told["stages"], told["seconds"]
-    tally = {status: 0 for status in (Status.DONE, Status.DIVERGED, Status.CRASHED, Status.LOST)}
-    for record in evidence.endings:
-        tally[record.status] += 1
-    work: list[tuple[str, str]] = [
-        (f"Evaluations {status.value}", count(n)) for status, n in tally.items()
-    ]
-    reused = sum(r.reused for r in evidence.endings)
+    computed = sum(not r.reused for r in evidence.endings)
+    spent, wall = {name: s["total"] for name, s in told["stages"].items()}, told["seconds"]
+    tally = dict(told["evaluations"])
+    reused = tally.pop("reused")
+    work = [(f"Evaluations {status}", count(n)) for status, n in tally.items()]
     work.append(("Of these taken from the store", count(reused)))
     if computed and wall:
-        work.append(("Throughput", f"{number(60 * len(computed) / wall, 3)} evaluations per min"))
+        work.append(("Throughput", f"{number(60 * computed / wall, 3)} evaluations per min"))
     if evidence.session is not None:
         work.append(("Evaluations at once", count(evidence.session.workers)))
     return {
-        "about_time": f"{duration(wall)} from start to end, preparation included; the evaluations "
-        f"took {duration(sum(spent.values()))} of processor time.",
-        "stages": tables.stages(spent, len(computed)),
+        "about_time": f"{duration(wall)} of wall time, preparation included; the evaluations took "
+        f"{duration(sum(spent.values()))} of processor time.",
+        "stages": tables.stages(told["stages"]),
         "stage_bar": stage_picture(spent),
         "work": work,
     }
@@ -214,9 +224,8 @@ def _time(evidence: Evidence) -> dict[str, Any]:
 
 def _details(evidence: Evidence) -> dict[str, Any]:
     versions = dict(evidence.results["versions"])
-    facts = {} if evidence.session is None else evidence.session.prepared.get("facts", {})
     return {
-        "case": tables.case(facts),
+        "case": tables.case(evidence.results["facts"]),
         "configuration": yaml.safe_dump(
             to_plain(evidence.spec), sort_keys=False, allow_unicode=True
         ),
@@ -226,4 +235,5 @@ def _details(evidence: Evidence) -> dict[str, Any]:
     }
 
 
-__all__ = ["Picture", "context"]
+def _plural(n: int, noun: str) -> str:
+    return f"{count(n)} {noun}" if n == 1 else f"{count(n)} {noun}s"

@@ -7,9 +7,9 @@ from typing import Any
 
 from service.chronicle import End, Session, read_study
 from service.report.bodies import Bodies, find_bodies
-from service.results import results
+from service.results import study_results
 from service.study import best_of
-from storage.plain import to_number
+from storage.plain import from_plain
 from storage.records import EvaluationRecord
 
 
@@ -22,7 +22,7 @@ class Evidence:
     results : mapping
         As `service.results` tells them; numbers may be infinite.
     spec : mapping
-        The study file with all defaults.
+        The study file with all defaults, as the journal holds it.
     endings : tuple of EvaluationRecord
         Of all candidates so far.
     best : EvaluationRecord or None
@@ -58,7 +58,7 @@ def gather(study_dir: Path) -> Evidence:
     best = best_of(told.endings)
     session = told.sessions[-1] if told.sessions else None
     return Evidence(
-        to_number(results(study_dir)),
+        from_plain(study_results(study_dir)),
         study.spec,
         tuple(told.endings.values()),
         best,

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from service.report import palette
 from service.report.canvas import SMALL_PT, TEXT_PT, calm, figure, legend, limits
-from service.report.palette import BLUE, GREY, INK, ORANGE, SOFT_INK, VERMILION
+from service.report.palette import BLUE, GREY, INK, SOFT_INK, VERMILION
 from service.report.words import number
 
 GSF_AXIS = "GSF, lower is better"
@@ -67,7 +67,7 @@ def convergence(points: Sequence[Point], best: Sequence[float], mean: Sequence[f
     axes.set_xlim(0.5, max(len(best), int(numbers.max(initial=1.0))) + 0.5)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     finite = np.isfinite(scores)
-    axes.scatter(spread[finite], scores[finite], s=12, color=GREY, alpha=0.45, linewidths=0,
+    axes.scatter(spread[finite], scores[finite], s=12, color=GREY, alpha=0.55, linewidths=0,
                  label="evaluation")  # fmt: skip
     for edge, value, marker, colour, label in (
         (low, -math.inf, "v", BLUE, "identical to the target (−∞)"),
@@ -122,7 +122,7 @@ def scatter(found: Found, points: Sequence[Point], generations: int) -> Figure:
     ordered = sorted(scored, key=lambda p: p.generation)
     axes.scatter(
         [p.genes[found.name] for p in ordered], [p.gsf for p in ordered], s=15, linewidths=0,
-        c=[p.generation for p in ordered], cmap="cividis_r", vmin=0, vmax=max(1, generations - 1),
+        c=[p.generation for p in ordered], cmap=palette.AGES, vmin=0, vmax=max(1, generations - 1),
         alpha=0.85,
     )  # fmt: skip
     if found.target is not None:
@@ -194,9 +194,9 @@ def _drawable(scores: Sequence[float]) -> np.ndarray[tuple[int, ...], np.dtype[n
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _beside(numbers: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> np.ndarray[
-    tuple[int, ...], np.dtype[np.float64]
-]:
+def _beside(
+    numbers: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """Shift points of one generation apart, evenly, so that equal scores stay visible."""
     shifted = numbers.copy()
     for value in np.unique(numbers):

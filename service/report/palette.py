@@ -7,7 +7,7 @@ lightness as well as in hue, so that a page printed in grey can still be read.
 from enum import IntEnum
 
 import numpy as np
-from matplotlib.colors import to_rgb
+from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from numpy.typing import NDArray
 
 from storage.values import Tissue
@@ -48,6 +48,9 @@ DIFFERENCES: dict[Difference, str] = {
     Difference.ONLY_TARGET: BLUE,
     Difference.ONLY_BEST: ORANGE,
 }
+
+# From the first generation to the last.
+AGES = LinearSegmentedColormap.from_list("ages", ["#b4c6d6", "#0072b2", "#0a2a43"])
 
 # One colour for each stage of an evaluation, in the order in which they happen.
 STAGES = ("#0072b2", "#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#8a94a1")

@@ -1,5 +1,6 @@
 """Reference, target, best candidate and difference side by side, seen along one axis."""
 
+import math
 from collections.abc import Sequence
 
 from matplotlib.axes import Axes
@@ -21,7 +22,9 @@ from service.report.slices import (
 )
 from storage.values import Tissue, Triple
 
-PANEL_IN = (2.3, 2.9)  # at most: width, height
+# At most so wide and high; bodies that are wide are drawn larger, two in a row.
+WIDE_IN, HIGH_IN = (4.75, 2.9), (2.3, 2.9)
+WIDE = 1.4
 _TISSUES = palette.lookup(palette.TISSUES)
 _DIFFERENCES = palette.lookup(palette.DIFFERENCES)
 
@@ -37,17 +40,26 @@ def panels(bodies: Bodies, view: View, tissues: Sequence[Tissue]) -> Figure | No
     if not shown:
         return None
     left, right, bottom, top = frame_mm([s for _, s, _ in shown])
-    per_mm = min(PANEL_IN[0] / (right - left), PANEL_IN[1] / (top - bottom))
+    wide = right - left > WIDE * (top - bottom)
+    most, columns = (WIDE_IN, 2) if wide else (HIGH_IN, 4)
+    columns = min(columns, len(shown))
+    rows = math.ceil(len(shown) / columns)
+    per_mm = min(most[0] / (right - left), most[1] / (top - bottom))
     width, height = per_mm * (right - left), per_mm * (top - bottom)
-    drawn = figure(len(shown) * (width + 0.18) + 0.62, height + 0.85)
-    row = drawn.subplots(1, len(shown), sharex=True, sharey=True, squeeze=False)[0]
-    for axes, (title, cut, is_difference) in zip(row, shown, strict=True):
+    drawn = figure(columns * (width + 0.18) + 0.62, rows * (height + 0.36) + 0.5)
+    grid = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, (title, cut, is_difference) in zip(grid.flat, shown, strict=False):
         table = _DIFFERENCES if is_difference else _TISSUES
         axes.imshow(table[cut.values], origin="lower", extent=cut.extent_mm, interpolation="none")
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
         axes.set_title(title, fontsize=TEXT_PT, color=INK, loc="left", pad=6)
-        _frame(axes, view)
-    row[0].set_ylabel(f"{AXES[view.up]}, mm", fontsize=SMALL_PT)
+        _frame(axes)
+    for axes in grid.flat[len(shown) :]:
+        axes.axis("off")
+    for axes in grid[:, 0]:
+        axes.set_ylabel(f"{AXES[view.up]}, mm", fontsize=SMALL_PT)
+    for axes in grid[-1]:
+        axes.set_xlabel(f"{AXES[view.across]}, mm", fontsize=SMALL_PT)
     return drawn
 
 
@@ -97,8 +109,7 @@ def _sections(
     return shown
 
 
-def _frame(axes: Axes, view: View) -> None:
+def _frame(axes: Axes) -> None:
     calm(axes, grid="")
-    axes.set_xlabel(f"{AXES[view.across]}, mm", fontsize=SMALL_PT)
     axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.yaxis.set_major_locator(MaxNLocator(5))

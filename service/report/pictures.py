@@ -70,12 +70,13 @@ def found_parameters(estimates: Mapping[str, Mapping[str, Any]]) -> list[Found]:
 
 
 def convergence_picture(
-    points: Sequence[Point], generations: Sequence[Mapping[str, float]]
+    points: Sequence[Point], generations: Sequence[Mapping[str, Any]]
 ) -> Picture | None:
     """How the scores fell; None if there are none."""
     if not any(p.gsf < math.inf for p in points):
         return None
-    best, mean = ([float(g[key]) for g in generations] for key in ("best", "mean"))
+    best = [float(g["best"]) for g in generations]
+    mean = [math.nan if g["mean"] is None else float(g["mean"]) for g in generations]
     last = f", the last of which reached {number(best[-1])}" if best else ""
     return picture(
         figures.convergence(points, best, mean),

@@ -13,6 +13,7 @@ from service.report.words import (
     number,
     percent,
     powers,
+    signed_error,
     symbol,
 )
 from storage.records import EvaluationRecord
@@ -79,7 +80,7 @@ def parameters(estimates: Mapping[str, Mapping[str, Any]]) -> list[Row]:
             unit=unit,
             estimate=number(estimate),
             target=number(found["target"]),
-            error=percent(found["relative_error"]),
+            error=percent(signed_error(estimate, found["target"])),
             bounds=f"{number(bounds[0])} … {number(bounds[1])}",
             edge=estimate is not None and at_edge(estimate, bounds),
         )
@@ -125,25 +126,23 @@ def failures(
     return rows
 
 
-def stages(seconds: Mapping[str, float], evaluations: int) -> list[Stage]:
+def stages(spent: Mapping[str, Mapping[str, float]]) -> list[Stage]:
     """Where the time of the evaluations went.
 
     Parameters
     ----------
-    seconds : mapping of str to float
-        Summed over all evaluations that were computed.
-    evaluations : int
-        How many those were.
+    spent : mapping of str to mapping
+        By stage: ``total`` and ``mean`` in s, over the evaluations that were computed.
     """
-    total = sum(seconds.values())
+    whole = sum(stage["total"] for stage in spent.values())
     return [
         Stage(
             name,
-            duration(spent),
-            duration(spent / evaluations) if evaluations else "",
-            f"{100 * spent / total:.1f} %" if total else "",
+            duration(stage["total"]),
+            duration(stage["mean"]),
+            f"{100 * stage['total'] / whole:.1f} %" if whole else "",
         )
-        for name, spent in seconds.items()
+        for name, stage in spent.items()
     ]
 
 
@@ -165,9 +164,9 @@ def outcome(told: Mapping[str, Any]) -> list[tuple[str, str | Markup]]:
         for name, key, unit, digits in lines
         if isinstance(told.get(key), int | float)
     ]
-    for name, key in (("Newton steps", "newton_iterations"), ("Linear iterations", "cg_iterations")):
-        if told.get(key):
-            levels = " + ".join(count(n) for n in told[key])
+    for name, key in (("Newton steps", "newton"), ("Linear iterations", "cg")):
+        if told.get(f"{key}_iterations"):
+            levels = " + ".join(count(n) for n in told[f"{key}_iterations"])
             rows.append((f"{name}, coarse to fine mesh", levels))
     return rows
 
@@ -188,5 +187,3 @@ def case(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append(("Meshes, coarse to fine", " > ".join(count(n) for n in facts["levels"])))
         rows.append(("Element size", f"{number(facts['element_size_mm'], 3)} mm"))
     return rows
-
-

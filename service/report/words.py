@@ -144,6 +144,11 @@ def at_edge(estimate: float, bounds: tuple[float, float], share: float = 0.01) -
     return min(estimate - low, high - estimate) < share * (high - low)
 
 
+def signed_error(estimate: float | None, target: float | None) -> float | None:
+    """Estimate over target, less one; None where one is missing or the target is zero."""
+    return estimate / target - 1 if estimate is not None and target else None
+
+
 def verdict(estimates: Mapping[str, Mapping[str, Any]]) -> list[Markup]:
     """What was found, one phrase for each parameter."""
     phrases = []
@@ -153,7 +158,7 @@ def verdict(estimates: Mapping[str, Mapping[str, Any]]) -> list[Markup]:
         unit = found["unit"] or ""
         value = f"{number(found['estimate'], 3)} {unit}".rstrip()
         phrase = symbol(name, unit) + Markup(" <b>{}</b>").format(value)
-        error = found.get("relative_error")
+        error = signed_error(found["estimate"], found["target"])
         if error is not None:
             phrase += Markup(', <span class="off">{} from the target</span>').format(percent(error))
         phrases.append(phrase)

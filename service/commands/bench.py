@@ -1,0 +1,5 @@
+"""`palpate bench`."""
+
+
+def bench() -> None:
+    """x"""

@@ -1,0 +1,47 @@
+"""`palpate mesh`: the tetrahedra of a study's body."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from service.commands.common import RUNS, JsonOption, StoreOption, load_spec, print_json
+
+
+def mesh(
+    study: Annotated[Path, typer.Argument(help="A study file, or a study's folder.")],
+    nodes: Annotated[
+        int | None, typer.Option(help="About so many, in place of the study's.", show_default=False)
+    ] = None,
+    element_size_mm: Annotated[
+        float | None, typer.Option(help="Of this size, in place of the study's.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write it as .vtu, .vtk or .msh.")] = None,
+    store: StoreOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Mesh the body of a study, and say what the mesh is like."""
+    from service.export import MESH_SUFFIXES, check_suffix, export_stored_mesh
+    from storage.stores import open_store
+    from workers.library import Library
+    from workers.mesh.quality import summarise
+    from workers.tasks import prepare_case
+
+    check_suffix(out, MESH_SUFFIXES)
+    case = load_spec(study).case.model_dump(mode="json")
+    if nodes is not None or element_size_mm is not None:
+        case["mesh"] = {"nodes": nodes, "element_size_mm": element_size_mm}
+    house = open_store(store or RUNS / "store")
+    prepared = prepare_case(case, str(house))
+    finest = Library(house).hierarchy(prepared["mesh"]).finest.mesh
+    found: dict[str, Any] = {**prepared, "quality": summarise(finest)}
+    if out is not None:
+        export_stored_mesh(out, house, prepared["mesh"])
+    if as_json:
+        print_json(found)
+        return
+    facts = prepared["facts"]
+    typer.echo(
+        f"{prepared['mesh']}: {facts['nodes']} nodes, {facts['tets']} tetrahedra of "
+        f"{facts['element_size_mm']:.3g} mm, {facts['volume_ml']:.0f} ml, in {house}"
+    )

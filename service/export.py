@@ -1,0 +1,75 @@
+"""Volumes and meshes as files that other programs read."""
+
+from pathlib import Path
+
+import nrrd
+import numpy as np
+
+from storage.atomic import explained, replacing
+from storage.errors import InputError
+from storage.meshes import export_mesh
+from storage.stores import Store
+from storage.values import Volume
+from workers.library import Library
+
+VOLUME_SUFFIXES = (".nrrd",)
+MESH_SUFFIXES = (".vtu", ".vtk", ".msh")
+
+
+def check_suffix(path: Path | None, known: tuple[str, ...]) -> None:
+    """Refuse a file that could not be written, before anything is computed for it.
+
+    Raises
+    ------
+    InputError
+        If its suffix is none of `known`, or its folder is missing.
+    """
+    if path is None:
+        return
+    if path.suffix.lower() not in known:
+        found = path.suffix or "no suffix"
+        raise InputError(f"--out {path}: {found} is not known, use one of {', '.join(known)}.")
+    if not path.parent.is_dir():
+        raise InputError(f"--out {path}: the folder {path.parent} does not exist, make it first.")
+
+
+def export_volume(path: Path, volume: Volume) -> None:
+    """Write a volume as NRRD, in LPS as `workers.images.read` reads it back.
+
+    Raises
+    ------
+    StoreError
+        If the file system refuses.
+    """
+    header = {
+        "space": "left-posterior-superior",
+        "space directions": np.diag(volume.spacing_mm),
+        "space origin": np.asarray(volume.origin_mm),
+        "space units": ["mm", "mm", "mm"],
+    }
+    with explained(path), replacing(path) as temporary:
+        nrrd.write(str(temporary), volume.values, header, index_order="C")
+
+
+def export_stored_mesh(
+    path: Path, store: Store, mesh: str, displacement_mm: np.ndarray | None = None
+) -> None:
+    """Write the finest mesh of a hierarchy, deformed when a displacement is given.
+
+    Parameters
+    ----------
+    path : Path
+        One of `MESH_SUFFIXES`.
+    store : Store
+    mesh : str
+        Digest.
+    displacement_mm : ndarray, shape (n, 3), optional
+        Added to the nodes, and kept as data at the nodes.
+    """
+    finest = Library(store).hierarchy(mesh).finest
+    body, points = finest.mesh, {}
+    if displacement_mm is not None:
+        body = type(body)(body.nodes + displacement_mm, body.tets)
+        points = {"displacement_mm": displacement_mm}
+    tissue = finest.fractions.argmax(axis=1).astype(np.int32)
+    export_mesh(path, body, points, {"tissue": tissue})

@@ -4,12 +4,9 @@ Exit codes: 0 done; 1 a fault of ours, with its traceback; 2 something that the
 user can put right, said in one message; 130 interrupted, and how to go on.
 """
 
-import os
-import sys
 from collections.abc import Sequence
 from typing import Annotated
 
-import click
 import typer
 
 from service.commands import (
@@ -26,8 +23,6 @@ from service.commands import (
     status,
 )
 from storage.errors import PalpateError
-
-INTERRUPTED = 130
 
 app = typer.Typer(
     name="palpate",
@@ -72,18 +67,10 @@ app.command("bench")(bench.bench)
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; its exit code."""
     try:
-        code = app(arguments, standalone_mode=False)
-        sys.stdout.flush()
-    except click.exceptions.Abort:
-        typer.echo("Interrupted.", err=True)
-        return INTERRUPTED
-    except click.ClickException as error:
-        error.show()
-        return error.exit_code
+        app(arguments)
     except PalpateError as error:
         typer.echo(f"Error: {error}", err=True)
         return 2
-    except BrokenPipeError:  # a reader such as `head` has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    return int(code or 0)
+    except SystemExit as ended:  # typer leaves so, with 2 for a wrong option and 130 for Ctrl-C
+        return int(ended.code or 0)
+    return 0

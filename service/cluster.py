@@ -5,11 +5,13 @@ spawned, so a script that opens a cluster needs ``if __name__ == "__main__":``.
 """
 
 import os
+import signal
 import socket
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from typing import Any
 
 import dask
@@ -117,20 +119,40 @@ def _existing(address: str, connect_s: float) -> Iterator[Cluster]:
 def _local(workers: int | None, allowed_failures: int) -> Iterator[Cluster]:
     count = workers or usable_cores()
     os.environ.update(THREAD_ENVIRONMENT)  # inherited by the workers, before they load NumPy
-    with (
-        tempfile.TemporaryDirectory(prefix="palpate-dask-", ignore_cleanup_errors=True) as scratch,
-        dask.config.set(CONFIG | {"distributed.scheduler.allowed-failures": allowed_failures}),
-        LocalCluster(
-            n_workers=count,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=f"127.0.0.1:{free_port(DASHBOARD_PORT)}",
-            local_directory=scratch,
-            silence_logs="CRITICAL",
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
+    with ExitStack() as stack:
+        scratch = stack.enter_context(
+            tempfile.TemporaryDirectory(prefix="palpate-dask-", ignore_cleanup_errors=True)
+        )
+        config = CONFIG | {"distributed.scheduler.allowed-failures": allowed_failures}
+        stack.enter_context(dask.config.set(config))
+        with _unheard_interrupts():
+            cluster = stack.enter_context(
+                LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=f"127.0.0.1:{free_port(DASHBOARD_PORT)}",
+                    local_directory=scratch,
+                    silence_logs="CRITICAL",
+                )
+            )
+        client = stack.enter_context(Client(cluster, set_as_default=False))
         yield Cluster(client, cluster.dashboard_link or "", local=True)
+
+
+@contextmanager
+def _unheard_interrupts() -> Iterator[None]:
+    """Keep Ctrl-C from processes that are started within; ours comes when it is over.
+
+    A terminal sends SIGINT to all processes of a command. The driver is the one to
+    answer it. Threads and processes inherit the mask, workers that are restarted later too.
+    """
+    resource_tracker.ensure_running()  # started later it would lift the mask
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def usable_cores() -> int:

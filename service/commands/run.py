@@ -47,6 +47,18 @@ def run(
 
     Ctrl-C stops it at any time; the same command continues it.
     """
+    with _stop_requests() as requests:
+        code = _run(study, folder, workers, scheduler, store, accept_new_code, as_json, requests)
+    if code == INTERRUPTED:
+        again = f"palpate run {study}" + (f" --study {folder}" if folder else "")
+        typer.echo(f"Interrupted; what is finished is kept. To continue: {again}", err=True)
+        raise typer.Exit(code)
+
+
+def _run(
+    study: Path, folder: Path | None, workers: int | None, scheduler: str | None,
+    store: Path | None, accept_new_code: bool, as_json: bool, requests: list[int],
+) -> int:  # fmt: skip
     from rich.console import Console
 
     from service.progress import progress_observer
@@ -61,11 +73,8 @@ def run(
         typer.echo(f"{home} is complete: nothing to run.", err=True)
     else:
         with progress:
-            code = _run_until_stopped(made, scheduler, workers)
-        if code:
-            again = f"palpate run {study}" + (f" --study {folder}" if folder else "")
-            typer.echo(f"Interrupted; what is finished is kept. To continue: {again}", err=True)
-            raise typer.Exit(code)
+            if not _completed(made, scheduler, workers, requests):
+                return INTERRUPTED
     found = study_results(home)
     if as_json:
         print_json(found)
@@ -73,21 +82,26 @@ def run(
         from service.commands.report import print_report
 
         print_report(found, Console(highlight=False))
+    return 0
 
 
-def _run_until_stopped(study: "Study", scheduler: str | None, workers: int | None) -> int:
+def _completed(
+    study: "Study", scheduler: str | None, workers: int | None, requests: list[int]
+) -> bool:
+    """Run to the end; False if somebody asked to stop."""
     from service.cluster import open_cluster
     from service.dispatch import Dispatcher
     from service.errors import Interrupted
 
-    with _stop_requests() as requests:
-        try:
-            with open_cluster(scheduler, workers) as cluster:
-                dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
-                study.run(dispatcher, cluster.dashboard)
-        except (Interrupted, KeyboardInterrupt):
-            return INTERRUPTED
-    return 0
+    try:
+        if requests:
+            return False
+        with open_cluster(scheduler, workers) as cluster:
+            dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
+            study.run(dispatcher, cluster.dashboard)
+    except (Interrupted, KeyboardInterrupt):
+        return False
+    return True
 
 
 @contextmanager

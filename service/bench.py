@@ -1,0 +1,216 @@
+"""How long each stage takes and how much memory, each in a process of its own.
+
+A stage first runs on a tiny body, so that compiled kernels are loaded and not
+timed, then on the size that is asked for. Peak memory is that of the process; it
+includes about 0.25 GB for Python and the libraries themselves.
+"""
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from service.cluster import open_cluster
+from service.dispatch import Dispatcher
+from service.errors import TaskError
+from storage.stores import open_store
+from workers import pipeline
+from workers.fem.model import prepare
+from workers.library import Library
+from workers.spec import CaseSpec, MeshSpec, ScoreSpec
+
+Json = dict[str, Any]
+
+STAGES = ("phantom", "mesh", "prepare", "solve", "warp", "score")
+TINY_SPACING_MM, TINY_NODES = 4.0, 1000
+# A target and a candidate that differ as those of a search do.
+TRUE_MPA = {"E_fat": 0.010, "E_glandular": 0.040}
+OTHER_MPA = {"E_fat": 0.011, "E_glandular": 0.030}
+TRIVIAL_TASKS = 200
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement; `peak_mb` is None where other processes do the work."""
+
+    stage: str
+    size: str
+    nodes: int | None
+    voxels: int | None
+    seconds: float
+    peak_mb: float | None
+
+
+def measure(nodes: Sequence[int], spacings_mm: Sequence[float], store: Path) -> Iterator[Row]:
+    """Every stage at every size, then the overhead of the scheduler.
+
+    Parameters
+    ----------
+    nodes : sequence of int
+        Mesh sizes; mesh, prepare and solve run at each, on the first spacing.
+    spacings_mm : sequence of float
+        Voxel sizes; phantom, warp and score run at each, with the first mesh size.
+    store : Path
+        What a stage needs from those before is kept here.
+
+    Raises
+    ------
+    TaskError
+        If a stage fails.
+    """
+    for spacing in spacings_mm:
+        yield _in_process("phantom", spacing, nodes[0], store)
+    for stage in ("mesh", "prepare", "solve"):
+        for count in nodes:
+            yield _in_process(stage, spacings_mm[0], count, store)
+    for stage in ("warp", "score"):
+        for spacing in spacings_mm:
+            yield _in_process(stage, spacing, nodes[0], store)
+    yield scheduler_overhead()
+
+
+def scheduler_overhead(tasks: int = TRIVIAL_TASKS) -> Row:
+    """Time for each of many tasks that do nothing, on one worker."""
+    with open_cluster(workers=1) as cluster:
+        dispatcher = Dispatcher(cluster.client)
+        list(dispatcher.run(nothing, ((i, (i,)) for i in range(10))))
+        begun = time.perf_counter()
+        ended = sum(1 for _ in dispatcher.run(nothing, ((i, (i,)) for i in range(tasks))))
+        seconds = (time.perf_counter() - begun) / ended
+    return Row("scheduler", "one task", None, None, seconds, None)
+
+
+def nothing(number: int) -> Json:
+    """A task without work."""
+    return {"number": number}
+
+
+def _in_process(stage: str, spacing_mm: float, nodes: int, store: Path) -> Row:
+    command = [
+        sys.executable,
+        "-m",
+        "service.bench",
+        stage,
+        str(spacing_mm),
+        str(nodes),
+        str(store),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise TaskError(f"The stage {stage} at {nodes} nodes and {spacing_mm} mm failed: {last}")
+    return Row(**json.loads(done.stdout.splitlines()[-1]))
+
+
+class Bench:
+    """The stages of a breast of this voxel and mesh size.
+
+    Parameters
+    ----------
+    spacing_mm, nodes
+        The size.
+    store : Path
+        Where inputs of a stage are found, or made first.
+    """
+
+    def __init__(self, spacing_mm: float, nodes: int, store: Path) -> None:
+        self.case = CaseSpec.model_validate(
+            {
+                "reference": {"phantom": {"spacing_mm": spacing_mm}},
+                "mesh": {"nodes": nodes},
+                "load": {"force_n": 100.0},
+            }
+        )
+        self.library = Library(open_store(store))
+        self.size = f"{spacing_mm:g} mm, {nodes} nodes asked"
+        self.voxels: int | None = None
+        self.nodes: int | None = None
+
+    def run(self, stage: str) -> Row:
+        """Prepare what the stage needs, then time it."""
+        work = getattr(self, f"_{stage}")()
+        begun = time.perf_counter()
+        work()
+        seconds = time.perf_counter() - begun
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        per_mb = 1024**2 if sys.platform == "darwin" else 1024
+        return Row(stage, self.size, self.nodes, self.voxels, seconds, peak / per_mb)
+
+    def _body(self) -> Any:
+        self.body = self.library.reference(self.case.reference)
+        volume = self.library.volume(self.body)
+        self.voxels = volume.values.size
+        return volume
+
+    def _hierarchy(self) -> Any:
+        self._body()
+        name, facts = self.library.mesh(self.body, self.case.mesh, self.case.model)
+        self.mesh = name
+        self.nodes = facts["nodes"]
+        return self.library.hierarchy(name)
+
+    def _phantom(self) -> Any:
+        spec = self.case.reference.phantom
+        assert spec is not None
+
+        def work() -> None:
+            self.voxels = pipeline.phantom(spec).values.size
+
+        return work
+
+    def _mesh(self) -> Any:
+        volume = self._body()
+
+        def work() -> None:
+            made = pipeline.mesh(volume, MeshSpec(nodes=self.case.mesh.nodes), self.case.model)
+            self.nodes = len(made.finest.mesh.nodes)
+
+        return work
+
+    def _prepare(self) -> Any:
+        hierarchy = self._hierarchy()
+        return lambda: prepare(hierarchy)
+
+    def _simulation(self, constants: Json) -> Any:
+        model = self.library.model(self.mesh)
+        values = self.case.complete(constants)
+        body = self.library.extent(self.body)
+        return lambda: pipeline.simulate(model, self.case, values, body)
+
+    def _solve(self) -> Any:
+        self._hierarchy()
+        return self._simulation(TRUE_MPA)
+
+    def _deformation(self, constants: Json) -> Any:
+        mesh = self._hierarchy().finest.mesh
+        moved = self._simulation(constants)().displacement_mm
+        volume = self.library.volume(self.body)
+        return lambda: pipeline.deform(volume, mesh, np.ascontiguousarray(moved))
+
+    def _warp(self) -> Any:
+        return self._deformation(TRUE_MPA)
+
+    def _score(self) -> Any:
+        target = self._deformation(TRUE_MPA)()
+        candidate = self._deformation(OTHER_MPA)()
+        against = pipeline.scorer(target, ScoreSpec())
+        against.score(candidate)  # the target's distance map is made once for all candidates
+        return lambda: against.score(candidate)
+
+
+def main(stage: str, spacing_mm: str, nodes: str, store: str) -> None:
+    """Run one stage in this process and write its row."""
+    Bench(TINY_SPACING_MM, TINY_NODES, Path(store)).run(stage)
+    row = Bench(float(spacing_mm), int(nodes), Path(store)).run(stage)
+    sys.stdout.write(json.dumps(asdict(row)) + "\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

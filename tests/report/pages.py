@@ -1,0 +1,70 @@
+"""Reads a page as a browser would have to, without forgiving anything."""
+
+import base64
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+VOID = {"meta", "img", "br", "link", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """The text, the tags and the pictures of a page; refuses tags that do not match."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.seen: list[str] = []
+        self.ids: list[str] = []
+        self.addresses: list[str] = []
+        self.images: list[dict[str, str]] = []
+        self.pieces: list[str] = []
+        self.cells: list[list[str]] = []
+        self.feed(source)
+        self.close()
+        assert not self.open, f"never closed: {self.open}"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        named = {name: value or "" for name, value in attrs}
+        assert len(named) == len(attrs), f"<{tag}> has an attribute twice"
+        self.seen.append(tag)
+        self.ids += [named["id"]] if "id" in named else []
+        self.addresses += [named[key] for key in ("src", "href") if key in named]
+        if tag == "img":
+            self.images.append(named)
+        if tag == "tr":
+            self.cells.append([])
+        if tag in ("td", "th"):
+            self.cells[-1].append("")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open[-1] == tag, f"</{tag}> stands where </{self.open[-1]}> is due"
+        self.open.pop()
+
+    def handle_data(self, data: str) -> None:
+        if "style" in self.open:
+            return
+        self.pieces.append(data)
+        if {"td", "th"} & set(self.open):
+            self.cells[-1][-1] += data
+
+    @property
+    def text(self) -> str:
+        """What a reader can read, with single spaces."""
+        return " ".join("".join(self.pieces).split())
+
+    def row(self, first: str) -> list[str]:
+        """The table row that begins so."""
+        (found,) = [row for row in self.cells if row and row[0].strip() == first]
+        return [" ".join(cell.split()) for cell in found]
+
+    def drawings(self) -> list[ElementTree.Element]:
+        """Every picture, parsed."""
+        head = "data:image/svg+xml;base64,"
+        assert all(image["src"].startswith(head) for image in self.images)
+        return [
+            ElementTree.fromstring(base64.b64decode(image["src"].removeprefix(head)))
+            for image in self.images
+        ]

@@ -1,0 +1,17 @@
+"""The page's template and style are part of the distribution."""
+
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_template_and_style_go_into_the_wheel() -> None:
+    wheel = pytest.importorskip("hatchling.builders.wheel", reason="hatchling is not installed")
+    packed = {
+        Path(file.distribution_path)
+        for file in wheel.WheelBuilder(str(ROOT)).recurse_included_files()
+    }
+    folder = Path("service/report")
+    assert {folder / "report.html.j2", folder / "report.css", folder / "html.py"} <= packed

@@ -1,0 +1,148 @@
+"""The page of evidence made by hand: well formed, self-contained, and it leaves nothing out."""
+
+import json
+
+import pytest
+from evidence_at_hand import BODIES, evidence, nothing_yet, perfect, results
+from pages import Page
+
+from service.report.bodies import Bodies
+from service.report.evidence import Evidence
+from service.report.html import render
+from storage.plain import to_plain
+
+CASES = {"whole": evidence, "nothing yet": nothing_yet, "perfect": perfect}
+
+
+@pytest.fixture(scope="module")
+def source() -> str:
+    return render(evidence())
+
+
+@pytest.fixture(scope="module")
+def page(source: str) -> Page:
+    return Page(source)
+
+
+@pytest.mark.parametrize("made", CASES.values(), ids=CASES)
+def test_a_page_is_well_formed_and_needs_no_other_file(made: "type[Evidence]") -> None:
+    source = render(made())
+    page = Page(source)
+    assert source.startswith("<!DOCTYPE html>")
+    assert len(page.ids) == len(set(page.ids))
+    assert all(address.startswith("data:") for address in page.addresses)
+    assert not {"script", "link", "iframe", "object"} & set(page.seen)
+    assert "@import" not in source
+    assert "url(" not in source
+    assert all(image["alt"] for image in page.images)
+    for drawing in page.drawings():
+        for element in drawing.iter():
+            address = element.get("{http://www.w3.org/1999/xlink}href", "#")
+            assert address.startswith(("#", "data:image/png;base64,"))
+
+
+def test_same_evidence_same_bytes(source: str) -> None:
+    assert render(evidence()) == source
+
+
+def test_the_verdict_is_a_sentence_with_signed_errors(page: Page) -> None:
+    assert "Efat 10.1 kPa, +1.2 % from the target; ηfat 93 kPa." in page.text
+    assert "share 89.0 % of the volume that they fill together" in page.text
+    assert "their surfaces lie 0.396 mm (0.2 voxels) apart" in page.text
+    assert "The search has ended: all 2 generations are done." in page.text
+
+
+def test_parameters_with_bounds_target_and_unit(page: Page) -> None:
+    assert page.row("Efat") == ["Efat", "10.12", "10", "+1.2 %", "5 … 20", "kPa"]
+    assert page.row("ηfat") == ["ηfat", "93", "–", "–", "50 … 200", "kPa"]
+
+
+def test_every_number_of_the_results_is_in_the_page(page: Page) -> None:
+    begin = page.text.index('{ "study": "made-by-hand"')
+    assert json.JSONDecoder().raw_decode(page.text, begin)[0] == to_plain(results())
+
+
+def test_similarity_shows_where_the_fit_began(page: Page) -> None:
+    glandular = page.row("glandular")
+    before, after = glandular[1].split(" → ")
+    assert 0.0 < float(before) < float(after) == 0.8904
+    assert page.row("fat")[1].endswith("→ 0.7777")
+    assert glandular[5].endswith("→ −3.83")
+
+
+def test_failures_with_their_constants_and_reason_escaped(source: str, page: Page) -> None:
+    assert "2 of 5 evaluations have no score" in page.text
+    diverged = page.row("2")
+    assert diverged[1:4] == ["1", "diverged", "Efat 5.5 kPa, ηfat 55.25 kPa"]
+    assert diverged[4] == "element 17 <inverted> at 61 % of the load"
+    assert "Traceback: <b>" in page.row("3")[4]
+    assert "<inverted>" not in source
+
+
+def test_time_counts_and_throughput(page: Page) -> None:
+    assert page.row("solve") == ["solve", "90 s", "22.5 s", "90.0 %"]
+    assert page.row("score") == ["score", "10 s", "2.5 s", "10.0 %"]
+    for said in (
+        "2 min 3 s of wall time",
+        "Evaluations done3", "Evaluations diverged1", "Evaluations crashed1", "Evaluations lost0",
+        "Of these taken from the store1",
+        "Throughput1.95 evaluations per min",  # 4 of 5 computed in 123 s
+        "Evaluations at once3",
+    ):  # fmt: skip
+        assert said in page.text, said
+
+
+def test_what_the_best_simulation_says(page: Page) -> None:
+    for said in (
+        "Plate displacement37.66 mm", "Force on the plate40 N", "Contact area3051 mm²",
+        "Smallest volume ratio J0.7697", "relative1.4·10−10", "13 + 11", "13 + 1 391",
+        "Force of the chest wall−0.0021 N", "Stored energy471.1 mJ",
+    ):  # fmt: skip
+        assert said.replace(" ", "") in page.text.replace("\u202f", "").replace(" ", ""), said
+
+
+def test_nothing_yet_is_said_in_words() -> None:
+    text = Page(render(nothing_yet())).text
+    assert "Nothing found yet" in text
+    assert "The search is still running" in text
+    assert "No evaluation has a score yet" in text
+    assert "nothing was evaluated yet" in text
+
+
+def test_infinities_are_drawn_and_printed() -> None:
+    page = Page(render(perfect()))
+    assert "−∞" in page.text
+    labels = ["".join(drawing.itertext()) for drawing in page.drawings()]
+    assert any("identical to the target" in text and "failed" in text for text in labels)
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [("running", "still running"), ("interrupted", "Running the study again continues it")],
+)
+def test_an_unfinished_search_says_so(state: str, said: str) -> None:
+    unfinished = evidence(results=results(state=state, stopped=None), bodies=Bodies())
+    assert said in Page(render(unfinished)).text
+
+
+def test_an_estimate_at_its_bound_is_pointed_out() -> None:
+    found = results()
+    plain = evidence(results=found, bodies=Bodies())
+    assert "lies at the edge" not in Page(render(plain)).text
+    found["estimates"]["eta_fat_kpa"] |= {"estimate": 199.5}
+    assert "ηfat lies at the edge" in Page(render(plain)).text
+
+
+@pytest.mark.parametrize("lost", ["reference", "target", "best"])
+def test_a_lost_volume_leaves_the_others(lost: str) -> None:
+    kept = {name: getattr(BODIES, name) for name in ("reference", "target", "best")}
+    bodies = Bodies(**(kept | {lost: None, "missing": (f"The {lost} is gone.",)}))
+    page = Page(render(evidence(bodies=bodies)))
+    assert f"The {lost} is gone." in page.text
+    views = [drawing for drawing in page.drawings() if "mm" in "".join(drawing.itertext())]
+    titles = {"reference": "Undeformed", "target": "Target", "best": "Best candidate"}
+    for name, title in titles.items():
+        shown = any(title in "".join(view.itertext()) for view in views)
+        assert shown == (name != lost)
+    difference = any("Difference" in "".join(view.itertext()) for view in views)
+    assert difference == (lost == "reference")

@@ -1,0 +1,189 @@
+"""Reports of a real study: finished, cut off anywhere, and with volumes lost."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pages import Page
+
+from service.dispatch import Dispatcher, Ending
+from service.report.html import write_report
+from service.results import study_results
+from service.spec import parse_spec
+from service.study import Conclusion, Study
+from storage.errors import InputError
+from storage.stores import open_store
+from storage.volumes import remove_volume
+
+SPEC = """
+name: small
+case:
+  reference: {phantom: {preset: 445ml, spacing_mm: 2.0, seed: 1}}
+  mesh: {nodes: 850}
+  load: {force_n: 30}
+target:
+  constants: {E_fat_kpa: 10, E_glandular_kpa: 40}
+search:
+  parameters: {E_fat_kpa: [5, 20], E_glandular_kpa: [5, 80]}
+  population: 5
+  generations: 2
+"""
+
+
+class Here(Dispatcher):
+    """Runs tasks in this process, one after the other."""
+
+    threads = 1
+
+    def __init__(self) -> None:
+        """No client is needed."""
+
+    def call(self, task: Callable[..., Any], *arguments: Any) -> Any:
+        return task(*arguments)
+
+    def run(
+        self, task: Callable[..., Any], asks: Iterable[tuple[Any, tuple[Any, ...]]]
+    ) -> Iterator[Ending]:
+        for key, arguments in asks:
+            yield Ending(key, "returned", task(*arguments))
+
+
+Made = tuple[Path, Conclusion]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    folder = tmp_path_factory.mktemp("runs") / "small"
+    spec = parse_spec(SPEC, "small.yaml", folder.parent)
+    return folder, Study(spec, folder).run(Here())
+
+
+def copied(made: Made, tmp_path: Path) -> Path:
+    """The study, moved to another place together with its store."""
+    here = tmp_path / "runs"
+    shutil.copytree(made[0].parent, here)
+    journal = here / "small" / "journal.jsonl"
+    journal.write_text(journal.read_text().replace(str(made[0].parent), str(here)))
+    (here / "small" / "report.html").unlink(missing_ok=True)
+    return here / "small"
+
+
+def test_the_report_of_a_study_shows_its_results(made: Made) -> None:
+    folder, conclusion = made
+    path = write_report(folder)
+    assert path == folder / "report.html"
+    assert [p.name for p in folder.glob(".tmp*")] == []
+    page = Page(path.read_text())
+    assert len(page.drawings()) == 1 + 3 + 1 + 2 + 1  # ranges, sections, search, scatter, stages
+    found = study_results(folder)
+    shown = json.JSONDecoder().raw_decode(page.text, page.text.index('{ "study": "small"'))[0]
+    assert shown == found
+    best = conclusion.best
+    assert best is not None
+    assert best.score is not None
+    for symbol, name in (("Efat", "E_fat_kpa"), ("Eglandular", "E_glandular_kpa")):
+        assert page.row(symbol)[1] == f"{best.genes[name]:.4g}"
+    assert page.row("glandular")[1].endswith(f"→ {best.score['jc']:.4g}")
+    for tissue, score in found["per_label"].items():
+        assert page.row(tissue)[1].endswith(f"→ {score['jc']:.4g}")
+
+
+def test_the_best_volume_is_made_again_from_its_field(made: Made, tmp_path: Path) -> None:
+    folder = copied(made, tmp_path)
+    whole = write_report(folder).read_bytes()
+    assert made[1].best is not None
+    assert remove_volume(open_store(folder.parent / "store"), made[1].best.digest)
+    assert write_report(folder).read_bytes() == whole
+
+
+def test_a_store_that_moved_with_its_study_is_found(made: Made, tmp_path: Path) -> None:
+    folder = copied(made, tmp_path)
+    moved = tmp_path / "elsewhere"
+    folder.parent.rename(moved)
+    assert "Best candidate" in "".join(
+        text for drawing in Page(write_report(moved / "small").read_text()).drawings()
+        for text in drawing.itertext()
+    )  # fmt: skip
+
+
+def test_without_its_store_a_study_is_still_told(made: Made, tmp_path: Path) -> None:
+    folder = copied(made, tmp_path)
+    shutil.rmtree(folder.parent / "store")
+    page = Page(write_report(folder).read_text())
+    assert "The store cannot be read, so there are no pictures" in page.text
+    assert len(page.drawings()) == 1 + 1 + 2 + 1
+    assert page.row("glandular")[1] != "–"  # the journal has the scores of the best
+
+
+def test_a_target_that_is_gone_is_said(made: Made, tmp_path: Path) -> None:
+    folder = copied(made, tmp_path)
+    target = study_target(folder)
+    assert remove_volume(open_store(folder.parent / "store"), target)
+    assert (
+        "The volume of the target is no longer in the store"
+        in Page(write_report(folder).read_text()).text
+    )
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (1, "have not been prepared yet"),
+        (2, "No candidate has a score yet, so there is no best one to show"),
+        (4, "0 complete generations of 5 candidates"),
+        (-1, "Running the study again continues it"),
+    ],
+)
+def test_a_study_cut_off_anywhere_has_a_report(
+    made: Made, tmp_path: Path, lines: int, said: str
+) -> None:
+    folder = copied(made, tmp_path)
+    journal = folder / "journal.jsonl"
+    journal.write_text("".join(journal.read_text().splitlines(keepends=True)[:lines]))
+    page = Page(write_report(folder).read_text())
+    assert said in page.text
+    assert "interrupted" in page.text
+
+
+def test_no_study_no_report(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="palpate run"):
+        write_report(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+CHECK = """<script>
+addEventListener("load", () => {
+  const shown = [...document.images].filter(i => i.complete && i.naturalWidth > 0).length;
+  const page = document.documentElement;
+  document.title = `${shown} of ${document.images.length} drawn, ` +
+    `${page.scrollWidth - page.clientWidth} px too wide`;
+});
+</script>"""
+
+
+@pytest.mark.parametrize("width_px", [1200, 600])
+def test_a_browser_shows_every_picture(made: Made, tmp_path: Path, width_px: int) -> None:
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no Chromium here: the page is parsed by other tests, but not shown")
+    source = write_report(made[0]).read_text()
+    page = tmp_path / "page.html"
+    page.write_text(source.replace("</body>", f"{CHECK}</body>"))
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+               "--disable-background-networking", "--disable-component-update",
+               "--disable-sync"]  # fmt: skip
+    ran = subprocess.run(
+        [browser, *options, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom",
+         f"--window-size={width_px},1000", page.as_uri()],
+        capture_output=True, text=True, check=True, timeout=60,
+    )  # fmt: skip
+    assert "<title>8 of 8 drawn, 0 px too wide</title>" in ran.stdout
+
+
+def study_target(folder: Path) -> str:
+    lines = (json.loads(line) for line in (folder / "journal.jsonl").read_text().splitlines())
+    return next(str(line["target"]["target"]) for line in lines if line["kind"] == "session")

@@ -24,12 +24,12 @@ from storage.stores import open_store
 from workers import pipeline
 from workers.fem.model import prepare
 from workers.library import Library
-from workers.spec import CaseSpec, MeshSpec, ScoreSpec
+from workers.spec import CaseSpec, MeshSpec, ScoreSpec, validated
 
 Json = dict[str, Any]
 
 STAGES = ("phantom", "mesh", "prepare", "solve", "warp", "score")
-TINY_SPACING_MM, TINY_NODES = 4.0, 1000
+TINY_SPACING_MM, TINY_NODES = 2.0, 1000
 # A target and a candidate that differ as those of a search do.
 TRUE_MPA = {"E_fat": 0.010, "E_glandular": 0.040}
 OTHER_MPA = {"E_fat": 0.011, "E_glandular": 0.030}
@@ -104,8 +104,8 @@ def _in_process(stage: str, spacing_mm: float, nodes: int, store: Path) -> Row:
     ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise TaskError(f"The stage {stage} at {nodes} nodes and {spacing_mm} mm failed: {last}")
+        said = "\n".join(done.stderr.strip().splitlines()[-3:]) or f"exit code {done.returncode}"
+        raise TaskError(f"The stage {stage} at {nodes} nodes and {spacing_mm} mm failed: {said}")
     return Row(**json.loads(done.stdout.splitlines()[-1]))
 
 
@@ -121,12 +121,14 @@ class Bench:
     """
 
     def __init__(self, spacing_mm: float, nodes: int, store: Path) -> None:
-        self.case = CaseSpec.model_validate(
+        self.case = validated(
+            CaseSpec,
             {
                 "reference": {"phantom": {"spacing_mm": spacing_mm}},
                 "mesh": {"nodes": nodes},
                 "load": {"force_n": 100.0},
-            }
+            },
+            "The size",
         )
         self.library = Library(open_store(store))
         self.size = f"{spacing_mm:g} mm, {nodes} nodes asked"

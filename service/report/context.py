@@ -54,7 +54,7 @@ def _head(evidence: Evidence) -> dict[str, Any]:
     if score:
         tiles = [
             ("Jaccard coefficient", number(score["jc"]), ""),
-            ("Modified Hausdorff distance", number(score["mhd_mm"], 3), "mm"),
+            ("Modified Hausdorff", number(score["mhd_mm"], 3), "mm"),
             ("GSF", number(score["gsf"]), ""),
         ]
     tiles.append(("Evaluations", count(len(evidence.endings)), ""))
@@ -89,15 +89,13 @@ def _lead(evidence: Evidence) -> str:
             f"lie {number(score['mhd_mm'], 3)} mm ({number(score['mhd_voxels'], 2)} voxels) apart "
             "on average."
         )
+    so_far = ": all numbers are those of the best so far" if score else ""
     if stopped:
         sentences.append(f"The search has ended: {stopped}.")
     elif evidence.results["state"] == "running":
-        sentences.append("The search is still running: all numbers are those of the best so far.")
+        sentences.append(f"The search is still running{so_far}.")
     else:
-        sentences.append(
-            "The search was interrupted: all numbers are those of the best so far. Running the "
-            "study again continues it."
-        )
+        sentences.append(f"The search was interrupted{so_far}. Running it again continues it.")
     return " ".join(sentences)
 
 
@@ -215,7 +213,9 @@ def _time(evidence: Evidence) -> dict[str, Any]:
         work.append(("Evaluations at once", count(evidence.session.workers)))
     return {
         "about_time": f"{duration(wall)} of wall time, preparation included; the evaluations took "
-        f"{duration(sum(spent.values()))} of processor time.",
+        f"{duration(sum(spent.values()))}, added up over all workers."
+        if wall
+        else "No run has noted its time yet.",
         "stages": tables.stages(told["stages"]),
         "stage_bar": stage_picture(spent),
         "work": work,

@@ -9,12 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from service.report import palette
 from service.report.canvas import SMALL_PT, TEXT_PT, calm, figure, legend, limits
 from service.report.palette import BLUE, GREY, INK, SOFT_INK, VERMILION
 from service.report.words import number
 
+Curve = NDArray[np.float64]
 GSF_AXIS = "GSF, lower is better"
 
 
@@ -80,7 +82,7 @@ def convergence(points: Sequence[Point], best: Sequence[float], mean: Sequence[f
     steps = np.arange(1, len(best) + 1)
     axes.plot(steps, _drawable(mean), color=SOFT_INK, linewidth=1.4, linestyle=(0, (4, 3)),
               label="mean of the generation")  # fmt: skip
-    axes.plot(steps, np.clip(best, low, high), color=BLUE, linewidth=2.2, marker="o",
+    axes.plot(steps, _reached(best, low), color=BLUE, linewidth=2.2, marker="o",
               markersize=4.5, label="best so far")  # fmt: skip
     legend(axes, ncols=5)
     return drawn
@@ -189,14 +191,20 @@ def _target_handle() -> Line2D:
                   markeredgecolor=INK, label="target")  # fmt: skip
 
 
-def _drawable(scores: Sequence[float]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _reached(best: Sequence[float], low: float) -> Curve:
+    """A best score of -inf on the lower edge; none yet (+inf) is a gap."""
+    values = np.asarray(best, dtype=np.float64)
+    return np.where(values == math.inf, np.nan, np.maximum(values, low))
+
+
+def _drawable(scores: Sequence[float]) -> Curve:
     values = np.asarray(scores, dtype=np.float64)
     return np.where(np.isfinite(values), values, np.nan)
 
 
 def _beside(
-    numbers: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    numbers: Curve,
+) -> Curve:
     """Shift points of one generation apart, evenly, so that equal scores stay visible."""
     shifted = numbers.copy()
     for value in np.unique(numbers):

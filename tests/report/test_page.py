@@ -118,7 +118,7 @@ def test_infinities_are_drawn_and_printed() -> None:
 
 @pytest.mark.parametrize(
     ("state", "said"),
-    [("running", "still running"), ("interrupted", "Running the study again continues it")],
+    [("running", "still running"), ("interrupted", "Running it again continues it")],
 )
 def test_an_unfinished_search_says_so(state: str, said: str) -> None:
     unfinished = evidence(results=results(state=state, stopped=None), bodies=Bodies())

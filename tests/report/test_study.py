@@ -135,7 +135,7 @@ def test_a_target_that_is_gone_is_said(made: Made, tmp_path: Path) -> None:
         (1, "have not been prepared yet"),
         (2, "No candidate has a score yet, so there is no best one to show"),
         (4, "0 complete generations of 5 candidates"),
-        (-1, "Running the study again continues it"),
+        (-1, "Running it again continues it"),
     ],
 )
 def test_a_study_cut_off_anywhere_has_a_report(

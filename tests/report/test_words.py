@@ -63,6 +63,9 @@ def test_a_search_with_nothing_but_failures_can_be_drawn() -> None:
     failed = [Point(0, {"E": 1.0}, math.inf)] * 3
     text = svg(figures.convergence(failed, [math.inf], [math.nan]))
     assert "failed" in text
+    drawn = figures.convergence(points(), [math.inf, -2.0], [math.nan, -0.75])
+    (line,) = [l for l in drawn.axes[0].lines if l.get_label() == "best so far"]
+    assert [math.isnan(y) for y in line.get_ydata()] == [True, False]
 
 
 def test_a_figure_has_the_same_bytes_twice_and_leaves_the_settings_alone() -> None:

@@ -141,7 +141,8 @@ class Dispatcher:
 
         Raises
         ------
-        As `call`.
+        PalpateError, ClusterError, Interrupted
+            As `call`.
         """
         return [_value(task, ending) for ending in self.run(task, asks)]
 
@@ -263,13 +264,9 @@ class Dispatcher:
             return Ending(ask.key, "returned", value, attempts=ask.attempts)
         if future.status != "error":
             # The result was on a worker that is gone: ask again, the store has it.
-            return (
-                None
-                if ask.attempts < self.asks
-                else Ending(
-                    ask.key, "lost", error=error, reason=_sentence(error), attempts=ask.attempts
-                )
-            )
+            if ask.attempts < self.asks:
+                return None
+            return Ending(ask.key, "lost", reason=_sentence(error), attempts=ask.attempts)
         _raise_if_store(error)
         trace = future.traceback(timeout=60.0)  # of the worker, without our own frames
         text = "".join(traceback.format_exception(type(error), error, trace))

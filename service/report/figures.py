@@ -202,9 +202,7 @@ def _drawable(scores: Sequence[float]) -> Curve:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _beside(
-    numbers: Curve,
-) -> Curve:
+def _beside(numbers: Curve) -> Curve:
     """Shift points of one generation apart, evenly, so that equal scores stay visible."""
     shifted = numbers.copy()
     for value in np.unique(numbers):

@@ -28,6 +28,7 @@ from storage.stores import open_store
 
 Record = dict[str, Any]
 LOG = "executions.log"
+KEPT = "kept.log"
 MANNERS = "manners.json"
 TRUTH = {"E_fat": 0.010, "E_glandular": 0.040}
 SPEC = """
@@ -98,6 +99,8 @@ def set_manners(store: Path, **manners: float) -> None:
 
 
 def keep_volume(request: Record) -> str:
+    with Path(request["store"], KEPT).open("a") as file:
+        file.write(request["digest"] + "\n")
     return str(request["digest"])
 
 

@@ -1,5 +1,8 @@
 """The processes of a compose file: a scheduler, workers, and drivers that are killed."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 from processes import kill_and_finish, plain_cluster
@@ -12,8 +15,16 @@ def test_drivers_come_and_go_beside_a_running_scheduler(tmp_path: Path) -> None:
     set_manners(folder.parent / "store", seconds=0.1)
     with plain_cluster(tmp_path, workers=2) as address:
         kill_and_finish(folder, ["--scheduler", address], killed_after=[2, 11, 23])
+        doctor = subprocess.run(
+            [sys.executable, "-m", "service", "doctor", "--scheduler", address, "--json"],
+            cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True,
+        )  # fmt: skip
     assert told(folder) == told(tmp_path / "undisturbed" / "demo")
     # A worker outlives its driver and may finish what the next driver has asked for again:
     # at most what was under way, one evaluation on each worker for each kill.
     ran = executions(folder)
     assert len(ran) - len(set(ran)) <= 3 * 2
+
+    found = json.loads(doctor.stdout)
+    assert found["problems"] == []
+    assert sum(role.startswith("worker") for role in found["processes"]) == 2

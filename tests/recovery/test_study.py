@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from stand_ins import (
+    KEPT,
     SPEC,
     TASKS,
     Inline,
@@ -116,6 +117,26 @@ def test_another_study_uses_what_is_in_the_store(folder: Path) -> None:
     assert told(other) == told(folder)
     endings = Chronicle.read(journal_of(other)).endings.values()
     assert all(record.reused for record in endings)
+
+
+@pytest.mark.parametrize("keep", ["best", "elites", "all"])
+def test_volumes_are_kept_as_asked(folder: Path, keep: str) -> None:
+    conclusion = run(folder, Inline(), small_spec(SPEC + f"keep: {keep}\n"))
+    kept = set((folder.parent / "store" / KEPT).read_text().split())
+    endings = Chronicle.read(journal_of(folder)).endings
+    done = [r for _, r in sorted(endings.items()) if r.status is Status.DONE]
+    assert conclusion.best is not None
+    if keep == "best":
+        wanted = {conclusion.best.digest}
+    elif keep == "all":
+        wanted = {r.digest for r in done}
+    else:
+        best_two = [
+            sorted((r for r in done if r.generation <= g), key=lambda r: r.score["gsf"])[:2]  # type: ignore[index]
+            for g in range(5)
+        ]
+        wanted = {r.digest for pair in best_two for r in pair}
+    assert kept == wanted
 
 
 def test_a_crash_is_an_ending_with_its_traceback(client: Any, folder: Path) -> None:

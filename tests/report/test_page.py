@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from evidence_at_hand import BODIES, evidence, nothing_yet, perfect, results
+from evidence_at_hand import BODIES, evidence, nothing_yet, perfect, record, results
 from pages import Page
 
 from service.report.bodies import Bodies
@@ -77,6 +77,13 @@ def test_failures_with_their_constants_and_reason_escaped(source: str, page: Pag
     assert diverged[4] == "element 17 <inverted> at 61 % of the load"
     assert "Traceback: <b>" in page.row("3")[4]
     assert "<inverted>" not in source
+
+
+def test_many_failures_are_folded() -> None:
+    many = tuple(record(i, (5.5, 60.0), status="lost", reason="its worker died") for i in range(25))
+    page = Page(render(evidence(endings=many, best=None, bodies=Bodies())))
+    assert page.seen.count("details") == Page(render(nothing_yet())).seen.count("details") + 1
+    assert "25 of 25 evaluations have no score" in page.text
 
 
 def test_time_counts_and_throughput(page: Page) -> None:

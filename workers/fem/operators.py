@@ -43,7 +43,7 @@ def multiply(
     for i in range(n):
         pressure[i] *= D[i]
     for i in range(n):
-        s0 = x[i, 0] * 0
+        s0 = x.dtype.type(0)
         s1 = s0
         s2 = s0
         for q in range(start[i], start[i + 1]):

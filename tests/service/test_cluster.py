@@ -1,0 +1,66 @@
+"""Clusters: what is set before they start, and what is said when there is none."""
+
+import os
+import signal
+import socket
+from typing import Any
+
+import pytest
+
+from service.cluster import CONFIG, free_port, open_cluster
+from service.dispatch import Dispatcher
+from service.errors import ClusterError, TaskError
+from storage.errors import InputError
+
+
+def signals_of_process() -> dict[str, Any]:
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    return {"interrupts": signal.SIGINT not in blocked, "threads": os.environ["OMP_NUM_THREADS"]}
+
+
+def fail(message: str) -> dict[str, Any]:
+    raise InputError(message) if message else ZeroDivisionError("no message")
+
+
+def test_a_local_cluster() -> None:
+    with open_cluster(workers=1) as cluster:
+        assert cluster.local
+        assert cluster.dashboard.startswith("http://127.0.0.1:")
+        scheduler = cluster.client.cluster.scheduler
+        assert scheduler.allowed_failures == CONFIG["distributed.scheduler.allowed-failures"]
+        dispatcher = Dispatcher(cluster.client)
+        assert dispatcher.threads == 1
+        # Ctrl-C on a terminal goes to the workers, too; they leave it to the driver.
+        assert dispatcher.call(signals_of_process) == {"interrupts": False, "threads": "1"}
+        assert signals_of_process()["interrupts"]
+        # What the user can put right comes back as it was raised; what he cannot, as a crash.
+        with pytest.raises(InputError, match="choose another"):
+            dispatcher.call(fail, "choose another")
+        with pytest.raises(TaskError, match="fail failed: ZeroDivisionError"):
+            dispatcher.call(fail, "")
+    with pytest.raises(ClusterError, match="run the study again"):
+        Dispatcher(cluster.client).call(signals_of_process)
+
+
+def test_no_scheduler_at_an_address() -> None:
+    with (
+        pytest.raises(ClusterError, match="There is no scheduler at tcp://"),
+        open_cluster("tcp://127.0.0.1:9", connect_s=0.5),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("address", ["not an address", "http://127.0.0.1:9", "x:y"])
+def test_an_address_that_is_none(address: str) -> None:
+    with (
+        pytest.raises(ClusterError, match="There is no scheduler"),
+        open_cluster(address, connect_s=0.5),
+    ):
+        pass
+
+
+def test_a_taken_port_is_left_to_others() -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        assert free_port(other.getsockname()[1]) == 0

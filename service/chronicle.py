@@ -73,8 +73,10 @@ class End:
         Candidate; None if none has a score.
     volume : str or None
         Digest of its deformed volume.
+    before : mapping
+        Score of the undeformed body for each tissue: where every fit begins.
     per_label : mapping
-        Its score for each tissue.
+        Score of the best candidate for each tissue.
     elapsed_s : float
         Since the session began.
     """
@@ -82,6 +84,7 @@ class End:
     reason: str
     best: int | None
     volume: str | None
+    before: Mapping[str, Any]
     per_label: Mapping[str, Any]
     elapsed_s: float
 

@@ -43,7 +43,8 @@ def study_results(folder: Path) -> Json:
     dict
         ``study``, ``state`` ("running", "stopped" or "interrupted"), ``stopped`` (reason or
         None), ``estimates`` by parameter, ``score``, ``best`` (candidate), ``evaluations``
-        (counts), ``generations``, ``failures``, ``per_label``, ``seconds`` (wall time of all
+        (counts), ``generations``, ``failures``, ``per_label`` and
+        ``per_label_before`` (scores of best and undeformed body), ``seconds`` (wall time of all
         runs), ``stages`` (seconds of computed evaluations), ``facts`` (of body and mesh),
         ``versions``, ``store``, ``folder`` and ``config`` (the study with all defaults).
 
@@ -68,6 +69,7 @@ def study_results(folder: Path) -> Json:
         "evaluations": _counts(told.endings.values()),
         "generations": _generations(spec, told),
         "failures": [_short(r) for _, r in sorted(told.endings.items()) if r.reason],
+        "per_label_before": {} if told.end is None else told.end.before,
         "per_label": {} if told.end is None else told.end.per_label,
         "seconds": told.seconds,
         "stages": _stages(told.endings.values()),

@@ -256,14 +256,17 @@ class _Run:
 
     def _end(self, stopped: Stopped, best: EvaluationRecord | None) -> End:
         if best is None:
-            return End(stopped.reason, None, None, {}, self._elapsed())
+            return End(stopped.reason, None, None, {}, {}, self._elapsed())
         self._make_volumes(self.steps[best.generation], [best.candidate])
-        solid = sorted(self.prepared.get("facts", {}).get("tissue_ml", {}))
-        per_label = self.dispatcher.call(
-            self.tasks.compare, str(self.store.root), self.target["target"], best.digest,
-            tuple(solid), self.spec.score.surface,
+        before, after = (self._compare(volume) for volume in (self.prepared["volume"], best.digest))
+        return End(stopped.reason, best.candidate, best.digest, before, after, self._elapsed())
+
+    def _compare(self, volume: str) -> Record:
+        """A volume with the target, tissue by tissue."""
+        return self.dispatcher.call(
+            self.tasks.compare, str(self.store.root), self.target["target"], volume,
+            self.spec.score.surface,
         )  # fmt: skip
-        return End(stopped.reason, best.candidate, best.digest, per_label, self._elapsed())
 
     def _mark(self, mark: GenerationMark | End) -> None:
         self.journal.append(mark_to_json(mark))

@@ -11,18 +11,26 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.values import FloatArray, TetMesh, Volume
+from storage.values import FloatArray, TetMesh, Tissue, Volume
 from workers.fem.model import Model
 from workers.fem.outcome import Solution
 from workers.fem.solve import solve
-from workers.images.labels import crop_to_body, default_map, relabel, resample_labels
+from workers.images.labels import (
+    crop_to_body,
+    default_map,
+    label_counts,
+    relabel,
+    resample_labels,
+)
 from workers.images.read import read_volume
 from workers.imaging.warp import warp_labels
 from workers.mesh.hierarchy import Hierarchy, build_hierarchy
 from workers.organs.breast import Extent, materials_of, problem_of
 from workers.phantom.breast import generate_breast
-from workers.similarity.score import Scorer
+from workers.similarity.score import Scorer, Surface, score_labels
 from workers.spec import CaseSpec, ImageSpec, MeshSpec, ModelSpec, PhantomSpec, ScoreSpec
+
+OUTLINE = "outline"
 
 
 class Watch:
@@ -86,6 +94,18 @@ def deform(
 def scorer(target: Volume, spec: ScoreSpec) -> Scorer:
     """What compares candidates, on the lattice of the target (`on_lattice`), with it."""
     return Scorer(target, labels=spec.tissues, surface=spec.surface)
+
+
+def score_by_tissue(
+    target: Volume, candidate: Volume, surface: Surface = "boundary"
+) -> dict[str, dict[str, float]]:
+    """The score of each tissue of the target on its own, by name, and of the whole `OUTLINE`."""
+    body = on_lattice(candidate, target)
+    solid = [Tissue(label) for label in label_counts(target) if label != Tissue.AIR]
+    alone = score_labels(target, body, solid, surface)
+    scores = {tissue.name.lower(): score.as_dict() for tissue, score in alone.items()}
+    whole = tuple(tissue for tissue in Tissue if tissue != Tissue.AIR)
+    return scores | {OUTLINE: Scorer(target, whole, surface).score(body).as_dict()}
 
 
 def on_lattice(volume: Volume, lattice: Volume) -> Volume:

@@ -12,7 +12,7 @@ travel; workers read them by digest and hold those used last in `CACHE`.
 Constants in these records have inside names and units, ``{"E_fat": 0.01}``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -26,11 +26,11 @@ from storage.values import FloatArray, Volume
 from storage.volumes import has_volume, save_volume
 from workers import pipeline
 from workers.fem.outcome import Solution
-from workers.images.labels import label_counts
 from workers.library import Library, code_version
 from workers.organs.breast import check_skin_layer
 from workers.pipeline import Watch
 from workers.resources import worker_name
+from workers.similarity.score import Surface
 from workers.spec import CaseSpec, ScoreSpec, TargetSpec, validated
 
 Record = dict[str, Any]
@@ -222,36 +222,12 @@ def keep_volume(request: Record) -> str:
     return name
 
 
-def score_volumes(
-    store: str, target: str, candidate: str, labels: Sequence[str], surface: str = "boundary"
-) -> Record:
-    """Compare two stored volumes tissue by tissue.
-
-    Returns
-    -------
-    dict
-        The score of each of `labels` that the target has, by its name.
-    """
+def score_volumes(store: str, target: str, candidate: str, surface: Surface = "boundary") -> Record:
+    """Compare two stored volumes, each tissue and the outline; see `pipeline.score_by_tissue`."""
     library = Library(open_store(store))
-    goal = library.volume(target)
-    body = pipeline.on_lattice(library.volume(candidate), goal)
-    present = label_counts(goal)
-    scores = {}
-    for label in labels:
-        how = validated(ScoreSpec, {"labels": [label], "surface": surface}, "The score")
-        if how.tissues[0] in present:
-            scores[how.labels[0]] = library.scorer(target, how).score(body).as_dict()
-    return scores
-
-
-def undeformed_score(
-    prepared: Record, target: str, store: str, score: Record | None = None
-) -> Record:
-    """How well the undeformed body itself matches the target: where every fit begins."""
-    library = Library(open_store(store))
-    how = validated(ScoreSpec, score or {}, "The score")
-    body = pipeline.on_lattice(library.volume(prepared["volume"]), library.volume(target))
-    return library.scorer(target, how).score(body).as_dict()
+    return dict(
+        pipeline.score_by_tissue(library.volume(target), library.volume(candidate), surface)
+    )
 
 
 def _asked(spec: CaseSpec, prepared: Record, values: Mapping[str, float]) -> list[Any]:

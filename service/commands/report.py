@@ -44,7 +44,11 @@ def print_report(found: Json, console: Any) -> None:
     if found["best"] is not None:
         console.print(f"candidate {found['best']['candidate']}: {score_text(found['score'])}")
     for label, score in found["per_label"].items():
-        console.print(f"  {label}: {score_text(score)}")
+        before = found["per_label_before"].get(label)
+        start = (
+            f" (undeformed: JC {before['jc']:.4f}, MHD {before['mhd_mm']:.4g} mm)" if before else ""
+        )
+        console.print(f"  {label}: {score_text(score)}{start}")
     counts = found["evaluations"]
     console.print(", ".join(f"{number} {what}" for what, number in counts.items()))
     console.print(f"{found['state']}" + (f": {found['stopped']}" if found["stopped"] else ""))

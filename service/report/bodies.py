@@ -4,21 +4,19 @@ The undeformed body, the target, and the target as the best candidate explains i
 What is missing is said in words; a report without pictures is still a report.
 """
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from service.chronicle import Session
-from storage.errors import InputError, PalpateError
+from storage.errors import PalpateError
 from storage.fields import has_field, load_field
 from storage.meshes import has_mesh, load_mesh
 from storage.stores import Store, open_store
 from storage.values import Volume
 from storage.volumes import has_volume, load_volume
 from workers import pipeline
-from workers.images.labels import tissue_named
 from workers.mesh.hierarchy import from_arrays
-from workers.similarity.score import Scorer, Surface
+from workers.similarity.score import Surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,24 +36,11 @@ class Bodies:
     best: Volume | None = None
     missing: tuple[str, ...] = ()
 
-    def scores(
-        self, candidate: Volume | None, labels: Iterable[str], surface: Surface
-    ) -> dict[str, Mapping[str, float]]:
-        """Score `candidate` against the target tissue by tissue.
-
-        Tissues that the target lacks, and all if a volume is missing, are left out.
-        """
+    def scores(self, candidate: Volume | None, surface: Surface) -> dict[str, dict[str, float]]:
+        """Score `candidate` against the target tissue by tissue; empty if a volume is missing."""
         if candidate is None or self.target is None:
             return {}
-        body = pipeline.on_lattice(candidate, self.target)
-        scored: dict[str, Mapping[str, float]] = {}
-        for label in labels:
-            try:
-                scorer = Scorer(self.target, (tissue_named(label),), surface)
-            except InputError:
-                continue
-            scored[label] = scorer.score(body).as_dict()
-        return scored
+        return pipeline.score_by_tissue(self.target, candidate, surface)
 
 
 def find_bodies(study: Path, session: Session | None, best: str | None) -> Bodies:

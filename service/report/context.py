@@ -30,8 +30,6 @@ from service.report.words import (
 )
 from storage.plain import to_plain
 
-BEFORE_LABELS = ("fat", "glandular", "skin", "muscle", "ligament")
-
 
 def context(evidence: Evidence) -> dict[str, Any]:
     """All values of the template."""
@@ -143,10 +141,9 @@ def _parameters(evidence: Evidence) -> dict[str, Any]:
 
 def _bodies(evidence: Evidence) -> dict[str, Any]:
     bodies, score = evidence.bodies, evidence.spec["score"]
-    after = evidence.results["per_label"] or bodies.scores(
-        bodies.best, BEFORE_LABELS, score["surface"]
-    )
-    before = bodies.scores(bodies.reference, after or BEFORE_LABELS, score["surface"])
+    surface, results = score["surface"], evidence.results
+    after = results["per_label"] or bodies.scores(bodies.best, surface)
+    before = results["per_label_before"] or bodies.scores(bodies.reference, surface)
     compared = " and ".join(score["labels"])
     return {
         "sections": section_pictures(bodies, score["labels"]),

@@ -104,7 +104,7 @@ def keep_volume(request: Record) -> str:
     return str(request["digest"])
 
 
-def compare(store: str, target: str, candidate: str, labels: Any, surface: str) -> Record:
+def compare(store: str, target: str, candidate: str, surface: str) -> Record:
     return {}
 
 

@@ -77,6 +77,7 @@ def results(**changed: Any) -> dict[str, Any]:
             {"number": 1, "complete": False},
         ],
         "failures": [],
+        "per_label_before": {},
         "per_label": {"glandular": SCORE, "fat": SCORE | {"jc": 0.7777}},
         "seconds": 123.0,
         "stages": {

@@ -15,7 +15,7 @@ from storage.layout import StudyLayout
 
 KEYS = {
     "study", "estimates", "score", "evaluations", "seconds", "stopped", "generations",
-    "per_label", "stages", "versions", "config",
+    "per_label", "per_label_before", "stages", "versions", "config",
 }  # fmt: skip
 
 

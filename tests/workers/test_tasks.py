@@ -117,8 +117,9 @@ def test_an_evaluation_that_the_store_has_is_not_computed_again(study, evaluated
 def test_a_volume_kept_later_is_the_one_that_was_scored(study, evaluated):
     name = tasks.keep_volume(study.request())
     assert name == evaluated["digest"]
-    one = tasks.score_volumes(study.store, study.target, name, ("glandular", "fat", "muscle"))
-    assert set(one) == {"glandular", "fat"}  # the target has no muscle
+    one = tasks.score_volumes(study.store, study.target, name)
+    assert set(one) == {"glandular", "fat", "skin", "ligament", "outline"}  # no muscle
+    assert one["outline"]["jc"] > one["fat"]["jc"]
     assert one["glandular"] == evaluated["score"]
     assert one["fat"]["jc"] > one["glandular"]["jc"]
     kept = load_volume(study.house, name)
@@ -185,7 +186,7 @@ def test_a_target_that_diverges_is_refused(study, monkeypatch):
 
 
 def test_the_undeformed_body_is_a_poor_match(study, evaluated):
-    before = tasks.undeformed_score(study.prepared, study.target, study.store)
+    before = tasks.score_volumes(study.store, study.target, study.prepared["volume"])["glandular"]
     assert before["jc"] < evaluated["score"]["jc"]
     assert before["gsf"] > evaluated["score"]["gsf"]
 
@@ -200,7 +201,9 @@ def test_a_target_on_other_voxels_and_another_mesh_can_be_matched(study):
     target = Library(study.house).add(other, {"kind": "simulated"})
     found = tasks.evaluate(study.request(target=target, constants={"E_fat": 0.012}))
     assert found["score"]["jc"] > 0.5
-    assert tasks.undeformed_score(study.prepared, target, study.store)["jc"] < 0.5
+    assert (
+        tasks.score_volumes(study.store, target, study.prepared["volume"])["glandular"]["jc"] < 0.5
+    )
 
 
 def block(tmp_path):

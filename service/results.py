@@ -147,11 +147,13 @@ def _estimates(spec: StudySpec, best: EvaluationRecord | None) -> Json:
         value = None if best is None else best.genes[name]
         true = truth.get(name)
         error = None if value is None or not true else abs(value - true) / true
-        estimates[name] = {
+        parameter = vocabulary.at_door(name)
+        estimates[parameter.name] = {
+            "gene": name,
             "estimate": value,
             "target": true,
             "relative_error": error,
-            "unit": vocabulary.at_door(name).unit.symbol,
+            "unit": parameter.unit.symbol,
             "bounds": list(bounds),
         }
     return estimates

@@ -165,7 +165,7 @@ def _search(evidence: Evidence) -> dict[str, Any]:
         (index + 1, number(g["best"], 5), number(g["mean"], 5))
         for index, g in enumerate(generations)
     ]
-    units = {name: f["unit"] or "" for name, f in evidence.results["estimates"].items()}
+    units = {f["gene"]: f["unit"] or "" for f in evidence.results["estimates"].values()}
     failed = tables.failures(evidence.endings, units)
     share = f"{len(failed)} of {count(len(evidence.endings))} evaluations have no score"
     about_failures = (

@@ -58,7 +58,7 @@ def found_parameters(estimates: Mapping[str, Mapping[str, Any]]) -> list[Found]:
     """The estimates of `service.results` for the charts."""
     return [
         Found(
-            name,
+            f["gene"],
             label(name, f["unit"] or ""),
             f["bounds"][0],
             f["bounds"][1],

@@ -61,11 +61,13 @@ def results(**changed: Any) -> dict[str, Any]:
         "state": "stopped",
         "stopped": "all 2 generations are done",
         "estimates": {
-            "E_fat_kpa": {
+            "E_fat": {
+                "gene": "E_fat_kpa",
                 "estimate": 10.12, "target": 10.0, "relative_error": 0.012, "unit": "kPa",
                 "bounds": [5.0, 20.0],
             },
-            "eta_fat_kpa": {
+            "eta_fat": {
+                "gene": "eta_fat_kpa",
                 "estimate": 93.0, "target": None, "relative_error": None, "unit": "kPa",
                 "bounds": [50.0, 200.0],
             },

@@ -136,7 +136,7 @@ def test_an_estimate_at_its_bound_is_pointed_out() -> None:
     found = results()
     plain = evidence(results=found, bodies=Bodies())
     assert "lies at the edge" not in Page(render(plain)).text
-    found["estimates"]["eta_fat_kpa"] |= {"estimate": 199.5}
+    found["estimates"]["eta_fat"] |= {"estimate": 199.5}
     assert "ηfat lies at the edge" in Page(render(plain)).text
 
 

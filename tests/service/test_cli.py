@@ -114,10 +114,10 @@ def test_show_gives_genes_score_and_reason(call: Call, study: Path) -> None:
 
 def test_report_prints_estimates_and_json(call: Call, study: Path) -> None:
     found = json.loads(call("report", study, "--json")[1])
-    assert set(found["estimates"]) == {"E_fat_kpa", "E_glandular_kpa"}
+    assert set(found["estimates"]) == {"E_fat", "E_glandular"}
     _, out, _ = call("report", study)
-    assert "E_glandular_kpa" in out
-    assert f"{found['estimates']['E_glandular_kpa']['estimate']:.4g} kPa" in out
+    assert "E_glandular" in out
+    assert f"{found['estimates']['E_glandular']['estimate']:.4g} kPa" in out
     assert "page: " in out
 
 

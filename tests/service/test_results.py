@@ -42,7 +42,7 @@ def test_estimates_are_the_best_candidate_against_the_hidden_constants(folder: P
     found = study_results(folder)
     endings = Chronicle.read(StudyLayout(folder).journal).endings.values()
     best = min((r for r in endings if r.score), key=lambda r: r.score["gsf"] if r.score else 0)
-    row = found["estimates"]["E_glandular_kpa"]
+    row = found["estimates"]["E_glandular"]
     assert row["estimate"] == best.genes["E_glandular_kpa"]
     assert row["target"] == 40
     assert row["relative_error"] == pytest.approx(abs(row["estimate"] - 40) / 40)
@@ -80,7 +80,7 @@ def test_a_study_that_has_only_begun_can_be_read(tmp_path: Path) -> None:
     assert found["state"] == "running"
     assert found["stopped"] is None
     assert found["score"]["gsf"] is None
-    assert found["estimates"]["E_fat_kpa"]["estimate"] is None
+    assert found["estimates"]["E_fat"]["estimate"] is None
     assert found["generations"] == [{"number": 0, "asked": 12, "ended": 0, "complete": False}]
     assert study_results(folder)["state"] == "interrupted"
 

@@ -16,7 +16,8 @@ from typing import Any
 
 import dask
 import dask.system
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, Status
+from tornado.ioloop import PeriodicCallback
 
 from service.errors import ClusterError
 from storage.errors import InputError
@@ -24,6 +25,8 @@ from workers.resources import THREAD_ENVIRONMENT, OneThread
 
 ALLOWED_FAILURES = 5
 DASHBOARD_PORT = 8787
+MEND_EVERY_S = 5.0
+GIVEN_UP = {Status.closed, Status.failed}
 
 # Read by the scheduler when it starts, so they have to be set before.
 CONFIG: dict[str, Any] = {
@@ -136,8 +139,31 @@ def _local(workers: int | None, allowed_failures: int) -> Iterator[Cluster]:
                     silence_logs="CRITICAL",
                 )
             )
+        stack.enter_context(_mended(cluster))
         client = stack.enter_context(Client(cluster, set_as_default=False))
         yield Cluster(client, cluster.dashboard_link or "", local=True)
+
+
+@contextmanager
+def _mended(cluster: LocalCluster) -> Iterator[None]:
+    """Replace workers that Dask has given up, for instance for want of memory at a restart.
+
+    A worker that dies is restarted by its nanny; a nanny that fails is restarted by nobody.
+    """
+
+    def mend() -> None:
+        gone = [name for name, nanny in cluster.workers.items() if nanny.status in GIVEN_UP]
+        for name in gone:
+            del cluster.workers[name]
+        if gone:
+            cluster.scale(len(cluster.worker_spec))  # as many as before: opens what is missing
+
+    mending = PeriodicCallback(mend, 1000 * MEND_EVERY_S)
+    cluster.loop.add_callback(mending.start)
+    try:
+        yield
+    finally:
+        cluster.loop.add_callback(mending.stop)
 
 
 @contextmanager

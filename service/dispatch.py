@@ -170,9 +170,10 @@ class Dispatcher:
         in_flight: dict[int, _Ask] = {}
         try:
             while True:
-                # One for each thread: a task whose worker dies takes no innocent one with it.
+                # One to run and one to wait for each thread, so that no worker idles while an
+                # ending is journalled. If a worker dies the one that waited is asked again.
                 while (
-                    len(in_flight) < max(1, self.threads)
+                    len(in_flight) < 2 * max(1, self.threads)
                     and (asked := next(waiting, None)) is not None
                 ):
                     ask = _Ask(*asked)

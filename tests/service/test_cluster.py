@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from service import cluster as cluster_module
 from service.cluster import CONFIG, free_port, open_cluster
 from service.dispatch import Dispatcher
 from service.errors import ClusterError, TaskError
@@ -40,6 +41,14 @@ def test_a_local_cluster() -> None:
             dispatcher.call(fail, "")
     with pytest.raises(ClusterError, match="run the study again"):
         Dispatcher(cluster.client).call(signals_of_process)
+
+
+def test_a_worker_that_dask_has_given_up_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_module, "MEND_EVERY_S", 0.2)
+    with open_cluster(workers=1) as cluster:
+        local = cluster.client.cluster
+        local.sync(local.workers[0].close)  # as after a restart that failed
+        assert Dispatcher(cluster.client, no_worker_s=30.0).call(signals_of_process)
 
 
 def test_no_scheduler_at_an_address() -> None:

@@ -30,7 +30,7 @@ test-slow: $(READY)
 	$(BIN)/pytest -m slow
 
 bench: $(READY)
-	$(BIN)/pytest tests/benchmarks -m "" -s
+	$(BIN)/palpate bench --nodes 5000,20000,90000 --spacing 1,0.5,0.2
 
 lint: $(READY)
 	$(BIN)/ruff check .

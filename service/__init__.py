@@ -1,1 +1,3 @@
 """What decides and tells."""
+
+import workers  # noqa: F401 - before NumPy loads: one thread

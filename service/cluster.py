@@ -8,6 +8,7 @@ import os
 import signal
 import socket
 import tempfile
+import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -21,7 +22,8 @@ from tornado.ioloop import PeriodicCallback
 
 from service.errors import ClusterError
 from storage.errors import InputError
-from workers.resources import THREAD_ENVIRONMENT, OneThread
+from workers import THREAD_ENVIRONMENT
+from workers.resources import OneThread
 
 ALLOWED_FAILURES = 5
 DASHBOARD_PORT = 8787
@@ -43,6 +45,18 @@ CONFIG: dict[str, Any] = {
     "distributed.deploy.lost-worker-timeout": "10000 days",
     "distributed.admin.large-graph-warning-threshold": "1MB",
 }
+
+
+class _SteadyCluster(LocalCluster):
+    """Hears calmly of the end of a worker that it never knew or has forgotten.
+
+    When workers come and go quickly Dask's own trips over it (KeyError), then again when it
+    is closed.
+    """
+
+    def _update_worker_status(self, op: str, msg: Any) -> None:
+        if op != "remove" or msg in self.scheduler_info["workers"]:
+            super()._update_worker_status(op, msg)
 
 
 @dataclass(frozen=True)
@@ -128,9 +142,11 @@ def _local(workers: int | None, allowed_failures: int) -> Iterator[Cluster]:
         )
         config = CONFIG | {"distributed.scheduler.allowed-failures": allowed_failures}
         stack.enter_context(dask.config.set(config))
-        with _unheard_interrupts():
+        with _unheard_interrupts(), warnings.catch_warnings():
+            # Somebody may take the port between our look and Dask's; Dask then takes another.
+            warnings.filterwarnings("ignore", message="\\s*Port .* is already in use")
             cluster = stack.enter_context(
-                LocalCluster(
+                _SteadyCluster(
                     n_workers=count,
                     threads_per_worker=1,
                     processes=True,
@@ -152,7 +168,8 @@ def _mended(cluster: LocalCluster) -> Iterator[None]:
     """
 
     def mend() -> None:
-        gone = [name for name, nanny in cluster.workers.items() if nanny.status in GIVEN_UP]
+        wanted = [name for name in cluster.worker_spec if name in cluster.workers]
+        gone = [name for name in wanted if cluster.workers[name].status in GIVEN_UP]
         for name in gone:
             del cluster.workers[name]
         if gone:

@@ -8,7 +8,7 @@ How an ask ends::
 
     finished                          the task's own record
     raised                            crashed, with the traceback of the worker
-    the worker died, once too often   asked again, `asks` times in all; then lost
+    the worker died, once too often   asked again, `asks` times in all, at last alone; then lost
     the scheduler forgot it           asked again, as often as it takes
 
 An error of the store (a full disk, another version) is no verdict on a candidate:
@@ -168,6 +168,7 @@ class Dispatcher:
         arrived: queue.SimpleQueue[_Ask] = queue.SimpleQueue()
         waiting = iter(asks)
         in_flight: dict[int, _Ask] = {}
+        suspects: list[_Ask] = []  # have one ask left, and nothing else runs meanwhile
         try:
             while True:
                 # One to run and one to wait for each thread, so that no worker idles while an
@@ -179,13 +180,19 @@ class Dispatcher:
                     ask = _Ask(*asked)
                     in_flight[id(ask)] = ask
                     self._send(task, ask, arrived)
+                if not in_flight and suspects:
+                    in_flight[id(suspects[-1])] = suspects[-1]
+                    self._send(task, suspects.pop(), arrived)
                 if not in_flight:
                     return
                 ask = self._wait(arrived)
                 ending = self._ending(ask)
                 if ending is None:
                     self._release(ask)
-                    self._send(task, ask, arrived)
+                    if ask.attempts < self.asks - 1:
+                        self._send(task, ask, arrived)
+                    else:
+                        suspects.append(in_flight.pop(id(ask)))
                     continue
                 yield ending
                 # Whoever asks for the next ending has written this one down.

@@ -16,18 +16,12 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from distributed import Worker, WorkerPlugin, get_worker
 
+from workers import THREAD_ENVIRONMENT
+
 T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
 
-# One evaluation, one thread. Libraries read this once, when they are loaded.
-THREAD_ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-    "VECLIB_MAXIMUM_THREADS": "1",
-}
 CACHE_BYTES = 2 * 1024**3
 
 

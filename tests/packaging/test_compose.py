@@ -23,7 +23,7 @@ import pytest
 import yaml
 
 from service.cluster import CONFIG
-from workers.resources import THREAD_ENVIRONMENT
+from workers import THREAD_ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"

@@ -8,7 +8,8 @@ import numpy as np
 from distributed import Client
 from scipy import sparse
 
-from workers.resources import THREAD_ENVIRONMENT, Cache, OneThread, size_bytes, worker_name
+from workers import THREAD_ENVIRONMENT
+from workers.resources import Cache, OneThread, size_bytes, worker_name
 
 KILOBYTE = np.zeros(128)
 

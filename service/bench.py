@@ -30,9 +30,9 @@ Json = dict[str, Any]
 
 STAGES = ("phantom", "mesh", "prepare", "solve", "warp", "score")
 TINY_SPACING_MM, TINY_NODES = 2.0, 1000
-# A target and a candidate that differ as those of a search do.
+# A target and a candidate near the optimum, as most are that a search looks at for long.
 TRUE_MPA = {"E_fat": 0.010, "E_glandular": 0.040}
-OTHER_MPA = {"E_fat": 0.011, "E_glandular": 0.030}
+OTHER_MPA = {"E_fat": 0.0102, "E_glandular": 0.041}
 TRIVIAL_TASKS = 200
 
 

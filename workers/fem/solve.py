@@ -119,8 +119,7 @@ def _ramp(level: Level, load: Load, steps: int) -> list[Press]:
     fractions = [(i + 1) / steps for i in range(steps)]
     if goal.force_n is not None:
         return [Press(goal.gap, f * goal.force_n) for f in fractions]
-    y = level.model.nodes[:, 1]
-    open_gap = Gap(float(y.min()), float(y.max()))
+    open_gap = _starting_gap(level)
     return [Press(open_gap.towards(goal.gap, f)) for f in fractions]
 
 
@@ -129,11 +128,9 @@ def _in_contact(level: Level, state: State, load: Load) -> State:
     if isinstance(load, DistanceControl):
         return state
     top = float(state.x[level.model.pads.nodes, 1].max())
-    travel = max(state.travel_mm, load.upper_mm - top + OVERLAP_MM)
-    if state.travel_mm == 0.0:
-        return State(state.x, travel)
-    # A prolonged state may just miss the plate; the smallest touch is enough.
-    return State(state.x, max(state.travel_mm, load.upper_mm - top + 0.02))
+    # From rest the plate begins well inside; a prolonged state may only just miss it.
+    overlap_mm = OVERLAP_MM if state.travel_mm == 0.0 else 0.02
+    return State(state.x, max(state.travel_mm, load.upper_mm - top + overlap_mm))
 
 
 def _prolong(coarse: Level, fine: Level, state: State) -> State:

@@ -19,6 +19,7 @@ from storage.errors import InputError
 Triple = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
+BoolArray = NDArray[np.bool_]
 
 
 class Tissue(IntEnum):

@@ -6,12 +6,13 @@ import numpy as np
 from scipy import sparse
 
 from storage.values import TetMesh, Tissue
-from workers.fem.level import Level
+from workers.fem.level import Level, Stage
+from workers.fem.loads import Device, NoPlates, Wall
 from workers.fem.model import LevelModel, Model, prepare
-from workers.fem.problem import Constants, DistanceControl, Problem
+from workers.fem.problem import Constants, Problem
 from workers.mesh.hierarchy import Hierarchy, MeshLevel
 
-FAR = DistanceControl(-1e6, 1e6)
+OPEN = Stage(None, None, 1.0, Device())
 
 
 def cube(cells: int, side: float = 10.0, jitter: float = 0.0, seed: int = 0) -> TetMesh:
@@ -86,6 +87,7 @@ def interpolation(coarse: TetMesh, points: np.ndarray) -> sparse.csr_matrix:
 
 def loose_level(model: LevelModel, constants: Constants, **options: object) -> Level:
     """A level without plates or springs; the test holds what it wants."""
-    level = Level(model, Problem({Tissue.FAT: constants}, FAR, wall_fixed=(False,) * 3, **options))
-    level.spring = np.zeros_like(level.spring)
+    loose = Wall(held=(False, False, False))
+    level = Level(model, Problem({Tissue.FAT: constants}, NoPlates(), wall=loose, **options))
+    level.springs = np.zeros_like(level.springs)
     return level

@@ -2,16 +2,52 @@
 
 import numpy as np
 import pytest
-from blocks import cube, loose_level, model_of
+from blocks import OPEN, cube, loose_level, model_of
 
 from storage.values import Tissue
 from workers.fem import membrane, operators
 from workers.fem.contact import Gap
-from workers.fem.level import Level
-from workers.fem.problem import Constants, DistanceControl, Membrane, Problem
+from workers.fem.fields import FibreField, Frame, Gradient, Inclusion
+from workers.fem.level import Level, Stage, State
+from workers.fem.loads import Device, ForceControl, Plate, Wall
+from workers.fem.problem import Constants, Membrane, Problem
+from workers.materials.mooney_rivlin import MooneyRivlin
 
 FAT = Constants(0.01, 0.49, fibre_mpa=0.02)
-OPEN = Gap(-1e6, 1e6)
+FRAME = Frame((5, 5, 5), (5, 5, 5))
+TILTED = Device(
+    pivot_mm=(5, 5, 5),
+    upper=Plate(tilt_deg=(4.0, -3.0), bow_per_mm=(0.01, -0.02)),
+    lower=Plate(tilt_deg=(-2.0, 1.0)),
+    lower_share=0.3,
+)
+KINDS = {
+    "nodal volume": {},
+    "plain": {"plain_elements": True},
+    "literal fibre": {"literal_fibre": True},
+    "tilted fibre": {"fibres": FibreField((1.0, 2.0, -0.5))},
+    "fanned fibre": {"fibres": FibreField(turn_deg=(5, 10), fan_deg=(20, 30), frame=FRAME)},
+    "isochoric fibre": {"isochoric_fibre": True, "literal_fibre": True},
+    "two families": {"constants": {Tissue.FAT: Constants(0.01, 0.49, 0.02, 0.03)}},
+    "stiffening": {"constants": {Tissue.FAT: Constants(0.01, 0.49, 0.02, stiffening=2.0)}},
+    "another law": {
+        "constants": {Tissue.FAT: Constants(0.01, 0.49, law=MooneyRivlin(0.002, 0.001))}
+    },
+    "variations": {
+        "variations": (Gradient((0.3, -0.2, 0.5), FRAME), Inclusion(1.5, (4.0, 5.0, 6.0), 3.0))
+    },
+    "foundation": {"wall": Wall((False, False, False), (1e-3, 2e-3, 3e-3))},
+    "gravity": {"gravity_g": (0.3, -1.0, 0.5)},
+    "skin": {"membrane": Membrane(0.5, 1.5)},
+    "plates": {"load": ForceControl(0.3, 0.3, 9.5)},
+    "tilted plates": {"load": ForceControl(0.3, 0.3, 9.5, TILTED)},
+    "friction": {"load": ForceControl(0.3, 0.3, 9.5, Device(pivot_mm=(5, 5, 5), friction=0.4))},
+    "tilted friction": {
+        "load": ForceControl(
+            0.3, 0.3, 9.5, Device(upper=Plate((6.0, 3.0)), lower_share=0.4, friction=0.4)
+        )
+    },
+}
 
 
 @pytest.fixture(scope="module")
@@ -19,68 +55,89 @@ def model():
     return model_of(cube(2, jitter=0.2)).finest
 
 
-def level_with(model, kind: str) -> tuple[Level, Gap]:
-    gap = Gap(0.3, 9.5) if kind == "plates" else OPEN
-    options = {"plain_elements": kind == "plain", "literal_fibre": kind == "literal fibre"}
-    if kind == "tilted fibre":
-        options["fibre"] = (1.0, 2.0, -0.5)
-    skin = Membrane(0.5, 1.5) if kind == "skin" else None
-    problem = Problem({Tissue.FAT: FAT}, DistanceControl(0, 10), membrane=skin, **options)
+def level_with(model, kind: str) -> tuple[Level, Stage]:
+    options = {"constants": {Tissue.FAT: FAT}, "load": ForceControl(0.3, -1e6, 1e6)} | KINDS[kind]
+    problem = Problem(**options)
+    load = problem.load
+    stage = Stage(Gap(load.lower_mm, load.upper_mm), load.force_n, 0.7, load.device)
     level = Level(model, problem)
     level.free[:] = 1
-    return level, gap
+    start = State(model.nodes, 0.0)
+    level.begin_step(start, stage)
+    level.renew(State(model.nodes * [1, 1.02, 1], 0.3), stage)
+    return level, stage
 
 
-KINDS = ["nodal volume", "plain", "literal fibre", "tilted fibre", "skin", "plates"]
+def somewhere(model, seed: int) -> State:
+    rng = np.random.default_rng(seed)
+    return State(model.nodes + rng.uniform(-0.5, 0.5, model.nodes.shape), 0.2)
+
+
+def moved(state: State, h: float, direction: np.ndarray, travel: float = 0.0) -> State:
+    return State(state.x + h * direction, state.travel_mm + h * travel)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_force_is_the_derivative_of_the_energy(model, kind):
-    level, gap = level_with(model, kind)
-    rng = np.random.default_rng(1)
-    x = model.nodes + rng.uniform(-0.5, 0.5, model.nodes.shape)
-    force, _ = level.linearise(x, level.energy(x, gap), moving_plate=False)
-    direction = rng.standard_normal(x.shape)
-    h = 1e-5
-    slope = (
-        level.energy(x + h * direction, gap).stored - level.energy(x - h * direction, gap).stored
-    ) / (2 * h)
-    assert np.vdot(force, direction) == pytest.approx(slope, rel=1e-7)
+def test_force_is_the_derivative_of_the_potential(model, kind):
+    level, stage = level_with(model, kind)
+    state, h = somewhere(model, 1), 1e-5
+    at = level.energy(state, stage)
+    force, _ = level.linearise(state, at, stage)
+    direction = np.random.default_rng(3).standard_normal(state.x.shape)
+    travel = 0.7
+    ahead, behind = (
+        level.energy(moved(state, sign * h, direction, travel), stage).potential for sign in (1, -1)
+    )
+    expected = np.vdot(force, direction) + (at.contact.travel_force - stage.force_n) * travel
+    assert expected == pytest.approx((ahead - behind) / (2 * h), rel=1e-7)
+    np.testing.assert_allclose(level.force(state, at, stage), force, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_tangent_is_the_derivative_of_the_force(model, kind):
-    level, gap = level_with(model, kind)
-    rng = np.random.default_rng(2)
-    x = model.nodes + rng.uniform(-0.5, 0.5, model.nodes.shape)
-    direction = rng.standard_normal(x.shape)
-    h = 1e-6
+    level, stage = level_with(model, kind)
+    state, h = somewhere(model, 2), 1e-6
+    direction = np.random.default_rng(4).standard_normal(state.x.shape)
+    travel = 0.7
 
-    def force_at(y):
-        return level.linearise(y, level.energy(y, gap), moving_plate=False)[0]
+    def forces(s: State) -> tuple[np.ndarray, float]:
+        at = level.energy(s, stage)
+        return level.linearise(s, at, stage)[0], at.contact.travel_force
 
-    expected = (force_at(x + h * direction) - force_at(x - h * direction)) / (2 * h)
-    _, t = level.linearise(x, level.energy(x, gap), moving_plate=False)
-    g, product = model.graph, np.empty_like(x)
+    ahead, behind = (forces(moved(state, sign * h, direction, travel)) for sign in (1, -1))
+    _, t = level.linearise(state, level.energy(state, stage), stage)
+    g, product = model.graph, np.empty_like(state.x)
     operators.multiply(
-        g.start, g.neighbour, t.K, t.B, t.D, level.free, direction, np.empty(len(x)), product
+        g.start,
+        g.neighbour,
+        t.K,
+        t.B,
+        t.D,
+        level.free,
+        direction,
+        np.empty(len(state.x)),
+        product,
     )
+    product[t.pads] += travel * t.coupling
+    expected = (ahead[0] - behind[0]) / (2 * h)
     # The blocks are stored in single precision.
     assert np.abs(product - expected).max() < 3e-6 * np.abs(expected).max()
+    row = np.vdot(t.coupling, direction[t.pads]) + t.plate_stiffness * travel
+    assert row == pytest.approx((ahead[1] - behind[1]) / (2 * h), rel=1e-5, abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_dense_tangent_is_the_sparse_one(model, kind):
-    level, gap = level_with(model, kind)
-    x = model.nodes * [1.1, 0.8, 1.05]
-    _, t = level.linearise(x, level.energy(x, gap), moving_plate=False)
+    level, stage = level_with(model, kind)
+    state = State(model.nodes * [1.1, 0.8, 1.05], 0.2)
+    _, t = level.linearise(state, level.energy(state, stage), stage)
     g = model.graph
     A = operators.dense(g.start, g.neighbour, t.K, t.B, t.D, level.free)
     np.testing.assert_allclose(A, A.T, atol=1e-6 * np.abs(A).max())
-    v = np.random.default_rng(3).standard_normal(x.shape)
-    product = np.empty_like(x)
+    v = np.random.default_rng(3).standard_normal(state.x.shape)
+    product = np.empty_like(v)
     operators.multiply(
-        g.start, g.neighbour, t.K, t.B, t.D, level.free, v, np.empty(len(x)), product
+        g.start, g.neighbour, t.K, t.B, t.D, level.free, v, np.empty(len(v)), product
     )
     np.testing.assert_allclose(A @ v.ravel(), product.ravel(), atol=1e-9 * np.abs(product).max())
 
@@ -89,17 +146,17 @@ def test_a_turned_body_stores_nothing(model):
     level = loose_level(model, FAT)
     c, s = np.cos(0.7), np.sin(0.7)
     turned = model.nodes @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) + [3, -2, 1]
-    at = level.energy(turned, OPEN)
-    assert at.stored == pytest.approx(0, abs=1e-12)
-    force, _ = level.linearise(turned, at, moving_plate=False)
-    assert np.abs(force).max() < 1e-12
+    state = State(turned, 0.0)
+    at = level.energy(state, OPEN)
+    assert at.elastic == pytest.approx(0, abs=1e-12)
+    assert np.abs(level.force(state, at, OPEN)).max() < 1e-12
 
 
 def test_an_inverted_element_has_finite_energy(model):
     level = loose_level(model, FAT)
     x = model.nodes.copy()
     x[13] += 12.0
-    assert np.isfinite(level.energy(x, OPEN).stored)
+    assert np.isfinite(level.energy(State(x, 0.0), OPEN).potential)
 
 
 def test_stretched_sheet_stores_the_closed_form():

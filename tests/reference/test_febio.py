@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from storage.values import TetMesh, Tissue, Volume
+from workers.fem.loads import DistanceControl, ForceControl
 from workers.fem.model import Model, prepare
-from workers.fem.problem import Constants, DistanceControl, ForceControl, Problem
+from workers.fem.problem import Constants, Problem
 from workers.fem.solve import solve
 from workers.mesh.hierarchy import Hierarchy, MeshLevel, build_hierarchy
 from workers.mesh.node_sets import boundary_triangles, split_boundary

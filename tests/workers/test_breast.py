@@ -5,7 +5,7 @@ import pytest
 
 from storage.errors import InputError
 from storage.values import Tissue, Volume
-from workers.fem.problem import DistanceControl, ForceControl
+from workers.fem.loads import DistanceControl, ForceControl
 from workers.organs.breast import check_skin_layer, extent_of, materials_of, plates_of, problem_of
 from workers.parameters import BREAST
 from workers.spec import LoadSpec, ModelSpec

@@ -1,45 +1,109 @@
-"""One mesh with its constants: energy, out-of-balance force and tangent at a state."""
+"""One mesh under one problem: energy, out-of-balance force and tangent at a state."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray, IntArray, Tissue
+from storage.values import FloatArray, IntArray
 from workers.fem import kernels, membrane
-from workers.fem.contact import Gap, Touch, touch
+from workers.fem.composition import compose
+from workers.fem.contact import (
+    Bordered,
+    Gap,
+    Press,
+    Surface,
+    normal_contact,
+    nothing,
+    press,
+    surfaces,
+)
+from workers.fem.friction import Grip
 from workers.fem.kernels import Float32Array
+from workers.fem.laws import law_assemble, law_energy
+from workers.fem.loads import Device
 from workers.fem.model import LevelModel
+from workers.fem.outside import dead_forces, held_places, pressure_forces, springs
 from workers.fem.problem import Problem
-
-# Frictionless plates leave the body free to drift along x; springs this weak
-# (5 mN per mm of drift for a litre) hold it without being felt.
-DRIFT_SPRING_N_PER_MM4 = 5e-9
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Positions, shape (n, 3) in mm, and how far the upper plate has moved, in mm."""
+    """Positions, shape (n, 3) in mm, and how far the plates have closed, in mm."""
 
     x: FloatArray
     travel_mm: float
 
 
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What acts at one moment of the loading.
+
+    Parameters
+    ----------
+    gap : Gap or None
+        Where the plates stand at zero travel; None without plates.
+    force_n : float or None
+        What the plates carry; None where they stay at `gap`.
+    fraction : float
+        Of gravity, forces, pressures and prescribed displacements.
+    device : Device
+    """
+
+    gap: Gap | None
+    force_n: float | None
+    fraction: float
+    device: Device
+
+    def gap_at(self, travel_mm: float) -> Gap | None:
+        """Where the plates stand along the axis after `travel_mm`."""
+        if self.gap is None or self.force_n is None:
+            return self.gap
+        return self.gap.closed_by(travel_mm, self.device.lower_share)
+
+    def plates(self, travel_mm: float) -> tuple[Surface, ...]:
+        """The plates after `travel_mm`."""
+        gap = self.gap_at(travel_mm)
+        return () if gap is None else surfaces(self.device, gap)
+
+
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Stored energy in mJ, the nodal volumes it came from, and the contact."""
+    """Energy of a state and what it came from.
 
-    stored: float
+    Parameters
+    ----------
+    elastic : float
+        Stored in the body, its skin and its springs, in mJ.
+    potential : float
+        What an equilibrium makes least, in mJ.
+    nodal_volumes : ndarray, shape (n,)
+    presses : tuple of Press
+        The lower and the upper plate.
+    contact : Bordered
+        Plates and friction.
+    """
+
+    elastic: float
+    potential: float
     nodal_volumes: FloatArray
-    touch: Touch
+    presses: tuple[Press, ...]
+    contact: Bordered
+
+    @property
+    def plate_forces(self) -> tuple[float, float]:
+        """Force on the lower and the upper plate in N."""
+        if not self.presses:
+            return 0.0, 0.0
+        lower, upper = (float(p.load.sum()) for p in self.presses)
+        return lower, upper
 
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
     """Second derivative of the energy: ``K + B diag(D) B^T``, see `workers.fem.operators`.
 
-    ``coupling`` (on ``pads``, along y) and ``plate_stiffness`` border it with
-    the travel of the upper plate; zero stiffness means the plate does not move.
+    ``coupling`` (on ``pads``, shape (c, 3)) and ``plate_stiffness`` border it with
+    the travel of the plates; zero stiffness means that they do not move.
     """
 
     K: Float32Array
@@ -51,122 +115,129 @@ class Tangent:
 
 
 class Level:
-    """A `LevelModel` under one `Problem`."""
+    """A `LevelModel` under one `Problem`.
+
+    Friction and follower pressure have no energy. What they exert, `grips` and
+    `follower`, is held while an energy is minimised; `renew` brings it up to date.
+    """
 
     def __init__(self, model: LevelModel, problem: Problem) -> None:
         self.model = model
-        self.fibre = _unit(problem.fibre)
-        self.tension_only = not problem.literal_fibre
-        self.plain = problem.plain_elements
-        self.mu, self.eta, kappa = _constants(model, problem)
-        self.element_kappa = kappa
-        share = np.repeat(model.volumes / (4 * kappa), 4)
+        self.problem = problem
+        made_of = compose(model, problem)
+        self.matter, self.laws = made_of.matter, made_of.laws
+        share = np.repeat(model.elements.volumes / (4 * self.matter.kappa), 4)
         # Harmonic mean: a node between a stiff and a soft tissue yields like the soft one.
-        compliance = np.bincount(model.tets.ravel(), share, len(model.nodes))
-        self.kappa = (0.0 if self.plain else 1.0) * model.nodal_volumes / compliance
+        compliance = np.bincount(model.elements.tets.ravel(), share, len(model.nodes))
+        averaged = 0.0 if problem.plain_elements else 1.0
+        self.kappa = averaged * model.nodal_volumes / compliance
         skin = problem.membrane
         self.skin_n_per_mm = 0.0 if skin is None else skin.young_mpa / 3 * skin.thickness_mm
-        self.spring = DRIFT_SPRING_N_PER_MM4 * model.nodal_volumes
-        self.free = np.ones(model.nodes.shape, np.float32)
+        self.springs = springs(model, problem.wall, problem.load)
+        self.dead = dead_forces(model, problem, made_of.density)
+        places = held_places(model, problem)
+        self.free = (~places.held).astype(np.float32)
+        self.prescribed = places.displacement_mm
+        self.grips: tuple[Grip, ...] = ()
+        self.follower = np.zeros_like(model.nodes)
         # Kept by the smoother from one tangent to the next.
         self.stiffest_mode: Float32Array | None = None
-        for axis, fixed in enumerate(problem.wall_fixed):
-            if fixed:
-                self.free[model.wall, axis] = 0
 
-    def energy(self, x: FloatArray, gap: Gap) -> Energy:
-        """Energy of the body and of the plates' penalty at positions `x`."""
-        m = self.model
+    @property
+    def lags(self) -> bool:
+        """Whether anything acts that has no energy."""
+        return bool(self.grips) or bool(self.problem.pressures)
+
+    def placed(self, x: FloatArray, fraction: float) -> FloatArray:
+        """`x` with the held places where they are prescribed."""
+        return np.where(self.free > 0, x, self.model.nodes + fraction * self.prescribed)
+
+    def begin_step(self, state: State, stage: Stage) -> None:
+        """From here on slip counts."""
+        pads, friction = self.model.pads, stage.device.friction
+        if friction:
+            self.grips = tuple(
+                Grip(pads, p.surface, friction, state.x[pads.nodes], state.travel_mm, p.load)
+                for p in self._presses(state, stage)
+            )
+
+    def renew(self, state: State, stage: Stage) -> None:
+        """Bring friction and follower pressure up to the present state."""
+        if self.grips:
+            presses = self._presses(state, stage)
+            self.grips = tuple(g.renewed(p) for g, p in zip(self.grips, presses, strict=True))
+        if self.problem.pressures:
+            self.follower = pressure_forces(self.model, state.x, self.problem.pressures)
+
+    def energy(self, state: State, stage: Stage) -> Energy:
+        """Energy of the body, its plates and its loads."""
+        m, x = self.model, state.x
         volumes = np.empty(len(m.nodes))
-        stored = kernels.energy(
-            x,
-            m.tets,
-            m.gradients,
-            m.volumes,
-            self.mu,
-            self.eta,
-            self.element_kappa,
-            self.plain,
-            self.fibre,
-            self.tension_only,
-            volumes,
-        )
-        stored += 0.5 * float(self.kappa @ (m.nodal_volumes * (volumes / m.nodal_volumes - 1) ** 2))
-        stored += 0.5 * float(self.spring @ (x[:, 0] - m.nodes[:, 0]) ** 2)
+        elastic = kernels.energy(x, m.elements, self.matter, volumes)
+        elastic += sum(law_energy(x, m.elements, share) for share in self.laws)
+        swelling = volumes / m.nodal_volumes - 1
+        elastic += 0.5 * float(self.kappa @ (m.nodal_volumes * swelling**2))
+        u = x - m.nodes
+        elastic += 0.5 * float(np.vdot(self.springs, u * u))
         if self.skin_n_per_mm:
-            s = m.sheet
-            stored += membrane.sheet_energy(x, s.triangles, s.metric, s.area, self.skin_n_per_mm)
-        contact = touch(m.pads, x, gap)
-        return Energy(stored + contact.energy, volumes, contact)
+            elastic += membrane.sheet_energy(x, *m.sheet.arrays, self.skin_n_per_mm)
+        presses = self._presses(state, stage)
+        contact = nothing(m.pads)
+        for p in presses:
+            contact += normal_contact(p)
+        for grip in self.grips:
+            contact += grip.drag(x, state.travel_mm)
+        work = stage.fraction * float(np.vdot(self.dead + self.follower, u))
+        if stage.force_n is not None:
+            work += stage.force_n * state.travel_mm
+        return Energy(elastic, elastic + contact.energy - work, volumes, presses, contact)
 
     def linearise(
-        self, x: FloatArray, at: Energy, *, moving_plate: bool, convex: bool = False
+        self, state: State, at: Energy, stage: Stage, *, convex: bool = False
     ) -> tuple[FloatArray, Tangent]:
-        """Out-of-balance force, shape (n, 3) in N, zero where held, and tangent at `x`."""
+        """Out-of-balance force, shape (n, 3) in N, zero where held, and tangent."""
         m, g = self.model, self.model.graph
-        force = np.zeros_like(x)
         K = np.zeros((len(g.neighbour), 9), np.float32)
         B = np.zeros((len(g.neighbour), 3), np.float32)
+        force = self._force(state, at, stage, convex, K, B)
+        K[g.diagonal, ::4] += self.springs
+        K[g.diagonal[m.pads.nodes]] += at.contact.stiffness.reshape(-1, 9)
+        free = self.free[m.pads.nodes]
+        stiffness = at.contact.travel_stiffness if stage.force_n is not None else 0.0
+        coupling = at.contact.coupling * free
+        D = self.kappa / m.nodal_volumes
+        return force * self.free, Tangent(K, B, D, m.pads.nodes, coupling, stiffness)
+
+    def force(self, state: State, at: Energy, stage: Stage) -> FloatArray:
+        """Out-of-balance force on every node, held or not, shape (n, 3) in N."""
+        empty = np.zeros((0, 9), np.float32), np.zeros((0, 3), np.float32)
+        return self._force(state, at, stage, False, *empty)
+
+    def _force(
+        self,
+        state: State,
+        at: Energy,
+        stage: Stage,
+        convex: bool,
+        K: Float32Array,
+        B: Float32Array,
+    ) -> FloatArray:
+        m, x = self.model, state.x
+        force = self.springs * (x - m.nodes) - stage.fraction * (self.dead + self.follower)
         pressure = self.kappa * (at.nodal_volumes / m.nodal_volumes - 1)
-        kernels.assemble(
-            x,
-            m.tets,
-            m.gradients,
-            m.volumes,
-            self.mu,
-            self.eta,
-            self.element_kappa,
-            self.plain,
-            self.fibre,
-            self.tension_only,
-            pressure,
-            g.edge,
-            convex,
-            force,
-            K,
-            B,
-        )
+        kernels.assemble(x, m.elements, self.matter, pressure, m.graph.edge, convex, force, K, B)
+        for share in self.laws:
+            law_assemble(x, m.elements, share, m.graph.edge, force, K)
         if self.skin_n_per_mm:
-            s = m.sheet
-            membrane.sheet_assemble(
-                x, s.triangles, s.metric, s.area, self.skin_n_per_mm, m.sheet_edge, force, K
-            )
-        force[:, 0] += self.spring * (x[:, 0] - m.nodes[:, 0])
-        K[g.diagonal, 0] += self.spring
-        force[m.pads.nodes, 1] += at.touch.force
-        K[g.diagonal[m.pads.nodes], 4] += at.touch.stiffness
-        force *= self.free
-        coupling = at.touch.coupling * self.free[m.pads.nodes, 1]
-        stiffness = float(coupling.sum()) if moving_plate else 0.0
-        return force, Tangent(K, B, self.kappa / m.nodal_volumes, m.pads.nodes, coupling, stiffness)
+            membrane.sheet_assemble(x, *m.sheet.arrays, self.skin_n_per_mm, m.sheet_edge, force, K)
+        force[m.pads.nodes] += at.contact.force
+        return force
 
-    def wall_reaction(self, x: FloatArray, gap: Gap) -> float:
-        """Force of the chest wall on the body along z, in N (positive pushes outwards)."""
-        free, self.free = self.free, np.ones_like(self.free)
-        force, _ = self.linearise(x, self.energy(x, gap), moving_plate=False)
-        self.free = free
-        return float(force[self.model.wall, 2].sum())
+    def _presses(self, state: State, stage: Stage) -> tuple[Press, ...]:
+        return tuple(press(self.model.pads, state.x, p) for p in stage.plates(state.travel_mm))
 
 
-def _unit(direction: tuple[float, float, float]) -> FloatArray:
-    a = np.asarray(direction, dtype=np.float64)
-    length = float(np.linalg.norm(a))
-    if not length > 0:
-        raise InputError(f"The fibre direction must not be zero, got {direction}.")
-    return a / length
-
-
-def _constants(model: LevelModel, problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """mu, eta and kappa per element, averaged over its tissues by volume."""
-    table = np.zeros((model.fractions.shape[1], 3))
-    for tissue, c in problem.constants.items():
-        table[tissue] = c.mu_mpa, c.fibre_mpa, c.kappa_mpa
-    missing = [
-        Tissue(int(t)).name.lower()
-        for t in np.flatnonzero(model.fractions.sum(axis=0) > 0)
-        if table[t, 0] == 0
-    ]
-    if missing:
-        raise InputError(f"The mesh contains {', '.join(missing)}, but no constants say how stiff.")
-    mu, eta, kappa = (np.ascontiguousarray(c) for c in (model.fractions @ table).T)
-    return mu, eta, kappa
+def without_laws(problem: Problem) -> Problem:
+    """The same problem with a neo-Hookean matrix of the same stiffness at rest."""
+    constants = {t: replace(c, law=None) for t, c in problem.constants.items()}
+    return replace(problem, constants=constants)

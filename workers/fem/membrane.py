@@ -33,6 +33,11 @@ class Sheet:
     metric: FloatArray
     area: FloatArray
 
+    @property
+    def arrays(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """What the kernels take."""
+        return self.triangles, self.metric, self.area
+
 
 def sheet_of(nodes: FloatArray, triangles: IntArray) -> Sheet:
     """The undeformed sheet on `triangles`, shape (k, 3)."""
@@ -83,7 +88,8 @@ def sheet_assemble(
 ) -> None:
     """Add the sheet's force, (n, 3) in N, and tangent to K, (edges, 9).
 
-    `edge`, (k, 3, 3), is the row of K of each pair of corners.
+    `edge`, (k, 3, 3), is the row of K of each pair of corners. With an empty K the
+    force alone is added.
     """
     e = np.empty((2, 3))
     dual = np.empty((2, 3))
@@ -115,6 +121,8 @@ def sheet_assemble(
             force[triangles[t, 0], i] -= f1 + f2
             force[triangles[t, 1], i] += f1
             force[triangles[t, 2], i] += f2
+        if K.shape[0] == 0:
+            continue
         for a in range(2):
             for b in range(2):
                 for i in range(3):

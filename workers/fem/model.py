@@ -1,7 +1,8 @@
 """All that a mesh alone decides: geometry, graph and transfer, made once and reused."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -9,9 +10,10 @@ from scipy import sparse
 from storage.values import FloatArray, IntArray
 from workers.fem.contact import PENALTY_N_PER_MM3, Pads
 from workers.fem.graph import Graph, build_graph
-from workers.fem.kernels import shape_gradients
+from workers.fem.kernels import Elements, shape_gradients
 from workers.fem.membrane import Sheet, sheet_of
 from workers.mesh.hierarchy import Hierarchy, MeshLevel
+from workers.mesh.node_sets import boundary_triangles, nodal_areas_mm2, split_boundary
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +31,16 @@ class LevelModel:
 
     Parameters
     ----------
-    nodes : ndarray, shape (n, 3), and tets : ndarray of int32, shape (m, 4)
-    gradients : ndarray, shape (m, 3, 3), and volumes : ndarray, shape (m,)
+    nodes : ndarray, shape (n, 3)
+    elements : Elements
     nodal_volumes : ndarray, shape (n,)
         V_n, a quarter of the volume of each element around.
     fractions : ndarray, shape (m, tissues)
     wall : ndarray of int32, shape (w,)
+    wall_areas : ndarray, shape (n,)
+        Share of each node in the area of the chest wall, in mm^2.
+    edge_mm : float
+        Mean size of an element, the cube root of six of its volume.
     pads : Pads
     sheet : Sheet
     sheet_edge : ndarray of int32, shape (k, 3, 3)
@@ -43,13 +49,13 @@ class LevelModel:
     """
 
     nodes: FloatArray
-    tets: IntArray
-    gradients: FloatArray
-    volumes: FloatArray
+    elements: Elements
     nodal_volumes: FloatArray
     fractions: FloatArray
     graph: Graph
     wall: IntArray
+    wall_areas: FloatArray
+    edge_mm: float
     pads: Pads
     sheet: Sheet
     sheet_edge: IntArray
@@ -76,40 +82,48 @@ def prepare(hierarchy: Hierarchy) -> Model:
     return Model(tuple(_prepare_level(level) for level in hierarchy.levels))
 
 
+def reshaped(model: Model, nodes: Sequence[FloatArray]) -> Model:
+    """The same meshes with their undeformed nodes elsewhere, one array for each level."""
+    levels = [
+        replace(level, **_geometry(x, level.elements.tets, level.sheet.triangles, level.wall))
+        for level, x in zip(model, nodes, strict=True)
+    ]
+    return Model(tuple(levels))
+
+
 def _prepare_level(level: MeshLevel) -> LevelModel:
     nodes = np.ascontiguousarray(level.mesh.nodes, dtype=np.float64)
     tets = np.ascontiguousarray(level.mesh.tets, dtype=np.int32)
     surface = np.ascontiguousarray(level.surface, dtype=np.int32)
-    gradients, volumes = shape_gradients(nodes, tets)
+    wall = np.asarray(level.wall, dtype=np.int32)
     graph = build_graph(len(nodes), tets)
-    sheet = sheet_of(nodes, surface)
     return LevelModel(
-        nodes=nodes,
-        tets=tets,
-        gradients=gradients,
-        volumes=volumes,
-        nodal_volumes=_nodal_sum(len(nodes), tets, volumes / 4),
+        **_geometry(nodes, tets, surface, wall),
         fractions=np.asarray(level.fractions, dtype=np.float64),
         graph=graph,
-        wall=np.asarray(level.wall, dtype=np.int32),
-        pads=_pads(len(nodes), surface, sheet.area),
-        sheet=sheet,
+        wall=wall,
         sheet_edge=_sheet_edges(graph, surface),
         transfer=_transfer(level.prolongation),
     )
 
 
-def _pads(n: int, surface: IntArray, area: FloatArray) -> Pads:
-    share = _nodal_sum(n, surface, area / 3)
-    nodes = np.flatnonzero(share).astype(np.int32)
-    return Pads(nodes, share[nodes] * PENALTY_N_PER_MM3)
-
-
-def _nodal_sum(n: int, cells: IntArray, share: FloatArray) -> FloatArray:
-    """Give each corner of each cell its share."""
-    total = np.zeros(n)
-    np.add.at(total, cells, share[:, None])
-    return total
+def _geometry(
+    nodes: FloatArray, tets: IntArray, surface: IntArray, wall: IntArray
+) -> dict[str, Any]:
+    """What follows from the places of the nodes."""
+    gradients, volumes = shape_gradients(nodes, tets)
+    _, on_wall = split_boundary(boundary_triangles(tets), wall)
+    share = nodal_areas_mm2(nodes, surface)
+    pads = np.flatnonzero(share).astype(np.int32)
+    return {
+        "nodes": nodes,
+        "elements": Elements(tets, gradients, volumes),
+        "nodal_volumes": np.bincount(tets.ravel(), np.repeat(volumes / 4, 4), len(nodes)),
+        "wall_areas": nodal_areas_mm2(nodes, on_wall),
+        "edge_mm": float(np.cbrt(6 * volumes.mean())),
+        "pads": Pads(pads, share[pads] * PENALTY_N_PER_MM3),
+        "sheet": sheet_of(nodes, surface),
+    }
 
 
 def _sheet_edges(graph: Graph, surface: IntArray) -> IntArray:

@@ -52,10 +52,9 @@ class Factored:
         self._free = level.free
         A = operators.dense(g.start, g.neighbour, tangent.K, tangent.B, tangent.D, level.free)
         if tangent.plate_stiffness > 0:
-            c = 3 * tangent.pads + 1
-            A[np.ix_(c, c)] -= np.outer(tangent.coupling, tangent.coupling) / (
-                tangent.plate_stiffness
-            )
+            c = (3 * tangent.pads[:, None] + np.arange(3)).ravel()
+            a = tangent.coupling.ravel()
+            A[np.ix_(c, c)] -= np.outer(a, a) / tangent.plate_stiffness
         self.shifted, self._factor = _cholesky(A)
 
     def solve(self, b: FloatArray, tolerance: float = 0.0) -> Correction:

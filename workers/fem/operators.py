@@ -62,15 +62,19 @@ def multiply(
 def subtract_rank_one(
     pads: IntArray, coupling: AnyFloat, total: float, x: AnyFloat, y: AnyFloat
 ) -> None:
-    """y -= c (c . x) / total, with c = `coupling` along y on `pads`; total 0 means none."""
+    """y -= c (c . x) / total, with c = `coupling`, (c, 3), on `pads`; total 0 means none."""
     if total <= 0.0:
         return
     s = 0.0
     for q in range(pads.shape[0]):
-        s += coupling[q] * x[pads[q], 1]
+        i = pads[q]
+        s += coupling[q, 0] * x[i, 0] + coupling[q, 1] * x[i, 1] + coupling[q, 2] * x[i, 2]
     s /= total
     for q in range(pads.shape[0]):
-        y[pads[q], 1] -= coupling[q] * s
+        i = pads[q]
+        y[i, 0] -= coupling[q, 0] * s
+        y[i, 1] -= coupling[q, 1] * s
+        y[i, 2] -= coupling[q, 2] * s
 
 
 @njit(**COMPILE)

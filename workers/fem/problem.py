@@ -1,10 +1,16 @@
-"""What is asked of the solver: constants, skin, plates. Units mm, N, MPa."""
+"""What is asked of the solver. Units mm, N, MPa."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from storage.errors import InputError
 from storage.values import Tissue, Triple
+from workers.fem.fields import WALL_TO_NIPPLE, FibreField, Variation
+from workers.fem.loads import SLIDING_WALL, DeadForce, Hold, Load, Pressure, Wall
+from workers.materials.base import Isochoric
+
+# Gravity in mm/s^2.
+GRAVITY_MM_PER_S2 = 9806.65
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +25,15 @@ class Constants:
         Poisson's ratio, in (0, 0.5).
     fibre_mpa : float
         Fibre stiffness eta of thesis Eq. 4.6, >= 0.
+    second_fibre_mpa : float
+        The same of a second family, >= 0.
+    stiffening : float
+        c2 / mu of Yeoh's law, ``mu ((I1bar - 3) / 2 + c2/mu (I1bar - 3)^2)``, >= 0.
+    density_t_per_mm3 : float
+        1e-9 is water.
+    law : Isochoric, optional
+        Another law for the matrix, in place of neo-Hooke's and Yeoh's. Young's
+        modulus and Poisson's ratio then say the bulk modulus alone.
 
     Raises
     ------
@@ -29,13 +44,22 @@ class Constants:
     young_mpa: float
     poisson: float = 0.49
     fibre_mpa: float = 0.0
+    second_fibre_mpa: float = 0.0
+    stiffening: float = 0.0
+    density_t_per_mm3: float = 1e-9
+    law: Isochoric | None = None
 
     def __post_init__(self) -> None:
-        if not (self.young_mpa > 0 and 0 < self.poisson < 0.5 and self.fibre_mpa >= 0):
+        if not (self.young_mpa > 0 and 0 < self.poisson < 0.5):
             raise InputError(
-                "A tissue needs E > 0, 0 < nu < 0.5 and eta >= 0, got "
-                f"E = {self.young_mpa * 1e3:g} kPa, nu = {self.poisson:g}, "
-                f"eta = {self.fibre_mpa * 1e3:g} kPa."
+                "A tissue needs E > 0 and 0 < nu < 0.5, got "
+                f"E = {self.young_mpa * 1e3:g} kPa, nu = {self.poisson:g}."
+            )
+        if min(self.fibre_mpa, self.second_fibre_mpa, self.stiffening, self.density_t_per_mm3) < 0:
+            raise InputError(
+                "A tissue needs eta, its strain stiffening and its density >= 0, got "
+                f"eta = {self.fibre_mpa * 1e3:g} and {self.second_fibre_mpa * 1e3:g} kPa, "
+                f"c2/mu = {self.stiffening:g}, density {self.density_t_per_mm3 * 1e12:g} kg/m3."
             )
 
     @property
@@ -65,56 +89,36 @@ class Membrane:
 
 
 @dataclass(frozen=True, slots=True)
-class ForceControl:
-    """The upper plate is pushed down along -y until it carries `force_n`.
-
-    The plates start at ``y = lower_mm`` and ``y = upper_mm``.
-    """
-
-    force_n: float
-    lower_mm: float
-    upper_mm: float
-
-    def __post_init__(self) -> None:
-        if not self.force_n > 0:
-            raise InputError(f"The plate force must be positive, got {self.force_n:g} N.")
-        _check_plates(self.lower_mm, self.upper_mm)
-
-
-@dataclass(frozen=True, slots=True)
-class DistanceControl:
-    """The plates end at ``y = lower_mm`` and ``y = upper_mm``, whatever force that takes."""
-
-    lower_mm: float
-    upper_mm: float
-
-    def __post_init__(self) -> None:
-        _check_plates(self.lower_mm, self.upper_mm)
-
-
-Load = ForceControl | DistanceControl
-
-
-@dataclass(frozen=True, slots=True)
 class Problem:
-    """One compression of one body.
+    """One loading of one body.
 
     Parameters
     ----------
     constants : mapping of Tissue to Constants
         Every tissue present in the mesh must be named.
-    load : ForceControl or DistanceControl
-        Two rigid frictionless plates normal to y.
+    load : ForceControl, DistanceControl or NoPlates
     membrane : Membrane, optional
         Skin on the free surface, when the mesh does not resolve it.
-    fibre : tuple of float
-        Fibre direction in the undeformed body; chest wall to nipple.
+    fibres : FibreField
+        Fibre directions in the undeformed body.
     literal_fibre : bool
         Let fibres push back under compression too, as thesis Eq. 4.6 says when
         read literally. Many equilibria may then exist; the default acts in
         tension only.
-    wall_fixed : tuple of bool
-        Which displacement components are held at the chest wall.
+    isochoric_fibre : bool
+        Measure fibres by I4bar = J^(-2/3) I4, as FEBio does.
+    wall : Wall
+        How the chest wall holds the body.
+    variations : tuple of Gradient or Inclusion
+        Where the stiffness departs from that of the tissue.
+    gravity_g : tuple of float
+        Body force in multiples of gravity.
+    imaged_gravity_g : tuple of float
+        Gravity that the undeformed image already carries: its shape is then not
+        stress-free, and the shape that is is found first.
+    pressures : tuple of Pressure
+    forces : tuple of DeadForce
+    holds : tuple of Hold
     plain_elements : bool
         Textbook linear tetrahedra without the nodal average; they lock.
     tolerance_mm : float
@@ -124,16 +128,15 @@ class Problem:
     constants: Mapping[Tissue, Constants]
     load: Load
     membrane: Membrane | None = None
-    fibre: Triple = (0.0, 0.0, 1.0)
+    fibres: FibreField = WALL_TO_NIPPLE
     literal_fibre: bool = False
-    wall_fixed: tuple[bool, bool, bool] = (False, False, True)
+    isochoric_fibre: bool = False
+    wall: Wall = SLIDING_WALL
+    variations: tuple[Variation, ...] = ()
+    gravity_g: Triple = (0.0, 0.0, 0.0)
+    imaged_gravity_g: Triple = (0.0, 0.0, 0.0)
+    pressures: tuple[Pressure, ...] = ()
+    forces: tuple[DeadForce, ...] = ()
+    holds: tuple[Hold, ...] = ()
     plain_elements: bool = False
     tolerance_mm: float = 2e-3
-
-
-def _check_plates(lower_mm: float, upper_mm: float) -> None:
-    if not upper_mm > lower_mm:
-        raise InputError(
-            f"The upper plate (y = {upper_mm:g} mm) must lie above the lower one "
-            f"(y = {lower_mm:g} mm)."
-        )

@@ -1,37 +1,69 @@
-"""From constants and plates to a displacement: nested iteration, coarse to fine.
+"""From constants and loads to a displacement: nested iteration, coarse to fine.
 
-The coarsest mesh is solved from rest; each finer one starts from the coarser
-solution and takes a few Newton steps, whose linear systems the coarser levels
-precondition. There is no load stepping, unless the coarsest mesh needs it.
+The body is solved from rest on the coarsest mesh; each finer one starts from the
+coarser solution and takes a few Newton steps, whose linear systems the coarser
+levels precondition. Friction depends on the path: the load is then applied in
+steps, and every step ends in equilibrium on every mesh.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from workers.fem import kernels
-from workers.fem.contact import Gap
-from workers.fem.level import Level, State, Tangent
+import numpy as np
+
+from storage.values import FloatArray
+from workers.fem.level import Level, Stage, State, Tangent, without_laws
 from workers.fem.model import Model
 from workers.fem.multigrid import Factored, LinearSolver, Multigrid
-from workers.fem.newton import LinearSolverFactory, Press, Result, minimise
-from workers.fem.outcome import SQUEEZED_J, Outcome, Solution
-from workers.fem.problem import DistanceControl, ForceControl, Load, Problem
+from workers.fem.newton import LinearSolverFactory, Result, minimise
+from workers.fem.outcome import Solution
+from workers.fem.problem import Problem
+from workers.fem.report import report
+from workers.fem.rest import stress_free
+from workers.fem.steps import in_contact, ramps, stage_at, stages_of
 
 # Coarse levels only supply a start: their own error is far larger than this.
 COARSE_TOLERANCE_MM = 0.05
-# The plates begin a little inside the body: without contact nothing resists.
-OVERLAP_MM = 0.5
-RAMPS = (1, 4, 12)
+# Renewals of friction and follower pressure before giving up.
+MAX_RENEWALS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """The levels of a body at the end of its loading, coarse to fine.
+
+    Parameters
+    ----------
+    imaged, model : Model
+        As imaged, and with the stress-free shape where that is another one.
+    problem : Problem
+    stage : Stage
+    levels : tuple of Level
+    states : tuple of State
+    solvers : tuple of LinearSolver
+        One for each level, at its last tangent.
+    solution : Solution
+    """
+
+    imaged: Model
+    model: Model
+    problem: Problem
+    stage: Stage
+    levels: tuple[Level, ...]
+    states: tuple[State, ...]
+    solvers: tuple[LinearSolver, ...]
+    solution: Solution
 
 
 def solve(model: Model, problem: Problem) -> Solution:
-    """Compress the body.
+    """Load the body.
 
     Parameters
     ----------
     model : Model
         The prepared mesh hierarchy; its finest level carries the answer.
     problem : Problem
-        Constants, plates and boundary conditions.
+        Constants, loads and boundary conditions.
 
     Returns
     -------
@@ -45,138 +77,193 @@ def solve(model: Model, problem: Problem) -> Solution:
     InputError
         If a tissue of the mesh has no constants.
     """
+    return equilibrium(model, problem).solution
+
+
+def equilibrium(model: Model, problem: Problem, start: Equilibrium | None = None) -> Equilibrium:
+    """Load the body and keep what the solver knows at the end.
+
+    Parameters
+    ----------
+    model, problem : Model and Problem
+        See `solve`.
+    start : Equilibrium, optional
+        Of a similar problem on the same model. Newton's method then starts from it
+        on the finest mesh; where that fails, or where friction makes the path
+        count, the body is solved from rest.
+
+    Raises
+    ------
+    InputError
+        If a tissue of the mesh has no constants.
+    """
+    imaged = model
+    if any(problem.imaged_gravity_g):
+        model = stress_free(model, problem, equilibrium)
     levels = [Level(m, problem) for m in model]
-    results: list[Result] = []
-    solvers: list[LinearSolver] = []
-    state = State(levels[0].model.nodes.copy(), 0.0)
-    for k, level in enumerate(levels):
-        last = k == len(levels) - 1
-        tolerance = problem.tolerance_mm if last else COARSE_TOLERANCE_MM
-        factory = _factory(solvers)
+    march = _March(model, problem, levels)
+    if start is None or levels[-1].lags or not march.continue_from(start):
+        march.from_rest()
+    solution = report(levels[-1], imaged.finest, march.stage, march.states[-1], march.results)
+    return Equilibrium(
+        imaged,
+        model,
+        problem,
+        march.stage,
+        tuple(levels),
+        tuple(march.states),
+        tuple(march.solvers),
+        solution,
+    )
+
+
+class _March:
+    """The way of all levels through the stages of a load."""
+
+    def __init__(self, model: Model, problem: Problem, levels: list[Level]) -> None:
+        self.model, self.problem, self.levels = model, problem, levels
+        self.stages = stages_of(model, problem)
+        self.stage = self.stages[-1]
+        self.states = [State(level.model.nodes.copy(), 0.0) for level in levels]
+        self.solvers: list[LinearSolver] = []
+        self.results: list[Result] = []
+
+    def continue_from(self, start: Equilibrium) -> bool:
+        """One Newton iteration from a neighbour's solution; False if it did not converge."""
+        if start.solution.outcome.reason or len(start.states) != len(self.levels):
+            return False
+        level, near = self.levels[-1], start.states[-1]
+        state = State(level.placed(near.x, self.stage.fraction), near.travel_mm)
+        factory = _factory(start.solvers[:-1])
+        result = minimise(
+            level,
+            in_contact(level, state, self.stage),
+            self.stage,
+            factory,
+            self.problem.tolerance_mm,
+            max_iterations=12,
+        )
+        if result.reason or result.linear is None:
+            return False
+        self.states = [*start.states[:-1], result.state]
+        self.solvers = [*start.solvers[:-1], result.linear]
+        self.results = [result]
+        return True
+
+    def from_rest(self) -> None:
+        """All stages, each from coarse to fine."""
+        for number, stage in enumerate(self.stages):
+            self.stage = stage
+            if not self._settle_all(stage, first=number == 0):
+                return
+
+    def _settle_all(self, stage: Stage, *, first: bool) -> bool:
+        before = list(self.states)
+        self.results, self.solvers = [], []
+        for k, level in enumerate(self.levels):
+            level.begin_step(before[k], stage)
+            tolerance = self._tolerance(k)
+            if k == 0 and first:
+                result = self._coarsest_from_rest(tolerance)
+            else:
+                start = self._start(k, before, stage, first=first)
+                result = _settle(level, start, stage, _factory(self.solvers), tolerance)
+            self.results.append(result)
+            self.states[k] = result.state
+            if result.reason or result.linear is None:
+                self._carry_on(k)
+                return False
+            self.solvers.append(result.linear)
+        return True
+
+    def _tolerance(self, k: int) -> float:
+        if k == len(self.levels) - 1:
+            return self.problem.tolerance_mm
+        return max(COARSE_TOLERANCE_MM, self.problem.tolerance_mm)
+
+    def _start(self, k: int, before: Sequence[State], stage: Stage, *, first: bool) -> State:
+        """The coarser solution, or what it gained since the stage before on top of that."""
+        level = self.levels[k]
         if k == 0:
-            result = _from_rest(level, problem.load, factory, tolerance)
+            return in_contact(level, before[0], stage)
+        coarse = self.states[k - 1]
+        if first:
+            start = self._prolonged(k, coarse.x - self.levels[k - 1].model.nodes)
+            travel = coarse.travel_mm
         else:
-            start = _prolong(levels[k - 1], level, state)
-            result = minimise(
-                level,
-                _in_contact(level, start, problem.load),
-                _press(problem.load),
-                factory,
-                tolerance,
-            )
-        results.append(result)
-        state = result.state
-        if result.reason:
-            break
-        if result.linear is not None:
-            solvers.append(result.linear)
-    for coarse, fine in zip(levels[len(results) - 1 :], levels[len(results) :], strict=False):
-        state = _prolong(coarse, fine, state)
-    return _report(levels[-1], problem, state, results)
+            start = before[k].x - level.model.nodes
+            start = start + self._prolonged(k, coarse.x - before[k - 1].x)
+            travel = before[k].travel_mm + coarse.travel_mm - before[k - 1].travel_mm
+        x = level.placed(level.model.nodes + start, stage.fraction)
+        return in_contact(level, State(x, travel), stage)
+
+    def _prolonged(self, k: int, u: FloatArray) -> FloatArray:
+        transfer = self.levels[k].model.transfer
+        if transfer is None:
+            raise AssertionError("only the coarsest level has no transfer")
+        return np.asarray(transfer.exact @ u)
+
+    def _coarsest_from_rest(self, tolerance_mm: float) -> Result:
+        """In more and more steps of the load, until one way succeeds."""
+        level, result = self.levels[0], None
+        for steps in ramps(self.problem.load):
+            state = State(level.model.nodes.copy(), 0.0)
+            for i in range(steps):
+                fraction = self.stage.fraction * (i + 1) / steps
+                stage = stage_at(self.model, self.problem.load, fraction)
+                state = State(level.placed(state.x, stage.fraction), state.travel_mm)
+                state = in_contact(level, state, stage)
+                result = _settle(level, state, stage, _factory(()), tolerance_mm)
+                if result.reason:
+                    break
+                state = result.state
+            if result is not None and not result.reason:
+                break
+        if result is None:
+            raise AssertionError("a load has at least one step")
+        return result
+
+    def _carry_on(self, k: int) -> None:
+        """Carry a state that did not converge to the finest mesh, to be looked at."""
+        for fine in range(k + 1, len(self.levels)):
+            u = self._prolonged(fine, self.states[fine - 1].x - self.levels[fine - 1].model.nodes)
+            level = self.levels[fine]
+            x = level.placed(level.model.nodes + u, self.stage.fraction)
+            self.states[fine] = State(x, self.states[fine - 1].travel_mm)
+
+
+def linear_solver(level: Level, tangent: Tangent, coarser: Sequence[LinearSolver]) -> LinearSolver:
+    """A solver with this tangent, preconditioned by those of the coarser levels."""
+    return Multigrid(level, tangent, coarser[-1]) if coarser else Factored(level, tangent)
 
 
 def _factory(coarser: Sequence[LinearSolver]) -> LinearSolverFactory:
-    if not coarser:
-        return Factored
-    below = coarser[-1]
-
-    def multigrid(level: Level, tangent: Tangent) -> LinearSolver:
-        return Multigrid(level, tangent, below)
-
-    return multigrid
+    below = tuple(coarser)
+    return lambda level, tangent: linear_solver(level, tangent, below)
 
 
-def _press(load: Load) -> Press:
-    gap = Gap(load.lower_mm, load.upper_mm)
-    return Press(gap, load.force_n if isinstance(load, ForceControl) else None)
-
-
-def _from_rest(
-    level: Level, load: Load, factory: LinearSolverFactory, tolerance_mm: float
+def _settle(
+    level: Level, start: State, stage: Stage, factory: LinearSolverFactory, tolerance_mm: float
 ) -> Result:
-    """Solve on the coarsest mesh, in more and more steps of the load until one way succeeds."""
-    result: Result | None = None
-    for steps in _ramps(load):
-        state = _in_contact(level, State(level.model.nodes.copy(), 0.0), load)
-        for press in _ramp(level, load, steps):
-            result = minimise(level, state, press, factory, tolerance_mm)
-            if result.reason:
-                break
-            state = result.state
-        else:
-            break
-    if result is None:
-        raise AssertionError("a load has at least one step")
-    return result
-
-
-def _ramps(load: Load) -> tuple[int, ...]:
-    return RAMPS if isinstance(load, ForceControl) else (8, 24)
-
-
-def _ramp(level: Level, load: Load, steps: int) -> list[Press]:
-    goal = _press(load)
-    fractions = [(i + 1) / steps for i in range(steps)]
-    if goal.force_n is not None:
-        return [Press(goal.gap, f * goal.force_n) for f in fractions]
-    open_gap = _starting_gap(level)
-    return [Press(open_gap.towards(goal.gap, f)) for f in fractions]
-
-
-def _in_contact(level: Level, state: State, load: Load) -> State:
-    """Let a force-controlled plate begin where it touches the body."""
-    if isinstance(load, DistanceControl):
-        return state
-    top = float(state.x[level.model.pads.nodes, 1].max())
-    # From rest the plate begins well inside; a prolonged state may only just miss it.
-    overlap_mm = OVERLAP_MM if state.travel_mm == 0.0 else 0.02
-    return State(state.x, max(state.travel_mm, load.upper_mm - top + overlap_mm))
-
-
-def _prolong(coarse: Level, fine: Level, state: State) -> State:
-    transfer = fine.model.transfer
-    if transfer is None:
-        raise AssertionError("only the coarsest level has no transfer")
-    u = transfer.exact @ (state.x - coarse.model.nodes)
-    return State(fine.model.nodes + u * fine.free, state.travel_mm)
-
-
-def _report(finest: Level, problem: Problem, state: State, results: Sequence[Result]) -> Solution:
-    model = finest.model
-    gap = _press(problem.load).at(state.travel_mm)
-    at = finest.energy(state.x, gap)
-    upper, lower = at.touch.upper_force, at.touch.lower_force
-    min_j = kernels.smallest_volume_ratio(state.x, model.tets, model.gradients)
-    reason = results[-1].reason
-    start = _starting_gap(finest)
-    travel = (
-        state.travel_mm
-        if isinstance(problem.load, ForceControl)
-        else (start.upper_mm - start.lower_mm) - (gap.upper_mm - gap.lower_mm)
-    )
-    pressed = at.touch.upper > 0
-    area = model.pads.stiffness[pressed].sum() / model.pads.stiffness.sum() * model.sheet.area.sum()
-    return Solution(
-        displacement_mm=state.x - model.nodes,
-        outcome=Outcome(
-            converged=not reason,
-            reason=reason,
-            newton_iterations=tuple(r.iterations for r in results),
-            cg_iterations=tuple(r.cg_iterations for r in results),
-            residual_n=results[-1].residual_n,
-            plate_displacement_mm=float(travel),
-            plate_force_n=upper,
-            contact_area_mm2=float(area),
-            penetration_mm=float(max(at.touch.upper.max(), at.touch.lower.max())),
-            min_j=float(min_j),
-            energy_mj=at.stored,
-            force_imbalance=abs(upper - lower) / max(upper, 1e-12),
-            wall_force_n=finest.wall_reaction(state.x, gap),
-            squeezed=not reason and min_j < SQUEEZED_J,
-        ),
-    )
-
-
-def _starting_gap(level: Level) -> Gap:
-    y = level.model.nodes[:, 1]
-    return Gap(float(y.min()), float(y.max()))
+    """Equilibrium with whatever has no energy brought up to date."""
+    if level.laws and not np.isfinite(level.energy(start, stage).potential):
+        # The law knows no inverted element; a neo-Hookean body finds a start without any.
+        relaxed = Level(level.model, without_laws(level.problem))
+        relaxed.grips, relaxed.follower = level.grips, level.follower
+        start = minimise(relaxed, start, stage, factory, tolerance_mm).state
+    result = minimise(level, start, stage, factory, tolerance_mm)
+    if not level.lags:
+        return result
+    newton, cg = result.iterations, result.cg_iterations
+    for _ in range(MAX_RENEWALS):
+        if result.reason:
+            return result
+        level.renew(result.state, stage)
+        again = minimise(level, result.state, stage, factory, tolerance_mm)
+        moved = float(np.abs(again.state.x - result.state.x).max())
+        newton, cg = newton + again.iterations, cg + again.cg_iterations
+        result = Result(again.state, again.reason, newton, cg, again.residual_n, again.linear)
+        if moved < tolerance_mm:
+            return result
+    reason = f"friction or pressure still moved the body by {moved:.2g} mm"
+    return Result(result.state, reason, newton, cg, result.residual_n, result.linear)

@@ -12,14 +12,8 @@ import numpy as np
 
 from storage.errors import InputError
 from storage.values import Tissue, Volume
-from workers.fem.problem import (
-    Constants,
-    DistanceControl,
-    ForceControl,
-    Load,
-    Membrane,
-    Problem,
-)
+from workers.fem.loads import DistanceControl, ForceControl, Load
+from workers.fem.problem import Constants, Membrane, Problem
 from workers.mesh.skin import skin_thickness_mm
 from workers.spec import LoadSpec, ModelSpec
 
@@ -73,7 +67,6 @@ def problem_of(
         constants=tissues,
         load=plates_of(load, body, target),
         membrane=membrane if model.skin == "membrane" else None,
-        fibre=(0.0, 0.0, 1.0),
         literal_fibre=model.fibres == "literal",
     )
 

@@ -1,0 +1,81 @@
+"""In what steps a load is applied."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray
+from workers.fem import friction
+from workers.fem.contact import Gap, press
+from workers.fem.level import Level, Stage, State
+from workers.fem.loads import DistanceControl, ForceControl, Load
+from workers.fem.model import Model
+from workers.fem.problem import Problem
+
+# The plates begin a little inside the body: without contact nothing resists.
+OVERLAP_MM = 0.5
+# A prolonged state may only just miss the plate.
+BARELY_MM = 0.02
+
+
+def stages_of(model: Model, problem: Problem) -> list[Stage]:
+    """The moments at which every mesh is in equilibrium: one, or several with friction."""
+    if not problem.load.device.friction:
+        return [stage_at(model, problem.load, 1.0)]
+    if not isinstance(problem.load, ForceControl | DistanceControl):
+        raise InputError("Friction needs plates: give a plate force or a plate distance.")
+    return [stage_at(model, problem.load, f) for f in path_fractions(problem.load)]
+
+
+def path_fractions(load: Load) -> list[float]:
+    """Fractions of the load at the ends of the steps that friction needs."""
+    # Soft bodies yield like the root of the force: these steps are about equally long.
+    power = 2 if isinstance(load, ForceControl) else 1
+    return [float(f) for f in (np.arange(1, friction.STEPS + 1) / friction.STEPS) ** power]
+
+
+def stage_at(model: Model, load: Load, fraction: float) -> Stage:
+    """The load at a fraction of its full size."""
+    if isinstance(load, ForceControl):
+        gap = Gap(load.lower_mm, load.upper_mm)
+        return Stage(gap, fraction * load.force_n, fraction, load.device)
+    if isinstance(load, DistanceControl):
+        goal = Gap(load.lower_mm, load.upper_mm)
+        gap = open_gap(model, load).towards(goal, fraction)
+        return Stage(gap, None, fraction, load.device)
+    return Stage(None, None, fraction, load.device)
+
+
+def open_gap(model: Model, load: Load) -> Gap:
+    """Where flat plates would just touch the undeformed body."""
+    axis = np.asarray(load.device.axis) / np.linalg.norm(load.device.axis)
+    along = model.finest.nodes @ axis
+    return Gap(float(along.min()), float(along.max()))
+
+
+def ramps(load: Load) -> Sequence[int]:
+    """Numbers of steps in which the coarsest mesh is tried, until one succeeds."""
+    return (8, 24) if isinstance(load, DistanceControl) else (1, 4, 12)
+
+
+def in_contact(level: Level, state: State, stage: Stage) -> State:
+    """Let force-controlled plates begin where they touch the body."""
+    if stage.force_n is None:
+        return state
+    overlap = OVERLAP_MM if state.travel_mm == 0.0 else BARELY_MM
+    return State(state.x, max(state.travel_mm, _first_touch_mm(level, state.x, stage) + overlap))
+
+
+def _first_touch_mm(level: Level, x: FloatArray, stage: Stage) -> float:
+    """Travel at which every moving plate has reached the body."""
+    travel = 0.0
+    for _ in range(3):  # flat plates are there after the first round
+        distances = [(press(level.model.pads, x, p), p) for p in stage.plates(travel)]
+        reach = [
+            float(found.gap.min()) / float(p.normal @ p.velocity)
+            for found, p in distances
+            if p.velocity.any()
+        ]
+        travel += max(reach)
+    return travel

@@ -1,0 +1,1 @@
+"""Elastic laws of tissue: deformation gradients in, energies and stresses out."""

@@ -69,7 +69,7 @@ def test_every_solid_tissue_has_constants():
 
 
 def test_fibres_run_from_chest_wall_to_nipple_and_pull_only():
-    assert problem().fibre == (0, 0, 1)
+    assert problem().fibres.axis == (0, 0, 1)
     assert not problem().literal_fibre
     literal = problem_of(ModelSpec(fibres="literal"), FORCE, BREAST.complete(), BODY)
     assert literal.literal_fibre

@@ -22,7 +22,7 @@ from workers.materials.base import Isochoric, Law
 from workers.materials.families import Family
 from workers.materials.homogeneous import Table, nominal_stress_mpa
 
-POLISHED = 4  # starts that are searched from to the end
+POLISHED = 2  # starts that are searched from to the end
 WORTHLESS = 0.999  # an error of 1 is that of no stress at all
 
 

@@ -37,7 +37,7 @@ class Fung:
     References
     ----------
     Y. C. Fung, Am. J. Physiol. 213 (1967) 1532-1544.
-    H. Demiray, J. Biomech. 5 (1972) 309-311, Eq. 7.
+    H. Demiray, J. Biomech. 5 (1972) 309-311.
 
     Examples
     --------

@@ -8,7 +8,7 @@ of the load the nominal stress (force per undeformed area) is
 
 References
 ----------
-R. W. Ogden, Proc. R. Soc. Lond. A 326 (1972) 565-584, section 4.
+R. W. Ogden, Proc. R. Soc. Lond. A 326 (1972) 565-584.
 """
 
 from dataclasses import dataclass

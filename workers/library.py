@@ -97,9 +97,12 @@ class Library:
         """A stored volume."""
         return CACHE.get(self._key("volume", name), lambda: load_volume(self.store, name))
 
-    def extent(self, name: str) -> Extent:
+    def extent(self, name: str, oblique_deg: float = 0.0) -> Extent:
         """Where the body of a stored volume begins and ends along y."""
-        return CACHE.get(self._key("extent", name), lambda: extent_of(self.volume(name)))
+        return CACHE.get(
+            self._key(f"extent {oblique_deg:g}", name),
+            lambda: extent_of(self.volume(name), oblique_deg),
+        )
 
     def hierarchy(self, name: str) -> Hierarchy:
         """A stored mesh."""

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from storage.values import FloatArray, TetMesh, Tissue, Volume
+from workers.fem.fields import frame_of
 from workers.fem.model import Model
 from workers.fem.outcome import Solution
 from workers.fem.solve import solve
@@ -81,7 +82,8 @@ def simulate(
     target: Extent | None = None,
 ) -> Solution:  # fmt: skip
     """Press the body of `model` as the case says; see `workers.organs.breast.problem_of`."""
-    return solve(model, problem_of(case.model, case.load, constants, body, target))
+    frame = frame_of(model.finest.nodes)
+    return solve(model, problem_of(case.model, case.load, constants, body, target, frame))
 
 
 def deform(

@@ -21,9 +21,10 @@ from pydantic import (
 
 from storage.errors import InputError
 from storage.values import Tissue
+from workers.effects.catalogue import BREAST_MODEL
 from workers.images.labels import tissue_named
 from workers.images.orient import parse_axes
-from workers.parameters import BREAST, Bounds, Vocabulary, unknown_name
+from workers.parameters import Bounds, Vocabulary, unknown_name
 from workers.phantom.settings import BreastPhantom
 
 
@@ -65,8 +66,8 @@ Axes = Annotated[str, _checked(parse_axes)]
 TissueName = Annotated[
     str, StringConstraints(to_lower=True, strip_whitespace=True), _checked(tissue_named)
 ]
-DoorConstants = Annotated[dict[str, float], _checked(BREAST.from_door)]
-DoorBounds = Annotated[dict[str, Bounds], _checked(BREAST.bounds_from_door)]
+DoorConstants = Annotated[dict[str, float], _checked(BREAST_MODEL.from_door)]
+DoorBounds = Annotated[dict[str, Bounds], _checked(BREAST_MODEL.bounds_from_door)]
 
 
 class Door(BaseModel):
@@ -167,6 +168,7 @@ class ModelSpec(Door):
     skin: Literal["none", "membrane", "layer"] = "none"
     skin_thickness_mm: Positive = 1.5
     fibres: Literal["tension-only", "literal"] = "tension-only"
+    fibre_invariant: Literal["I4", "isochoric"] = "I4"
 
 
 class PlateDistanceSpec(Door):
@@ -193,10 +195,16 @@ class PlateDistanceSpec(Door):
 
 
 class LoadSpec(Door):
-    """What presses: a force on the upper plate, or where the plates end."""
+    """What presses: a force on the plates, or where they end.
+
+    ``oblique_deg`` turns the direction of compression about z, from y towards -x: 0 is
+    cranio-caudal, 45 mediolateral oblique.
+    """
 
     force_n: Positive | None = None
     plate_distance_mm: PlateDistanceSpec | None = None
+    oblique_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    moving: Literal["upper", "both"] = "upper"
 
     @model_validator(mode="after")
     def _one_control(self) -> Self:
@@ -221,7 +229,7 @@ class CaseSpec(Door):
     @property
     def parameters(self) -> Vocabulary:
         """What a study of this case can search or hold."""
-        return BREAST.without(["E_skin"]) if self.model.skin == "none" else BREAST
+        return BREAST_MODEL.without(["E_skin"]) if self.model.skin == "none" else BREAST_MODEL
 
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
         """Every constant, inside names and units: `constants`, then the case's, then neutral.
@@ -231,7 +239,7 @@ class CaseSpec(Door):
         InputError
             If a name in `constants` is unknown or a value not admissible.
         """
-        return BREAST.complete(BREAST.from_door(self.constants), constants or {})
+        return BREAST_MODEL.complete(BREAST_MODEL.from_door(self.constants), constants or {})
 
 
 class TargetSpec(ImageSpec):

@@ -263,9 +263,10 @@ def _solve(
 ) -> Solution:  # fmt: skip
     with watch.stage("load"):
         model = library.model(prepared["mesh"])
-        body = library.extent(prepared["volume"])
+        oblique = spec.load.oblique_deg
+        body = library.extent(prepared["volume"], oblique)
         imaged = target is not None and library.imaged(target)
-        held = library.extent(target) if target is not None and imaged else None
+        held = library.extent(target, oblique) if target is not None and imaged else None
     with watch.stage("solve"):
         return pipeline.simulate(model, spec, values, body, held)
 

@@ -20,6 +20,9 @@ class Unit:
         The unit of the same quantity inside `workers`.
     per_inside : float
         How many of this unit make one inside; exact in floating point.
+    inside_per : float
+        For a unit larger than the one inside: how many inside make one of it. One of
+        the two factors is 1, because a thousand is exact and a thousandth is not.
 
     Examples
     --------
@@ -29,23 +32,26 @@ class Unit:
     10.0
     >>> KPA.name_at_door("E_fat")
     'E_fat_kpa'
+    >>> MM_PER_KPA.name_at_door("wall_compliance")
+    'wall_compliance_mm_per_kpa'
     """
 
     symbol: str
     inside: str
     per_inside: float
+    inside_per: float = 1.0
 
     def to_inside(self, value: float) -> float:
         """From this unit to the one inside."""
-        return value / self.per_inside
+        return value * self.inside_per / self.per_inside
 
     def to_door(self, value: float) -> float:
         """From the unit inside to this one."""
-        return value * self.per_inside
+        return value * self.per_inside / self.inside_per
 
     def name_at_door(self, name: str) -> str:
         """`name` with its unit behind it, as users write it."""
-        return f"{name}_{self.symbol.lower()}" if self.symbol else name
+        return f"{name}_{self.symbol.lower().replace('/', '_per_')}" if self.symbol else name
 
     def text(self, value_inside: float) -> str:
         """A value for a reader, "10 kPa"."""
@@ -54,3 +60,9 @@ class Unit:
 
 KPA = Unit("kPa", "MPa", 1000.0)
 NUMBER = Unit("", "", 1.0)
+MM = Unit("mm", "mm", 1.0)
+DEGREE = Unit("deg", "deg", 1.0)
+G = Unit("g", "g", 1.0)  # multiples of the acceleration of gravity
+KPA_PER_MM = Unit("kPa/mm", "MPa/mm", 1000.0)
+MM_PER_KPA = Unit("mm/kPa", "mm/MPa", 1.0, 1000.0)
+N_PER_M = Unit("N/m", "N/mm", 1000.0)

@@ -5,9 +5,9 @@ import pytest
 
 from storage.errors import InputError
 from storage.values import Tissue, Volume
+from workers.effects.catalogue import BREAST_MODEL
 from workers.fem.loads import DistanceControl, ForceControl
 from workers.organs.breast import check_skin_layer, extent_of, materials_of, plates_of, problem_of
-from workers.parameters import BREAST
 from workers.spec import LoadSpec, ModelSpec
 
 FORCE = LoadSpec(force_n=100)
@@ -15,7 +15,7 @@ BODY = (-50.0, 50.0)
 
 
 def problem(skin="none", **constants):
-    return problem_of(ModelSpec(skin=skin), FORCE, BREAST.complete(constants), BODY)
+    return problem_of(ModelSpec(skin=skin), FORCE, BREAST_MODEL.complete(constants), BODY)
 
 
 def distance(**keys):
@@ -43,7 +43,7 @@ def test_without_skin_its_voxels_are_fat():
 
 def test_a_membrane_lies_on_fat():
     wrapped = problem_of(
-        ModelSpec(skin="membrane", skin_thickness_mm=1.2), FORCE, BREAST.complete(), BODY
+        ModelSpec(skin="membrane", skin_thickness_mm=1.2), FORCE, BREAST_MODEL.complete(), BODY
     )
     assert wrapped.constants[Tissue.SKIN] == wrapped.constants[Tissue.FAT]
     assert (wrapped.membrane.young_mpa, wrapped.membrane.thickness_mm) == (1.6, 1.2)
@@ -71,8 +71,25 @@ def test_every_solid_tissue_has_constants():
 def test_fibres_run_from_chest_wall_to_nipple_and_pull_only():
     assert problem().fibres.axis == (0, 0, 1)
     assert not problem().literal_fibre
-    literal = problem_of(ModelSpec(fibres="literal"), FORCE, BREAST.complete(), BODY)
+    literal = problem_of(ModelSpec(fibres="literal"), FORCE, BREAST_MODEL.complete(), BODY)
     assert literal.literal_fibre
+
+
+def test_an_oblique_view_turns_the_plates_and_their_distance():
+    """A box of 8 x 4 mm seen along its diagonal is 12 / sqrt(2) mm thick."""
+    box = Volume(np.ones((2, 4, 8), np.uint8), (1, 1, 1), (-3.5, -1.5, 0.5))
+    assert extent_of(box, 45.0) == pytest.approx((-12 / 8**0.5, 12 / 8**0.5))
+    load = LoadSpec(force_n=100, oblique_deg=45, moving="both")
+    device = plates_of(load, (-5, 5)).device
+    assert device.axis == pytest.approx((-(0.5**0.5), 0.5**0.5, 0))
+    assert device.lower_share == 0.5
+
+
+def test_effects_are_constants_of_the_model():
+    held = problem(wall_hold_x=1e-3, friction=0.3)
+    assert held.wall.spring_mpa_per_mm == (1e-3, 0, 0)
+    assert held.load.device.friction == 0.3
+    assert problem() == problem(wall_hold_x=0.0)
 
 
 def test_under_a_force_the_plates_start_at_the_body():

@@ -140,6 +140,8 @@ class Level:
         self.prescribed = places.displacement_mm
         self.grips: tuple[Grip, ...] = ()
         self.follower = np.zeros_like(model.nodes)
+        # Energies are differences of terms of this size, each with 16 digits.
+        self.rounding_mj = 1e-14 * float(self.matter.mu @ model.elements.volumes)
         # Kept by the smoother from one tangent to the next.
         self.stiffest_mode: Float32Array | None = None
 

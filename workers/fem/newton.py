@@ -137,6 +137,7 @@ def _line_search(
     length = min(1.0, LONGEST_STEP_MM / step.longest) if step.longest > 0 else 1.0
     # Near the minimum the fall drowns in rounding; a Newton step is then taken on trust.
     noise = 1e-11 * (abs(energy.elastic) + abs(energy.potential - energy.elastic))
+    noise += level.rounding_mj
     for _ in range(MAX_HALVINGS):
         trial = State(state.x + length * step.u, state.travel_mm + length * step.travel)
         trial_energy = level.energy(trial, stage)

@@ -24,11 +24,17 @@ class Places:
 
 
 def springs(model: LevelModel, wall: Wall, load: Load) -> FloatArray:
-    """Stiffness of the springs that hold each node to its place, shape (n, 3) in N/mm."""
-    across = np.ones(3)
+    """Stiffness of the springs that hold each node to its place, shape (n, 3) in N/mm.
+
+    Along axes in which the chest wall holds the body there are none: they would carry
+    a part of its weight.
+    """
+    loose = np.ones(3)
     if not isinstance(load, NoPlates):
-        across -= np.abs(load.device.axis) / np.linalg.norm(load.device.axis)
-    drift = DRIFT_SPRING_N_PER_MM4 * model.nodal_volumes[:, None] * across
+        loose -= np.abs(load.device.axis) / np.linalg.norm(load.device.axis)
+    if len(model.wall):
+        loose[np.logical_or(wall.held, np.greater(wall.spring_mpa_per_mm, 0))] = 0.0
+    drift = DRIFT_SPRING_N_PER_MM4 * model.nodal_volumes[:, None] * loose
     return np.asarray(drift + model.wall_areas[:, None] * np.asarray(wall.spring_mpa_per_mm))
 
 

@@ -22,7 +22,8 @@ def report(
     min_j = float(kernels.smallest_volume_ratio(state.x, model.elements))
     reason = results[-1].reason
     deepest = max((float(p.depth.max()) for p in at.presses), default=0.0)
-    reaction = finest.force(state, at, stage)[model.wall, 2].sum()
+    sprung = finest.springs * (state.x - model.nodes)
+    reaction = (finest.force(state, at, stage) - sprung)[model.wall, 2].sum()
     return Solution(
         displacement_mm=state.x - imaged.nodes,
         outcome=Outcome(

@@ -34,7 +34,7 @@ def stress_free(
     Raises
     ------
     InputError
-        If no such shape is found: the body is too soft to carry its weight.
+        If no such shape is found.
     """
     hanging = replace(
         problem,
@@ -52,12 +52,16 @@ def stress_free(
         rest = reshaped(model, guess)
         found = equilibrium(rest, hanging)
         if found.solution.outcome.reason:
-            break
+            raise InputError(
+                "No stress-free shape was found for imaged_gravity_g = "
+                f"{problem.imaged_gravity_g}: {found.solution.outcome.reason}."
+            )
         missing = [x - s.x for x, s in zip(imaged, found.states, strict=True)]
-        if float(np.abs(missing[-1]).max()) < 2 * problem.tolerance_mm:
+        if float(np.abs(missing[-1]).max()) < 0.1 * problem.tolerance_mm:
             return rest
         guess = [x + m for x, m in zip(guess, missing, strict=True)]
     raise InputError(
         "No stress-free shape was found for imaged_gravity_g = "
-        f"{problem.imaged_gravity_g}: the body is too soft to carry its weight there."
+        f"{problem.imaged_gravity_g} in {MAX_ROUNDS} rounds: the body is too soft to "
+        "carry its weight there."
     )

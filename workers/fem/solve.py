@@ -89,8 +89,8 @@ def equilibrium(model: Model, problem: Problem, start: Equilibrium | None = None
         See `solve`.
     start : Equilibrium, optional
         Of a similar problem on the same model. Newton's method then starts from it
-        on the finest mesh; where that fails, or where friction makes the path
-        count, the body is solved from rest.
+        on the finest mesh; where that fails, or with friction or pressure, the body
+        is solved from rest.
 
     Raises
     ------
@@ -102,7 +102,8 @@ def equilibrium(model: Model, problem: Problem, start: Equilibrium | None = None
         model = stress_free(model, problem, equilibrium)
     levels = [Level(m, problem) for m in model]
     march = _March(model, problem, levels)
-    if start is None or levels[-1].lags or not march.continue_from(start):
+    by_path = bool(problem.load.device.friction) or bool(problem.pressures)
+    if start is None or by_path or not march.continue_from(start):
         march.from_rest()
     solution = report(levels[-1], imaged.finest, march.stage, march.states[-1], march.results)
     return Equilibrium(

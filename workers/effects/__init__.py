@@ -1,0 +1,1 @@
+"""What a model may lack: one file an effect."""

@@ -6,7 +6,8 @@ its plate dissipates
 .. math:: D = \mu \lambda (\sqrt{s^2 + \epsilon^2} - \epsilon) ,
 
 Coulomb's law but for slips of the order of epsilon, over which friction builds up.
-Slip is counted from where the pad was at the end of the step before. lambda is the
+Slip is counted from an anchor: where the pad was when it began to slip, dragged along
+behind it from step to step, so that a pad that sticks does not creep. lambda is the
 force of the present state: it is held during a minimisation and renewed after it
 until it no longer changes, so every step ends in implicit Coulomb equilibrium. Its
 derivative enters the tangent of `workers.fem.sensitivity`.
@@ -21,6 +22,8 @@ from workers.fem.contact import Bordered, Pads, Press, Surface
 
 # Friction is half built up after 0.6 epsilon.
 EPSILON_MM = 0.05
+# What a pad that slips has in reserve when it turns back; friction is then at 95 %.
+HELD_MM = 3 * EPSILON_MM
 STEPS = 8
 
 
@@ -35,7 +38,7 @@ class Grip:
     friction : float
         Coulomb's coefficient mu.
     start : ndarray, shape (c, 3)
-        Where the pads were at the end of the step before, in mm.
+        The anchors at the beginning of the step, in mm.
     start_travel_mm : float
     load : ndarray, shape (c,)
         Normal force lambda of each pad, in N.
@@ -71,6 +74,12 @@ class Grip:
         """Direction in which friction is overcome, at most 1 long, shape (c, 3)."""
         s = self.slip(x, travel_mm)
         return np.asarray(s / np.sqrt((s * s).sum(axis=1) + EPSILON_MM**2)[:, None])
+
+    def anchor(self, x: FloatArray, travel_mm: float) -> FloatArray:
+        """Where slip counts from in the next step: the pads less what has not slipped."""
+        s = self.slip(x, travel_mm)
+        kept = np.exp(-(s * s).sum(axis=1) / HELD_MM**2) * (self.load > 0)
+        return np.asarray(x[self.pads.nodes] - kept[:, None] * s)
 
     def drag(self, x: FloatArray, travel_mm: float) -> Bordered:
         """D, summed over the pads, and its derivatives."""

@@ -155,12 +155,14 @@ class Level:
         return np.where(self.free > 0, x, self.model.nodes + fraction * self.prescribed)
 
     def begin_step(self, state: State, stage: Stage) -> None:
-        """From here on slip counts."""
+        """A step of the load begins at `state`: from here on slip counts."""
         pads, friction = self.model.pads, stage.device.friction
         if friction:
+            here = state.x[pads.nodes]
+            anchors = [g.anchor(state.x, state.travel_mm) for g in self.grips] or [here, here]
             self.grips = tuple(
-                Grip(pads, p.surface, friction, state.x[pads.nodes], state.travel_mm, p.load)
-                for p in self._presses(state, stage)
+                Grip(pads, p.surface, friction, anchor, state.travel_mm, p.load)
+                for p, anchor in zip(self._presses(state, stage), anchors, strict=True)
             )
 
     def renew(self, state: State, stage: Stage) -> None:

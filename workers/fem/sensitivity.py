@@ -11,7 +11,7 @@ earlier steps of the load is held.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
@@ -69,8 +69,25 @@ def tangents(
             "Only an equilibrium has tangents; this simulation did not converge: "
             f"{at.solution.outcome.reason}."
         )
+    if not changes:
+        return np.empty((0, *at.solution.displacement_mm.shape))
     here = _Here(at)
-    return np.stack([here.tangent(change, tolerance) for change in changes])
+    right = [here.right_side(change) for change in changes]
+    if at.levels[-1].lags:
+        found = [here.with_lag(r, tolerance) for r in right]
+    else:
+        found = list(here.without_lag(right, tolerance))
+    free = at.levels[-1].free > 0
+    return np.stack([np.where(free, u, r.forced) for u, r in zip(found, right, strict=True)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RightSide:
+    """Force on the nodes, (n, 3), and on the plates, and what held places do, (n, 3)."""
+
+    force: FloatArray
+    plate: float
+    forced: FloatArray
 
 
 class _Here:
@@ -82,18 +99,17 @@ class _Here:
         self.energy = self.level.energy(self.state, self.stage)
         _, self.tangent_here = self.level.linearise(self.state, self.energy, self.stage)
         self.linear: LinearSolver = linear_solver(self.level, self.tangent_here, at.solvers[:-1])
-        self._before: State | None = None
+        self._earlier: list[State] | None = None
 
-    def tangent(self, change: Change, tolerance: float) -> FloatArray:
-        """dx / dphi."""
+    def right_side(self, change: Change) -> _RightSide:
+        """What a unit of the parameter leaves out of balance, with its sign turned."""
         ahead, behind = (self._forces(p) for p in (change.plus, change.minus))
         b = -(ahead[0] - behind[0]) / change.step * self.level.free
         plate = -(ahead[1] - behind[1]) / change.step
         forced = self._forced(change)
         if forced.any():
             b -= self._pull(forced) * self.level.free
-        u = self._answer(b, plate, tolerance)
-        return np.where(self.level.free > 0, u, forced)
+        return _RightSide(b, plate, forced)
 
     def _forces(self, problem: Problem) -> tuple[FloatArray, float]:
         """Out-of-balance force of the nodes and of the plates under another problem."""
@@ -118,33 +134,45 @@ class _Here:
         return stress_free(self.at.imaged, problem, equilibrium)
 
     def _grip(self, level: Level, stage: Stage) -> None:
-        """Friction from where the last step of the load began."""
-        if stage.device.friction:
-            if self.level.grips:
-                first = self.level.grips[0]
-                start = self.state.x.copy()
-                start[first.pads.nodes] = first.start
-                level.begin_step(State(start, first.start_travel_mm), stage)
-            else:
-                level.begin_step(self._one_step_before(), stage)
+        """Friction as it is, or as it would begin at the end of a path without any."""
+        mu = stage.device.friction
+        if mu:
+            level.grips = self.level.grips
+            if not level.grips:
+                self._walk(level)
+            level.grips = tuple(replace(g, friction=mu) for g in level.grips)
         level.renew(self.state, stage)
 
-    def _one_step_before(self) -> State:
-        """Where a path of the load without friction would have been one step ago."""
-        if self._before is None:
-            problem = self.at.problem
-            fraction = path_fractions(problem.load)[-2]
-            stage = stage_at(self.at.model, problem.load, fraction)
-            near = State(self.level.placed(self.state.x, fraction), self.state.travel_mm)
-            result = minimise(
-                self.level,
-                in_contact(self.level, near, stage),
-                stage,
-                lambda level, tangent: linear_solver(level, tangent, self.at.solvers[:-1]),
-                problem.tolerance_mm,
-            )
-            self._before = result.state
-        return self._before
+    def _walk(self, level: Level) -> None:
+        """Let the anchors of friction follow the path without any."""
+        stages = [replace(s, device=replace(s.device, friction=1.0)) for s in self._stages()]
+        rest = State(level.model.nodes.copy(), 0.0)
+        level.begin_step(rest, stages[0])
+        for earlier, stage, following in zip(self._path(), stages[:-1], stages[1:], strict=True):
+            level.renew(earlier, stage)
+            level.begin_step(earlier, following)
+
+    def _stages(self) -> list[Stage]:
+        """The steps in which friction would be applied."""
+        load = self.at.problem.load
+        return [stage_at(self.at.model, load, f) for f in path_fractions(load)]
+
+    def _path(self) -> list[State]:
+        """Where those steps end without friction, the last one left out."""
+        if self._earlier is None:
+            found, path = self.state, []
+            for stage in reversed(self._stages()[:-1]):
+                near = State(self.level.placed(found.x, stage.fraction), found.travel_mm)
+                found = minimise(
+                    self.level,
+                    in_contact(self.level, near, stage),
+                    stage,
+                    lambda level, tangent: linear_solver(level, tangent, self.at.solvers[:-1]),
+                    self.at.problem.tolerance_mm,
+                ).state
+                path.append(found)
+            self._earlier = path[::-1]
+        return self._earlier
 
     def _forced(self, change: Change) -> FloatArray:
         """What the change prescribes on held places: (n, 3) in mm per unit.
@@ -176,10 +204,18 @@ class _Here:
         operators.multiply(g.start, g.neighbour, t.K, t.B, t.D, everywhere, u, scratch, y)
         return y
 
-    def _answer(self, b: FloatArray, plate: float, tolerance: float) -> FloatArray:
+    def without_lag(self, right: Sequence[_RightSide], tolerance: float) -> FloatArray:
+        """Solve for all right sides at once, shape (k, n, 3)."""
+        t = self.tangent_here
+        b = np.stack([r.force for r in right])
+        if t.plate_stiffness > 0:
+            push = np.array([r.plate for r in right]) / t.plate_stiffness
+            b[:, t.pads] -= push[:, None, None] * t.coupling
+        return self.linear.solve_many(b, tolerance).u
+
+    def with_lag(self, right: _RightSide, tolerance: float) -> FloatArray:
         """Solve with the symmetric tangent, and with what has no energy around it."""
-        if not self.level.lags:
-            return self._symmetric(b, plate, tolerance)[0]
+        b, plate = right.force, right.plate
         shape, n = b.shape, b.size
 
         def operator(v: FloatArray) -> FloatArray:
@@ -190,9 +226,9 @@ class _Here:
             return v + np.append(u.ravel(), travel)
 
         u, travel = self._symmetric(b, plate, tolerance / 10)
-        right = np.append(u.ravel(), travel)
+        start = np.append(u.ravel(), travel)
         shifted = LinearOperator((n + 1, n + 1), matvec=operator, dtype=np.float64)
-        found, failed = gmres(shifted, right, rtol=tolerance, maxiter=5, restart=30)
+        found, failed = gmres(shifted, start, rtol=tolerance, maxiter=5, restart=30)
         if failed:
             raise ArithmeticError("the tangent with friction or pressure was not solved")
         return np.asarray(found[:n].reshape(shape))

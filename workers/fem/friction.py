@@ -76,9 +76,14 @@ class Grip:
         return np.asarray(s / np.sqrt((s * s).sum(axis=1) + EPSILON_MM**2)[:, None])
 
     def anchor(self, x: FloatArray, travel_mm: float) -> FloatArray:
-        """Where slip counts from in the next step: the pads less what has not slipped."""
+        """Where slip counts from in the next step: the pads less what has not slipped.
+
+        Short slips are kept whole, so that the number of steps hardly matters, and of
+        long ones `HELD_MM`.
+        """
         s = self.slip(x, travel_mm)
-        kept = np.exp(-(s * s).sum(axis=1) / HELD_MM**2) * (self.load > 0)
+        far = (s * s).sum(axis=1) / HELD_MM**2
+        kept = (1 + far**4) ** -0.125 * (self.load > 0)
         return np.asarray(x[self.pads.nodes] - kept[:, None] * s)
 
     def drag(self, x: FloatArray, travel_mm: float) -> Bordered:

@@ -186,7 +186,8 @@ class _March:
         """The coarser solution, or what it gained since the stage before on top of that."""
         level = self.levels[k]
         if k == 0:
-            return in_contact(level, before[0], stage)
+            placed = level.placed(before[0].x, stage.fraction)
+            return in_contact(level, State(placed, before[0].travel_mm), stage)
         coarse = self.states[k - 1]
         if first:
             start = self._prolonged(k, coarse.x - self.levels[k - 1].model.nodes)

@@ -7,7 +7,7 @@ import numpy as np
 from storage.errors import InputError
 from storage.values import FloatArray
 from workers.fem import friction
-from workers.fem.contact import Gap, press
+from workers.fem.contact import Gap, Surface, press
 from workers.fem.level import Level, Stage, State
 from workers.fem.loads import DistanceControl, ForceControl, Load
 from workers.fem.model import Model
@@ -17,6 +17,8 @@ from workers.fem.problem import Problem
 OVERLAP_MM = 0.5
 # A prolonged state may only just miss the plate.
 BARELY_MM = 0.02
+# Less than this is no contact: rounding.
+TOUCH_MM = 1e-6
 
 
 def stages_of(model: Model, problem: Problem) -> list[Stage]:
@@ -61,10 +63,32 @@ def ramps(load: Load) -> Sequence[int]:
 
 def in_contact(level: Level, state: State, stage: Stage) -> State:
     """Let force-controlled plates begin where they touch the body."""
+    x = _set_down(level, state.x, stage)
     if stage.force_n is None:
-        return state
+        return State(x, state.travel_mm)
     overlap = OVERLAP_MM if state.travel_mm == 0.0 else BARELY_MM
-    return State(state.x, max(state.travel_mm, _first_touch_mm(level, state.x, stage) + overlap))
+    return State(x, max(state.travel_mm, _first_touch_mm(level, x, stage) + overlap))
+
+
+def _set_down(level: Level, x: FloatArray, stage: Stage) -> FloatArray:
+    """Lay a body that nothing holds along the axis on the plate that stands still.
+
+    Pushed from the other side it would fly, and its tangent be singular.
+    """
+    for plate in stage.plates(0.0):
+        lowest = float(press(level.model.pads, x, plate).gap.min())
+        if not plate.velocity.any() and lowest > -TOUCH_MM and _floats(level, plate):
+            return np.asarray(x - (lowest + BARELY_MM) * plate.normal)
+    return x
+
+
+def _floats(level: Level, plate: Surface) -> bool:
+    """Whether neither the wall nor a held place keeps the body from this plate."""
+    across = np.abs(plate.normal) > 1e-6
+    sprung = np.greater(level.problem.wall.spring_mpa_per_mm, 0)[across].any()
+    if len(level.model.wall) and sprung:
+        return False
+    return bool(level.free[:, across].all())
 
 
 def _first_touch_mm(level: Level, x: FloatArray, stage: Stage) -> float:

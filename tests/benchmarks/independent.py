@@ -1,0 +1,158 @@
+"""How long CalculiX takes for what our solver does: same mesh, same physics, one thread.
+
+    python -m tests.benchmarks.independent [NODES ...]
+
+A breast of fat and gland, neo-Hookean, is pressed from 100 to 75 mm. We solve it
+with plates and from rest. CalculiX is told where the plates hold each node that
+they touch, and so has no contact to find: what it takes is a lower bound. Both
+solve plain linear tetrahedra, side by side and in turn, and the fastest of three
+counts. CalculiX's time contains starting it and reading its deck; ours contains no
+preparation of the mesh, which a search makes once for all its candidates.
+"""
+
+import json
+import os
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+# One thread, for whatever library starts threads; read when it is loaded.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[name] = "1"
+ROOMS = Path(__file__).parents[1]
+sys.path.append(str(ROOMS / "reference"))
+
+import numpy as np  # noqa: E402
+from calculix import Answer, Body, Held, Material, available  # noqa: E402
+from calculix import solve as calculix  # noqa: E402
+
+from storage.values import Tissue  # noqa: E402
+from workers import pipeline  # noqa: E402
+from workers.fem.loads import DistanceControl, Wall  # noqa: E402
+from workers.fem.model import Model, prepare  # noqa: E402
+from workers.fem.outcome import Solution  # noqa: E402
+from workers.fem.problem import Constants, Problem  # noqa: E402
+from workers.fem.solve import solve  # noqa: E402
+from workers.mesh.hierarchy import MeshLevel  # noqa: E402
+from workers.spec import MeshSpec, ModelSpec, PhantomSpec  # noqa: E402
+
+FAT, GLAND = Constants(0.010), Constants(0.040)
+LOWER_MM, UPPER_MM = -37.5, 37.5
+REPEATS = 3
+WARM_NODES = 1000  # a first, untimed solve loads the compiled kernels
+# Half of the load at once and its own tolerances: the fastest that CalculiX was seen to be.
+FASTEST: dict[str, Any] = {"first_increment": 0.5, "tight": False}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One size: seconds of each solver, and how far their answers are apart."""
+
+    nodes: int
+    tets: int
+    our_seconds: float
+    our_default_seconds: float
+    ccx_seconds: float
+    ratio: float
+    mean_difference_mm: float
+    max_difference_mm: float
+
+
+class Case:
+    """The breast at one mesh size."""
+
+    def __init__(self, nodes: int) -> None:
+        labels = pipeline.phantom(PhantomSpec(spacing_mm=1.0))
+        hierarchy = pipeline.mesh(labels, MeshSpec(nodes=nodes), ModelSpec())
+        self.level: MeshLevel = hierarchy.finest
+        self.model: Model = prepare(hierarchy)
+
+    def ours(self, *, plain: bool = True) -> Solution:
+        """Pressed by plates; `plain` elements lock, the default ones do not."""
+        problem = Problem(
+            {Tissue.FAT: FAT, Tissue.GLANDULAR: GLAND},
+            DistanceControl(LOWER_MM, UPPER_MM),
+            wall=Wall(held=(True, False, True)),
+            plain_elements=plain,
+        )
+        solution = solve(self.model, problem)
+        if not solution.outcome.converged:
+            raise RuntimeError(f"Our solver stopped: {solution.outcome.reason}")
+        return solution
+
+    def body(self, moved_mm: np.ndarray) -> Body:
+        """The same for CalculiX: the nodes that end inside a plate are led to their place."""
+        mesh, wall = self.level.mesh, self.level.wall
+        y = mesh.nodes[:, 1] + moved_mm[:, 1]
+        free = np.unique(self.level.surface)
+        touching = free[(y[free] < LOWER_MM) | (y[free] > UPPER_MM)]
+        tissue = self.level.fractions.argmax(axis=1)
+        materials = tuple(
+            Material(np.flatnonzero(tissue == t), c.mu_mpa, c.kappa_mpa)
+            for t, c in ((Tissue.FAT, FAT), (Tissue.GLANDULAR, GLAND))
+        )
+        held = (Held(wall, 0), Held(wall, 2), Held(touching, 1, moved_mm[touching, 1]))
+        return Body(mesh, materials, held)
+
+
+def ccx_seconds(nodes: int, repeats: int = 1) -> float:
+    """Seconds of the fastest of some runs of CalculiX at about so many nodes."""
+    case = Case(nodes)
+    body = case.body(case.ours().displacement_mm)
+    return min(calculix(body, **FASTEST).seconds for _ in range(repeats))
+
+
+def compare(nodes: int, repeats: int = REPEATS) -> Row:
+    """Both solvers in turn, at about so many nodes.
+
+    Raises
+    ------
+    RuntimeError
+        If a solver does not converge.
+    """
+    Case(WARM_NODES).ours()
+    case = Case(nodes)
+    ours, default, theirs = [], [], []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        solution = case.ours()
+        ours.append(time.perf_counter() - begun)
+        begun = time.perf_counter()
+        case.ours(plain=False)
+        default.append(time.perf_counter() - begun)
+        answer: Answer = calculix(case.body(solution.displacement_mm), **FASTEST)
+        theirs.append(answer.seconds)
+    away = np.linalg.norm(solution.displacement_mm - answer.displacement_mm, axis=1)
+    mesh = case.level.mesh
+    return Row(
+        nodes=len(mesh.nodes),
+        tets=len(mesh.tets),
+        our_seconds=min(ours),
+        our_default_seconds=min(default),
+        ccx_seconds=min(theirs),
+        ratio=min(theirs) / min(ours),
+        mean_difference_mm=float(away.mean()),
+        max_difference_mm=float(away.max()),
+    )
+
+
+def main(*sizes: str) -> None:
+    """Print a table, and the same as one line of JSON."""
+    if not available():
+        raise SystemExit("CalculiX is not installed (Debian: apt install calculix-ccx).")
+    rows = [compare(int(size)) for size in sizes or ("5000",)]
+    write = sys.stdout.write
+    write(" nodes    tets  ours s  default s   ccx s  ccx/ours  mean mm   max mm\n")
+    for r in rows:
+        write(
+            f"{r.nodes:6d} {r.tets:7d} {r.our_seconds:7.2f} {r.our_default_seconds:10.2f} "
+            f"{r.ccx_seconds:7.2f} {r.ratio:9.1f} {r.mean_difference_mm:8.1e} "
+            f"{r.max_difference_mm:8.1e}\n"
+        )
+    write(json.dumps([asdict(r) for r in rows]) + "\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

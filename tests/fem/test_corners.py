@@ -1,0 +1,109 @@
+"""The corners of the box of constants that a search of a breast may visit.
+
+At its softest corners 100 N flatten the breast by two thirds; at its stiffest the
+skin is 600 times as stiff as the fat. A search needs an answer at each of them:
+an equilibrium, or an ordinary ending with its reason.
+"""
+
+import itertools
+from functools import cache
+
+import numpy as np
+import pytest
+
+from workers import pipeline
+from workers.fem.model import Model, prepare
+from workers.fem.outcome import Outcome
+from workers.organs.breast import Extent, extent_of
+from workers.parameters import BREAST
+from workers.spec import CaseSpec, validated
+
+BARE = ("E_fat", "eta_fat", "E_glandular", "eta_glandular")
+COVERED = (*BARE, "E_skin")
+Corner = tuple[int, ...]
+
+QUICK = [(0, 0, 0, 0), (0, 1, 1, 1), (1, 0, 0, 1), (0, 0, 1, 0, 0), (1, 1, 1, 1, 1)]
+
+
+def corners(names: tuple[str, ...]) -> list[Corner]:
+    return list(itertools.product((0, 1), repeat=len(names)))
+
+
+def case(skin: str) -> CaseSpec:
+    return validated(
+        CaseSpec,
+        {
+            "reference": {"phantom": {"spacing_mm": 1.0}},
+            "mesh": {"nodes": 5000},
+            "load": {"force_n": 100.0},
+            "model": {"skin": skin},
+        },
+    )
+
+
+@cache
+def breast() -> tuple[Model, Extent]:
+    asked = case("none")
+    labels = pipeline.phantom(asked.reference.phantom)
+    return prepare(pipeline.mesh(labels, asked.mesh, asked.model)), extent_of(labels)
+
+
+@cache
+def press(corner: Corner) -> Outcome:
+    """Each of the first four or five constants at its lower (0) or upper (1) bound."""
+    names = COVERED[: len(corner)]
+    constants = {name: BREAST[name].bounds[end] for name, end in zip(names, corner, strict=True)}
+    asked = case("membrane" if len(corner) == len(COVERED) else "none")
+    model, body = breast()
+    return pipeline.simulate(model, asked, asked.complete(constants), body).outcome
+
+
+def assert_in_equilibrium(outcome: Outcome) -> None:
+    assert outcome.converged, outcome.reason
+    assert outcome.plate_force_n == pytest.approx(100, rel=1e-4)
+    assert outcome.force_imbalance < 5e-3
+    assert outcome.residual_n < 0.05
+    assert outcome.penetration_mm < 0.5
+
+
+@pytest.mark.parametrize("corner", QUICK, ids=str)
+def test_a_handful(corner: Corner) -> None:
+    outcome = press(corner)
+    assert_in_equilibrium(outcome)
+    assert not outcome.squeezed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("corner", corners(BARE), ids=str)
+def test_without_skin_every_corner_has_a_sound_equilibrium(corner: Corner) -> None:
+    outcome = press(corner)
+    assert_in_equilibrium(outcome)
+    assert not outcome.squeezed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("corner", corners(COVERED), ids=str)
+def test_with_skin_every_corner_ends_with_a_word(corner: Corner) -> None:
+    """A sheet of 3 MPa on fat of 5 kPa folds, and turns elements inside out as it does."""
+    outcome = press(corner)
+    folds = corner[0] == 0 and corner[-1] == 1
+    if outcome.converged:
+        assert_in_equilibrium(outcome)
+        assert outcome.squeezed == (outcome.min_j < 0.2)
+        assert folds or not outcome.squeezed
+    else:
+        assert folds, outcome.reason
+        assert outcome.reason
+        assert np.isfinite(outcome.residual_n)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("names", [BARE, COVERED], ids=["bare", "covered"])
+def test_what_is_stiffer_gives_way_less(names: tuple[str, ...]) -> None:
+    """Along every edge of the box the plate moves less at the stiffer end."""
+    for corner in corners(names):
+        for k in np.flatnonzero(np.array(corner) == 0):
+            stiffer = (*corner[:k], 1, *corner[k + 1 :])
+            soft, stiff = press(corner), press(stiffer)
+            if soft.converged and stiff.converged:
+                assert stiff.plate_displacement_mm < soft.plate_displacement_mm, (corner, names[k])

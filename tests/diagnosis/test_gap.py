@@ -1,0 +1,182 @@
+"""The gap against noise-free truth: unbiased, and intervals that cover."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from linear_world import catalogue, layout, mode, nominal_problem, observed
+
+from storage.errors import InputError
+from workers.diagnosis.gap import LinearFit, gap, gaps
+from workers.diagnosis.shrinkage import shrinkage
+
+STATE = layout(60)[2]
+LOW, HIGH = STATE == 0, STATE == 1
+REPLICATES = 300
+
+
+def known_gap():
+    """An effect of 0.25 mm and a rest of 0.12 mm of another shape, as a residual."""
+    return -0.25 * catalogue()[1].columns[:, 0] - 0.12 * mode(60, (1, 2, 0), 2, 1.0)
+
+
+def replicate(problem, truth, rng, train=None, judge=None):
+    """A fit to a new image, and the squared gap that it really leaves."""
+    noise = problem.covariance_factor @ rng.standard_normal(problem.size)
+    fit = LinearFit(replace(problem, residual=truth + noise), train, judge)
+    step = fit.step * problem.nominal_sd
+    rows = slice(None) if judge is None else judge
+    return fit, ((truth + problem.nominal @ step)[rows] ** 2).mean()
+
+
+@pytest.mark.parametrize(
+    ("train", "judge"), [(None, None), (None, HIGH), (LOW, HIGH), (HIGH, LOW)],
+    ids=["in-sample", "one state", "held-out high", "held-out low"],
+)  # fmt: skip
+@pytest.mark.parametrize("size", [0.0, 1.0])
+def test_excess_is_unbiased(train, judge, size):
+    """Mean of the estimate minus the truth, within four standard errors."""
+    rng = np.random.default_rng(31)
+    errors = []
+    for _ in range(REPLICATES):
+        fit, true = replicate(nominal_problem(), size * known_gap(), rng, train, judge)
+        errors.append(fit.excess_mm2 - true)
+    assert np.mean(errors) == pytest.approx(0.0, abs=4 * np.std(errors) / np.sqrt(REPLICATES))
+
+
+def test_plain_excess_over_noise_would_be_too_small():
+    """What fitting takes of the noise is not small: without the penalty the bias shows."""
+    rng = np.random.default_rng(32)
+    plain, penalised = [], []
+    for _ in range(REPLICATES):
+        fit, true = replicate(nominal_problem(), known_gap(), rng)
+        plain.append((fit.residual**2).mean() - fit.observation_mm2.mean() - true)
+        penalised.append(fit.excess_mm2 - true)
+    error = np.std(plain) / np.sqrt(REPLICATES)
+    assert np.mean(plain) < -4 * error
+    assert abs(np.mean(penalised)) < 4 * error
+
+
+@pytest.mark.parametrize(("train", "judge"), [(None, None), (LOW, HIGH)])
+def test_interval_covers(train, judge):
+    """At 90 %: within 0.05 (the estimate is skewed, the interval symmetric)."""
+    rng = np.random.default_rng(33)
+    held = []
+    for _ in range(REPLICATES):
+        fit, true = replicate(nominal_problem(), known_gap(), rng, train, judge)
+        found = gap(fit)
+        held.append(found.low_mm <= np.sqrt(true) <= found.high_mm)
+    assert np.mean(held) == pytest.approx(0.9, abs=0.05)
+
+
+def test_spread_is_as_stated():
+    """Standard deviation of the mean square: the formula, with the true mean, by simulation."""
+    problem, truth = nominal_problem(), known_gap()
+    fit = LinearFit(problem)
+    rng = np.random.default_rng(34)
+    noise = problem.covariance_factor @ rng.standard_normal((problem.size, 4000))
+    squares = (fit.after(truth[:, None] + noise) ** 2).sum(axis=0)
+    m, D = fit.after(truth[:, None])[:, 0], fit.covariance
+    assert np.var(squares) == pytest.approx(2 * np.sum(D**2) + 4 * m @ D @ m, rel=0.08)
+
+
+@pytest.mark.parametrize("train", [None, LOW])
+def test_noise_after_a_fit_is_that_of_a_dense_map(train):
+    """(I + F) C (I + F)', with F found by fitting unit residuals one by one."""
+    problem = nominal_problem()
+    fit = LinearFit(problem, train)
+    m, C = problem.size, problem.covariance
+    F = fit.after(np.eye(m)) - np.eye(m)
+    assert fit.covariance == pytest.approx((np.eye(m) + F) @ C @ (np.eye(m) + F).T, abs=1e-12)
+    assert fit.noise_mm2 == pytest.approx(np.diag(C + 2 * F @ C), abs=1e-12)
+    assert fit.floor_mm == pytest.approx(np.sqrt(np.trace(F @ C @ F.T) / m), rel=1e-9)
+
+
+def test_fit_is_the_generalised_least_squares_solution():
+    problem = observed(nominal_problem(), np.random.default_rng(35))
+    problem = replace(problem, nominal_offset=np.array([0.1, -0.4, 0.3]))
+    weight = np.linalg.inv(problem.covariance[np.ix_(LOW, LOW)])
+    J, prior = problem.nominal[LOW], np.diag(problem.nominal_sd**-2.0)
+    gradient = J.T @ weight @ problem.residual[LOW] + prior @ problem.nominal_offset
+    step = -np.linalg.solve(J.T @ weight @ J + prior, gradient)
+    fit = LinearFit(problem, LOW, HIGH)
+    assert fit.step * problem.nominal_sd == pytest.approx(step, rel=1e-8)
+    expected = problem.residual[HIGH] + problem.nominal[HIGH] @ step
+    assert fit.residual == pytest.approx(expected, abs=1e-10)
+
+
+def test_without_a_fit_the_excess_is_over_the_noise():
+    problem = observed(nominal_problem(), np.random.default_rng(36), known_gap())
+    found = gap(LinearFit(problem, fitted=False))
+    expected = np.mean(problem.residual**2) - np.trace(problem.covariance) / problem.size
+    assert found.excess_mm2 == pytest.approx(expected, rel=1e-10)
+    assert found.noise_mm == pytest.approx(np.sqrt(np.trace(problem.covariance) / problem.size))
+
+
+def test_subsets_add_up():
+    fit = LinearFit(observed(nominal_problem(), np.random.default_rng(37), known_gap()))
+    parts = gaps(fit, {"low": LOW, "high": HIGH})
+    mean = (parts["low"].excess_mm2 + parts["high"].excess_mm2) / 2
+    assert mean == pytest.approx(gap(fit).excess_mm2, rel=1e-10)
+    assert parts["low"].points == 60
+
+
+def test_floor_is_added_in_quadrature():
+    fit = LinearFit(observed(nominal_problem(), np.random.default_rng(38), known_gap()))
+    plain, raised = gap(fit), gap(fit, floor_mm=0.08)
+    assert raised.gap_mm == pytest.approx(np.hypot(plain.gap_mm, 0.08))
+    assert raised.high_mm == pytest.approx(np.hypot(plain.high_mm, 0.08))
+
+
+def both(rng, size=1.0):
+    """An image with an effect and a rest: the fits without and with the effect."""
+    problem = observed(nominal_problem(), rng, size * known_gap())
+    return problem, problem.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
+
+
+@pytest.mark.parametrize(("train", "judge"), [(None, None), (LOW, HIGH)])
+def test_shrinkage_and_its_interval(train, judge):
+    """Against the share of the noise-free gap: unbiased, covered, and not too wide."""
+    rng = np.random.default_rng(39)
+    truth, errors, held, widths = known_gap(), [], [], []
+    for seed in range(150):
+        noise = nominal_problem().covariance_factor @ rng.standard_normal(120)
+        nominal = replace(nominal_problem(), residual=truth + noise)
+        effect = nominal.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
+        found = shrinkage(nominal, effect, seed, train, judge, draws=200)
+        rows = slice(None) if judge is None else judge
+        squares = []
+        for problem in (nominal, effect):
+            step = LinearFit(problem, train, judge).step * problem.nominal_sd
+            squares.append(((truth + problem.nominal @ step)[rows] ** 2).mean())
+        true = 1 - squares[1] / squares[0]
+        errors.append(found.share - true)
+        held.append(found.low <= true <= found.high)
+        widths.append(found.high - found.low)
+    assert np.mean(errors) == pytest.approx(0.0, abs=0.05)
+    assert np.mean(held) > 0.9 - 3 * np.sqrt(0.09 / len(held))
+    assert np.mean(widths) < 4.5 * np.std(errors)
+
+
+def test_shrinkage_is_the_same_for_the_same_seed():
+    nominal, effect = both(np.random.default_rng(40))
+    assert shrinkage(nominal, effect, 7) == shrinkage(nominal, effect, 7)
+    assert shrinkage(nominal, effect, 7).low != shrinkage(nominal, effect, 8).low
+
+
+def test_without_a_gap_there_is_nothing_to_shrink():
+    nominal = nominal_problem()
+    effect = nominal.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
+    found = shrinkage(nominal, effect, 1)
+    assert found.before.gap_mm == 0.0
+    assert np.isnan([found.share, found.low, found.high]).all()
+
+
+def test_wrong_input_is_named():
+    problem = nominal_problem()
+    with pytest.raises(InputError, match="train must mark some of 120"):
+        LinearFit(problem, np.zeros(120, dtype=bool))
+    with pytest.raises(InputError, match="some residuals"):
+        gap(LinearFit(problem), np.zeros(120, dtype=bool))
+    with pytest.raises(InputError, match="120 and 40 residuals"):
+        shrinkage(problem, nominal_problem(20), 1)

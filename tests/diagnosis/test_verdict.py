@@ -1,0 +1,278 @@
+"""The rules on evidence made by hand, and the whole chain on cases with a known cause."""
+
+import numpy as np
+import pytest
+from linear_world import (
+    catalogue,
+    effect,
+    families,
+    field_draw,
+    mode,
+    nominal_problem,
+    observed,
+    signal_of,
+    smooth_field,
+)
+
+from storage.errors import InputError
+from workers.diagnosis.evidence import log_evidence
+from workers.diagnosis.hypotheses import Hypothesis, PriorOdds, probabilities
+from workers.diagnosis.joint import JointEvidence
+from workers.diagnosis.screen import screen
+from workers.diagnosis.verdict import verdict
+
+FAMILIES = {"a": "boundary", "b": "boundary", "c": "loading", "d": "observation"}
+NOTHING = Hypothesis((), -100.0, 0.0)
+
+
+def weigh(*hypotheses, threshold=6.0, **options):
+    return verdict([NOTHING, *hypotheses], FAMILIES, threshold, **options)
+
+
+def test_probabilities_by_hand():
+    """Four listed effects; only one of them tried, and no field with it.
+
+    ::
+
+        none              .25     x e^0
+        none and a field  .15     x e^1
+        a                 .25 / 4 x e^2
+    """
+    tried = [Hypothesis((), -3.0, 1.0), Hypothesis(("a",), -1.0)]
+    weights = np.array([0.25, 0.15 * np.e, 0.25 / 4 * np.e**2])
+    found = probabilities(tried, 4)
+    assert list(found) == [((), False), ((), True), (("a",), False)]
+    assert list(found.values()) == pytest.approx(weights / weights.sum())
+
+
+def test_pairs_share_their_odds():
+    tried = [Hypothesis((), 0.0), Hypothesis(("a", "b"), 0.0, 0.0)]
+    found = probabilities(tried, 4, PriorOdds(0.5, 0.1, 0.1, 0.1, 0.12, 0.06))
+    assert found[("a", "b"), False] / found[(), False] == pytest.approx(0.02 / 0.5)
+    assert found[("a", "b"), True] / found[(), False] == pytest.approx(0.01 / 0.5)
+
+
+def test_below_the_threshold_there_is_no_gap():
+    quiet = Hypothesis(("a",), -95.0)
+    assert weigh(quiet).kind == "no-gap"
+    assert weigh(quiet).primary == ()
+    assert weigh(quiet, threshold=4.0).kind == "effect"
+    assert weigh(quiet, threshold=4.0).alarm == pytest.approx(5.0)
+
+
+def test_an_improbable_gap_is_no_gap():
+    """Its evidence is above a threshold of zero, its probability below a half."""
+    found = weigh(Hypothesis(("a",), -99.9), threshold=0.0)
+    assert found.alarm == pytest.approx(0.1)
+    assert found.no_gap > 0.5
+    assert found.kind == "no-gap"
+
+
+def test_an_effect():
+    found = weigh(Hypothesis(("a",), -80.0, -1.0), Hypothesis(("c",), -90.0, 1.0))
+    assert found.kind == "effect"
+    assert found.primary == found.set90 == ("a",)
+    assert found.family == "boundary"
+    assert found.explained_share == 1.0
+    assert found.probabilities["a"] > 0.99
+
+
+def test_two_effects_that_cannot_be_told_apart():
+    found = weigh(Hypothesis(("a",), -80.0), Hypothesis(("c",), -80.3))
+    assert found.kind == "cannot-be-told-apart"
+    assert found.set90 == ("a", "c")
+    assert found.family is None
+    assert found.probabilities["a"] == pytest.approx(1 / (1 + np.exp(-0.3)), abs=1e-3)
+
+
+def test_relatives_that_cannot_be_told_apart_share_a_family():
+    found = weigh(Hypothesis(("a",), -80.0), Hypothesis(("b",), -80.3))
+    assert found.kind == "cannot-be-told-apart"
+    assert found.family == "boundary"
+    assert found.families["boundary"] == pytest.approx(1.0)
+
+
+def test_a_field_alone_is_none_of_these():
+    hypotheses = [Hypothesis((), -100.0, 30.0), Hypothesis(("a",), -90.0, 19.0)]
+    found = verdict(hypotheses, FAMILIES, 6.0)
+    assert found.kind == "none-of-these"
+    assert found.none_of_these > 0.5
+    assert found.primary == ()
+
+
+def test_an_effect_that_explains_little_is_none_of_these():
+    """10 of 30 nats, and with a field it is the most probable hypothesis by far."""
+    hypotheses = [Hypothesis((), -100.0, 20.0), Hypothesis(("a",), -90.0, 20.0)]
+    found = verdict(hypotheses, FAMILIES, 6.0)
+    assert found.explained_share == pytest.approx(10 / 30)
+    assert found.kind == "none-of-these"
+
+
+def test_an_effect_whose_form_is_imperfect_is_named():
+    """25 of 30 nats: the field mends the form."""
+    hypotheses = [Hypothesis((), -100.0, 8.0), Hypothesis(("a",), -75.0, 5.0)]
+    found = verdict(hypotheses, FAMILIES, 6.0)
+    assert found.kind == "effect"
+    assert found.primary == ("a",)
+    assert found.explained_share == pytest.approx(25 / 30)
+
+
+def test_a_pair_is_named_with_the_more_probable_first():
+    found = weigh(
+        Hypothesis(("a",), -90.0), Hypothesis(("c",), -70.0), Hypothesis(("a", "c"), -50.0)
+    )
+    assert found.kind == "effect"
+    assert set(found.primary) == {"a", "c"}
+    assert found.probabilities["c"] >= found.probabilities["a"] > 0.9
+
+
+def test_a_doubtful_second_effect_is_not_named():
+    found = weigh(Hypothesis(("c",), -70.0), Hypothesis(("a", "c"), -69.0))
+    assert found.primary == ("c",)
+    assert 0 < found.probabilities["a"] < 0.5
+
+
+def test_what_hides_is_neither_accused_nor_acquitted():
+    found = weigh(
+        Hypothesis(("a",), -80.0), Hypothesis(("d",), -60.0), absorbed={"a": 0.5, "d": 0.96}
+    )
+    assert found.hidden == ("d",)
+    assert found.primary == ("a",)
+    assert "d" not in found.probabilities
+    assert "observation" not in found.families
+
+
+def test_wrong_input_is_named():
+    with pytest.raises(InputError, match=r"no family of \['e'\]"):
+        weigh(Hypothesis(("e",), -80.0))
+    with pytest.raises(InputError, match="1 repeated"):
+        weigh(Hypothesis(("a", "b"), -80.0), Hypothesis(("b", "a"), -80.0))
+    with pytest.raises(InputError, match="0 without effects"):
+        verdict([Hypothesis(("a",), -80.0)], FAMILIES, 6.0)
+    with pytest.raises(InputError, match="two different effects"):
+        Hypothesis(("a", "a"), 0.0)
+    with pytest.raises(InputError, match="did not converge"):
+        Hypothesis(("a",), float("nan"))
+
+
+# --- the whole chain in the linear world --------------------------------------------------
+
+
+def diagnose(problem, fingerprints, threshold=3.0):
+    joint = JointEvidence(problem, fingerprints, smooth_field())
+    absorbed = {f.name: f.absorbed for f in screen(problem, fingerprints)}
+    return verdict(joint.hypotheses(), families(fingerprints), threshold, absorbed)
+
+
+def test_joint_evidence_is_that_of_each_fit():
+    rng = np.random.default_rng(51)
+    problem = observed(nominal_problem(), rng, signal_of(catalogue()[3], rng))
+    joint = JointEvidence(problem, catalogue(), smooth_field())
+    tilt, friction = catalogue()[1:3]
+    pair = problem.freed(np.hstack([tilt.columns, friction.columns]), np.array([0.5, 0.5]))
+    sided = np.array([False] * 4 + [True])
+    names = ("tilt", "friction")
+    assert joint.log_evidence(names)[0] == pytest.approx(log_evidence(pair, sided), abs=1e-8)
+    expected = smooth_field().log_evidence(pair, sided) - log_evidence(pair, sided)
+    assert joint.discrepancy_gain(names)[0] == pytest.approx(expected, abs=1e-8)
+    for finding in screen(problem, catalogue()):
+        gain = joint.log_evidence((finding.name,))[0] - joint.log_evidence(())[0]
+        assert gain == pytest.approx(finding.log_bayes_factor, abs=1e-8)
+
+
+@pytest.mark.parametrize("index", range(6))
+def test_each_strong_effect_is_named(index):
+    fingerprint = catalogue()[index]
+    signal = -fingerprint.places[-1] @ (2.0 * fingerprint.prior_sd)
+    found = diagnose(observed(nominal_problem(), np.random.default_rng(52), signal), catalogue())
+    assert found.kind == "effect"
+    assert found.primary == (fingerprint.name,)
+
+
+def test_a_pair_is_found():
+    tilt, stiffening = catalogue()[1], catalogue()[4]
+    signal = -0.6 * tilt.columns[:, 0] - 0.7 * stiffening.columns[:, 0]
+    found = diagnose(observed(nominal_problem(), np.random.default_rng(53), signal), catalogue())
+    assert found.kind == "effect"
+    assert set(found.primary) == {"tilt", "stiffening"}
+
+
+def test_a_twin_cannot_be_told_apart():
+    """Two effects with almost the same columns."""
+    tilt = catalogue()[1]
+    other = tilt.columns[:, 0] + 0.03 * mode(60, (1, 1, 0), 2, 1.0)
+    fingerprints = (*catalogue(), effect("flex", other, 0.5, family="plate geometry"))
+    problem = observed(nominal_problem(), np.random.default_rng(54), -0.6 * tilt.columns[:, 0])
+    found = diagnose(problem, fingerprints)
+    assert found.kind == "cannot-be-told-apart"
+    assert set(found.set90) == {"tilt", "flex"}
+    assert found.family == "plate geometry"
+
+
+def test_a_smooth_field_of_no_known_cause_is_none_of_these():
+    rng = np.random.default_rng(55)
+    kinds = []
+    while len(kinds) < 12:
+        field = field_draw(60, rng)
+        if 0.25 < np.std(field) < 0.6:
+            kinds.append(diagnose(observed(nominal_problem(), rng, field), catalogue()).kind)
+    assert kinds.count("none-of-these") >= 11
+
+
+def test_a_force_that_scales_like_a_nominal_parameter_hides():
+    force = effect("force", nominal_problem().nominal[:, 1] * 0.8, 0.5)
+    problem = observed(
+        nominal_problem(), np.random.default_rng(56), signal_of(force, np.random.default_rng(1))
+    )
+    found = diagnose(problem, (*catalogue(), force))
+    assert found.hidden == ("force",)
+    assert found.kind == "no-gap"
+
+
+@pytest.fixture(scope="module")
+def drawn_cases():
+    """Cases drawn from the prior odds: the effects that act, and the verdict."""
+    rng = np.random.default_rng(57)
+    fingerprints = catalogue()[:5]
+    labels = ["nothing", "field", "single", "single field", "pair", "pair field"]
+    cases = []
+    for kind in rng.choice(labels, size=300, p=[0.25, 0.15, 0.25, 0.20, 0.10, 0.05]):
+        count = 2 if "pair" in kind else int("single" in kind)
+        acting = rng.choice(5, size=count, replace=False)
+        signal = sum((signal_of(fingerprints[i], rng) for i in acting), np.zeros(120))
+        if "field" in kind:
+            signal = signal + field_draw(60, rng)
+        problem = observed(nominal_problem(), rng, signal)
+        joint = JointEvidence(problem, fingerprints, smooth_field())
+        found = verdict(joint.hypotheses(partners=5), families(fingerprints), 0.0)
+        cases.append((kind, [fingerprints[i].name for i in acting], found))
+    return cases
+
+
+def test_probabilities_are_reliable(drawn_cases):
+    """Of the effects given a probability in a bin, that part acts; within 3 binomial errors."""
+    claims = np.array([p for _, _, v in drawn_cases for p in v.probabilities.values()])
+    acts = np.array([n in who for _, who, v in drawn_cases for n in v.probabilities])
+    for low, high in ((0.0, 0.05), (0.05, 0.2), (0.2, 0.6), (0.6, 0.95), (0.95, 1.01)):
+        inside = (claims >= low) & (claims < high)
+        assert inside.sum() > 15
+        error = np.sqrt((claims[inside] * (1 - claims[inside])).sum()) / inside.sum()
+        difference = acts[inside].mean() - claims[inside].mean()
+        assert abs(difference) < 3 * error + 0.005, (low, difference, error)
+
+
+def test_the_probability_of_no_gap_is_reliable(drawn_cases):
+    claims = np.array([v.no_gap for _, _, v in drawn_cases])
+    empty = np.array([kind == "nothing" for kind, _, _ in drawn_cases])
+    error = np.sqrt((claims * (1 - claims)).sum())
+    assert abs(empty.sum() - claims.sum()) < 3 * error
+
+
+def test_the_set_of_90_per_cent_covers(drawn_cases):
+    """A pair is covered if one of its members is; sets overshoot 90 % rather than miss it."""
+    held = []
+    for kind, who, found in drawn_cases:
+        truth = set(who) or {"none-of-these" if kind == "field" else "no-gap"}
+        held.append(bool(truth & set(found.set90)))
+    assert np.mean(held) > 0.9 - 3 * np.sqrt(0.09 / len(held))
+    assert np.mean([len(v.set90) for _, _, v in drawn_cases]) < 2.5

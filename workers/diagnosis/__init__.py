@@ -1,0 +1,1 @@
+"""What the difference between model and image says about its cause: arrays in, numbers out."""

@@ -1,0 +1,70 @@
+"""A subject from a case: mesh, points on the interfaces, distance maps, noise."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from storage.values import Volume
+from workers.diagnosis.case import ImagedCase
+from workers.diagnosis.linear import factored
+from workers.diagnosis.subject import Scan, Subject
+from workers.fem.fields import frame_of
+from workers.fem.model import prepare
+from workers.mesh.hierarchy import build_hierarchy
+from workers.observation.interface import GLANDULAR, OUTLINE, Interface, interface_points
+from workers.observation.locate import interpolation
+from workers.observation.noise import covariance
+from workers.observation.residual import observe
+
+INTERFACES: Sequence[Interface] = (OUTLINE, GLANDULAR)
+NODES = 5000
+POINT_SPACING_MM = 6.0
+# Tissue on either side of a point, in standard deviations of the segmentation.
+CLEAR_NOISES = 5.0
+# Points this near to the chest wall sit where the image was cut.
+WALL_MARGIN_MM = 4.0
+
+
+def build_subject(
+    case: ImagedCase, nodes: int = NODES, spacing_mm: float = POINT_SPACING_MM
+) -> Subject:
+    """Make ready what every fit of the case shares.
+
+    Parameters
+    ----------
+    case : ImagedCase
+    nodes : int
+        Of the mesh.
+    spacing_mm : float
+        Between neighbouring points on the interfaces.
+
+    Raises
+    ------
+    InputError
+        If the scans show no body or no glandular tissue.
+    """
+    hierarchy = build_hierarchy(case.reference, nodes=nodes)
+    model = prepare(hierarchy)
+    frame = frame_of(model.finest.nodes)
+    points = interface_points(
+        case.reference, INTERFACES, spacing_mm, WALL_MARGIN_MM, CLEAR_NOISES * case.noise.sd_mm
+    )
+    noise = covariance(points, case.noise, len(case.deformed))
+    scans = [
+        Scan(name, case.problem(force, frame), _observed(labels))
+        for name, force, labels in zip(case.names, case.forces_n, case.deformed, strict=True)
+    ]
+    return Subject(
+        model=model,
+        frame=frame,
+        points=points,
+        at_points=interpolation(hierarchy.finest.mesh, points.points),
+        free=case.free,
+        scans=scans,
+        covariance_factor=factored(noise),
+        bias=np.zeros(len(noise)),
+    )
+
+
+def _observed(labels: Volume):  # type: ignore[no-untyped-def]
+    return observe(labels, INTERFACES)

@@ -1,0 +1,225 @@
+r"""The gap in mm: how far model and image differ beyond the noise.
+
+With a residual r, noise of covariance C and a fit that moves residuals by ``r -> r + F r``,
+the mean square of what the fitted model misses of a noise-free image is estimated
+without bias by
+
+.. math:: G^2 = \overline{r_{fit}^2} - \overline{\mathrm{diag}\,C}
+                - 2\,\overline{\mathrm{diag}\,FC}.
+
+The second term is the noise, the last one what the fit took of it and now hides (the
+covariance penalty of C. L. Mallows, Technometrics 15 (1973) 661, and B. Efron, J. Am. Stat.
+Assoc. 99 (2004) 619). Without a fit F is zero. The interval comes from
+
+.. math:: \mathrm{Var}(r'r) = 2\,\mathrm{tr}\,D^2 + 4\,m'Dm
+
+for a residual with mean m and covariance D = (I + F) C (I + F)'.
+"""
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import ndtri
+
+from storage.errors import InputError
+from storage.values import BoolArray, FloatArray
+from workers.diagnosis.linear import Linearised, factored
+
+LEVEL = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Root mean square distance between model and image, noise taken off.
+
+    Parameters
+    ----------
+    gap_mm : float
+        0 where the residual is no larger than noise.
+    low_mm, high_mm : float
+        Interval.
+    excess_mm2 : float
+        Its square before it is cut at zero: may be negative, and averages rightly.
+    noise_mm : float
+        Root mean square of the noise of the observation.
+    points : int
+        Residuals that were averaged over.
+    """
+
+    gap_mm: float
+    low_mm: float
+    high_mm: float
+    excess_mm2: float
+    noise_mm: float
+    points: int
+
+
+class LinearFit:
+    """The residual after one linear step to the optimum, and the noise in it.
+
+    Parameters
+    ----------
+    problem : Linearised
+    train : ndarray of bool, shape (m,), optional
+        Residuals that the parameters are fitted to; all.
+    judge : ndarray of bool, shape (m,), optional
+        Residuals that the fit is judged by; all.
+    fitted : bool
+        False leaves the parameters where they are and takes the residual as not fitted.
+
+    Raises
+    ------
+    InputError
+        If no residual is left to fit or to judge.
+    """
+
+    def __init__(
+        self,
+        problem: Linearised,
+        train: BoolArray | None = None,
+        judge: BoolArray | None = None,
+        fitted: bool = True,
+    ) -> None:
+        every = np.ones(problem.size, dtype=bool)
+        train = every if train is None else train
+        judge = every if judge is None else judge
+        for name, rows in (("train", train), ("judge", judge)):
+            if rows.shape != (problem.size,) or not rows.any():
+                raise InputError(
+                    f"{name} must mark some of {problem.size} residuals, found "
+                    f"{int(np.sum(rows))} marks in shape {rows.shape}."
+                )
+        self.problem = problem
+        self.judge = judge
+        p = len(problem.nominal_sd) if fitted else 0
+        self._columns = (problem.nominal * problem.nominal_sd)[:, :p]
+        self._gain: FloatArray = np.zeros((p, problem.size))
+        self._bias: FloatArray = np.zeros(p)
+        if p:
+            self._fit_to(train)
+
+    def _fit_to(self, train: BoolArray) -> None:
+        """The step is ``-(gain r + bias)``, in prior standard deviations."""
+        problem = self.problem
+        L = problem.covariance_factor
+        if not train.all():
+            L = factored(problem.covariance[np.ix_(train, train)])
+        part = Linearised(
+            problem.residual[train], problem.nominal[train],
+            problem.nominal_sd, problem.nominal_offset, L,
+        )  # fmt: skip
+        A = part.scaled_nominal
+        H = np.eye(A.shape[1]) + A.T @ A
+        weighted = solve_triangular(L, A, lower=True, trans="T", check_finite=False)
+        self._gain[:, train] = np.linalg.solve(H, weighted.T)
+        self._bias = np.asarray(np.linalg.solve(H, part.scaled_offset), dtype=np.float64)
+
+    @property
+    def step(self) -> FloatArray:
+        """Change of the parameters from the fit, shape (p,), in prior standard deviations."""
+        return -(self._gain @ self.problem.residual + self._bias)
+
+    @cached_property
+    def residual(self) -> FloatArray:
+        """After the step, of the residuals that are judged, in mm."""
+        return self.after(self.problem.residual[:, None])[:, 0]
+
+    def after(self, residuals: FloatArray) -> FloatArray:
+        """What the fit makes of other residuals: (m, n) in, (judged, n) out."""
+        steps = self._gain @ residuals + self._bias[:, None]
+        return np.asarray(residuals[self.judge] - self._columns[self.judge] @ steps)
+
+    @cached_property
+    def observation_mm2(self) -> FloatArray:
+        """Variance of the observation of each judged residual."""
+        return np.asarray((self.problem.covariance_factor[self.judge] ** 2).sum(axis=1))
+
+    @cached_property
+    def noise_mm2(self) -> FloatArray:
+        """By how much the mean square of each residual exceeds that of the gap."""
+        hidden = (self._columns[self.judge] * self._shared[self.judge]).sum(axis=1)
+        return self.observation_mm2 - 2.0 * hidden
+
+    @property
+    def excess_mm2(self) -> float:
+        """G^2 over all judged residuals, before it is cut at zero."""
+        return float((self.residual**2).mean() - self.noise_mm2.mean())
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """D of the judged residuals."""
+        X, shared = self._columns[self.judge], self._shared[self.judge]
+        crossed = X @ shared.T
+        inner = X @ (self._gain @ self._shared) @ X.T
+        C = self.problem.covariance[np.ix_(self.judge, self.judge)]
+        return np.asarray(C - crossed - crossed.T + inner)
+
+    @cached_property
+    def floor_mm(self) -> float:
+        """Gap that fitting noise opens, even if the model is right: ``tr(F C F')``."""
+        X = self._columns[self.judge]
+        return float(np.sqrt(((X @ (self._gain @ self._shared)) * X).sum(axis=1).mean()))
+
+    @cached_property
+    def _shared(self) -> FloatArray:
+        """``C gain'``, shape (m, p)."""
+        L = self.problem.covariance_factor
+        return np.asarray(L @ (L.T @ self._gain.T))
+
+
+def gap(
+    fit: LinearFit, rows: BoolArray | None = None, floor_mm: float = 0.0, level: float = LEVEL
+) -> Gap:
+    """Gap of a fit over some of its residuals.
+
+    Parameters
+    ----------
+    fit : LinearFit
+    rows : ndarray of bool, shape (judged,), optional
+        A region, an interface or a state; all.
+    floor_mm : float
+        Gap that the calibrated model shows on images of its own for reasons that are not in
+        the linearised noise, such as another mesh; added in quadrature.
+    level : float
+        Of the interval, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If no residual is chosen or a number is out of range.
+    """
+    if rows is None:
+        rows = np.ones(len(fit.residual), dtype=bool)
+    if not rows.any() or floor_mm < 0 or not 0 < level < 1:
+        raise InputError(
+            "A gap needs some residuals, floor_mm >= 0 and a level between 0 and 1, found "
+            f"{int(rows.sum())} residuals, {floor_mm} mm and {level}."
+        )
+    r, n = fit.residual[rows], int(rows.sum())
+    excess = float((r**2).mean() - fit.noise_mm2[rows].mean())
+    reach = float(ndtri(0.5 + level / 2)) * _sd_of_mean_square(
+        r, fit.covariance[np.ix_(rows, rows)]
+    )
+    middle, low, high = (
+        float(np.sqrt(max(0.0, value) + floor_mm**2))
+        for value in (excess, excess - reach, excess + reach)
+    )
+    noise = float(np.sqrt(fit.observation_mm2[rows].mean()))
+    return Gap(middle, low, high, excess, noise, n)
+
+
+def gaps(
+    fit: LinearFit, subsets: Mapping[Hashable, BoolArray], floor_mm: float = 0.0
+) -> dict[Hashable, Gap]:
+    """Gap of each subset of the judged residuals; see `gap`."""
+    return {name: gap(fit, rows, floor_mm) for name, rows in subsets.items()}
+
+
+def _sd_of_mean_square(r: FloatArray, D: FloatArray) -> float:
+    """Of ``r'r / n``; the unknown ``m'Dm`` is estimated from ``E r'Dr = m'Dm + tr D^2``."""
+    spread = float((D**2).sum())
+    systematic = max(0.0, float(r @ D @ r) - spread)
+    return float(np.sqrt(2.0 * spread + 4.0 * systematic)) / len(r)

@@ -1,0 +1,170 @@
+"""What is diagnosed: a body, its scans, and a model of it with constants to be found."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from storage.errors import InputError
+from storage.values import BoolArray, FloatArray
+from workers.effects.base import Effect, one_sided
+from workers.fem.fields import Frame
+from workers.fem.model import Model
+from workers.fem.problem import Problem
+from workers.observation.interface import InterfacePoints
+from workers.observation.residual import Observed
+
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Free:
+    """A constant of the model that the scans must determine.
+
+    Parameters
+    ----------
+    name : str
+    lower, upper : float
+        Where it plausibly lies, inside units, both > 0. Its logarithm has a normal
+        prior, with the interval as mean and standard deviation.
+    """
+
+    name: str
+    lower: float
+    upper: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.lower < self.upper:
+            raise InputError(
+                f"The plausible interval of {self.name} must be positive and ascending, "
+                f"found [{self.lower:g}, {self.upper:g}]."
+            )
+
+    @property
+    def log_mean(self) -> float:
+        """Prior mean of the logarithm."""
+        return float(np.log(self.lower * self.upper) / 2)
+
+    @property
+    def log_sd(self) -> float:
+        """Prior standard deviation of the logarithm."""
+        return float(np.log(self.upper / self.lower) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """The body in one loaded state: what was seen, and the problem of that load.
+
+    ``problem`` takes the values of the free constants.
+    """
+
+    name: str
+    problem: Callable[[Values], Problem]
+    observed: Observed
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A body and its scans.
+
+    Parameters
+    ----------
+    model : Model
+    frame : Frame
+    points : InterfacePoints
+        On the interfaces of the reference scan, k of them.
+    at_points : csr_matrix, shape (k, n)
+        From displacements of the nodes to those of the points.
+    free : sequence of Free
+    scans : sequence of Scan
+    covariance_factor : ndarray, shape (s k, s k)
+        Of the noise of the residuals of all scans, one after another.
+    bias : ndarray, shape (s k,)
+        What the mesh adds to the residuals, in mm; subtracted.
+    """
+
+    model: Model
+    frame: Frame
+    points: InterfacePoints
+    at_points: csr_matrix
+    free: Sequence[Free]
+    scans: Sequence[Scan]
+    covariance_factor: FloatArray
+    bias: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """The parameters of a hypothesis: logarithms of the constants, then those of effects.
+
+    Parameters
+    ----------
+    free : sequence of Free
+    effects : sequence of Effect
+    mean, sd : ndarray, shape (p,)
+        Prior. An effect's place has its own.
+    """
+
+    free: Sequence[Free]
+    effects: Sequence[Effect]
+    mean: FloatArray
+    sd: FloatArray
+
+    @property
+    def names(self) -> list[str]:
+        """Of all parameters, in order."""
+        return [f.name for f in self.free] + [n for e in self.effects for n in e.names]
+
+    @property
+    def lower(self) -> FloatArray:
+        """Least admissible values: one-sided parameters begin at zero."""
+        return self._ends()[0]
+
+    @property
+    def upper(self) -> FloatArray:
+        """Largest admissible values, four prior standard deviations away at most."""
+        return self._ends()[1]
+
+    @property
+    def one_sided(self) -> BoolArray:
+        """Which parameters have a half-normal prior."""
+        sides = [False] * len(self.free)
+        return np.array(sides + [one_sided(p) for e in self.effects for p in e.parameters])
+
+    def constants(self, z: FloatArray) -> dict[str, float]:
+        """Values of the free constants at `z`."""
+        return {f.name: float(np.exp(v)) for f, v in zip(self.free, z, strict=False)}
+
+    def of_effect(self, effect: Effect, z: FloatArray) -> dict[str, float]:
+        """Values of the parameters of one effect at `z`."""
+        at = self.names.index(effect.names[0])
+        return dict(zip(effect.names, map(float, z[at : at + len(effect.names)]), strict=True))
+
+    def _ends(self) -> tuple[FloatArray, FloatArray]:
+        reach = 4 * self.sd
+        lower, upper = self.mean - reach, self.mean + reach
+        k = len(self.free)
+        for p in (p for e in self.effects for p in e.parameters):
+            lower[k] = max(lower[k], p.admissible[0] + (1e-9 if p.open_lower else 0.0))
+            upper[k] = min(upper[k], p.admissible[1])
+            k += 1
+        return lower, upper
+
+
+def unknowns(
+    free: Sequence[Free], effects: Sequence[Effect], means: Values | None = None
+) -> Unknowns:
+    """The parameters of the hypothesis that `effects` act.
+
+    Parameters
+    ----------
+    means : mapping of str to float, optional
+        Prior means that are not the neutral values: the place of a lump.
+    """
+    mean, sd = [f.log_mean for f in free], [f.log_sd for f in free]
+    for effect in effects:
+        for name, neutral in effect.neutral.items():
+            mean.append((means or {}).get(name, neutral))
+        sd.extend(effect.prior_sd)
+    return Unknowns(free, effects, np.array(mean), np.array(sd))

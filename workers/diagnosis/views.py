@@ -1,0 +1,133 @@
+"""The scans as a hypothesis predicts them: residuals, and their derivatives."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage.values import FloatArray, IntArray, Tissue
+from workers.diagnosis.subject import Scan, Subject, Unknowns
+from workers.effects.base import Effect, Values
+from workers.fem.fields import Frame
+from workers.fem.problem import Problem
+from workers.fem.sensitivity import Change, tangents
+from workers.fem.solve import Equilibrium, equilibrium
+from workers.observation.residual import residual
+
+# Difference of the logarithm of a constant.
+LOG_STEP = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One scan under one set of parameters.
+
+    Parameters
+    ----------
+    at : Equilibrium
+    points : ndarray, shape (k, 3)
+        Where the points of the interfaces have gone.
+    residual : ndarray, shape (k,)
+        In mm, positive outside of the observed tissue.
+    normals : ndarray, shape (k, 3)
+        Of the observed interfaces.
+    """
+
+    at: Equilibrium
+    points: FloatArray
+    residual: FloatArray
+    normals: FloatArray
+
+
+def tissues_of(subject: Subject) -> IntArray:
+    """The tissue that the interface of each point encloses: fat for the outline."""
+    outline = subject.points.interface == 0
+    return np.where(outline, Tissue.FAT, Tissue.GLANDULAR).astype(np.int32)
+
+
+def problem_of(scan: Scan, unknowns: Unknowns, z: FloatArray, frame: Frame,
+               leave_out: Effect | None = None) -> Problem:  # fmt: skip
+    """The problem of a scan with all effects of a hypothesis but one."""
+    problem = scan.problem(unknowns.constants(z))
+    for effect in unknowns.effects:
+        if effect is not leave_out:
+            problem = effect.apply(problem, unknowns.of_effect(effect, z), frame)
+    return problem
+
+
+def view(
+    subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, start: Equilibrium | None
+) -> View | None:
+    """Simulate one scan; None if the simulation does not converge."""
+    at = equilibrium(subject.model, problem_of(scan, unknowns, z, subject.frame), start)
+    return seen(subject, scan, unknowns, z, at) if at.solution.outcome.converged else None
+
+
+def seen(subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, at: Equilibrium) -> View:
+    """Compare an equilibrium with the scan."""
+    points = subject.points.points + subject.at_points @ at.solution.displacement_mm
+    r, normals = residual(points, subject.points, scan.observed)
+    tissues = tissues_of(subject)
+    for effect in unknowns.effects:
+        if effect.observation is not None:
+            values = unknowns.of_effect(effect, z)
+            r = r + effect.shift(points, normals, tissues, values, subject.frame)
+    return View(at, points, r, normals)
+
+
+def derivatives(
+    subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, seen_now: View
+) -> FloatArray:
+    """Of the residual by every parameter, shape (k, p)."""
+    changes: list[Change] = []
+    for i in range(len(unknowns.free)):
+        changes.append(_log_change(subject, scan, unknowns, z, i))
+    for effect in unknowns.effects:
+        if effect.observation is None:
+            base = problem_of(scan, unknowns, z, subject.frame, leave_out=effect)
+            values = unknowns.of_effect(effect, z)
+            changes.extend(effect.changes(base, subject.frame, values))
+    moved = columns_of(subject, seen_now, changes)
+    return _with_observed(subject, unknowns, seen_now, moved)
+
+
+def columns_of(subject: Subject, seen_now: View, changes: Sequence[Change]) -> FloatArray:
+    """Derivatives of the residual by changes of the problem, shape (k, c)."""
+    dx = tangents(seen_now.at, changes)
+    out = np.empty((len(seen_now.residual), len(changes)))
+    for c, nodal in enumerate(dx):
+        out[:, c] = ((subject.at_points @ nodal) * seen_now.normals).sum(axis=1)
+    return out
+
+
+def observed_columns(subject: Subject, effect: Effect, seen_now: View) -> FloatArray:
+    """Derivatives by the parameters of an effect on the observation, shape (k, q)."""
+    if effect.observation is None:
+        raise ValueError(f"{effect.name} acts on the body")
+    return effect.observation(seen_now.points, seen_now.normals, tissues_of(subject), subject.frame)
+
+
+def _log_change(subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, i: int) -> Change:
+    ahead, behind = z.copy(), z.copy()
+    ahead[i] += LOG_STEP
+    behind[i] -= LOG_STEP
+    plus, minus = (problem_of(scan, unknowns, at, subject.frame) for at in (ahead, behind))
+    return Change(plus, minus, 2 * LOG_STEP)
+
+
+def _with_observed(
+    subject: Subject, unknowns: Unknowns, seen_now: View, moved: FloatArray
+) -> FloatArray:
+    """Put the columns of effects on the observation where they belong."""
+    parts, at = [moved[:, : len(unknowns.free)]], len(unknowns.free)
+    for effect in unknowns.effects:
+        if effect.observation is None:
+            q = len(effect.names)
+            parts.append(moved[:, at : at + q])
+            at += q
+        else:
+            parts.append(observed_columns(subject, effect, seen_now))
+    return np.hstack(parts)
+
+
+__all__ = ["Values", "View", "columns_of", "derivatives", "observed_columns", "seen", "view"]

@@ -1,0 +1,102 @@
+"""Signed distance to the interface of a tissue, below the size of a voxel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.values import FloatArray, Tissue, Triple, Volume
+from workers.observation.closest import distances
+from workers.observation.cubic import at_points
+from workers.observation.surface import LEVEL, SMOOTH_VOXELS, surface
+
+
+@dataclass(frozen=True, eq=False)
+class SignedDistance:
+    """Signed distance on the lattice of a volume.
+
+    Parameters
+    ----------
+    values : ndarray of float32, shape (nz, ny, nx)
+        In mm, negative inside the tissue.
+    spacing_mm, origin_mm : tuple of float
+        As in `storage.values.Volume`.
+    """
+
+    values: NDArray[np.float32]
+    spacing_mm: Triple
+    origin_mm: Triple
+
+    def at(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Signed distance of points and its gradient.
+
+        Parameters
+        ----------
+        points : ndarray, shape (k, 3)
+            (x, y, z) in mm. Outside of the lattice the distance to its box is added.
+
+        Returns
+        -------
+        distance : ndarray, shape (k,)
+            In mm; a continuous function of the points, smooth but for the faces of the box.
+        gradient : ndarray, shape (k, 3)
+            Its derivative: about the unit normal close to the interface.
+
+        Raises
+        ------
+        InputError
+            If a point is not finite or the array is not of shape (k, 3).
+        """
+        points = np.asarray(points, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InputError(
+                f"Distances are asked at finite points of shape (k, 3), got shape {points.shape}"
+                f" with {int(np.sum(~np.isfinite(points)))} numbers that are not finite."
+            )
+        distance, gradient = at_points(self.values, self.spacing_mm, self.origin_mm, points)
+        first = np.asarray(self.origin_mm)
+        last = first + np.asarray(self.spacing_mm) * (np.array(self.values.shape[::-1]) - 1)
+        beyond = points - np.clip(points, first, last)
+        outside = np.linalg.norm(beyond, axis=1)
+        return distance + outside, gradient + beyond / np.where(outside > 0, outside, 1)[:, None]
+
+
+def signed_distance(
+    labels: Volume,
+    inside: tuple[Tissue, ...],
+    smooth_voxels: float = SMOOTH_VOXELS,
+    band_mm: float = 25.0,
+) -> SignedDistance:
+    """Signed distance of every voxel centre to the interface of a tissue.
+
+    Parameters
+    ----------
+    labels : Volume
+        `Tissue` labels.
+    inside : tuple of Tissue
+        The tissues that the interface encloses.
+    smooth_voxels : float
+        Blur of the indicator, see `workers.observation.surface.surface`.
+    band_mm : float
+        Distances are cut off here; > 0.
+
+    Returns
+    -------
+    SignedDistance
+        See `workers.observation.closest` and `workers.observation.surface` for the errors.
+
+    Raises
+    ------
+    InputError
+        If the tissue has no interface in the volume or the band is not positive.
+    """
+    if not band_mm > 0:
+        raise InputError(f"The band of distances must be > 0 mm, found {band_mm}.")
+    found = surface(labels, inside, smooth_voxels)
+    step = np.asarray(labels.spacing_mm)
+    vertices = found.vertices - np.asarray(labels.origin_mm)
+    values = distances(vertices, found.triangles, labels.values.shape, step, band_mm)
+    box = tuple(slice(a, a + n) for a, n in zip(found.start, found.field.shape, strict=True))
+    values[box] = np.where(found.field > LEVEL, -values[box], values[box])
+    return SignedDistance(values, labels.spacing_mm, labels.origin_mm)

@@ -4,9 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from storage.values import Volume
 from workers.diagnosis.case import ImagedCase
-from workers.diagnosis.linear import factored
 from workers.diagnosis.subject import Scan, Subject
 from workers.fem.fields import frame_of
 from workers.fem.model import prepare
@@ -49,9 +47,8 @@ def build_subject(
     points = interface_points(
         case.reference, INTERFACES, spacing_mm, WALL_MARGIN_MM, CLEAR_NOISES * case.noise.sd_mm
     )
-    noise = covariance(points, case.noise, len(case.deformed))
     scans = [
-        Scan(name, case.problem(force, frame), _observed(labels))
+        Scan(name, case.problem(force, frame), observe(labels, INTERFACES))
         for name, force, labels in zip(case.names, case.forces_n, case.deformed, strict=True)
     ]
     return Subject(
@@ -61,10 +58,7 @@ def build_subject(
         at_points=interpolation(hierarchy.finest.mesh, points.points),
         free=case.free,
         scans=scans,
-        covariance_factor=factored(noise),
-        bias=np.zeros(len(noise)),
+        noise=case.noise,
+        covariance=covariance(points, case.noise, len(case.deformed)),
+        bias=np.zeros(len(points) * len(case.deformed)),
     )
-
-
-def _observed(labels: Volume):  # type: ignore[no-untyped-def]
-    return observe(labels, INTERFACES)

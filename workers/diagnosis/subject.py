@@ -1,18 +1,21 @@
 """What is diagnosed: a body, its scans, and a model of it with constants to be found."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from storage.errors import InputError
-from storage.values import BoolArray, FloatArray
+from storage.values import BoolArray, FloatArray, IntArray
+from workers.diagnosis.linear import factored
 from workers.effects.base import Effect, one_sided
 from workers.fem.fields import Frame
 from workers.fem.model import Model
 from workers.fem.problem import Problem
 from workers.observation.interface import InterfacePoints
+from workers.observation.noise import SegmentationNoise
 from workers.observation.residual import Observed
 
 Values = Mapping[str, float]
@@ -78,8 +81,9 @@ class Subject:
         From displacements of the nodes to those of the points.
     free : sequence of Free
     scans : sequence of Scan
-    covariance_factor : ndarray, shape (s k, s k)
-        Of the noise of the residuals of all scans, one after another.
+    noise : SegmentationNoise
+    covariance : ndarray, shape (s k, s k)
+        Of the noise of the residuals of all scans, one after another, in mm^2.
     bias : ndarray, shape (s k,)
         What the mesh adds to the residuals, in mm; subtracted.
     """
@@ -90,8 +94,31 @@ class Subject:
     at_points: csr_matrix
     free: Sequence[Free]
     scans: Sequence[Scan]
-    covariance_factor: FloatArray
+    noise: SegmentationNoise
+    covariance: FloatArray
     bias: FloatArray
+
+    @cached_property
+    def covariance_factor(self) -> FloatArray:
+        """Lower Cholesky factor of the covariance."""
+        return factored(self.covariance)
+
+    @cached_property
+    def rows(self) -> IntArray:
+        """The scan of each residual, shape (s k,)."""
+        return np.repeat(np.arange(len(self.scans), dtype=np.int32), len(self.points))
+
+    def keeping(self, which: BoolArray) -> "Subject":
+        """With some of the points only."""
+        index = np.flatnonzero(which)
+        rows = np.concatenate([index + s * len(which) for s in range(len(self.scans))])
+        return replace(
+            self,
+            points=self.points.of(index),
+            at_points=self.at_points[index],
+            covariance=self.covariance[np.ix_(rows, rows)],
+            bias=self.bias[rows],
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,9 +79,7 @@ def derivatives(
     subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, seen_now: View
 ) -> FloatArray:
     """Of the residual by every parameter, shape (k, p)."""
-    changes: list[Change] = []
-    for i in range(len(unknowns.free)):
-        changes.append(_log_change(subject, scan, unknowns, z, i))
+    changes = [_log_change(subject, scan, unknowns, z, i) for i in range(len(unknowns.free))]
     for effect in unknowns.effects:
         if effect.observation is None:
             base = problem_of(scan, unknowns, z, subject.frame, leave_out=effect)

@@ -1,0 +1,110 @@
+"""The nominal model at its optimum, with the noise of the scans and of the mesh known."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import BoolArray, FloatArray
+from workers.diagnosis.fit import Fit, fit
+from workers.diagnosis.subject import Subject, unknowns
+from workers.diagnosis.views import View, seen, view
+from workers.fem.model import Model
+from workers.observation.locate import interpolation
+from workers.observation.residual import residual
+
+# Standard deviations of the segmentation that an interface must be alone in, in a
+# deformed scan, for a point that the model puts there.
+CLEAR_NOISES = 5.0
+# Of that reach, by which the distance may differ: curvature and blur.
+SLACK = 0.1
+# A smooth part of a common error of how an interface is drawn, in standard deviations
+# of the segmentation: points were chosen on one noisy scan.
+COMMON_NOISES = 0.3
+# Of the difference to a finer mesh, what is still unknown after it is taken off.
+BIAS_SHARE = 0.4
+
+
+def calibrate(subject: Subject, finer: Model | None = None) -> tuple[Subject, Fit]:
+    """Fit the nominal constants, then once more where the scans can be trusted.
+
+    Parameters
+    ----------
+    subject : Subject
+    finer : Model, optional
+        A finer mesh of the same body: what it moves the points by is taken off.
+
+    Raises
+    ------
+    InputError
+        If the nominal model cannot be simulated.
+    """
+    free = unknowns(subject.free, [])
+    first = fit(subject, free, free.mean, [None] * len(subject.scans))
+    if first is None:
+        raise InputError(
+            "The nominal model was not solved at the middle of the plausible intervals: "
+            "check loads, units and constants of the case."
+        )
+    kept = clear(subject, first)
+    subject = subject.keeping(kept)
+    views = [
+        seen(subject, scan, free, first.z, v.at)
+        for scan, v in zip(subject.scans, first.views, strict=True)
+    ]
+    subject = with_common_error(subject)
+    if finer is not None:
+        subject = with_mesh_error(subject, finer, first, views)
+    second = fit(subject, free, first.z, [v.at for v in views])
+    if second is None:
+        raise AssertionError("the start of the second fit is the end of the first")
+    return subject, second
+
+
+def clear(subject: Subject, at: Fit) -> BoolArray:
+    """Points whose interface is alone in every deformed scan, where the model puts them.
+
+    Two scans of one body are segmented apart; a thin strand or cleft may be in one of
+    them only, and the nearest interface is then another one.
+    """
+    reach = CLEAR_NOISES * subject.noise.sd_mm
+    alone = np.ones(len(subject.points), np.bool_)
+    for scan, v in zip(subject.scans, at.views, strict=True):
+        normal = v.normals / np.maximum(np.linalg.norm(v.normals, axis=1), 1e-9)[:, None]
+        foot = v.points - v.residual[:, None] * normal
+        for side in (-reach, reach):
+            away, _ = residual(foot + side * normal, subject.points, scan.observed)
+            alone &= np.abs(away - side) < SLACK * reach
+    return alone
+
+
+def with_common_error(subject: Subject) -> Subject:
+    """An interface as a whole may be drawn a little too large or too small."""
+    own = np.tile(subject.points.interface, len(subject.scans))
+    common = (COMMON_NOISES * subject.noise.sd_mm) ** 2 * (own[:, None] == own)
+    return replace(subject, covariance=subject.covariance + common)
+
+
+def with_mesh_error(subject: Subject, finer: Model, at: Fit, views: list[View]) -> Subject:
+    """Take off what a finer mesh moves the points by, and add what that leaves unknown."""
+    to_points = interpolation_of(finer, subject)
+    bias = []
+    for scan, coarse in zip(subject.scans, views, strict=True):
+        fine = view(
+            replace(subject, model=finer, at_points=to_points), scan, at.unknowns, at.z, None
+        )
+        if fine is None:
+            return subject
+        bias.append(-((fine.points - coarse.points) * coarse.normals).sum(axis=1))
+    b: FloatArray = np.concatenate(bias)
+    left = BIAS_SHARE * b
+    covariance = subject.covariance + np.outer(left, left) + np.diag(left**2)
+    return replace(subject, bias=b, covariance=covariance)
+
+
+def interpolation_of(model: Model, subject: Subject):  # type: ignore[no-untyped-def]
+    """From displacements of the finest nodes of another mesh to those of the points."""
+    finest = model.finest
+    from storage.values import TetMesh
+
+    return interpolation(TetMesh(finest.nodes, finest.elements.tets), subject.points.points)

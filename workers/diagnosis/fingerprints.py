@@ -1,0 +1,124 @@
+"""What every effect of a catalogue would do to the residuals of the nominal fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.diagnosis.fingerprint import Fingerprint
+from workers.diagnosis.fit import Fit
+from workers.diagnosis.subject import Scan, Subject
+from workers.diagnosis.views import View, columns_of, observed_columns, problem_of
+from workers.effects.base import Effect, one_sided
+from workers.effects.inclusion import INCLUSION, PLACE, RATIO
+from workers.fem.solve import equilibrium
+
+# Centres at which a lump is looked for.
+GRID_MM = 12.0
+# How deep inside the body they lie at least.
+DEPTH_MM = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where a lump was looked for: offsets from the middle of the body, (g, 3) in mm."""
+
+    offsets: FloatArray
+
+
+def fingerprints(
+    subject: Subject, at: Fit, effects: Sequence[Effect]
+) -> tuple[list[Fingerprint], Places]:
+    """Columns of every effect that acts on the subject.
+
+    Two-sided effects are tangents. One-sided ones, which set in with full force and
+    then tire, are secants from neutral to one prior standard deviation; their tangents
+    at zero would mislead. A lump gets one column for each place of a grid.
+
+    Returns
+    -------
+    list of Fingerprint
+        One that cannot be simulated is left out.
+    Places
+    """
+    places = grid(subject)
+    acting = [e for e in effects if _acts(subject, at, e)]
+    columns: dict[str, list[FloatArray]] = {e.name: [] for e in acting}
+    for scan, view in zip(subject.scans, at.views, strict=True):
+        for effect in acting:
+            found = _columns(subject, scan, at, view, effect, places)
+            if found is not None:
+                columns[effect.name].append(found)
+    whole = [e for e in acting if len(columns[e.name]) == len(subject.scans)]
+    return [_fingerprint(e, columns[e.name]) for e in whole], places
+
+
+def grid(subject: Subject) -> Places:
+    """Centres inside the body, `GRID_MM` apart."""
+    nodes = subject.model.finest.nodes
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    axes = [np.arange(a + GRID_MM / 2, b, GRID_MM) for a, b in zip(low, high, strict=True)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    outline = subject.points.interface == 0
+    away = np.linalg.norm(centres[:, None] - subject.points.points[outline][None], axis=2).min(
+        axis=1
+    )
+    near = np.linalg.norm(centres[:, None] - nodes[None], axis=2).min(axis=1)
+    inside = (away > DEPTH_MM) & (near < GRID_MM / 2)
+    return Places(centres[inside] - np.asarray(subject.frame.centre_mm))
+
+
+def _acts(subject: Subject, at: Fit, effect: Effect) -> bool:
+    return any(
+        effect.acts_on(problem_of(scan, at.unknowns, at.z, subject.frame), subject.frame)
+        for scan in subject.scans
+    )
+
+
+def _columns(
+    subject: Subject, scan: Scan, at: Fit, view: View, effect: Effect, places: Places
+) -> FloatArray | None:
+    """Shape (k, q), or (g, k, 1) for a lump."""
+    if effect.observation is not None:
+        return observed_columns(subject, effect, view)
+    problem = problem_of(scan, at.unknowns, at.z, subject.frame)
+    if effect is INCLUSION:
+        changes = []
+        for offset in places.offsets:
+            where = {RATIO: 0.0} | dict(zip(PLACE, map(float, offset), strict=True))
+            changes.append(effect.changes(problem, subject.frame, where)[0])
+        return columns_of(subject, view, changes).T[:, :, None]
+    if any(one_sided(p) for p in effect.parameters):
+        return _secants(subject, view, effect, problem)
+    return columns_of(subject, view, effect.changes(problem, subject.frame))
+
+
+def _secants(subject: Subject, view: View, effect: Effect, problem) -> FloatArray | None:  # type: ignore[no-untyped-def]
+    columns = []
+    for name, sd in zip(effect.names, effect.prior_sd, strict=True):
+        changed = effect.apply(problem, {name: effect.neutral[name] + sd}, subject.frame)
+        found = equilibrium(subject.model, changed, view.at).solution
+        if not found.outcome.converged:
+            return None
+        moved = found.displacement_mm - view.at.solution.displacement_mm
+        columns.append(((subject.at_points @ moved) * view.normals).sum(axis=1) / sd)
+    return np.stack(columns, axis=1)
+
+
+def _fingerprint(effect: Effect, columns: Sequence[FloatArray]) -> Fingerprint:
+    if effect is INCLUSION:
+        return Fingerprint(
+            effect.name,
+            effect.family,
+            np.concatenate(columns, axis=1),
+            np.array(effect.prior_sd[:1]),
+            np.zeros(1, np.bool_),
+        )
+    return Fingerprint(
+        effect.name,
+        effect.family,
+        np.vstack(columns),
+        np.array(effect.prior_sd),
+        np.array([one_sided(p) for p in effect.parameters]),
+    )

@@ -1,8 +1,8 @@
 """The corners of the box of constants that a search of a breast may visit.
 
 At its softest corners 100 N flatten the breast by two thirds; at its stiffest the
-skin is 600 times as stiff as the fat. A search needs an answer at each of them:
-an equilibrium, or an ordinary ending with its reason.
+skin is 600 times as stiff as the fat, and has wrinkled all over. A search needs a
+sound equilibrium at each of them.
 """
 
 import itertools
@@ -22,7 +22,7 @@ BARE = ("E_fat", "eta_fat", "E_glandular", "eta_glandular")
 COVERED = (*BARE, "E_skin")
 Corner = tuple[int, ...]
 
-QUICK = [(0, 0, 0, 0), (0, 1, 1, 1), (1, 0, 0, 1), (0, 0, 1, 0, 0), (1, 1, 1, 1, 1)]
+QUICK = [(0, 0, 0, 0), (0, 1, 1, 1), (1, 0, 0, 1), (0, 0, 1, 0, 0), (0, 1, 0, 1, 1)]
 
 
 def corners(names: tuple[str, ...]) -> list[Corner]:
@@ -74,27 +74,12 @@ def test_a_handful(corner: Corner) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("corner", corners(BARE), ids=str)
-def test_without_skin_every_corner_has_a_sound_equilibrium(corner: Corner) -> None:
+@pytest.mark.parametrize("corner", corners(BARE) + corners(COVERED), ids=str)
+def test_every_corner_has_a_sound_equilibrium(corner: Corner) -> None:
     outcome = press(corner)
     assert_in_equilibrium(outcome)
     assert not outcome.squeezed
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("corner", corners(COVERED), ids=str)
-def test_with_skin_every_corner_ends_with_a_word(corner: Corner) -> None:
-    """A sheet of 3 MPa on fat of 5 kPa folds, and turns elements inside out as it does."""
-    outcome = press(corner)
-    folds = corner[0] == 0 and corner[-1] == 1
-    if outcome.converged:
-        assert_in_equilibrium(outcome)
-        assert outcome.squeezed == (outcome.min_j < 0.2)
-        assert folds or not outcome.squeezed
-    else:
-        assert folds, outcome.reason
-        assert outcome.reason
-        assert np.isfinite(outcome.residual_n)
+    assert sum(outcome.newton_iterations) < 60
 
 
 @pytest.mark.slow
@@ -105,5 +90,4 @@ def test_what_is_stiffer_gives_way_less(names: tuple[str, ...]) -> None:
         for k in np.flatnonzero(np.array(corner) == 0):
             stiffer = (*corner[:k], 1, *corner[k + 1 :])
             soft, stiff = press(corner), press(stiffer)
-            if soft.converged and stiff.converged:
-                assert stiff.plate_displacement_mm < soft.plate_displacement_mm, (corner, names[k])
+            assert stiff.plate_displacement_mm < soft.plate_displacement_mm, (corner, names[k])

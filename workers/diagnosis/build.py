@@ -1,6 +1,7 @@
 """A subject from a case: mesh, points on the interfaces, distance maps, noise."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from workers.mesh.hierarchy import build_hierarchy
 from workers.observation.interface import GLANDULAR, OUTLINE, Interface, interface_points
 from workers.observation.locate import interpolation
 from workers.observation.noise import covariance
-from workers.observation.residual import observe
+from workers.observation.residual import observe, residual
 
 INTERFACES: Sequence[Interface] = (OUTLINE, GLANDULAR)
 NODES = 5000
@@ -48,7 +49,11 @@ def build_subject(
         case.reference, INTERFACES, spacing_mm, WALL_MARGIN_MM, CLEAR_NOISES * case.noise.sd_mm
     )
     scans = [
-        Scan(name, case.problem(force, frame), observe(labels, INTERFACES))
+        Scan(
+            name,
+            case.problem(force, frame),
+            partial(residual, observed=observe(labels, INTERFACES)),
+        )
         for name, force, labels in zip(case.names, case.forces_n, case.deformed, strict=True)
     ]
     return Subject(

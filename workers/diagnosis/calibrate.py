@@ -3,15 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from storage.errors import InputError
-from storage.values import BoolArray, FloatArray
+from storage.values import BoolArray, FloatArray, TetMesh
 from workers.diagnosis.fit import Fit, fit
 from workers.diagnosis.subject import Subject, unknowns
 from workers.diagnosis.views import View, seen, view
 from workers.fem.model import Model
 from workers.observation.locate import interpolation
-from workers.observation.residual import residual
 
 # Standard deviations of the segmentation that an interface must be alone in, in a
 # deformed scan, for a point that the model puts there.
@@ -73,7 +73,7 @@ def clear(subject: Subject, at: Fit) -> BoolArray:
         normal = v.normals / np.maximum(np.linalg.norm(v.normals, axis=1), 1e-9)[:, None]
         foot = v.points - v.residual[:, None] * normal
         for side in (-reach, reach):
-            away, _ = residual(foot + side * normal, subject.points, scan.observed)
+            away, _ = scan.look(foot + side * normal, subject.points)
             alone &= np.abs(away - side) < SLACK * reach
     return alone
 
@@ -102,9 +102,7 @@ def with_mesh_error(subject: Subject, finer: Model, at: Fit, views: list[View]) 
     return replace(subject, bias=b, covariance=covariance)
 
 
-def interpolation_of(model: Model, subject: Subject):  # type: ignore[no-untyped-def]
+def interpolation_of(model: Model, subject: Subject) -> csr_matrix:
     """From displacements of the finest nodes of another mesh to those of the points."""
     finest = model.finest
-    from storage.values import TetMesh
-
     return interpolation(TetMesh(finest.nodes, finest.elements.tets), subject.points.points)

@@ -16,7 +16,6 @@ from workers.fem.model import Model
 from workers.fem.problem import Problem
 from workers.observation.interface import InterfacePoints
 from workers.observation.noise import SegmentationNoise
-from workers.observation.residual import Observed
 
 Values = Mapping[str, float]
 
@@ -59,12 +58,19 @@ class Free:
 class Scan:
     """The body in one loaded state: what was seen, and the problem of that load.
 
-    ``problem`` takes the values of the free constants.
+    Parameters
+    ----------
+    name : str
+    problem : callable
+        From values of the free constants.
+    look : callable
+        From moved points, (k, 3), and the points of the reference to residuals, (k,) in
+        mm, and their derivatives by the place of the point, (k, 3).
     """
 
     name: str
     problem: Callable[[Values], Problem]
-    observed: Observed
+    look: Callable[[FloatArray, InterfacePoints], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,11 @@ import numpy as np
 
 from storage.values import FloatArray, IntArray, Tissue
 from workers.diagnosis.subject import Scan, Subject, Unknowns
-from workers.effects.base import Effect, Values
+from workers.effects.base import Effect
 from workers.fem.fields import Frame
 from workers.fem.problem import Problem
 from workers.fem.sensitivity import Change, tangents
 from workers.fem.solve import Equilibrium, equilibrium
-from workers.observation.residual import residual
 
 # Difference of the logarithm of a constant.
 LOG_STEP = 1e-4
@@ -66,7 +65,7 @@ def view(
 def seen(subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, at: Equilibrium) -> View:
     """Compare an equilibrium with the scan."""
     points = subject.points.points + subject.at_points @ at.solution.displacement_mm
-    r, normals = residual(points, subject.points, scan.observed)
+    r, normals = scan.look(points, subject.points)
     tissues = tissues_of(subject)
     for effect in unknowns.effects:
         if effect.observation is not None:
@@ -90,8 +89,11 @@ def derivatives(
 
 
 def columns_of(subject: Subject, seen_now: View, changes: Sequence[Change]) -> FloatArray:
-    """Derivatives of the residual by changes of the problem, shape (k, c)."""
-    dx = tangents(seen_now.at, changes)
+    """Derivatives of the residual by changes of the problem, shape (k, c).
+
+    With friction they are rough: see `workers.diagnosis.fit.fit` for what is done then.
+    """
+    dx = tangents(seen_now.at, changes, lagging=False)
     out = np.empty((len(seen_now.residual), len(changes)))
     for c, nodal in enumerate(dx):
         out[:, c] = ((subject.at_points @ nodal) * seen_now.normals).sum(axis=1)
@@ -126,6 +128,3 @@ def _with_observed(
         else:
             parts.append(observed_columns(subject, effect, seen_now))
     return np.hstack(parts)
-
-
-__all__ = ["Values", "View", "columns_of", "derivatives", "observed_columns", "seen", "view"]

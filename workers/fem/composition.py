@@ -25,21 +25,29 @@ class LawShare:
 
 @dataclass(frozen=True, eq=False)
 class Composition:
-    """Constants of the elements, the laws of some, and the density of all, (m,) in t/mm^3."""
+    """Constants of the elements, the laws of some, and the density of all, (m,) in t/mm^3.
 
+    ``problem`` is the one that it was made for.
+    """
+
+    problem: Problem
     matter: Matter
     laws: tuple[LawShare, ...]
     density: FloatArray
 
 
-def compose(model: LevelModel, problem: Problem) -> Composition:
+def compose(model: LevelModel, problem: Problem, like: Composition | None = None) -> Composition:
     """Average the constants of the tissues over each element, by volume.
+
+    What `like`, a composition of the same mesh, has in common is taken from it.
 
     Raises
     ------
     InputError
         If the mesh contains a tissue that has no constants.
     """
+    if like is not None and _matter_of(problem) == _matter_of(like.problem):
+        return like
     _check(model, problem)
     part = model.fractions
     nodes, tets = model.nodes, model.elements.tets
@@ -48,23 +56,47 @@ def compose(model: LevelModel, problem: Problem) -> Composition:
         stiff = np.asarray(part * factors)
     else:
         stiff = part
-    centroids = nodes[tets].mean(axis=1)
-    two = any(c.second_fibre_mpa for c in problem.constants.values())
-    field = problem.fibres
-    directions = [field.directions(centroids)] + ([field.second_directions(centroids)] * two)
+    two = _families(problem) == 2
+    if like is not None and _fibres_of(problem) == _fibres_of(like.problem):
+        fibre = like.matter.fibre
+    else:
+        fibre = _directions(model, problem)
     eta = [_column(problem, part, "fibre_mpa"), _column(problem, part, "second_fibre_mpa")]
     matter = Matter(
         mu=stiff @ _column(problem, part, "mu_mpa", matrix=True),
         c2=stiff @ _yeoh(problem, part),
         kappa=stiff @ _column(problem, part, "kappa_mpa"),
         eta=np.stack([stiff @ e for e in eta[: 1 + two]], axis=1),
-        fibre=np.ascontiguousarray(np.stack(directions, axis=1)),
+        fibre=fibre,
         tension_only=not problem.literal_fibre,
         isochoric_fibre=problem.isochoric_fibre,
         plain=problem.plain_elements,
     )
     density = part @ _column(problem, part, "density_t_per_mm3")
-    return Composition(matter, tuple(_laws(problem, stiff)), density)
+    return Composition(problem, matter, tuple(_laws(problem, stiff)), density)
+
+
+def _matter_of(p: Problem) -> tuple[object, ...]:
+    """All that a composition depends on."""
+    kinds = p.literal_fibre, p.isochoric_fibre, p.plain_elements
+    return dict(p.constants), p.variations, p.fibres, kinds
+
+
+def _fibres_of(p: Problem) -> tuple[object, ...]:
+    return p.fibres, _families(p)
+
+
+def _families(p: Problem) -> int:
+    return 2 if any(c.second_fibre_mpa for c in p.constants.values()) else 1
+
+
+def _directions(model: LevelModel, problem: Problem) -> FloatArray:
+    """Unit vectors along the fibres, shape (m, families, 3)."""
+    centroids = model.nodes[model.elements.tets].mean(axis=1)
+    found = [problem.fibres.directions(centroids)]
+    if _families(problem) == 2:
+        found.append(problem.fibres.second_directions(centroids))
+    return np.ascontiguousarray(np.stack(found, axis=1))
 
 
 def _laws(problem: Problem, stiff: FloatArray) -> Iterator[LawShare]:

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from storage.values import FloatArray, IntArray
-from workers.fem import kernels, membrane
-from workers.fem.composition import compose
+from workers.fem import kernels, membrane, rows
+from workers.fem.assembly import assemble
+from workers.fem.composition import Composition, compose
 from workers.fem.contact import (
     Bordered,
     Gap,
@@ -17,6 +18,7 @@ from workers.fem.contact import (
     press,
     surfaces,
 )
+from workers.fem.edges import EDGE
 from workers.fem.friction import Grip
 from workers.fem.kernels import Float32Array
 from workers.fem.laws import law_assemble, law_energy
@@ -100,15 +102,13 @@ class Energy:
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """Second derivative of the energy: ``K + B diag(D) B^T``, see `workers.fem.operators`.
+    """Second derivative of the energy: packed rows, (edges, 12), see `workers.fem.rows`.
 
     ``coupling`` (on ``pads``, shape (c, 3)) and ``plate_stiffness`` border it with
     the travel of the plates; zero stiffness means that they do not move.
     """
 
-    K: Float32Array
-    B: Float32Array
-    D: FloatArray
+    rows: Float32Array
     pads: IntArray
     coupling: FloatArray
     plate_stiffness: float
@@ -121,20 +121,21 @@ class Level:
     `follower`, is held while an energy is minimised; `renew` brings it up to date.
     """
 
-    def __init__(self, model: LevelModel, problem: Problem) -> None:
+    def __init__(self, model: LevelModel, problem: Problem, like: "Level | None" = None) -> None:
+        """Make ready; what `like`, a level of another problem, has in common is taken from it."""
         self.model = model
         self.problem = problem
-        made_of = compose(model, problem)
-        self.matter, self.laws = made_of.matter, made_of.laws
-        share = np.repeat(model.elements.volumes / (4 * self.matter.kappa), 4)
-        # Harmonic mean: a node between a stiff and a soft tissue yields like the soft one.
-        compliance = np.bincount(model.elements.tets.ravel(), share, len(model.nodes))
-        averaged = 0.0 if problem.plain_elements else 1.0
-        self.kappa = averaged * model.nodal_volumes / compliance
+        near = like if like is not None and like.model is model else None
+        self.made_of: Composition = compose(model, problem, near.made_of if near else None)
+        self.matter, self.laws = self.made_of.matter, self.made_of.laws
+        self.kappa: FloatArray = (
+            near.kappa if near and near.made_of is self.made_of else self._nodal_kappa()
+        )
         skin = problem.membrane
         self.skin_n_per_mm = 0.0 if skin is None else skin.young_mpa / 3 * skin.thickness_mm
+        self.wrinkles = skin is not None and skin.wrinkles
         self.springs = springs(model, problem.wall, problem.load)
-        self.dead = dead_forces(model, problem, made_of.density)
+        self.dead = dead_forces(model, problem, self.made_of.density)
         places = held_places(model, problem)
         self.free = (~places.held).astype(np.float32)
         self.prescribed = places.displacement_mm
@@ -144,6 +145,16 @@ class Level:
         self.rounding_mj = 1e-14 * float(self.matter.mu @ model.elements.volumes)
         # Kept by the smoother from one tangent to the next.
         self.stiffest_mode: Float32Array | None = None
+
+    def _nodal_kappa(self) -> FloatArray:
+        """Harmonic mean: a node between a stiff and a soft tissue yields like the soft one."""
+        m = self.model
+        if self.problem.plain_elements:
+            return np.zeros(len(m.nodes))
+        share = np.repeat(m.elements.volumes / (4 * self.matter.kappa), 4)
+        return np.asarray(
+            m.nodal_volumes / np.bincount(m.elements.tets.ravel(), share, len(m.nodes))
+        )
 
     @property
     def lags(self) -> bool:
@@ -184,38 +195,60 @@ class Level:
         u = x - m.nodes
         elastic += 0.5 * float(np.vdot(self.springs, u * u))
         if self.skin_n_per_mm:
-            elastic += membrane.sheet_energy(x, *m.sheet.arrays, self.skin_n_per_mm)
-        presses = self._presses(state, stage)
-        contact = nothing(m.pads)
-        for p in presses:
-            contact += normal_contact(p)
-        for grip in self.grips:
-            contact += grip.drag(x, state.travel_mm)
+            elastic += membrane.sheet_energy(x, *m.sheet.arrays, self.skin_n_per_mm, self.wrinkles)
+        presses, contact = self.contact(state, stage)
         work = stage.fraction * float(np.vdot(self.dead + self.follower, u))
         if stage.force_n is not None:
             work += stage.force_n * state.travel_mm
         return Energy(elastic, elastic + contact.energy - work, volumes, presses, contact)
 
+    def contact(self, state: State, stage: Stage) -> tuple[tuple[Press, ...], Bordered]:
+        """The plates, and the energy of plates and friction."""
+        presses = self._presses(state, stage)
+        contact = nothing(self.model.pads)
+        for p in presses:
+            contact += normal_contact(p)
+        for grip in self.grips:
+            contact += grip.drag(state.x, state.travel_mm)
+        return presses, contact
+
     def linearise(
-        self, state: State, at: Energy, stage: Stage, *, convex: bool = False
+        self,
+        state: State,
+        at: Energy,
+        stage: Stage,
+        *,
+        convex: bool = False,
+        everywhere: bool = False,
     ) -> tuple[FloatArray, Tangent]:
-        """Out-of-balance force, shape (n, 3) in N, zero where held, and tangent."""
+        """Out-of-balance force, shape (n, 3) in N, and tangent.
+
+        Both are zero where a displacement is held, unless asked for `everywhere`.
+        """
         m, g = self.model, self.model.graph
-        K = np.zeros((len(g.neighbour), 9), np.float32)
-        B = np.zeros((len(g.neighbour), 3), np.float32)
-        force = self._force(state, at, stage, convex, K, B)
-        K[g.diagonal, ::4] += self.springs
-        K[g.diagonal[m.pads.nodes]] += at.contact.stiffness.reshape(-1, 9)
-        free = self.free[m.pads.nodes]
+        free = np.ones_like(self.free) if everywhere else self.free
+        packed = np.zeros((len(g.neighbour), EDGE), np.float32)
+        force = self._force(state, at, stage, convex, packed)
+        blocks = packed.reshape(-1, 3, 4)
+        for axis in range(3):
+            blocks[g.diagonal, axis, axis] += self.springs[:, axis]
+        blocks[g.diagonal[m.pads.nodes], :, :3] += at.contact.stiffness
+        rows.hold(g.start, free, packed)
         stiffness = at.contact.travel_stiffness if stage.force_n is not None else 0.0
-        coupling = at.contact.coupling * free
-        D = self.kappa / m.nodal_volumes
-        return force * self.free, Tangent(K, B, D, m.pads.nodes, coupling, stiffness)
+        coupling = at.contact.coupling * free[m.pads.nodes]
+        return force * free, Tangent(packed, m.pads.nodes, coupling, stiffness)
 
     def force(self, state: State, at: Energy, stage: Stage) -> FloatArray:
         """Out-of-balance force on every node, held or not, shape (n, 3) in N."""
-        empty = np.zeros((0, 9), np.float32), np.zeros((0, 3), np.float32)
-        return self._force(state, at, stage, False, *empty)
+        return self._force(state, at, stage, False, np.zeros((0, EDGE), np.float32))
+
+    def outer_force(self, state: State, contact: Bordered, stage: Stage) -> FloatArray:
+        """What springs, loads and plates leave out of balance, without body and skin."""
+        m = self.model
+        force = self.springs * (state.x - m.nodes)
+        force -= stage.fraction * (self.dead + self.follower)
+        force[m.pads.nodes] += contact.force
+        return force
 
     def _force(
         self,
@@ -223,18 +256,25 @@ class Level:
         at: Energy,
         stage: Stage,
         convex: bool,
-        K: Float32Array,
-        B: Float32Array,
+        packed: Float32Array,
     ) -> FloatArray:
         m, x = self.model, state.x
-        force = self.springs * (x - m.nodes) - stage.fraction * (self.dead + self.follower)
+        force = self.outer_force(state, at.contact, stage)
         pressure = self.kappa * (at.nodal_volumes / m.nodal_volumes - 1)
-        kernels.assemble(x, m.elements, self.matter, pressure, m.graph.edge, convex, force, K, B)
+        edge, root = m.graph.edge, np.sqrt(self.kappa / m.nodal_volumes)
+        assemble(x, m.elements, self.matter, pressure, root, edge, convex, force, packed)
+        if not (self.laws or self.skin_n_per_mm):
+            return force
+        K = np.zeros((len(packed), 9), np.float32)
         for share in self.laws:
-            law_assemble(x, m.elements, share, m.graph.edge, force, K)
+            law_assemble(x, m.elements, share, edge, force, K)
         if self.skin_n_per_mm:
-            membrane.sheet_assemble(x, *m.sheet.arrays, self.skin_n_per_mm, m.sheet_edge, force, K)
-        force[m.pads.nodes] += at.contact.force
+            skin = self.skin_n_per_mm, self.wrinkles
+            membrane.sheet_assemble(x, *m.sheet.arrays, *skin, m.sheet_edge, force, K)
+        if len(packed):
+            # Of a skin alone few rows are touched. An edge that is named twice is added once.
+            some = slice(None) if self.laws else m.sheet_edge.ravel()
+            packed.reshape(-1, 3, 4)[some, :, :3] += K[some].reshape(-1, 3, 3)
         return force
 
     def _presses(self, state: State, stage: Stage) -> tuple[Press, ...]:

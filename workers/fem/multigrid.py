@@ -31,7 +31,7 @@ class LinearSolver(Protocol):
         """Solve for the free displacements, shape (n, 3), to a relative residual."""
 
     def solve_many(self, b: FloatArray, tolerance: float) -> Corrections:
-        """Solve for several right-hand sides, shape (k, n, 3), each to a relative residual."""
+        """Solve for several right-hand sides, shape (k, n, 3), each to a relative error."""
 
     def precondition(self, b: Float32Array) -> Float32Array:
         """Solve roughly for one right-hand side, (n, 4), or for a block, (n, 4, LANES)."""
@@ -43,7 +43,7 @@ class Factored:
     def __init__(self, level: Level, tangent: Tangent) -> None:
         g = level.model.graph
         self._free = level.free.astype(np.float64)
-        A = operators.dense(g.start, g.neighbour, tangent.K, tangent.B, tangent.D, level.free)
+        A = operators.dense(g.start, g.neighbour, tangent.rows, level.free)
         if tangent.plate_stiffness > 0:
             c = (3 * tangent.pads[:, None] + np.arange(3)).ravel()
             a = tangent.coupling.ravel()
@@ -53,7 +53,7 @@ class Factored:
 
     def solve(self, b: FloatArray, tolerance: float = 0.0) -> Correction:
         """Solve directly; the tolerance is always met."""
-        return Correction(self._solve(b), 1, self.shifted)
+        return Correction(self._solve(b), 1, 0.0, self.shifted)
 
     def solve_many(self, b: FloatArray, tolerance: float = 0.0) -> Corrections:
         """Solve directly; the tolerance is always met."""

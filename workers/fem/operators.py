@@ -1,11 +1,7 @@
-"""The tangent as it is assembled: its product, block Jacobi, its dense matrix.
+"""The tangent beside its product: block Jacobi and the dense matrix.
 
-The tangent is ``K + B diag(D) B^T``: K in 3 x 3 blocks over the edges of the
-mesh, B (the derivatives of the nodal volumes) in 3-vectors over the same edges,
-D = kappa_n / V_n per node. Both are stored in single precision, vectors in the
-precision of the caller. `free`, (n, 3), is 1 where a displacement is unknown
-and 0 where it is held. `multiply` takes the arrays as they are; solvers pack
-them first (`workers.fem.rows`).
+Both are made from packed rows (`workers.fem.rows`). `free`, (n, 3), is 1 where a
+displacement is unknown and 0 where it is held.
 
 What the memory and the processor are asked for, at 14.4 edges and 5.5
 tetrahedra a node, and what one thread of a Zen 5 at 90k nodes reached:
@@ -13,15 +9,16 @@ tetrahedra a node, and what one thread of a Zen 5 at 90k nodes reached:
 ======================= ============= ============ ======= ====================
 work                    bytes a node  flops a node ms      reached
 ======================= ============= ============ ======= ====================
-`multiply`              980           430          5.5     16 GB/s, 7 Gflop/s
-packed product alone    750           350          2.6     26 GB/s, 12 Gflop/s
+product                 750           350          2.6     26 GB/s, 12 Gflop/s
 smoothing sweep         870           460          3.9     20 GB/s, 11 Gflop/s
-assembly                1,800         5,000        140     1 GB/s, 3 Gflop/s
+product, 8 together     970           2,800        7.2     12 GB/s, 35 Gflop/s
+sweep, 8 together       1,700         3,700        14      11 GB/s, 23 Gflop/s
+assembly                2,600         5,000        60      4 GB/s, 8 Gflop/s
 ======================= ============= ============ ======= ====================
 
-A packed product waits for memory at 90k nodes; at 20k its 14 MB stay in the
-cache and it takes 0.23 ms, five times less than `multiply`. Assembly waits for
-arithmetic and for adding into 256 numbers of an element, not for memory.
+A product waits for memory at 90k nodes; at 20k its 14 MB stay in the cache and
+it takes 0.23 ms. Assembly spends a third of its time on the force, a third on the
+blocks and a third on adding each element's sixteen edges where they belong.
 """
 
 from typing import Any
@@ -37,52 +34,8 @@ AnyFloat = NDArray[np.floating[Any]]
 
 
 @njit(**COMPILE)
-def multiply(
-    start: IntArray,
-    neighbour: IntArray,
-    K: AnyFloat,
-    B: AnyFloat,
-    D: AnyFloat,
-    free: AnyFloat,
-    x: AnyFloat,
-    pressure: AnyFloat,
-    y: AnyFloat,
-) -> None:
-    """y = (K + B D B^T) x on the free unknowns; `pressure`, (n,), is scratch."""
-    n = x.shape[0]
-    pressure[:] = 0.0
-    for i in range(n):
-        x0, x1, x2 = x[i, 0], x[i, 1], x[i, 2]
-        for q in range(start[i], start[i + 1]):
-            pressure[neighbour[q]] += B[q, 0] * x0 + B[q, 1] * x1 + B[q, 2] * x2
-    for i in range(n):
-        pressure[i] *= D[i]
-    for i in range(n):
-        s0 = x.dtype.type(0)
-        s1 = s0
-        s2 = s0
-        for q in range(start[i], start[i + 1]):
-            j = neighbour[q]
-            x0, x1, x2 = x[j, 0], x[j, 1], x[j, 2]
-            p = pressure[j]
-            s0 += K[q, 0] * x0 + K[q, 1] * x1 + K[q, 2] * x2 + B[q, 0] * p
-            s1 += K[q, 3] * x0 + K[q, 4] * x1 + K[q, 5] * x2 + B[q, 1] * p
-            s2 += K[q, 6] * x0 + K[q, 7] * x1 + K[q, 8] * x2 + B[q, 2] * p
-        y[i, 0] = s0 * free[i, 0]
-        y[i, 1] = s1 * free[i, 1]
-        y[i, 2] = s2 * free[i, 2]
-
-
-@njit(**COMPILE)
 def invert_diagonal(
-    start: IntArray,
-    neighbour: IntArray,
-    diagonal: IntArray,
-    K: AnyFloat,
-    B: AnyFloat,
-    D: AnyFloat,
-    free: AnyFloat,
-    inverse: AnyFloat,
+    start: IntArray, diagonal: IntArray, rows: AnyFloat, free: AnyFloat, inverse: AnyFloat
 ) -> None:
     """Inverse 3 x 3 diagonal blocks, (n, 9), made safely positive; zero where held."""
     n = start.shape[0] - 1
@@ -91,12 +44,11 @@ def invert_diagonal(
         q = diagonal[i]
         for a in range(3):
             for b in range(3):
-                m[a, b] = 0.5 * (K[q, 3 * a + b] + K[q, 3 * b + a])
+                m[a, b] = 0.5 * (rows[q, 4 * a + b] + rows[q, 4 * b + a])
         for q in range(start[i], start[i + 1]):
-            d = D[neighbour[q]]
             for a in range(3):
                 for b in range(3):
-                    m[a, b] += d * B[q, a] * B[q, b]
+                    m[a, b] += rows[q, 4 * a + 3] * rows[q, 4 * b + 3]
         shift = 1e-3 * (abs(m[0, 0]) + abs(m[1, 1]) + abs(m[2, 2])) / 3.0
         for a in range(3):
             m[a, a] = abs(m[a, a]) + shift
@@ -150,9 +102,7 @@ def apply_diagonal(inverse: AnyFloat, r: AnyFloat, z: AnyFloat) -> None:
 
 
 @njit(**COMPILE)
-def dense(
-    start: IntArray, neighbour: IntArray, K: AnyFloat, B: AnyFloat, D: AnyFloat, free: AnyFloat
-) -> FloatArray:
+def dense(start: IntArray, neighbour: IntArray, rows: AnyFloat, free: AnyFloat) -> FloatArray:
     """The tangent as a full symmetric matrix, (3 n, 3 n); 1 on the diagonal where held."""
     n = start.shape[0] - 1
     A = np.zeros((3 * n, 3 * n))
@@ -161,8 +111,8 @@ def dense(
             j = neighbour[q]
             for a in range(3):
                 for b in range(3):
-                    A[3 * i + a, 3 * j + b] += K[q, 3 * a + b]
-    # B[q] on row i, column j is dv_j/du_i, and the pattern is symmetric: the rows of
+                    A[3 * i + a, 3 * j + b] += rows[q, 4 * a + b]
+    # B on row i, column j is dv_j/du_i, and the pattern is symmetric: the rows of
     # node j list all i with a share in v_j, but hold dv_i/du_j. Collect the column first.
     for j in range(n):
         width = start[j + 1] - start[j]
@@ -171,11 +121,11 @@ def dense(
             i = neighbour[start[j] + p]
             q = start[i] + np.searchsorted(neighbour[start[i] : start[i + 1]], j)
             for a in range(3):
-                g[p, a] = B[q, a]
+                g[p, a] = rows[q, 4 * a + 3]
         for p in range(width):
             i = neighbour[start[j] + p]
             for a in range(3):
-                left = D[j] * g[p, a]
+                left = g[p, a]
                 for o in range(width):
                     k = neighbour[start[j] + o]
                     for b in range(3):

@@ -10,7 +10,6 @@ import numpy as np
 
 from workers.fem import operators, rows, rows_many
 from workers.fem.kernels import Float32Array
-from workers.fem.lanes import EDGE
 from workers.fem.level import Level, Tangent
 from workers.fem.rows import AnyFloat
 
@@ -20,15 +19,10 @@ class Packed:
 
     def __init__(self, level: Level, tangent: Tangent) -> None:
         g, n = level.model.graph, len(level.model.nodes)
-        packed = np.empty((len(g.neighbour), EDGE), np.float32)
-        start, neighbour = g.start.view(np.uint32), g.neighbour.view(np.uint32)
         t = tangent
-        rows.pack(start, neighbour, t.K, t.B, t.D, level.free, packed)
-        self._matrix = start, neighbour, packed
+        self._matrix = g.start.view(np.uint32), g.neighbour.view(np.uint32), t.rows
         self._inverse = np.empty((n, 9), np.float32)
-        operators.invert_diagonal(
-            g.start, g.neighbour, g.diagonal, t.K, t.B, t.D, level.free, self._inverse
-        )
+        operators.invert_diagonal(g.start, g.diagonal, t.rows, level.free, self._inverse)
         self._pads = t.pads.astype(np.uint32)
         self._coupling = np.ascontiguousarray(t.coupling) * level.free[t.pads]
         self._factor = 1 / t.plate_stiffness if t.plate_stiffness > 0 else 0.0

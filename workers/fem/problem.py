@@ -75,10 +75,28 @@ class Constants:
 
 @dataclass(frozen=True, slots=True)
 class Membrane:
-    """Skin as an incompressible neo-Hookean sheet on the free surface."""
+    """Skin as an incompressible neo-Hookean sheet on the free surface.
+
+    Parameters
+    ----------
+    young_mpa : float
+        Young's modulus E, > 0.
+    thickness_mm : float
+        > 0.
+    wrinkles : bool
+        Fold where it would be compressed, see `workers.fem.membrane`. A sheet
+        that does not wrinkle pushes back, and turns elements under it inside out
+        where it is much stiffer than they are.
+
+    Raises
+    ------
+    InputError
+        If a constant lies outside its range.
+    """
 
     young_mpa: float
     thickness_mm: float
+    wrinkles: bool = True
 
     def __post_init__(self) -> None:
         if not (self.young_mpa > 0 and self.thickness_mm > 0):

@@ -1,5 +1,9 @@
 """One right-hand side: products and smoothing with packed rows of the tangent.
 
+The tangent is ``K + B diag(D) B^T``: K in 3 x 3 blocks over the edges of the mesh, B
+(the derivatives ``d v_j / d u_i`` of the nodal volumes) in 3-vectors over the same
+edges, D = kappa_n / V_n per node.
+
 An edge i-j is packed into twelve numbers, three rows of ``(K, K, K, B)`` with
 ``B sqrt(D_j)`` in the last place, and a vector has four at a node: ``(x, y, z, p)``
 with ``p = sqrt(D) B^T x``, its *pressure*. A row of the product ``(K + B D B^T) x``
@@ -16,34 +20,21 @@ from numba import njit
 from numpy.typing import NDArray
 
 from storage.values import FloatArray, IntArray
+from workers.fem.edges import edge_add, edge_sums, edge_zero
 from workers.fem.kernels import COMPILE, Float32Array
-from workers.fem.lanes import edge_add, edge_sums, edge_zero
 
 AnyFloat = NDArray[np.floating[Any]]
 IndexArray = NDArray[np.uint32]  # unsigned: a compiled loop need not ask for negative indices
 
 
 @njit(**COMPILE)
-def pack(
-    start: IntArray,
-    neighbour: IntArray,
-    K: Float32Array,
-    B: Float32Array,
-    D: FloatArray,
-    free: Float32Array,
-    rows: Float32Array,
-) -> None:
-    """Fill `rows`, (edges, 12); zero where the displacement of the row is held."""
-    root = np.sqrt(D).astype(np.float32)
-    for i in range(start.shape[0] - 1):
-        for q in range(start[i], start[i + 1]):
-            d = root[neighbour[q]]
-            for a in range(3):
-                f = free[i, a]
-                rows[q, 4 * a] = K[q, 3 * a] * f
-                rows[q, 4 * a + 1] = K[q, 3 * a + 1] * f
-                rows[q, 4 * a + 2] = K[q, 3 * a + 2] * f
-                rows[q, 4 * a + 3] = B[q, a] * d * f
+def hold(start: IntArray, free: Float32Array, rows: Float32Array) -> None:
+    """Empty the rows of held displacements, where `free`, (n, 3), is zero."""
+    for i in range(free.shape[0]):
+        for a in range(3):
+            if free[i, a] == 0:
+                for q in range(start[i], start[i + 1]):
+                    rows[q, 4 * a : 4 * a + 4] = 0
 
 
 @njit(inline="always", **COMPILE)

@@ -9,7 +9,7 @@ from numba import njit
 
 from storage.values import FloatArray, IntArray
 from workers.fem.kernels import COMPILE, Float32Array
-from workers.fem.lanes import Vector, fma, load, store, zero
+from workers.fem.lanes import Vector, load, store, zero
 from workers.fem.rows import AnyFloat, IndexArray
 
 
@@ -23,12 +23,9 @@ def _row(
     for q in range(start[i], start[i + 1]):
         j = 4 * neighbour[q]
         x0, x1, x2, p = load(x, j), load(x, j + 1), load(x, j + 2), load(x, j + 3)
-        s0 = fma(fma(s0, rows[q, 0], x0), rows[q, 1], x1)
-        s1 = fma(fma(s1, rows[q, 4], x0), rows[q, 5], x1)
-        s2 = fma(fma(s2, rows[q, 8], x0), rows[q, 9], x1)
-        s0 = fma(fma(s0, rows[q, 2], x2), rows[q, 3], p)
-        s1 = fma(fma(s1, rows[q, 6], x2), rows[q, 7], p)
-        s2 = fma(fma(s2, rows[q, 10], x2), rows[q, 11], p)
+        s0 = s0 + rows[q, 0] * x0 + rows[q, 1] * x1 + rows[q, 2] * x2 + rows[q, 3] * p
+        s1 = s1 + rows[q, 4] * x0 + rows[q, 5] * x1 + rows[q, 6] * x2 + rows[q, 7] * p
+        s2 = s2 + rows[q, 8] * x0 + rows[q, 9] * x1 + rows[q, 10] * x2 + rows[q, 11] * p
     return s0, s1, s2
 
 
@@ -39,8 +36,7 @@ def _spread(
     x0, x1, x2 = load(x, 4 * i), load(x, 4 * i + 1), load(x, 4 * i + 2)
     for q in range(start[i], start[i + 1]):
         j = 4 * neighbour[q] + 3
-        p = fma(load(x, j), rows[q, 3], x0)
-        store(x, j, fma(fma(p, rows[q, 7], x1), rows[q, 11], x2))
+        store(x, j, load(x, j) + rows[q, 3] * x0 + rows[q, 7] * x1 + rows[q, 11] * x2)
 
 
 @njit(**COMPILE)
@@ -78,9 +74,8 @@ def first_step(
     for i in range(r.shape[0]):
         r0, r1, r2 = load(r, 4 * i), load(r, 4 * i + 1), load(r, 4 * i + 2)
         for a in range(3):
-            z = fma(zero(r), scale * inverse[i, 3 * a], r0)
-            z = fma(z, scale * inverse[i, 3 * a + 1], r1)
-            store(step, 4 * i + a, fma(z, scale * inverse[i, 3 * a + 2], r2))
+            z = inverse[i, 3 * a] * r0 + inverse[i, 3 * a + 1] * r1 + inverse[i, 3 * a + 2] * r2
+            store(step, 4 * i + a, scale * z)
         _spread(start, neighbour, rows, i, step)
 
 
@@ -91,9 +86,9 @@ def subtract(
     """r -= tangent times x."""
     for i in range(x.shape[0]):
         s0, s1, s2 = _row(start, neighbour, rows, i, x)
-        store(r, 4 * i, fma(load(r, 4 * i), -1, s0))
-        store(r, 4 * i + 1, fma(load(r, 4 * i + 1), -1, s1))
-        store(r, 4 * i + 2, fma(load(r, 4 * i + 2), -1, s2))
+        store(r, 4 * i, load(r, 4 * i) - s0)
+        store(r, 4 * i + 1, load(r, 4 * i + 1) - s1)
+        store(r, 4 * i + 2, load(r, 4 * i + 2) - s2)
 
 
 @njit(**COMPILE)
@@ -114,20 +109,18 @@ def sweep(
     new[:, 3] = 0
     for i in range(x.shape[0]):
         s0, s1, s2 = _row(start, neighbour, rows, i, old)
-        r0 = fma(load(r, 4 * i), -1, s0)
-        r1 = fma(load(r, 4 * i + 1), -1, s1)
-        r2 = fma(load(r, 4 * i + 2), -1, s2)
+        r0 = load(r, 4 * i) - s0
+        r1 = load(r, 4 * i + 1) - s1
+        r2 = load(r, 4 * i + 2) - s2
         store(r, 4 * i, r0)
         store(r, 4 * i + 1, r1)
         store(r, 4 * i + 2, r2)
         for a in range(3):
             k = 4 * i + a
-            z = fma(zero(r), keep, load(old, k))
-            z = fma(z, scale * inverse[i, 3 * a], r0)
-            z = fma(z, scale * inverse[i, 3 * a + 1], r1)
-            z = fma(z, scale * inverse[i, 3 * a + 2], r2)
+            z = inverse[i, 3 * a] * r0 + inverse[i, 3 * a + 1] * r1 + inverse[i, 3 * a + 2] * r2
+            z = keep * load(old, k) + scale * z
             store(new, k, z)
-            store(x, k, fma(load(x, k), 1, z))
+            store(x, k, load(x, k) + z)
         if spread:
             _spread(start, neighbour, rows, i, new)
 
@@ -140,11 +133,11 @@ def add_rank_one(
     s = zero(x)
     for q in range(pads.shape[0]):
         for a in range(3):
-            s = fma(s, coupling[q, a], load(x, 4 * pads[q] + a))
+            s = s + coupling[q, a] * load(x, 4 * pads[q] + a)
     for q in range(pads.shape[0]):
         for a in range(3):
             k = 4 * pads[q] + a
-            store(y, k, fma(load(y, k), factor * coupling[q, a], s))
+            store(y, k, load(y, k) + factor * coupling[q, a] * s)
 
 
 @njit(**COMPILE)
@@ -153,7 +146,7 @@ def dot(a: FloatArray, b: FloatArray, sums: FloatArray) -> None:
     s = zero(a)
     for i in range(a.shape[0]):
         for k in range(3):
-            s = fma(s, load(a, 4 * i + k), load(b, 4 * i + k))
+            s = s + load(a, 4 * i + k) * load(b, 4 * i + k)
     store(sums, 0, s)
 
 
@@ -161,12 +154,11 @@ def dot(a: FloatArray, b: FloatArray, sums: FloatArray) -> None:
 def advance(alpha: FloatArray, p: FloatArray, y: FloatArray, x: FloatArray, r: FloatArray) -> None:
     """x += alpha p and r -= alpha y; `alpha` is (LANES,)."""
     step = load(alpha, 0)
-    back = fma(zero(alpha), -1, step)
     for i in range(x.shape[0]):
         for a in range(3):
             k = 4 * i + a
-            store(x, k, fma(load(x, k), step, load(p, k)))
-            store(r, k, fma(load(r, k), back, load(y, k)))
+            store(x, k, load(x, k) + step * load(p, k))
+            store(r, k, load(r, k) - step * load(y, k))
 
 
 @njit(**COMPILE)
@@ -176,4 +168,4 @@ def turn(beta: FloatArray, z: FloatArray, p: FloatArray) -> None:
     for i in range(p.shape[0]):
         for a in range(3):
             k = 4 * i + a
-            store(p, k, fma(load(z, k), share, load(p, k)))
+            store(p, k, load(z, k) + share * load(p, k))

@@ -18,18 +18,19 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 from storage.errors import InputError
 from storage.values import FloatArray
-from workers.fem import operators
+from workers.fem import rows
 from workers.fem.level import Energy, Level, Stage, State
 from workers.fem.model import Model
 from workers.fem.multigrid import LinearSolver
 from workers.fem.newton import minimise, solve_bordered
-from workers.fem.outside import pressure_derivative
+from workers.fem.outside import held_places, pressure_derivative
 from workers.fem.problem import Problem
 from workers.fem.rest import stress_free
 from workers.fem.solve import Equilibrium, equilibrium, linear_solver
 from workers.fem.steps import in_contact, path_fractions, stage_at
 
-RELATIVE_RESIDUAL = 1e-6
+# Of the linear solves.
+RELATIVE_ERROR = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +43,11 @@ class Change:
 
 
 def tangents(
-    at: Equilibrium, changes: Sequence[Change], tolerance: float = RELATIVE_RESIDUAL
+    at: Equilibrium,
+    changes: Sequence[Change],
+    tolerance: float = RELATIVE_ERROR,
+    *,
+    lagging: bool = True,
 ) -> FloatArray:
     """Derivative of the displacement by each change.
 
@@ -52,7 +57,10 @@ def tangents(
         Converged.
     changes : sequence of Change
     tolerance : float
-        Relative residual of the linear solves.
+        Relative error of the linear solves; see `workers.fem.conjugate.solve_many`.
+    lagging : bool
+        Add the derivative of friction and follower pressure, at some ten times the cost;
+        without it the tangents are approximate where these act.
 
     Returns
     -------
@@ -73,8 +81,9 @@ def tangents(
         return np.empty((0, *at.solution.displacement_mm.shape))
     here = _Here(at)
     right = [here.right_side(change) for change in changes]
-    if at.levels[-1].lags:
-        found = [here.with_lag(r, tolerance) for r in right]
+    if at.levels[-1].lags and lagging:
+        # GMRES measures residuals, which say less of the displacement than errors do.
+        found = [here.with_lag(r, tolerance / 10) for r in right]
     else:
         found = list(here.without_lag(right, tolerance))
     free = at.levels[-1].free > 0
@@ -100,6 +109,7 @@ class _Here:
         _, self.tangent_here = self.level.linearise(self.state, self.energy, self.stage)
         self.linear: LinearSolver = linear_solver(self.level, self.tangent_here, at.solvers[:-1])
         self._earlier: list[State] | None = None
+        self._inner: FloatArray | None = None
 
     def right_side(self, change: Change) -> _RightSide:
         """What a unit of the parameter leaves out of balance, with its sign turned."""
@@ -117,14 +127,29 @@ class _Here:
             level, stage = self.level, self.stage
         else:
             model = self._model_of(problem)
-            level = Level(model.finest, problem)
+            level = Level(model.finest, problem, self.level)
             stage = stage_at(model, problem.load, self.stage.fraction)
             self._grip(level, stage)
-        energy = level.energy(self.state, stage)
+        if level.model is self.level.model:  # the same place: its volumes are known
+            presses, contact = level.contact(self.state, stage)
+            energy = replace(self.energy, presses=presses, contact=contact)
+        else:
+            energy = level.energy(self.state, stage)
         plate = 0.0
         if stage.force_n is not None:
             plate = energy.contact.travel_force - stage.force_n
+        if level.made_of is self.level.made_of and problem.membrane == self.at.problem.membrane:
+            inner = self._inner_force()
+            return inner + level.outer_force(self.state, energy.contact, stage), plate
         return level.force(self.state, energy, stage), plate
+
+    def _inner_force(self) -> FloatArray:
+        """Force of body and skin as they are, shape (n, 3)."""
+        if self._inner is None:
+            whole = self.level.force(self.state, self.energy, self.stage)
+            outer = self.level.outer_force(self.state, self.energy.contact, self.stage)
+            self._inner = whole - outer
+        return self._inner
 
     def _model_of(self, problem: Problem) -> Model:
         if problem.imaged_gravity_g == self.at.problem.imaged_gravity_g:
@@ -182,8 +207,8 @@ class _Here:
         level, wall = self.level, change.plus.wall
         forced = np.zeros_like(level.prescribed)
         if change.plus.holds != change.minus.holds:
-            ahead = Level(level.model, change.plus).prescribed
-            forced += (ahead - Level(level.model, change.minus).prescribed) / change.step
+            ahead, behind = (held_places(level.model, p) for p in (change.plus, change.minus))
+            forced += (ahead.displacement_mm - behind.displacement_mm) / change.step
         for axis, held in enumerate(level.problem.wall.held):
             if held and not wall.held[axis]:
                 nodes = level.model.wall
@@ -197,12 +222,14 @@ class _Here:
 
         The plates feel nothing of it: held nodes take no part in their coupling.
         """
-        t, g = self.tangent_here, self.level.model.graph
-        everywhere = np.ones_like(self.level.free)
-        y = np.empty_like(u)
-        scratch = np.empty(len(u))
-        operators.multiply(g.start, g.neighbour, t.K, t.B, t.D, everywhere, u, scratch, y)
-        return y
+        _, t = self.level.linearise(self.state, self.energy, self.stage, everywhere=True)
+        g = self.level.model.graph
+        matrix = g.start.view(np.uint32), g.neighbour.view(np.uint32), t.rows
+        x, y = np.zeros((2, len(u), 4))
+        x[:, :3] = u
+        rows.pressurise(*matrix, x)
+        rows.multiply(*matrix, x, y)
+        return y[:, :3]
 
     def without_lag(self, right: Sequence[_RightSide], tolerance: float) -> FloatArray:
         """Solve for all right sides at once, shape (k, n, 3)."""

@@ -42,7 +42,7 @@ class _Record(BaseModel):
 
 class _Deformed(_Record):
     file: str
-    plate_force_N: float = Field(gt=0)
+    plate_force_n: float = Field(gt=0, alias="plate_force_N")
 
 
 class _Scans(_Record):
@@ -55,7 +55,7 @@ class _Nominal(_Record):
     nu: float = Field(gt=0, lt=0.5)
     fibre_direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
     unknown_constants: tuple[str, ...]
-    plausible_kPa: dict[str, tuple[float, float]]
+    plausible_kpa: dict[str, tuple[float, float]] = Field(alias="plausible_kPa")
     chest_wall: str
     plates: str
 
@@ -87,7 +87,7 @@ class ImagedCase:
         self.file = _read(folder / "case.json")
         self.reference = self._scan(self.file.scans.reference)
         self.deformed = [self._scan(d.file) for d in self.file.scans.deformed]
-        self.forces_n = [d.plate_force_N for d in self.file.scans.deformed]
+        self.forces_n = [d.plate_force_n for d in self.file.scans.deformed]
 
     @property
     def names(self) -> list[str]:
@@ -98,14 +98,14 @@ class ImagedCase:
     def free(self) -> list[Free]:
         """The unknown constants with their plausible intervals."""
         nominal = self.file.nominal
-        missing = set(nominal.unknown_constants) - set(nominal.plausible_kPa)
+        missing = set(nominal.unknown_constants) - set(nominal.plausible_kpa)
         if missing:
             raise InputError(
                 f"{self.folder / 'case.json'}: nominal.plausible_kPa lacks an interval for "
                 f"{', '.join(sorted(missing))}."
             )
         return [
-            Free(name, *(KPA.to_inside(v) for v in nominal.plausible_kPa[name]))
+            Free(name, *(KPA.to_inside(v) for v in nominal.plausible_kpa[name]))
             for name in nominal.unknown_constants
         ]
 

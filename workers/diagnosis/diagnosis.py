@@ -1,0 +1,187 @@
+"""From a subject to a verdict: calibrate, look at every effect, refit the suspects, weigh.
+
+::
+
+    calibrate --> look --> refit the best single effects --> refit pairs --> weigh
+                                   (each refit is independent of the others)
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from workers.diagnosis.discrepancy import Discrepancy
+from workers.diagnosis.evidence import log_evidence
+from workers.diagnosis.fingerprint import Fingerprint
+from workers.diagnosis.fingerprints import Places, fingerprints
+from workers.diagnosis.fit import Fit
+from workers.diagnosis.hypotheses import Hypothesis
+from workers.diagnosis.joint import JointEvidence
+from workers.diagnosis.linear import Linearised
+from workers.diagnosis.refit import Refit, refit
+from workers.diagnosis.screen import Finding, screen
+from workers.diagnosis.subject import Subject
+from workers.diagnosis.threshold import alarm_threshold, null_alarms
+from workers.diagnosis.verdict import HIDDEN, Verdict, verdict
+from workers.effects.base import Effect
+
+# Single effects that are refitted: the best by screening.
+SINGLES = 5
+# The best of them are paired with each other.
+PARTNERS = 3
+# An effect this far behind the best one by screening is not refitted, in nats.
+FAR_BEHIND = 60.0
+FALSE_ALARMS = 0.02
+NULL_DRAWS = 400
+
+RefitMany = Callable[[Sequence[tuple[Effect, ...]]], Iterable[Refit | None]]
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What the nominal fit alone tells.
+
+    Parameters
+    ----------
+    subject : Subject
+    nominal : Fit
+    linear : Linearised
+    prints : dict of str to Fingerprint
+    places : Places
+    findings : tuple of Finding
+        The largest Bayes factor first.
+    field : Discrepancy
+    threshold : float
+        Alarm that a case without any effect exceeds in two of a hundred.
+    """
+
+    subject: Subject
+    nominal: Fit
+    linear: Linearised
+    prints: dict[str, Fingerprint]
+    places: Places
+    findings: tuple[Finding, ...]
+    field: Discrepancy
+    threshold: float
+
+    @property
+    def by_name(self) -> dict[str, Finding]:
+        """Findings by the name of the effect."""
+        return {f.name: f for f in self.findings}
+
+    def absorbed(self) -> dict[str, float]:
+        """Share of each effect that the constants hide and that no data could show."""
+        return {f.name: f.absorbed for f in self.findings}
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The verdict and all that it stands on."""
+
+    look: Look
+    verdict: Verdict
+    refits: dict[tuple[str, ...], Refit]
+    hypotheses: tuple[Hypothesis, ...]
+
+    @property
+    def best(self) -> Refit | None:
+        """The refit of the effects that are accused."""
+        wanted = set(self.verdict.primary)
+        for names, found in self.refits.items():
+            if set(names) == wanted:
+                return found
+        return None
+
+
+def look(subject: Subject, nominal: Fit, effects: Sequence[Effect], seed: int = 0) -> Look:
+    """See what every effect would do, and how loud noise alone would be."""
+    linear = nominal.linearised(subject)
+    prints, places = fingerprints(subject, nominal, effects)
+    field = discrepancy_of(subject, nominal)
+    alarms = null_alarms(linear, prints, seed, NULL_DRAWS, field)
+    return Look(
+        subject,
+        nominal,
+        linear,
+        {p.name: p for p in prints},
+        places,
+        screen(linear, prints),
+        field,
+        alarm_threshold(alarms, FALSE_ALARMS),
+    )
+
+
+def diagnose(seen: Look, effects: Sequence[Effect], refits: RefitMany) -> Diagnosis:
+    """Refit the suspects and weigh them against each other.
+
+    Parameters
+    ----------
+    seen : Look
+    effects : sequence of Effect
+        The catalogue.
+    refits : callable
+        From combinations of effects to refits, in their order; `one_by_one` or a cluster.
+    """
+    known = {e.name: e for e in effects}
+    singles = suspects(seen, known)
+    found: dict[tuple[str, ...], Refit] = {}
+    for refitted in refits([(e,) for e in singles]):
+        if refitted is not None:
+            found[refitted.names] = refitted
+    ranked = sorted(found.values(), key=lambda r: -r.log_evidence)[:PARTNERS]
+    pairs = [(known[a.names[0]], known[b.names[0]]) for a, b in combinations(ranked, 2)]
+    for refitted in refits(pairs):
+        if refitted is not None:
+            found[refitted.names] = refitted
+    hypotheses = weigh(seen, found)
+    families = {name: known[name].family for name in seen.prints}
+    said = verdict(hypotheses, families, seen.threshold, seen.absorbed())
+    return Diagnosis(seen, said, found, hypotheses)
+
+
+def suspects(seen: Look, known: dict[str, Effect]) -> list[Effect]:
+    """The effects worth a refit, the most suspicious first."""
+    open_ones = [f for f in seen.findings if f.absorbed <= HIDDEN]
+    if not open_ones:
+        return []
+    best = open_ones[0].log_bayes_factor
+    near = [f for f in open_ones if f.log_bayes_factor > best - FAR_BEHIND]
+    return [known[f.name] for f in near[:SINGLES]]
+
+
+def one_by_one(seen: Look) -> RefitMany:
+    """Refit in this process."""
+
+    def run(asked: Sequence[tuple[Effect, ...]]) -> Iterable[Refit | None]:
+        for effects in asked:
+            yield refit(seen.subject, seen.nominal, effects, seen.by_name, seen.prints, seen.places)
+
+    return run
+
+
+def weigh(seen: Look, refits: dict[tuple[str, ...], Refit]) -> tuple[Hypothesis, ...]:
+    """Evidence of every hypothesis: of a refit where there is one, else of the linear model."""
+    joint = JointEvidence(seen.linear, list(seen.prints.values()), seen.field)
+    nothing = log_evidence(seen.linear)
+    weighed = [Hypothesis((), nothing, seen.field.log_evidence(seen.linear) - nothing)]
+    for name in seen.prints:
+        if (name,) not in refits:
+            evidence = float(joint.log_evidence((name,))[0])
+            gain = joint.discrepancy_gain((name,))
+            weighed.append(Hypothesis((name,), evidence, None if gain is None else float(gain[0])))
+    for names, found in refits.items():
+        at = found.fit.linearised(seen.subject)
+        one_sided = found.fit.unknowns.one_sided
+        plain = log_evidence(at, one_sided)
+        gain_there = seen.field.log_evidence(at, one_sided) - plain
+        weighed.append(Hypothesis(names, plain, gain_there))
+    return tuple(weighed)
+
+
+def discrepancy_of(subject: Subject, at: Fit) -> Discrepancy:
+    """The smooth field that stands for something else."""
+    normals = np.concatenate([v.normals for v in at.views])
+    points = np.tile(subject.points.points, (len(subject.scans), 1))
+    return Discrepancy(points, normals, subject.rows, subject.covariance_factor)

@@ -1,7 +1,10 @@
 """How long each stage takes and how much memory, each in a process of its own.
 
 A stage first runs on a tiny body, so that compiled kernels are loaded and not
-timed, then on the size that is asked for. Peak memory is that of the process; it
+timed, then on the size that is asked for; of the solver the fastest of three counts.
+What matters of some stages is a ratio: tangents over the solution that they belong
+to, an unknown of a large mesh over one of the mesh before, two solutions at once
+over one alone. Peak memory is that of the process; it
 includes about 0.25 GB for Python and the libraries themselves.
 """
 
@@ -11,7 +14,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +26,21 @@ from service.dispatch import Dispatcher
 from service.errors import TaskError
 from storage.stores import open_store
 from workers import pipeline
+from workers.effects.catalogue import effect
+from workers.fem.fields import frame_of
 from workers.fem.model import prepare
+from workers.fem.sensitivity import tangents
+from workers.fem.solve import equilibrium
 from workers.library import Library
+from workers.organs.breast import problem_of
 from workers.spec import CaseSpec, MeshSpec, ScoreSpec, validated
 
 Json = dict[str, Any]
 
-STAGES = ("phantom", "mesh", "prepare", "solve", "warp", "score")
+STAGES = ("phantom", "mesh", "prepare", "solve", "tangent", "tangents", "warp", "score")
+REPEATED = {"solve": 3, "tangent": 3, "tangents": 3}
+# Ten parameters whose forces are of every kind: loads, plates, stiffness, fibres.
+TEN_OF = ("gravity_change", "plate_force", "plate_tilt", "stiffness_gradient", "fibre_rotation")
 TINY_SPACING_MM, TINY_NODES = 2.0, 1000
 # A target and a candidate near the optimum, as most are that a search looks at for long.
 TRUE_MPA = {"E_fat": 0.010, "E_glandular": 0.040}
@@ -38,7 +50,10 @@ TRIVIAL_TASKS = 200
 
 @dataclass(frozen=True)
 class Row:
-    """One measurement; `peak_mb` is None where other processes do the work."""
+    """One measurement; `peak_mb` is None where other processes do the work.
+
+    ``ratio`` is that of `seconds` to what `over` says.
+    """
 
     stage: str
     size: str
@@ -46,6 +61,8 @@ class Row:
     voxels: int | None
     seconds: float
     peak_mb: float | None
+    ratio: float | None = None
+    over: str = ""
 
 
 def measure(nodes: Sequence[int], spacings_mm: Sequence[float], store: Path) -> Iterator[Row]:
@@ -54,7 +71,7 @@ def measure(nodes: Sequence[int], spacings_mm: Sequence[float], store: Path) -> 
     Parameters
     ----------
     nodes : sequence of int
-        Mesh sizes; mesh, prepare and solve run at each, on the first spacing.
+        Mesh sizes; mesh, prepare and the solver run at each, on the first spacing.
     spacings_mm : sequence of float
         Voxel sizes; phantom, warp and score run at each, with the first mesh size.
     store : Path
@@ -67,13 +84,44 @@ def measure(nodes: Sequence[int], spacings_mm: Sequence[float], store: Path) -> 
     """
     for spacing in spacings_mm:
         yield _in_process("phantom", spacing, nodes[0], store)
-    for stage in ("mesh", "prepare", "solve"):
+    for stage in ("mesh", "prepare"):
         for count in nodes:
             yield _in_process(stage, spacings_mm[0], count, store)
+    yield from _solver(nodes, spacings_mm[0], store)
     for stage in ("warp", "score"):
         for spacing in spacings_mm:
             yield _in_process(stage, spacing, nodes[0], store)
     yield scheduler_overhead()
+
+
+def _solver(nodes: Sequence[int], spacing_mm: float, store: Path) -> Iterator[Row]:
+    """One solution, two at once, and the derivatives of one, at every size."""
+    before: Row | None = None
+    for count in nodes:
+        alone = _in_process("solve", spacing_mm, count, store)
+        yield alone
+        each = per_unknown(alone, before)
+        yield each
+        before = each
+        both = _in_processes("solve", spacing_mm, count, store, 2)
+        slower = max(both, key=lambda row: row.seconds)
+        yield _compared(slower, alone, "two at once", "one alone")
+        for stage, name in (("tangent", "one tangent"), ("tangents", "ten tangents")):
+            yield _compared(_in_process(stage, spacing_mm, count, store), alone, name, "a solution")
+
+
+def _compared(row: Row, other: Row, stage: str, over: str) -> Row:
+    return replace(row, stage=stage, ratio=row.seconds / other.seconds, over=over)
+
+
+def per_unknown(solve: Row, before: Row | None) -> Row:
+    """Time for each unknown, three a node, over that of the mesh `before`."""
+    assert solve.nodes is not None
+    seconds = solve.seconds / (3 * solve.nodes)
+    row = replace(solve, stage="unknown", seconds=seconds, peak_mb=None)
+    if before is None:
+        return row
+    return replace(row, ratio=seconds / before.seconds, over=f"{before.nodes} nodes")
 
 
 def scheduler_overhead(tasks: int = TRIVIAL_TASKS) -> Row:
@@ -93,6 +141,11 @@ def nothing(number: int) -> Json:
 
 
 def _in_process(stage: str, spacing_mm: float, nodes: int, store: Path) -> Row:
+    return _in_processes(stage, spacing_mm, nodes, store, 1)[0]
+
+
+def _in_processes(stage: str, spacing_mm: float, nodes: int, store: Path, count: int) -> list[Row]:
+    """The same stage in `count` processes that begin together."""
     command = [
         sys.executable,
         "-m",
@@ -102,11 +155,19 @@ def _in_process(stage: str, spacing_mm: float, nodes: int, store: Path) -> Row:
         str(nodes),
         str(store),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        said = "\n".join(done.stderr.strip().splitlines()[-3:]) or f"exit code {done.returncode}"
-        raise TaskError(f"The stage {stage} at {nodes} nodes and {spacing_mm} mm failed: {said}")
-    return Row(**json.loads(done.stdout.splitlines()[-1]))
+    with ThreadPoolExecutor(count) as threads:
+        done = list(threads.map(_finished, [command] * count))
+    for process in done:
+        if process.returncode:
+            lines = process.stderr.strip().splitlines()[-3:]
+            said = "\n".join(lines) or f"exit code {process.returncode}"
+            where = f"{nodes} nodes and {spacing_mm} mm"
+            raise TaskError(f"The stage {stage} at {where} failed: {said}")
+    return [Row(**json.loads(process.stdout.splitlines()[-1])) for process in done]
+
+
+def _finished(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 class Bench:
@@ -138,9 +199,11 @@ class Bench:
     def run(self, stage: str) -> Row:
         """Prepare what the stage needs, then time it."""
         work = getattr(self, f"_{stage}")()
-        begun = time.perf_counter()
-        work()
-        seconds = time.perf_counter() - begun
+        seconds = float("inf")
+        for _ in range(REPEATED.get(stage, 1)):
+            begun = time.perf_counter()
+            work()
+            seconds = min(seconds, time.perf_counter() - begun)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         per_mb = 1024**2 if sys.platform == "darwin" else 1024
         return Row(stage, self.size, self.nodes, self.voxels, seconds, peak / per_mb)
@@ -189,6 +252,20 @@ class Bench:
     def _solve(self) -> Any:
         self._hierarchy()
         return self._simulation(TRUE_MPA)
+
+    def _tangents(self, count: int = 10) -> Any:
+        self._hierarchy()
+        model = self.library.model(self.mesh)
+        frame = frame_of(model.finest.nodes)
+        values, body = self.case.complete(TRUE_MPA), self.library.extent(self.body)
+        problem = problem_of(self.case.model, self.case.load, values, body, None, frame)
+        at = equilibrium(model, problem)
+        changes = [c for name in TEN_OF for c in effect(name).changes(problem, frame)][:count]
+        assert len(changes) == count
+        return lambda: tangents(at, changes)
+
+    def _tangent(self) -> Any:
+        return self._tangents(1)
 
     def _deformation(self, constants: Json) -> Any:
         mesh = self._hierarchy().finest.mesh

@@ -2,12 +2,15 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from service.commands.common import JsonOption, print_json
 from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from service.bench import Row
 
 Number = TypeVar("Number", int, float)
 
@@ -19,7 +22,8 @@ def bench(
 ) -> None:
     """Time phantom, mesh, solver, warp and score, and their memory.
 
-    The thesis' own size is --nodes 90000 --spacing 0.2.
+    The thesis' own size is --nodes 90000 --spacing 0.2. Against CalculiX, an
+    independent solver: python -m tests.benchmarks.independent in the sources.
     """
     import tempfile
 
@@ -32,11 +36,19 @@ def bench(
         for row in measure(counts, sizes, Path(folder)):
             rows.append(asdict(row))
             if not as_json:
-                peak = "" if row.peak_mb is None else f"{row.peak_mb:10.0f} MB"
-                size = row.size if row.nodes is None else f"{row.size} ({row.nodes})"
-                typer.echo(f"{row.stage:<10}{size:<36}{row.seconds:10.4f} s{peak}")
+                typer.echo(line(row))
     if as_json:
         print_json(rows)
+
+
+def line(row: "Row") -> str:
+    """One row of the table."""
+    size = row.size if row.nodes is None else f"{row.size} ({row.nodes})"
+    small = row.seconds < 1e-3
+    time = f"{row.seconds * 1e6:10.2f} us" if small else f"{row.seconds:10.4f} s "
+    peak = " " * 13 if row.peak_mb is None else f"{row.peak_mb:10.0f} MB"
+    ratio = "" if row.ratio is None else f"{row.ratio:8.2f} x {row.over}"
+    return f"{row.stage:<13}{size:<36}{time}{peak}{ratio}".rstrip()
 
 
 def numbers(text: str, option: str, kind: type[Number]) -> list[Number]:

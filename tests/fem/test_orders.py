@@ -18,7 +18,7 @@ from workers.fem.level import Level, State
 from workers.fem.multigrid import LinearSolver
 from workers.fem.newton import minimise
 from workers.fem.problem import Constants
-from workers.fem.solve import linear_solver
+from workers.fem.settle import linear_solver
 
 SIDE = 10.0
 CELLS = (4, 8, 16)

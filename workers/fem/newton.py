@@ -65,9 +65,9 @@ def minimise(
     cg_total, residual, last_residual = 0, np.inf, np.inf
     forcing = LOOSEST
     linear: LinearSolver | None = None
-    convex = False
+    convex = cautious = False
     for iteration in range(1, max_iterations + 1):
-        force, tangent = level.linearise(state, energy, stage, convex=convex)
+        force, tangent = level.linearise(state, energy, stage, convex=convex or cautious)
         if stage.force_n is not None and tangent.plate_stiffness == 0:
             return Result(state, "the plate lost contact", iteration, cg_total, residual, linear)
         plate = _plate_residual(energy, stage)
@@ -78,13 +78,16 @@ def minimise(
         linear = factory(level, tangent)
         step = _direction(force, plate, tangent, linear, forcing)
         cg_total += step.cg_iterations
-        if step.negative and not convex:
+        wary = False
+        if step.negative and not (convex or cautious):
+            wary = True
             # Far from equilibrium the pressure may turn the tangent indefinite: leave it out.
             _, tangent = level.linearise(state, energy, stage, convex=True)
             linear = factory(level, tangent)
             step = _direction(force, plate, tangent, linear, forcing)
             cg_total += step.cg_iterations
         state, energy, length = _line_search(level, state, energy, stage, step)
+        cautious = (wary or cautious) and (step.negative or length < 1) and length > 0
         gap = stage.gap_at(state.travel_mm)
         if gap is not None and gap.upper_mm <= gap.lower_mm:
             return Result(state, "the plates met", iteration, cg_total, residual, linear)

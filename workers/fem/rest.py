@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from storage.errors import InputError
 from workers.fem.loads import NoPlates, Wall
 from workers.fem.model import Model, reshaped
 from workers.fem.problem import Problem
@@ -19,6 +18,10 @@ if TYPE_CHECKING:
     from workers.fem.solve import Equilibrium
 
 MAX_ROUNDS = 60
+
+
+class NoRestShapeError(Exception):
+    """No stress-free shape was found: an ordinary ending of a simulation, with a reason."""
 
 
 def stress_free(
@@ -33,7 +36,7 @@ def stress_free(
 
     Raises
     ------
-    InputError
+    NoRestShapeError
         If no such shape is found.
     """
     hanging = replace(
@@ -45,6 +48,7 @@ def stress_free(
         pressures=(),
         forces=(),
         holds=(),
+        tolerance_mm=0.05 * problem.tolerance_mm,
     )
     imaged = [level.nodes for level in model]
     guess = list(imaged)
@@ -52,7 +56,7 @@ def stress_free(
         rest = reshaped(model, guess)
         found = equilibrium(rest, hanging)
         if found.solution.outcome.reason:
-            raise InputError(
+            raise NoRestShapeError(
                 "No stress-free shape was found for imaged_gravity_g = "
                 f"{problem.imaged_gravity_g}: {found.solution.outcome.reason}."
             )
@@ -60,7 +64,7 @@ def stress_free(
         if float(np.abs(missing[-1]).max()) < 0.1 * problem.tolerance_mm:
             return rest
         guess = [x + m for x, m in zip(guess, missing, strict=True)]
-    raise InputError(
+    raise NoRestShapeError(
         "No stress-free shape was found for imaged_gravity_g = "
         f"{problem.imaged_gravity_g} in {MAX_ROUNDS} rounds: the body is too soft to "
         "carry its weight there."

@@ -26,7 +26,8 @@ from workers.fem.newton import minimise, solve_bordered
 from workers.fem.outside import held_places, pressure_derivative
 from workers.fem.problem import Problem
 from workers.fem.rest import stress_free
-from workers.fem.solve import Equilibrium, equilibrium, linear_solver
+from workers.fem.settle import linear_solver
+from workers.fem.solve import Equilibrium, equilibrium
 from workers.fem.steps import in_contact, path_fractions, stage_at
 
 # Of the linear solves.

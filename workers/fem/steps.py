@@ -1,6 +1,6 @@
 """In what steps a load is applied."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -30,11 +30,20 @@ def stages_of(model: Model, problem: Problem) -> list[Stage]:
     return [stage_at(model, problem.load, f) for f in path_fractions(problem.load)]
 
 
-def path_fractions(load: Load) -> list[float]:
-    """Fractions of the load at the ends of the steps that friction needs."""
+def routes(model: Model, problem: Problem) -> Iterator[list[Stage]]:
+    """Ways to the full load, in more and more stages."""
+    load = problem.load
+    yield stages_of(model, problem)
+    first = 2 * friction.STEPS if load.device.friction else 3
+    for count in (first, 3 * first):
+        yield [stage_at(model, load, f) for f in path_fractions(load, count)]
+
+
+def path_fractions(load: Load, steps: int = friction.STEPS) -> list[float]:
+    """Fractions of the load at the ends of its steps."""
     # Soft bodies yield like the root of the force: these steps are about equally long.
     power = 2 if isinstance(load, ForceControl) else 1
-    return [float(f) for f in (np.arange(1, friction.STEPS + 1) / friction.STEPS) ** power]
+    return [float(f) for f in (np.arange(1, steps + 1) / steps) ** power]
 
 
 def stage_at(model: Model, load: Load, fraction: float) -> Stage:

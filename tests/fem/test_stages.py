@@ -1,0 +1,81 @@
+"""The same equilibrium by other ways: in stages, and from a neighbour's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from blocks import cube, model_of
+
+from storage.values import Tissue
+from workers.fem import march, steps
+from workers.fem.loads import Device, DistanceControl, ForceControl, Plate, Wall
+from workers.fem.model import Model
+from workers.fem.problem import Constants, Problem
+from workers.fem.solve import equilibrium, solve
+
+FAT = {Tissue.FAT: Constants(0.01, 0.49, 0.03)}
+HELD = Wall((False, False, True), (1e-4, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return model_of(cube(3), cube(6, jitter=0.15))
+
+
+def pressed(friction: float = 0.0, tilt_deg: float = 0.0) -> Problem:
+    device = Device(pivot_mm=(5, 5, 5), upper=Plate((tilt_deg, 0.0)), friction=friction)
+    load = ForceControl(0.3, 0.0, 10.0, device)
+    return Problem(FAT, load, wall=HELD, tolerance_mm=1e-6)
+
+
+@pytest.mark.parametrize("load", [ForceControl(0.3, 0.0, 10.0), DistanceControl(0.0, 8.0)])
+@pytest.mark.parametrize("route", [1, 2])
+def test_more_stages_lead_to_the_same_place(model, monkeypatch, load, route):
+    problem = replace(pressed(), load=load)
+    direct = solve(model, problem)
+    monkeypatch.setattr(march, "routes", lambda *args: list(steps.routes(*args))[route:])
+    staged = solve(model, problem)
+    assert staged.outcome.converged
+    np.testing.assert_allclose(staged.displacement_mm, direct.displacement_mm, atol=1e-5)
+
+
+def test_a_way_that_fails_is_followed_by_one_of_more_stages(model, monkeypatch):
+    """The direct way is made to fail on the finest mesh; the next one is taken."""
+    tried: list[float] = []
+
+    def stubborn(level, start, stage, *rest):
+        found = settle(level, start, stage, *rest)
+        if level.model is model.finest:
+            tried.append(stage.fraction)
+            if len(tried) == 1:
+                return replace(found, reason="made to fail")
+        return found
+
+    direct = solve(model, pressed())
+    settle = march.settle
+    monkeypatch.setattr(march, "settle", stubborn)
+    found = solve(model, pressed())
+    assert found.outcome.converged
+    assert tried == pytest.approx([1.0, 1 / 9, 4 / 9, 1.0])
+    np.testing.assert_allclose(found.displacement_mm, direct.displacement_mm, atol=1e-5)
+
+
+@pytest.mark.parametrize(("near", "wanted"), [(0.3, 0.35), (0.3, 0.3), (0.0, 0.3)])
+def test_a_neighbour_leads_to_the_same_place_with_friction(model, near, wanted):
+    """Friction is not lost on the way, and its path is followed anew."""
+    start = equilibrium(model, pressed(near))
+    continued = equilibrium(model, pressed(wanted, tilt_deg=1.0), start).solution
+    rested = solve(model, pressed(wanted, tilt_deg=1.0))
+    assert continued.outcome.converged
+    apart = np.abs(continued.displacement_mm - rested.displacement_mm).max()
+    assert apart < 1e-4
+    free = solve(model, pressed(0.0, tilt_deg=1.0))
+    assert np.abs(free.displacement_mm - rested.displacement_mm).max() > 0.05
+
+
+def test_a_neighbour_saves_newton_iterations(model):
+    start = equilibrium(model, pressed())
+    near = replace(pressed(), constants={Tissue.FAT: Constants(0.0105, 0.49, 0.03)})
+    continued, rested = equilibrium(model, near, start).solution, solve(model, near)
+    np.testing.assert_allclose(continued.displacement_mm, rested.displacement_mm, atol=1e-5)
+    assert sum(continued.outcome.newton_iterations) < sum(rested.outcome.newton_iterations)

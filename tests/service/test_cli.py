@@ -176,3 +176,17 @@ def test_help_is_quick() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_parameters_are_listed_by_the_names_of_a_study(call: Call) -> None:
+    code, said, _ = call("parameters")
+    assert code == 0
+    assert "E_fat_kpa" in said
+    assert "wall_hold_x_kpa_per_mm" in said
+    code, said, _ = call("parameters", "--effects", "--json")
+    told = json.loads(said)
+    assert told["constants"] == []
+    tilt = next(e for e in told["effects"] if e["effect"] == "plate_tilt")
+    assert [p["name"] for p in tilt["parameters"]] == ["tilt_depth_deg", "tilt_across_deg"]
+    assert tilt["in_studies"]
+    assert told["not_simulated"]

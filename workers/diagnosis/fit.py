@@ -79,8 +79,6 @@ def fit(
     unknowns: Unknowns,
     start: FloatArray,
     starts: Sequence[Equilibrium | None],
-    *,
-    learn: bool = False,
 ) -> Fit | None:
     """Find the most probable parameters.
 
@@ -90,10 +88,6 @@ def fit(
         Where to begin.
     starts : sequence of Equilibrium
         Of each scan, near there; None to solve from rest.
-    learn : bool
-        Mend the first derivatives by what the residuals do on the way (Broyden 1965)
-        instead of computing them anew: with friction the path of the load counts, of
-        which tangents know the last step only.
 
     Returns
     -------
@@ -105,38 +99,18 @@ def fit(
     if views is None:
         return None
     cost = _cost(subject, unknowns, z, views)
-    learnt = _jacobian(subject, unknowns, z, views) if learn else None
     for iteration in range(1, MAX_ITERATIONS + 1):
-        J = _jacobian(subject, unknowns, z, views) if learnt is None else learnt
+        J = _jacobian(subject, unknowns, z, views)
         step = _step(subject, unknowns, z, views, J)
         found = _descend(subject, unknowns, z, views, cost, step)
         if found is None:
             return Fit(unknowns, z, views, J, cost, True, iteration)
         fall = cost - found[2]
-        if learnt is not None:
-            learnt = _learn(subject, unknowns, learnt, (z, views), found)
         z, views, cost = found
         if fall < TOLERANCE:
             break
-    J = _jacobian(subject, unknowns, z, views) if learnt is None else learnt
+    J = _jacobian(subject, unknowns, z, views)
     return Fit(unknowns, z, views, J, cost, fall < TOLERANCE, iteration)
-
-
-def _learn(
-    subject: Subject,
-    unknowns: Unknowns,
-    J: FloatArray,
-    before: tuple[FloatArray, Sequence[View]],
-    after: tuple[FloatArray, Sequence[View], float],
-) -> FloatArray:
-    """The least change of J that gives what the last step did to the residuals."""
-    step = (after[0] - before[0]) / unknowns.sd
-    size = float(step @ step)
-    if size < 1e-12:
-        return J
-    change = residuals(subject, after[1]) - residuals(subject, before[1])
-    scaled = J * unknowns.sd
-    return np.asarray(scaled + np.outer(change - scaled @ step, step) / size) / unknowns.sd
 
 
 def _views(

@@ -13,7 +13,6 @@ from workers.diagnosis.fit import Fit, fit
 from workers.diagnosis.screen import Finding
 from workers.diagnosis.subject import Subject, unknowns
 from workers.effects.base import Effect, one_sided
-from workers.effects.friction import FRICTION
 from workers.effects.inclusion import INCLUSION, PLACE, RATIO
 
 # Where a refit begins, as a part of what the screening expects. A one-sided parameter
@@ -85,7 +84,7 @@ def _from(
     z[:k] = np.log(z[:k])
     new = [e for e in effects if e not in near.unknowns.effects]
     z[:k] += _compensation(subject, near, new, start, prints)
-    found = fit(subject, free, z, near.starts(), learn=FRICTION in effects)
+    found = fit(subject, free, z, near.starts())
     if found is None:
         return None
     evidence = log_evidence(found.linearised(subject), free.one_sided)

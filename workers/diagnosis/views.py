@@ -15,6 +15,8 @@ from workers.fem.solve import Equilibrium, equilibrium
 
 # Difference of the logarithm of a constant.
 LOG_STEP = 1e-4
+# Difference of a parameter in prior standard deviations, where simulations are compared.
+STEP = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +79,13 @@ def seen(subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, at: Eq
 def derivatives(
     subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, seen_now: View
 ) -> FloatArray:
-    """Of the residual by every parameter, shape (k, p)."""
+    """Of the residual by every parameter, shape (k, p).
+
+    With friction the path of the load counts, of which tangents know the last step only;
+    every column then comes from another simulation.
+    """
+    if seen_now.at.problem.load.device.friction:
+        return _by_solving(subject, scan, unknowns, z, seen_now)
     changes = [_log_change(subject, scan, unknowns, z, i) for i in range(len(unknowns.free))]
     for effect in unknowns.effects:
         if effect.observation is None:
@@ -88,12 +96,23 @@ def derivatives(
     return _with_observed(subject, unknowns, seen_now, moved)
 
 
-def columns_of(subject: Subject, seen_now: View, changes: Sequence[Change]) -> FloatArray:
-    """Derivatives of the residual by changes of the problem, shape (k, c).
+def _by_solving(
+    subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, seen_now: View
+) -> FloatArray:
+    columns = []
+    for i, sd in enumerate(unknowns.sd):
+        h = STEP * sd
+        ahead = z.copy()
+        ahead[i] += h
+        found = view(subject, scan, unknowns, ahead, seen_now.at)
+        moved = np.zeros_like(seen_now.residual) if found is None else found.residual
+        columns.append((moved - seen_now.residual) / h if found is not None else moved)
+    return np.stack(columns, axis=1)
 
-    With friction they are rough: see `workers.diagnosis.fit.fit` for what is done then.
-    """
-    dx = tangents(seen_now.at, changes, lagging=False)
+
+def columns_of(subject: Subject, seen_now: View, changes: Sequence[Change]) -> FloatArray:
+    """Derivatives of the residual by changes of the problem, shape (k, c)."""
+    dx = tangents(seen_now.at, changes)
     out = np.empty((len(seen_now.residual), len(changes)))
     for c, nodal in enumerate(dx):
         out[:, c] = ((subject.at_points @ nodal) * seen_now.normals).sum(axis=1)

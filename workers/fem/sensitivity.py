@@ -44,11 +44,7 @@ class Change:
 
 
 def tangents(
-    at: Equilibrium,
-    changes: Sequence[Change],
-    tolerance: float = RELATIVE_ERROR,
-    *,
-    lagging: bool = True,
+    at: Equilibrium, changes: Sequence[Change], tolerance: float = RELATIVE_ERROR
 ) -> FloatArray:
     """Derivative of the displacement by each change.
 
@@ -59,9 +55,6 @@ def tangents(
     changes : sequence of Change
     tolerance : float
         Relative error of the linear solves; see `workers.fem.conjugate.solve_many`.
-    lagging : bool
-        Add the derivative of friction and follower pressure, at some ten times the cost;
-        without it the tangents are approximate where these act.
 
     Returns
     -------
@@ -82,7 +75,7 @@ def tangents(
         return np.empty((0, *at.solution.displacement_mm.shape))
     here = _Here(at)
     right = [here.right_side(change) for change in changes]
-    if at.levels[-1].lags and lagging:
+    if at.levels[-1].lags:
         # GMRES measures residuals, which say less of the displacement than errors do.
         found = [here.with_lag(r, tolerance / 10) for r in right]
     else:

@@ -13,7 +13,7 @@ from workers.mesh.node_sets import (
     triangle_areas_mm2,
 )
 from workers.mesh.quality import measures, summarise, volumes_mm3
-from workers.mesh.skin import skin_resolved, skin_thickness_mm
+from workers.mesh.skin import skin_thickness_mm
 
 
 def assert_sound(level, wall_z_mm=0.0):
@@ -205,10 +205,7 @@ def test_skin_is_resolved_by_elements_as_thin_as_it(make_body):
     values = np.where((labels.values > 0) & (core.values == 0), Tissue.SKIN, labels.values)
     skinned = Volume(values.astype(np.uint8), labels.spacing_mm, labels.origin_mm)
     assert skin_thickness_mm(skinned) == pytest.approx(6 * (1 - 2 / 15 + 4 / 675), rel=0.03)
-    assert skin_resolved(4.8, skinned)
-    assert not skin_resolved(5.8, skinned)
-    assert not skin_resolved(build_hierarchy(skinned, element_size_mm=9), skinned)
-    assert not skin_resolved(0.1, labels)
+    assert skin_thickness_mm(labels) == 0
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from service.commands import (
     import_,
     mesh,
     new,
+    parameters,
     phantom,
     report,
     run,
@@ -59,6 +60,7 @@ app.command("report")(report.report)
 app.command("import")(import_.import_image)
 app.command("phantom")(phantom.phantom)
 app.command("mesh")(mesh.mesh)
+app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)

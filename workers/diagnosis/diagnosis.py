@@ -33,6 +33,8 @@ SINGLES = 5
 PARTNERS = 3
 # An effect this far behind the best one by screening is not refitted, in nats.
 FAR_BEHIND = 60.0
+# Pairs are refitted if a smooth field gains this much on top of the best effect, in nats.
+LEFT_OVER = 1.0
 FALSE_ALARMS = 0.02
 NULL_DRAWS = 400
 
@@ -131,6 +133,8 @@ def diagnose(seen: Look, effects: Sequence[Effect], refits: RefitMany) -> Diagno
         if refitted is not None:
             found[refitted.names] = refitted
     ranked = sorted(found.values(), key=lambda r: -r.log_evidence)[:PARTNERS]
+    if ranked and not _unexplained(seen, ranked[0]):
+        ranked = []
     pairs = [(known[a.names[0]], known[b.names[0]]) for a, b in combinations(ranked, 2)]
     for refitted in refits(pairs):
         if refitted is not None:
@@ -139,6 +143,13 @@ def diagnose(seen: Look, effects: Sequence[Effect], refits: RefitMany) -> Diagno
     families = {name: known[name].family for name in seen.prints}
     said = verdict(hypotheses, families, seen.threshold, seen.absorbed())
     return Diagnosis(seen, said, found, hypotheses)
+
+
+def _unexplained(seen: Look, best: Refit) -> bool:
+    """Whether the best effect alone leaves something that a smooth field would explain."""
+    at = best.fit.linearised(seen.subject)
+    one_sided = best.fit.unknowns.one_sided
+    return seen.field.log_evidence(at, one_sided) - best.log_evidence > LEFT_OVER
 
 
 def suspects(seen: Look, known: dict[str, Effect]) -> list[Effect]:

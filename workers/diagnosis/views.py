@@ -8,6 +8,7 @@ import numpy as np
 from storage.values import FloatArray, IntArray, Tissue
 from workers.diagnosis.subject import Scan, Subject, Unknowns
 from workers.effects.base import Effect
+from workers.effects.friction import FRICTION
 from workers.fem.fields import Frame
 from workers.fem.problem import Problem
 from workers.fem.sensitivity import Change, tangents
@@ -15,7 +16,7 @@ from workers.fem.solve import Equilibrium, equilibrium
 
 # Difference of the logarithm of a constant.
 LOG_STEP = 1e-4
-# Difference of a parameter in prior standard deviations, where simulations are compared.
+# Difference of friction in prior standard deviations.
 STEP = 0.05
 
 
@@ -81,11 +82,9 @@ def derivatives(
 ) -> FloatArray:
     """Of the residual by every parameter, shape (k, p).
 
-    With friction the path of the load counts, of which tangents know the last step only;
-    every column then comes from another simulation.
+    With friction the path of the load counts, of which tangents know the last step only:
+    good enough for other parameters, but that of friction comes from another simulation.
     """
-    if seen_now.at.problem.load.device.friction:
-        return _by_solving(subject, scan, unknowns, z, seen_now)
     changes = [_log_change(subject, scan, unknowns, z, i) for i in range(len(unknowns.free))]
     for effect in unknowns.effects:
         if effect.observation is None:
@@ -93,21 +92,24 @@ def derivatives(
             values = unknowns.of_effect(effect, z)
             changes.extend(effect.changes(base, subject.frame, values))
     moved = columns_of(subject, seen_now, changes)
-    return _with_observed(subject, unknowns, seen_now, moved)
+    found = _with_observed(subject, unknowns, seen_now, moved)
+    if FRICTION in unknowns.effects and seen_now.at.problem.load.device.friction:
+        at = unknowns.names.index(FRICTION.names[0])
+        found[:, at] = _by_solving(subject, scan, unknowns, z, seen_now, at)
+    return found
 
 
 def _by_solving(
-    subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, seen_now: View
+    subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, seen_now: View, at: int
 ) -> FloatArray:
-    columns = []
-    for i, sd in enumerate(unknowns.sd):
-        h = STEP * sd
-        ahead = z.copy()
-        ahead[i] += h
-        found = view(subject, scan, unknowns, ahead, seen_now.at)
-        moved = np.zeros_like(seen_now.residual) if found is None else found.residual
-        columns.append((moved - seen_now.residual) / h if found is not None else moved)
-    return np.stack(columns, axis=1)
+    """The column of parameter number `at`; zero where the simulation fails."""
+    h = STEP * unknowns.sd[at]
+    ahead = z.copy()
+    ahead[at] += h
+    found = view(subject, scan, unknowns, ahead, seen_now.at)
+    if found is None:
+        return np.zeros_like(seen_now.residual)
+    return (found.residual - seen_now.residual) / h
 
 
 def columns_of(subject: Subject, seen_now: View, changes: Sequence[Change]) -> FloatArray:

@@ -37,11 +37,7 @@ SECOND_FIBRES = Effect(
     name="second_fibres",
     family="global material",
     summary="Ligaments also run across the breast, between the plates.",
-    parameters=(
-        from_zero(
-            NAME, KPA, KPA.to_inside(100.0), "stiffness of fibres that run across"
-        ),
-    ),
+    parameters=(from_zero(NAME, KPA, KPA.to_inside(100.0), "stiffness of fibres that run across"),),
     prior_sd=(KPA.to_inside(30.0),),
     steps=(KPA.to_inside(0.1),),
     transform=transform,

@@ -18,7 +18,7 @@ def parameters(
     from workers.parameters import BREAST
 
     constants = [] if effects else [_parameter(p) for p in BREAST]
-    causes = [
+    causes: list[dict[str, Any]] = [
         {
             "effect": e.name,
             "family": e.family,

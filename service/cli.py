@@ -11,6 +11,7 @@ import typer
 
 from service.commands import (
     bench,
+    diagnose,
     doctor,
     import_,
     mesh,
@@ -57,6 +58,7 @@ app.command("run")(run.run)
 app.command("status")(status.status)
 app.command("show")(show.show)
 app.command("report")(report.report)
+app.command("diagnose")(diagnose.diagnose)
 app.command("import")(import_.import_image)
 app.command("phantom")(phantom.phantom)
 app.command("mesh")(mesh.mesh)

@@ -1,0 +1,138 @@
+"""`palpate diagnose`: why a simulated body differs from the imaged one."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.commands.common import RUNS, JsonOption, StoreOption, print_json
+from service.commands.run import INTERRUPTED, _stop_requests
+
+if TYPE_CHECKING:
+    from service.diagnosis.run import Found
+    from workers.casebook import Request
+
+Json = dict[str, Any]
+# Effects in the table: the most probable ones.
+SHOWN = 6
+
+
+def diagnose(
+    case: Annotated[
+        Path,
+        typer.Argument(metavar="CASE_FOLDER", help="A folder with case.json and its scans."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for diagnosis.html and diagnosis.json. Default: runs/CASE_FOLDER.",
+            show_default=False,
+        ),
+    ] = None,
+    nodes: Annotated[int, typer.Option(min=200, help="Nodes of the mesh.")] = 5000,
+    workers: Annotated[
+        int | None,
+        typer.Option(help="Processes of this machine. Default: one per core.", show_default=False),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Use a running Dask cluster, tcp://HOST:8786."),
+    ] = None,
+    store: StoreOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find out where simulated and imaged body differ, why, and by how much.
+
+    Ctrl-C stops it at any time; the same command continues it.
+    """
+    from service.diagnosis.run import ask
+    from workers.diagnosis.case import ImagedCase
+    from workers.diagnosis.checks import check_case
+
+    check_case(ImagedCase(case))
+    request = ask(case, store or RUNS / "store", nodes)
+    with _stop_requests() as requests:
+        found = _found(request, workers, scheduler, requests)
+    if found is None:
+        typer.echo(
+            "Interrupted; what is finished is kept. The same command continues it.", err=True
+        )
+        raise typer.Exit(INTERRUPTED)
+    page = _write(found, out or RUNS / case.absolute().name)
+    if as_json:
+        print_json(found.summary)
+        return
+    from rich.console import Console
+
+    print_verdict(found.summary, Console(highlight=False))
+    typer.echo(f"page: {page}")
+
+
+def _found(
+    request: "Request", workers: int | None, scheduler: str | None, requests: list[int]
+) -> "Found | None":
+    """The diagnosis; None if somebody asked to stop."""
+    from rich.console import Console
+
+    from service.cluster import open_cluster
+    from service.diagnosis.progress import DiagnosisProgress
+    from service.diagnosis.run import finished, run
+    from service.dispatch import Dispatcher
+    from service.errors import Interrupted
+
+    done = finished(request)
+    if done is not None:
+        typer.echo("The store holds this diagnosis: nothing to compute.", err=True)
+        return done
+    try:
+        if requests:
+            return None
+        with open_cluster(scheduler, workers) as cluster:
+            dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
+            with DiagnosisProgress(Console(stderr=True, highlight=False)) as tell:
+                return run(request, dispatcher, tell)
+    except (Interrupted, KeyboardInterrupt):
+        return None
+
+
+def _write(found: "Found", folder: Path) -> Path:
+    from service.report.diagnosis_page import render
+    from storage.atomic import explained, write_file
+    from storage.plain import to_plain
+
+    with explained(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(to_plain(found.summary), indent=2, ensure_ascii=False, allow_nan=False)
+    write_file(folder / "diagnosis.json", text.encode() + b"\n")
+    page = folder / "diagnosis.html"
+    write_file(page, render(found).encode())
+    return page
+
+
+def print_verdict(summary: Json, console: Any) -> None:
+    """A sentence, and the most probable causes, on a console."""
+    from rich.table import Table
+
+    from service.diagnosis.words import likely, measured, sentence, spoken
+
+    console.print(sentence(summary), soft_wrap=True)
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    table.add_column("cause")
+    table.add_column("probability", justify="right")
+    table.add_column("magnitude")
+    table.add_column("absorbed", justify="right")
+    for name in ("no-gap", "none-of-these"):
+        probability = summary[f"{name.replace('-', '_')}_probability"]
+        table.add_row(spoken(name), likely(probability), "", "")
+    hidden = set(summary["absorbed"])
+    ranked = sorted(summary["effects"], key=lambda e: -e["probability"])
+    for e in [e for e in ranked if e["name"] not in hidden][:SHOWN]:
+        magnitude = measured(e["magnitude"], e["sd"], e["unit"])
+        share = f"{100 * e['absorbed_share']:.0f} %"
+        table.add_row(spoken(e["name"]), likely(e["probability"]), magnitude, share)
+    console.print(table)
+    if hidden:
+        names = ", ".join(spoken(name) for name in summary["absorbed"])
+        console.print(f"Hidden in the constants, neither accused nor acquitted: {names}.",
+                      soft_wrap=True)  # fmt: skip

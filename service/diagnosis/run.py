@@ -1,0 +1,164 @@
+"""The course of a diagnosis: calibrate, look at every effect, refit until nothing is wanted.
+
+Every step is a task that leaves its result in the store under the digest of all that
+it depends on. Running a diagnosis and going on with an interrupted one are the same.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from service.dispatch import Dispatcher, Ending
+from service.errors import ClusterError, TaskError
+from storage.arrays import Arrays
+from storage.errors import PalpateError
+from storage.stores import open_store
+from workers import examine
+from workers.casebook import Casebook, Request, named
+from workers.diagnosis.build import NODES, POINT_SPACING_MM
+from workers.effects.catalogue import BREAST_EFFECTS
+from workers.effects.inclusion import INCLUSION
+
+Json = dict[str, Any]
+Tell = Callable[[str, int, int, Json], None]
+"""Told of each step: the phase, how many of its tasks are done and how many there are, and
+what the last one said (empty when the phase begins)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A finished diagnosis.
+
+    Parameters
+    ----------
+    summary : dict
+        See `workers.diagnosis.summary.summary`.
+    maps : dict of str to ndarray
+        ``points`` (k, 3) in mm; ``interface`` (k,), 0 for the outline; ``before``,
+        ``noise`` (standard deviation) and, where an effect is accused, ``after``: residuals
+        in mm, shape (scans, k).
+    scans : list of str
+        Names of the loaded scans.
+    """
+
+    summary: Json
+    maps: Arrays
+    scans: list[str]
+
+
+def ask(
+    folder: Path,
+    store: Path,
+    nodes: int = NODES,
+    spacing_mm: float = POINT_SPACING_MM,
+    effects: Iterable[str] | None = None,
+) -> Request:
+    """What is asked of the workers; makes the store.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the case.
+    store : Path
+    nodes : int
+        Of the mesh.
+    spacing_mm : float
+        Between points on the interfaces.
+    effects : iterable of str, optional
+        Those that are suspected; the whole catalogue.
+
+    Raises
+    ------
+    InputError
+        If the folder is no case.
+    StoreError
+        If the store cannot be used.
+    """
+    request: Request = {
+        "store": str(open_store(store).root),
+        "folder": str(folder.expanduser().absolute()),
+        "nodes": nodes,
+        "spacing_mm": spacing_mm,
+        "effects": [e.name for e in BREAST_EFFECTS] if effects is None else list(effects),
+        "name": "",
+    }
+    return named(request)
+
+
+def finished(request: Request) -> Found | None:
+    """The diagnosis if the store has it."""
+    book = Casebook(request)
+    if not book.has("verdict"):
+        return None
+    maps, summary = book.load("verdict")
+    return Found(summary, maps, book.case.names)
+
+
+def run(request: Request, dispatcher: Dispatcher, tell: Tell) -> Found:
+    """Diagnose a case, from wherever it stands.
+
+    Raises
+    ------
+    InputError
+        If the nominal model cannot be simulated.
+    StoreError
+        If a worker cannot use the store, or sees another case or version.
+    ClusterError, TaskError
+        If the workers cannot do the work; what is finished is kept.
+    Interrupted
+        If the dispatcher is told to stop.
+    """
+    one = _Run(request, dispatcher, tell)
+    calibrated = one.phase("calibration", examine.calibrate_case, [()])[0]
+    scans = range(calibrated["scans"])
+    longest_first = sorted(request["effects"], key=lambda name: name != INCLUSION.name)
+    one.phase("effects", examine.print_effect, [(e, s) for e in longest_first for s in scans])
+    while True:
+        told = one.phase("weighing", examine.weigh_case, [()])[0]
+        if not told["wanted"]:
+            break
+        one.phase("refits", examine.refit_effects, [(names,) for names in told["wanted"]])
+    found = finished(request)
+    if found is None:
+        raise TaskError(
+            f"The diagnosis has ended, but {request['store']} does not hold it. Give a --store "
+            "that workers and driver share."
+        )
+    return found
+
+
+class _Run:
+    """Sends the tasks of one diagnosis."""
+
+    def __init__(self, request: Request, dispatcher: Dispatcher, tell: Tell) -> None:
+        self.request, self.dispatcher, self.tell = request, dispatcher, tell
+
+    def phase(self, name: str, task: Any, asked: list[tuple[Any, ...]]) -> list[Json]:
+        """Run a task for each of `asked`; what they tell, in order of arrival."""
+        self.tell(name, 0, len(asked), {})
+        told: list[Json] = []
+        asks = [(_named(which), (self.request, *which)) for which in asked]
+        for ending in self.dispatcher.run(task, asks):
+            told.append(_value(name, ending))
+            self.tell(name, len(told), len(asked), {"asked": ending.key} | told[-1])
+        return told
+
+
+def _named(which: tuple[Any, ...]) -> str:
+    """A task as a reader calls it: "plate_tilt with friction"."""
+    return ", ".join(" with ".join(w) if isinstance(w, list) else str(w) for w in which)
+
+
+def _value(phase: str, ending: Ending) -> Json:
+    if ending.value is not None:
+        return ending.value
+    if isinstance(ending.error, PalpateError):
+        raise ending.error
+    what = f"{phase} {ending.key}".strip()
+    if ending.kind == "lost":
+        raise ClusterError(
+            f"The diagnosis lost a task ({what}): {ending.reason}. Give the workers more memory, "
+            "or start fewer with --workers, and run it again: what is finished is kept."
+        )
+    raise TaskError(f"The diagnosis failed ({what}): {ending.reason}.\n{ending.traceback}")

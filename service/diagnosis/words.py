@@ -1,0 +1,156 @@
+"""The verdict in words for somebody who knows the images and not the statistics."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from service.report.words import MINUS, NONE, number
+
+Json = Mapping[str, Any]
+
+MOST_DIGITS = 4
+# A gap that would be printed as zero.
+NOTHING_MM = 0.005
+NOT_EFFECTS = {"no-gap": "no gap", "none-of-these": "none of these"}
+
+
+def spoken(name: str) -> str:
+    """An effect, or "no-gap" and "none-of-these", as a reader calls it.
+
+    Examples
+    --------
+    >>> spoken("plate_tilt"), spoken("none-of-these")
+    ('plate tilt', 'none of these')
+    """
+    return NOT_EFFECTS.get(name, name.replace("_", " "))
+
+
+def together(names: Sequence[str]) -> str:
+    """Several effects in a sentence.
+
+    Examples
+    --------
+    >>> together(["plate_tilt", "friction"])
+    'plate tilt and friction'
+    """
+    return listed([spoken(name) for name in names])
+
+
+def listed(items: Sequence[str]) -> str:
+    """Items with commas, and an "and" before the last.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "c"])
+    'a, b and c'
+    """
+    return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
+
+
+def likely(probability: float) -> str:
+    """A probability; ends are not rounded to certainty.
+
+    Examples
+    --------
+    >>> likely(0.9999), likely(0.123), likely(0.0001)
+    ('> 99 %', '12 %', '< 1 %')
+    """
+    if probability > 0.99:
+        return "> 99 %"
+    return "< 1 %" if probability < 0.01 else f"{100 * probability:.0f} %"
+
+
+def measured(value: float | None, sd: float | None, unit: str) -> str:
+    """A magnitude with its standard deviation.
+
+    Examples
+    --------
+    >>> measured(5.4838, 0.2712, "deg"), measured(-16.57, 1.04, "mm"), measured(None, None, "g")
+    ('5.48 ± 0.27 deg', '−16.6 ± 1.0 mm', '–')
+    """
+    if value is None or sd is None:
+        return NONE
+    digits = max(0, 1 - math.floor(math.log10(sd))) if sd > 0 else 3
+    if digits > MOST_DIGITS:
+        return f"{number(value, 3)} ± {number(sd, 2)} {unit}".rstrip()
+    return f"{signed(value, digits)} ± {sd:.{digits}f} {unit}".rstrip()
+
+
+def signed(value: float, digits: int, plus: str = "") -> str:
+    """A number with a real minus, and none before a zero; `plus` is "+" to have that too.
+
+    Examples
+    --------
+    >>> signed(-0.254, 2), signed(-0.001, 2), signed(0.25, 2, "+")
+    ('−0.25', '0.00', '+0.25')
+    """
+    rounded = round(value, digits) + 0.0
+    text = f"{rounded:{plus if rounded else ''}.{digits}f}"
+    return text.replace("-", MINUS)
+
+
+def millimetres(gap: Json | None) -> str:
+    """A gap with its interval.
+
+    Examples
+    --------
+    >>> millimetres({"gap_mm": 0.2684, "low_mm": 0.2256, "high_mm": 0.305})
+    '0.27 mm (0.23 to 0.30)'
+    """
+    if gap is None:
+        return NONE
+    return f"{gap['gap_mm']:.2f} mm ({gap['low_mm']:.2f} to {gap['high_mm']:.2f})"
+
+
+def sentence(summary: Json) -> str:
+    """The verdict in a sentence or two."""
+    gap = summary["gap_mm"]
+    before = millimetres(gap["before"])
+    names = summary["primary"]
+    if summary["verdict"] == "no-gap":
+        most = gap["before"]["high_mm"]
+        return (
+            "Model and images agree: what is left between them is no more than the noise of the "
+            f"segmentation. A gap larger than {most:.2f} mm is unlikely."
+        )
+    differ = f"Model and images differ by {before} beyond the noise"
+    if gap["before"]["gap_mm"] < NOTHING_MM:
+        differ = "Model and images differ by less than the noise, but not at random"
+    if summary["verdict"] == "none-of-these":
+        return (
+            f"{differ}, and no effect of the catalogue explains it: the cause is something that "
+            "is not listed."
+        )
+    if summary["verdict"] == "cannot-be-told-apart":
+        choice = [name for name in summary["set90"] if name not in NOT_EFFECTS]
+        return (
+            f"{differ}. These scans cannot tell which of {together(choice)} is the cause; "
+            f"{together(names)} comes first. {_left(gap)}"
+        ).rstrip()
+    return f"{differ}. The cause is {_cause(summary)}. {_left(gap)}".rstrip()
+
+
+def _cause(summary: Json) -> str:
+    return listed([_magnitude(summary, name) for name in summary["primary"]])
+
+
+def _magnitude(summary: Json, name: str) -> str:
+    found = next(e for e in summary["effects"] if e["name"] == name)
+    how_much = measured(found["magnitude"], found["sd"], found["unit"])
+    return f"{spoken(name)} ({how_much}, probability {likely(found['probability'])})"
+
+
+def _left(gap: Json) -> str:
+    """What the effect leaves, judged where it was not fitted if there is such a scan."""
+    held = gap.get("held_out_after")
+    if held is not None:
+        before = gap["held_out_before"]["gap_mm"]
+        of = f" of {before:.2f} mm" if before >= NOTHING_MM else ""
+        return f"On a scan that it was not fitted to, it leaves {_rest(held)}{of}."
+    return "" if gap["after"] is None else f"It leaves {_rest(gap['after'])}."
+
+
+def _rest(gap: Json) -> str:
+    if gap["gap_mm"] < NOTHING_MM:
+        return f"nothing that stands out of the noise (at most {gap['high_mm']:.2f} mm)"
+    return millimetres(gap)

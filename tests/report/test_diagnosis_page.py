@@ -1,0 +1,204 @@
+"""The page of a diagnosis: self-contained, and true to the numbers."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnosis_at_hand import VERDICTS, found, nothing, summary
+from pages import Page
+
+from service.diagnosis.words import sentence
+from service.report.diagnosis_figures import Cause, Evidence, Judged, evidence, gaps, probabilities
+from service.report.diagnosis_maps import FAINT, SIGNED, range_mm, residual_map
+from service.report.diagnosis_page import render
+from workers.effects.catalogue import NOT_SIMULATED
+
+
+@pytest.fixture(scope="module")
+def source() -> str:
+    return render(found())
+
+
+@pytest.fixture(scope="module")
+def page(source: str) -> Page:
+    return Page(source)
+
+
+@pytest.mark.parametrize("told", VERDICTS.values(), ids=VERDICTS)
+def test_a_page_is_well_formed_and_needs_no_other_file(told: dict[str, Any]) -> None:
+    source = render(found(told))
+    page = Page(source)
+    assert len(page.ids) == len(set(page.ids))
+    assert all(address.startswith("data:") for address in page.addresses)
+    assert not {"script", "link", "iframe", "object"} & set(page.seen)
+    assert "url(" not in source
+    assert all(image["alt"] for image in page.images)
+    for drawing in page.drawings():
+        for element in drawing.iter():
+            address = element.get("{http://www.w3.org/1999/xlink}href", "#")
+            assert address.startswith(("#", "data:image/png;base64,"))
+    begin = page.text.index('{ "case": "by-hand"')
+    assert json.JSONDecoder().raw_decode(page.text, begin)[0] == told
+
+
+def test_same_diagnosis_same_bytes(source: str) -> None:
+    assert render(found()) == source
+
+
+def test_the_verdict_says_cause_size_and_what_is_left_on_an_unseen_scan() -> None:
+    assert sentence(summary()) == (
+        "Model and images differ by 0.27 mm (0.23 to 0.31) beyond the noise. The cause is plate "
+        "tilt (5.48 ± 0.27 deg, probability > 99 %). On a scan that it was not fitted to, it "
+        "leaves nothing that stands out of the noise (at most 0.15 mm) of 0.31 mm."
+    )
+    assert sentence(VERDICTS["one scan"]).endswith("It leaves 0.10 mm (0.00 to 0.20).")
+
+
+def test_a_pattern_without_size_is_not_called_a_gap_of_zero() -> None:
+    gap = summary()["gap_mm"]
+    gap["before"] = gap["held_out_before"] = gap["before"] | {"gap_mm": 0.0, "low_mm": 0.0}
+    said = sentence(summary(gap_mm=gap))
+    assert said.startswith("Model and images differ by less than the noise, but not at random.")
+    assert said.endswith("leaves nothing that stands out of the noise (at most 0.15 mm).")
+
+
+def test_two_effects_at_once_are_both_named() -> None:
+    both = sentence(summary(primary=["plate_tilt", "plate_flex"]))
+    assert "The cause is plate tilt (5.48 ± 0.27 deg, probability > 99 %) and plate flex (" in both
+
+
+@pytest.mark.parametrize(
+    ("which", "said"),
+    [
+        ("no gap", "A gap larger than 0.11 mm is unlikely."),
+        ("none of these", "no effect of the catalogue explains it"),
+        ("not told apart", "cannot tell which of plate tilt and plate flex is the cause; "
+                           "plate tilt comes first."),
+    ],
+)  # fmt: skip
+def test_other_verdicts(which: str, said: str) -> None:
+    assert said in sentence(VERDICTS[which])
+
+
+def test_effects_with_magnitudes_and_the_hidden_ones_last_and_grey(source: str, page: Page) -> None:
+    tilt = page.row("plate tiltplate geometry")
+    assert tilt[1] == "> 99 %"
+    assert tilt[2].startswith("tilt depth 5.48 ± 0.27 degtilt across −0.04 ± 0.12 deg")
+    assert tilt[3:] == ["12.3", "1 %"]
+    hidden = page.row("plate forceloading")
+    assert hidden[1] == "–"
+    assert "99 % of it looks like another choice of constants" in hidden[2]
+    order = [row[0] for row in page.cells if row[0].startswith("plate ")]
+    assert order[:3] == [
+        "plate tiltplate geometry",
+        "plate flexplate geometry",
+        "plate forceloading",
+    ]
+    assert '<tr class="off"><td>plate force<small>' in source
+    assert "<tr><td>plate tilt<small>" in source
+    assert "What plate_tilt &lt;is&gt;." in source
+
+
+def test_constants_before_and_after(page: Page) -> None:
+    assert page.row("Efat") == ["Efat", "10", "11", "+10.0 %", "kPa"]
+    alone = Page(render(found(VERDICTS["no gap"])))
+    assert alone.row("Efat") == ["Efat", "10", "–", "–", "kPa"]
+
+
+def test_regions_without_a_significant_gap_are_grey(source: str, page: Page) -> None:
+    assert page.row("40 N")[1:] == ["outline", "all", "0.10 mm (0.00 to 0.20)", "0.00", "8"]
+    assert page.row("80 N")[1:] == [
+        "glandular", "nipple third", "0.61 mm (0.51 to 0.70)", "−0.25", "8",
+    ]  # fmt: skip
+    assert '<tr class="off"><td>40 N' in source
+    assert "<tr><td>80 N" in source
+
+
+def test_all_that_is_not_in_the_catalogue_is_listed(page: Page) -> None:
+    for what, why in NOT_SIMULATED:
+        assert page.row(what)[1] == why
+
+
+def test_the_set_of_several_causes_names_their_family() -> None:
+    text = Page(render(found(VERDICTS["not told apart"]))).text
+    assert "90 % of the probability is held by plate tilt, plate flex and no gap." in text
+    assert "The most probable family is plate geometry (> 99 %)." in text
+
+
+def test_warnings() -> None:
+    refits = [summary()["refits"][0] | {"converged": False}]
+    assert "The refit of plate flex did not converge" in render(found(summary(refits=refits)))
+    gap = summary()["gap_mm"]
+    gap["held_out_share"] = {"share": 0.3, "low": -0.2, "high": 0.6}
+    assert "take the cause for a lead" in render(found(summary(gap_mm=gap)))
+    assert "note warn" not in render(found())
+
+
+def test_a_map_for_each_scan_and_interface() -> None:
+    captions = [image["alt"] for image in Page(render(found())).images if "scan at" in image["alt"]]
+    assert [caption.split(":")[0] for caption in captions] == [
+        "Outline, scan at 40 N", "Glandular, scan at 40 N",
+        "Outline, scan at 80 N", "Glandular, scan at 80 N",
+    ]  # fmt: skip
+    # Twelve points, half of them on each interface; twice the noise is 0.8 mm.
+    maps = found().maps
+    loud = 100 * (abs(maps["before"][0, :6]) >= 0.8).mean()
+    assert f"lie {loud:.0f} % (nominal model)" in captions[0]
+
+
+def test_bars_are_as_long_as_their_gaps() -> None:
+    gap = summary()["gap_mm"]
+    drawn = gaps([Judged("all", gap["before"], gap["after"])], 0.4367, "plate tilt")
+    axes = drawn.axes[0]
+    assert [bar.get_width() for bar in axes.patches] == [0.2684, 0.05]
+    spans = [line.get_xdata().tolist() for line in axes.lines[:2]]  # type: ignore[union-attr]
+    assert spans == [[0.2256, 0.3053], [0.0, 0.1206]]
+    assert axes.lines[2].get_xdata() == [0.4367, 0.4367]
+    assert axes.get_xlim()[1] > 0.4367
+
+
+def test_evidence_stacks_the_field_only_where_it_helps() -> None:
+    rows = [
+        Evidence("tilt", 127.0, -1.0),
+        Evidence("flex", 95.0, 1.5),
+        Evidence("both", -2.0, None),
+    ]
+    bars = evidence(rows, 2.8).axes[0].patches
+    assert [(bar.get_x(), bar.get_width()) for bar in bars] == [  # type: ignore[attr-defined]
+        (0, 127.0), (0, 95.0), (95.0, 1.5), (0, -2.0),
+    ]  # fmt: skip
+
+
+def test_causes_of_the_90_percent_set_have_their_colour() -> None:
+    rows = [Cause("tilt", 0.7, True), Cause("flex", 0.25, True), Cause("no gap", 0.05, False)]
+    bars = probabilities(rows).axes[0].patches
+    colours = [bar.get_facecolor() for bar in bars]
+    assert colours[0] == colours[1] != colours[2]
+
+
+def test_colours_tell_sign_and_noise() -> None:
+    """Three points: within the noise, outside and inside the scanned tissue."""
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    residual, noise = np.array([0.7, 1.0, -2.0]), np.full(3, 0.4)
+    drawn = residual_map(points, {"nominal model": residual}, noise, 2.0)
+    quiet, loud = drawn.axes[0].collections
+    np.testing.assert_array_equal(quiet.get_offsets(), points[:1, :2])
+    np.testing.assert_array_equal(loud.get_offsets(), points[1:, :2])
+    drawn.canvas.draw()
+    shown = loud.get_facecolor()
+    np.testing.assert_allclose(shown, [SIGNED(0.75), SIGNED(0.0)], atol=1e-12)
+    assert shown[0][0] > shown[0][2]  # outside is red rather than blue
+    assert shown[1][2] > shown[1][0]
+    assert FAINT not in (SIGNED(0.75), SIGNED(0.0))
+
+
+def test_the_colour_scale_is_that_of_significant_residuals() -> None:
+    noise = np.full(100, 0.2)
+    assert range_mm(np.full(100, 0.3), noise) == 0.5  # nothing stands out
+    assert range_mm(np.append(np.full(99, 0.3), 3.0), noise) == 3.0
+
+
+def test_no_refit_no_chart_of_evidence() -> None:
+    assert "Evidence of the refits" not in render(found(nothing("no-gap")))
+    assert "Evidence of the refits" in render(found())

@@ -1,0 +1,77 @@
+"""A small breast between plates, scanned by the solver itself: a case with a known cause."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from service.export import export_volume
+from storage.values import Tissue, Volume
+from workers.diagnosis.case import ImagedCase
+from workers.effects.catalogue import with_effects
+from workers.fem.fields import frame_of
+from workers.fem.model import prepare
+from workers.fem.solve import solve
+from workers.imaging.warp import warp_labels
+from workers.mesh.hierarchy import build_hierarchy
+from workers.phantom.breast import BreastPhantom, generate_breast
+
+TRUE_MPA = {"E_fat": 0.010, "E_gl": 0.032}
+FORCES_N = (8.0, 20.0)
+PHANTOM = BreastPhantom(
+    lower_mm=30.0, upper_mm=45.0, half_width_mm=28.0, depth_mm=32.0, spacing_mm=1.5,
+    glandular_fraction=0.3, skin_mm=0.0, ligament_mm=0.0, compartments=60,
+)  # fmt: skip
+SCANS = ("rest.nrrd", "pressed_8N.nrrd", "pressed_20N.nrrd")
+
+
+def described() -> dict:
+    """What case.json says."""
+    return {
+        "id": "small",
+        "nominal": {
+            "energy": "W = mu/2 (I1bar-3) + 1/d (J-1)^2",
+            "nu": 0.49,
+            "unknown_constants": ["E_fat", "E_gl"],
+            "plausible_kPa": {"E_fat": [6, 15], "E_gl": [15, 60]},
+            "chest_wall": "all nodes at z=0: uz=0; springs kx=0.2 kPa/mm and ky=0.05 kPa/mm",
+            "plates": "lower fixed at y=-28, upper at y=28",
+        },
+        "segmentation": "noise sd 0.2 mm, correlation length 4 mm",
+        "scans": {
+            "reference": SCANS[0],
+            "deformed": [
+                {"file": file, "plate_force_N": force}
+                for file, force in zip(SCANS[1:], FORCES_N, strict=True)
+            ],
+        },
+    }
+
+
+def write_case(folder: Path, effects: Mapping[str, float] | None = None, nodes: int = 1500) -> Path:
+    """Scans of a body that lacks nothing but `effects`, parameters of the catalogue."""
+    folder.mkdir(parents=True)
+    rest = generate_breast(PHANTOM, seed=5).labels
+    for file in SCANS:
+        write_scan(folder / file, rest)
+    (folder / "case.json").write_text(json.dumps(described()))
+    case = ImagedCase(folder)
+    hierarchy = build_hierarchy(case.reference, nodes=nodes)
+    model = prepare(hierarchy)
+    frame = frame_of(model.finest.nodes)
+    for file, force in zip(SCANS[1:], FORCES_N, strict=True):
+        problem = with_effects(case.problem(force, frame)(TRUE_MPA), effects or {}, frame)
+        solution = solve(model, problem)
+        assert solution.outcome.converged, solution.outcome.reason
+        pressed = warp_labels(case.reference, hierarchy.finest.mesh, solution.displacement_mm)
+        write_scan(folder / file, pressed)
+    return folder
+
+
+def write_scan(path: Path, labels: Volume) -> None:
+    """Fat and glandular tissue as 1 and 2."""
+    values = np.where(labels.values == Tissue.GLANDULAR, 2, (labels.values > 0).astype(np.uint8))
+    path.unlink(missing_ok=True)
+    export_volume(path, replace(labels, values=values.astype(np.uint8)))

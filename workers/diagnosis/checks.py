@@ -1,0 +1,220 @@
+"""Whether the scans of a case can be one body in several states, before anything is fitted.
+
+What is refused would be fitted well or badly, and explained by a wrong cause either way.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import binary_erosion
+
+from storage.errors import InputError
+from storage.values import FloatArray, Tissue, Volume
+from workers.diagnosis.case import ImagedCase
+from workers.images.labels import resample_labels
+
+# Living tissue hardly changes its volume; segmentations differ by some per cent.
+VOLUME_SHARE = 0.15
+# Decimal logarithm of a ratio of spacings that another unit explains rather than another scan.
+OTHER_UNIT = 0.7
+# Of the smaller body that must lie inside the other one.
+OVERLAP_SHARE = 0.1
+# By how much a body may be thicker under the larger force: segmentation and voxels.
+THICKNESS_VOXELS = 2.0
+# Glandular shares this far apart are compared with those of exchanged labels.
+GLAND_SHARE = 0.1
+# Outline made of glandular voxels, above which fat and gland are taken for each other.
+GLAND_OUTSIDE = 0.75
+# Left-right differences of two scans correlate with 0.9 or so, with -0.9 if one is mirrored.
+MIRRORED = -0.5
+# Root mean square of those differences, of a glandular share, below which sides are alike.
+ALIKE = 0.02
+# Cells along x and z in which tissue is counted.
+CELLS = (32, 16)
+
+
+class _Scan(NamedTuple):
+    file: str
+    force_n: float
+    labels: Volume
+
+
+def check_case(case: ImagedCase) -> None:
+    """See whether the scans fit together.
+
+    Parameters
+    ----------
+    case : ImagedCase
+
+    Raises
+    ------
+    InputError
+        If a scan shows no body or no glandular tissue, volumes or places of the bodies
+        differ too much, fat and gland look exchanged, a scan looks mirrored, or the more
+        compressed scan has the smaller force.
+    """
+    scans = list(_scans(case))
+    for scan in scans:
+        _check_tissue(scan)
+    _check_labels(scans[0])
+    for scan in scans[1:]:
+        _check_volume(scans[0], scan)
+        _check_place(scans[0], scan)
+        _check_shares(scans[0], scan)
+        _check_side(scans[0], scan)
+    _check_loads(scans)
+
+
+def _scans(case: ImagedCase) -> Iterator[_Scan]:
+    yield _Scan(case.file.scans.reference, 0.0, case.reference)
+    named = (d.file for d in case.file.scans.deformed)
+    for file, force_n, labels in zip(named, case.forces_n, case.deformed, strict=True):
+        yield _Scan(file, force_n, labels)
+
+
+def _check_tissue(scan: _Scan) -> None:
+    for tissue in (Tissue.FAT, Tissue.GLANDULAR):
+        if not (scan.labels.values == tissue).any():
+            raise InputError(
+                f"{scan.file} has no voxel labelled {tissue.name.lower()} ({int(tissue)}) above "
+                "the chest wall, expected both fat (1) and glandular tissue (2). Segment them, or "
+                "write an origin into its header that puts the chest wall at the z of case.json."
+            )
+
+
+def _check_volume(rest: _Scan, scan: _Scan) -> None:
+    before, after = _ml(rest.labels), _ml(scan.labels)
+    ratio = after / before
+    if abs(ratio - 1) <= VOLUME_SHARE:
+        return
+    sides = np.log10(np.divide(scan.labels.spacing_mm, rest.labels.spacing_mm))
+    if (np.abs(sides) > OTHER_UNIT).any():
+        cause = (
+            "The spacing of one of the files looks wrong, as by a factor of 10: found "
+            f"{_sides(rest)} in {rest.file} and {_sides(scan)} in {scan.file}. Write the spacing "
+            "in mm into its header."
+        )
+    else:
+        cause = "Is it the same body, segmented to the same chest wall? Give scans of one body."
+    raise InputError(
+        f"The body has {before:.3g} ml in {rest.file} and {after:.3g} ml in {scan.file}; tissue "
+        f"keeps its volume, so at most {VOLUME_SHARE:.0%} of difference was expected. {cause}"
+    )
+
+
+def _check_place(rest: _Scan, scan: _Scan) -> None:
+    here = rest.labels.values != Tissue.AIR
+    there = resample_labels(scan.labels, rest.labels).values != Tissue.AIR
+    smaller = min(_ml(rest.labels), _ml(scan.labels)) * 1000 / rest.labels.voxel_mm3
+    share = (here & there).sum() / smaller
+    if share < OVERLAP_SHARE:
+        raise InputError(
+            f"The bodies of {rest.file} and {scan.file} overlap in {share:.0%} of their volume, "
+            f"expected at least {OVERLAP_SHARE:.0%}: they lie at {_middle(rest)} and "
+            f"{_middle(scan)} mm. Write origins into the headers that put both scans into the "
+            "frame of the plates."
+        )
+
+
+def _check_labels(rest: _Scan) -> None:
+    body = rest.labels.values != Tissue.AIR
+    inside = binary_erosion(np.pad(body, ((0, 0), (1, 1), (1, 1))), iterations=2)
+    outside = body & ~inside[:, 1:-1, 1:-1]
+    gland = rest.labels.values == Tissue.GLANDULAR
+    share, whole = gland[outside].mean(), gland[body].mean()
+    if share > max(GLAND_OUTSIDE, whole):
+        raise InputError(
+            f"In {rest.file} {share:.0%} of the outline is glandular tissue (label 2), expected "
+            f"less than {GLAND_OUTSIDE:.0%}: fat lies outside. Fat (1) and glandular tissue (2) "
+            "look exchanged: exchange the labels in all scans."
+        )
+
+
+def _check_shares(rest: _Scan, scan: _Scan) -> None:
+    before, after = _gland_share(rest.labels), _gland_share(scan.labels)
+    if abs(after - before) > max(GLAND_SHARE, abs(after - (1 - before))):
+        raise InputError(
+            f"Glandular tissue (label 2) is {before:.0%} of the body in {rest.file}, but "
+            f"{after:.0%} in {scan.file}, where fat (label 1) is {1 - after:.0%}; about equal "
+            f"shares were expected. Exchange labels 1 and 2 in {scan.file}."
+        )
+
+
+def _check_side(rest: _Scan, scan: _Scan) -> None:
+    """Seen along the direction of compression, left and right differ as they did."""
+    before, after = _lopsided(rest.labels), _lopsided(scan.labels)
+    agreement = _agreement(before, after)
+    if np.sqrt(np.nanmean(before**2)) > ALIKE and agreement < MIRRORED:
+        raise InputError(
+            f"{scan.file} looks like a mirror image of {rest.file}: along x, what differs between "
+            f"the two sides of the glandular tissue correlates with {agreement:.2f}, expected near "
+            f"1. Flip {scan.file} along x, or write the right direction into its header."
+        )
+
+
+def _check_loads(scans: list[_Scan]) -> None:
+    """From the smallest force to the largest, the body gets thinner."""
+    for less, more in pairwise(sorted(scans, key=lambda scan: scan.force_n)):
+        thick, thin = _thickness_mm(less.labels), _thickness_mm(more.labels)
+        slack = THICKNESS_VOXELS * max(less.labels.spacing_mm[1], more.labels.spacing_mm[1])
+        if thin > thick + slack and less.force_n < more.force_n:
+            raise InputError(
+                f"The body is {thick:.1f} mm thick under {less.force_n:g} N ({less.file}), but "
+                f"{thin:.1f} mm under {more.force_n:g} N ({more.file}); the larger force was "
+                "expected to press it thinner. Exchange the two files, or their plate_force_N, in "
+                "case.json."
+            )
+
+
+def _ml(labels: Volume) -> float:
+    return float((labels.values != Tissue.AIR).sum() * labels.voxel_mm3 / 1000)
+
+
+def _gland_share(labels: Volume) -> float:
+    return float((labels.values == Tissue.GLANDULAR).sum() / (labels.values != Tissue.AIR).sum())
+
+
+def _thickness_mm(labels: Volume) -> float:
+    rows = np.flatnonzero((labels.values != Tissue.AIR).any(axis=(0, 2)))
+    return float((rows[-1] - rows[0] + 1) * labels.spacing_mm[1])
+
+
+def _lopsided(labels: Volume) -> FloatArray:
+    """Glandular share of the columns along y, less that of their mirror images in x.
+
+    Cells follow the box of the body, which may become longer and wider; nan where one of
+    the two is outside. Shape [z, x].
+    """
+    z, y, x = np.nonzero(labels.values != Tissue.AIR)
+    gland = labels.values[z, y, x] == Tissue.GLANDULAR
+    columns = _cell(x, CELLS[0]) + CELLS[0] * _cell(z, CELLS[1])
+    size = CELLS[0] * CELLS[1]
+    count = np.bincount(columns, minlength=size).astype(np.float64)
+    count[count == 0] = np.nan
+    share = (np.bincount(columns, gland, minlength=size) / count).reshape(CELLS[::-1])
+    return np.asarray(share - share[:, ::-1], np.float64)
+
+
+def _cell(index: np.ndarray, cells: int) -> np.ndarray:
+    first, last = index.min(), index.max()
+    return np.asarray((index - first) * cells // (last - first + 1))
+
+
+def _agreement(a: FloatArray, b: FloatArray) -> float:
+    """Correlation over the cells that both have; 0 where one is even."""
+    both = np.isfinite(a) & np.isfinite(b)
+    u, v = a[both] - a[both].mean(), b[both] - b[both].mean()
+    size = np.sqrt((u @ u) * (v @ v))
+    return float(u @ v / size) if size > 0 else 0.0
+
+
+def _middle(scan: _Scan) -> str:
+    index = np.argwhere(scan.labels.values != Tissue.AIR).mean(axis=0)[::-1]
+    place = np.asarray(scan.labels.origin_mm) + np.asarray(scan.labels.spacing_mm) * index
+    return str(tuple(place.round(1).tolist()))
+
+
+def _sides(scan: _Scan) -> str:
+    return " x ".join(f"{s:g}" for s in scan.labels.spacing_mm) + " mm"

@@ -26,7 +26,7 @@ from storage.digest import digest, file_digest
 from storage.errors import StoreError
 from storage.stores import open_store
 from storage.values import FloatArray
-from workers.diagnosis.build import build_subject
+from workers.diagnosis.build import body_of, build_subject
 from workers.diagnosis.case import ImagedCase
 from workers.diagnosis.fit import Fit
 from workers.diagnosis.refit import Refit
@@ -154,7 +154,7 @@ class Casebook:
     def finer(self) -> Model:
         """A finer mesh of the same body."""
         nodes = round(FINER * self.request["nodes"])
-        return prepare(build_hierarchy(self.case.reference, nodes=nodes))
+        return prepare(build_hierarchy(body_of(self.case), nodes=nodes))
 
     @property
     def subject(self) -> Subject:

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from storage.values import Volume
 from workers.diagnosis.case import ImagedCase
 from workers.diagnosis.subject import Scan, Subject
 from workers.fem.fields import frame_of
@@ -14,6 +15,7 @@ from workers.observation.interface import GLANDULAR, OUTLINE, Interface, interfa
 from workers.observation.locate import interpolation
 from workers.observation.noise import covariance
 from workers.observation.residual import observe, residual
+from workers.observation.smooth_outline import smooth_outline
 
 INTERFACES: Sequence[Interface] = (OUTLINE, GLANDULAR)
 NODES = 5000
@@ -22,6 +24,11 @@ POINT_SPACING_MM = 6.0
 CLEAR_NOISES = 5.0
 # Points this near to the chest wall sit where the image was cut.
 WALL_MARGIN_MM = 4.0
+
+
+def body_of(case: ImagedCase) -> Volume:
+    """What is meshed: the reference scan without the roughness of its segmentation."""
+    return smooth_outline(case.reference, case.noise.correlation_mm)
 
 
 def build_subject(
@@ -42,7 +49,7 @@ def build_subject(
     InputError
         If the scans show no body or no glandular tissue.
     """
-    hierarchy = build_hierarchy(case.reference, nodes=nodes)
+    hierarchy = build_hierarchy(body_of(case), nodes=nodes)
     model = prepare(hierarchy)
     frame = frame_of(model.finest.nodes)
     points = interface_points(

@@ -7,6 +7,7 @@ from scipy.sparse import csr_matrix
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, TetMesh
+from workers.diagnosis.discrepancy import SmoothField
 from workers.diagnosis.fit import Fit, fit
 from workers.diagnosis.subject import Subject, unknowns
 from workers.diagnosis.views import View, seen, view
@@ -21,8 +22,9 @@ SLACK = 0.1
 # A smooth part of a common error of how an interface is drawn, in standard deviations
 # of the segmentation: points were chosen on one noisy scan.
 COMMON_NOISES = 0.3
-# Of the difference to a finer mesh, what is still unknown after it is taken off.
-BIAS_SHARE = 0.4
+# What is still unknown after the difference to a finer mesh is taken off is believed to be
+# as large as the difference itself, and smooth over this length.
+MESH_LENGTH_MM = 16.0
 
 
 def calibrate(subject: Subject, finer: Model | None = None) -> tuple[Subject, Fit]:
@@ -97,9 +99,10 @@ def with_mesh_error(subject: Subject, finer: Model, at: Fit, views: list[View]) 
             return subject
         bias.append(-((fine.points - coarse.points) * coarse.normals).sum(axis=1))
     b: FloatArray = np.concatenate(bias)
-    left = BIAS_SHARE * b
-    covariance = subject.covariance + np.outer(left, left) + np.diag(left**2)
-    return replace(subject, bias=b, covariance=covariance)
+    normals = np.concatenate([v.normals for v in views])
+    points = np.tile(subject.points.points, (len(subject.scans), 1))
+    smooth = SmoothField().covariance(points, normals, subject.rows, MESH_LENGTH_MM)
+    return replace(subject, bias=b, covariance=subject.covariance + (b**2).mean() * smooth)
 
 
 def interpolation_of(model: Model, subject: Subject) -> csr_matrix:

@@ -49,7 +49,7 @@ def test_roughness_goes() -> None:
     rough = perturbed(half_ellipsoid(), SegmentationNoise(0.6, 4.0, 0.0, 0.05), seed=2)
     before, after = error_mm(rough), error_mm(smooth_outline(rough, 4.0))
     assert before.std() > 0.4
-    assert after.std() < 0.6 * before.std()
+    assert after.std() < 0.75 * before.std()
     assert abs(after.mean()) < 0.15
 
 

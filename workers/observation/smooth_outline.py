@@ -17,8 +17,8 @@ LEVEL = 0.5
 def smooth_outline(labels: Volume, length_mm: float) -> Volume:
     """Labels whose outline is smooth on a length; tissues inside stay as they are.
 
-    The indicator of the body is blurred by ``2 g_s - g_2s``, g a Gaussian of that
-    variance, which keeps curved surfaces where they are; see
+    The indicator of the body is blurred by ``2 g_s - g_2s``, g_s a Gaussian of standard
+    deviation s, which keeps curved surfaces where they are; see
     `workers.observation.surface`. Voxels that the body gains are fat. The face at the
     chest wall, the lowest slice, stays flat.
 
@@ -44,7 +44,7 @@ def smooth_outline(labels: Volume, length_mm: float) -> Volume:
     body = (values != Tissue.AIR).astype(np.float32)
     once, twice = (
         ndimage.gaussian_filter(body, s, mode="nearest", truncate=3.0)
-        for s in (sigma, np.sqrt(2) * sigma)
+        for s in (sigma, 2 * sigma)
     )
     inside = 2 * once - twice > LEVEL
     kept = np.where(values == Tissue.AIR, Tissue.FAT, values)

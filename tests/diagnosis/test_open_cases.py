@@ -1,0 +1,54 @@
+"""The cases of ../shared/reference/gap-open, made by FEBio with elements of another kind.
+
+They were looked at while the diagnosis was built, so they show that it works, not how
+often. The truth is read after the verdict.
+"""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from workers.diagnosis.build import body_of, build_subject
+from workers.diagnosis.calibrate import calibrate
+from workers.diagnosis.case import ImagedCase
+from workers.diagnosis.diagnosis import diagnose, look, one_by_one
+from workers.diagnosis.summary import summary
+from workers.effects.catalogue import BREAST_EFFECTS
+from workers.fem.model import prepare
+from workers.mesh.hierarchy import build_hierarchy
+
+CASES = Path(__file__).parents[3] / "shared" / "reference" / "gap-open"
+# What each kind of truth should be called. Gravity acts along the fibres there and moves
+# nothing by more than 0.02 mm.
+CALLED = {
+    "control": [],
+    "gravity": [],
+    "tilt": ["plate_tilt"],
+    "friction": ["plate_friction"],
+    "inclusion": ["inclusion"],
+}
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not CASES.is_dir(), reason="the open cases of FEBio are not beside the project"
+    ),
+]
+
+
+@pytest.mark.parametrize("name", sorted(p.name for p in CASES.glob("dev_*")))
+def test_the_cause_is_named(name: str) -> None:
+    case = ImagedCase(CASES / name)
+    finer = prepare(build_hierarchy(body_of(case), nodes=14_000))
+    subject, nominal = calibrate(build_subject(case), finer)
+    seen = look(subject, nominal, BREAST_EFFECTS)
+    found = diagnose(seen, BREAST_EFFECTS, one_by_one(seen))
+    told = summary(found, list(BREAST_EFFECTS), name)
+    truth = json.loads((CASES / name / "truth.json").read_text())
+    wanted = CALLED[truth["spec"]["kind"]]
+    assert told["verdict"] == ("effect" if wanted else "no-gap")
+    assert told["primary"] == wanted
+    if truth["spec"]["kind"] == "tilt":
+        tilt = next(e for e in told["effects"] if e["name"] == "plate_tilt")
+        assert tilt["magnitude"] == pytest.approx(truth["spec"]["tilt_x"], abs=3 * tilt["sd"])

@@ -33,6 +33,8 @@ SINGLES = 5
 PARTNERS = 3
 # An effect this far behind the best one by screening is not refitted, in nats.
 FAR_BEHIND = 60.0
+# Nor is one that the data speak against by this much, in nats.
+LEAST = -2.0
 # Pairs are refitted if a smooth field gains this much on top of the best effect, in nats.
 LEFT_OVER = 1.0
 FALSE_ALARMS = 0.02
@@ -158,7 +160,8 @@ def suspects(seen: Look, known: dict[str, Effect]) -> list[Effect]:
     if not open_ones:
         return []
     best = open_ones[0].log_bayes_factor
-    near = [f for f in open_ones if f.log_bayes_factor > best - FAR_BEHIND]
+    least = max(best - FAR_BEHIND, LEAST)
+    near = [f for f in open_ones if f.log_bayes_factor > least]
     return [known[f.name] for f in near[:SINGLES]]
 
 

@@ -43,8 +43,7 @@ def smooth_outline(labels: Volume, length_mm: float) -> Volume:
     values = np.pad(labels.values, pad)
     body = (values != Tissue.AIR).astype(np.float32)
     once, twice = (
-        ndimage.gaussian_filter(body, s, mode="nearest", truncate=3.0)
-        for s in (sigma, 2 * sigma)
+        ndimage.gaussian_filter(body, s, mode="nearest", truncate=3.0) for s in (sigma, 2 * sigma)
     )
     inside = 2 * once - twice > LEVEL
     kept = np.where(values == Tissue.AIR, Tissue.FAT, values)

@@ -28,6 +28,8 @@ WALL_MARGIN_MM = 4.0
 
 def body_of(case: ImagedCase) -> Volume:
     """What is meshed: the reference scan without the roughness of its segmentation."""
+    if not case.noise.reference_sd_mm:
+        return case.reference
     return smooth_outline(case.reference, case.noise.correlation_mm)
 
 

@@ -167,7 +167,14 @@ class ImagedCase:
             raise InputError(
                 f"{self.folder / 'case.json'} names {name}, which is not in the folder."
             )
-        return crop_to_body(above_wall(relabel(read_volume(path), LABELS), self._wall_mm()))
+        volume = read_volume(path)
+        found = {int(label) for label in np.unique(volume.values)}
+        if not found <= set(LABELS) or not {1, 2} <= found:
+            raise InputError(
+                f"{path} has the labels {sorted(found)}; a case has 0 background, 1 fat and "
+                "2 glandular, all of them. Relabel the scan, or segment what is missing."
+            )
+        return crop_to_body(above_wall(relabel(volume, LABELS), self._wall_mm()))
 
     def _wall_mm(self) -> float:
         text = self.file.nominal.chest_wall

@@ -10,7 +10,8 @@ from workers.diagnosis.gap import Gap, LinearFit, gap
 from workers.diagnosis.linear import Linearised
 from workers.diagnosis.shrinkage import shrinkage
 from workers.diagnosis.subject import Subject
-from workers.effects.base import Effect
+from workers.effects.base import Effect, one_sided
+from workers.effects.inclusion import INCLUSION
 
 Json = dict[str, Any]
 INTERFACES = ("outline", "glandular")
@@ -62,6 +63,8 @@ def _effect(found: Diagnosis, effect: Effect) -> Json:
             value, sd = float(refit.fit.z[at]), float(_sds(found, (effect.name,))[at])
         elif i < len(finding.estimate):
             value, sd = float(finding.estimate[i]), float(finding.estimate_sd[i])
+            if one_sided(parameter):
+                value = max(value, effect.neutral[parameter.name])
         else:
             continue
         unit = parameter.unit
@@ -73,7 +76,7 @@ def _effect(found: Diagnosis, effect: Effect) -> Json:
                 "unit": unit.symbol,
             }
         )
-    lead = max(magnitudes, key=_standing_out)
+    lead = magnitudes[0] if effect is INCLUSION else max(magnitudes, key=_standing_out)
     return {
         "name": effect.name,
         "family": effect.family,

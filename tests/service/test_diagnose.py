@@ -28,7 +28,7 @@ from workers.diagnosis.diagnosis import diagnose, look, one_by_one
 from workers.diagnosis.summary import summary
 from workers.effects.catalogue import effect
 
-NODES, SPACING_MM = 800, 8.0
+NODES, SPACING_MM = 1600, 8.0
 SUSPECTS = ["gravity_change", "plate_tilt", "stiffness_gradient", "segmentation_offset"]
 TILT_DEG = 8.0
 Change = Callable[[Path], object]

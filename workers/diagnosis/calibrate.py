@@ -19,8 +19,8 @@ from workers.observation.locate import interpolation
 CLEAR_NOISES = 5.0
 # Of that reach, by which the distance may differ: curvature and blur.
 SLACK = 0.1
-# A smooth part of a common error of how an interface is drawn, in standard deviations
-# of the segmentation: points were chosen on one noisy scan.
+# An interface as a whole may be drawn too large or too small by this, in standard
+# deviations of the segmentation: points were chosen on one noisy scan.
 COMMON_NOISES = 0.3
 # What is still unknown after the difference to a finer mesh is taken off is believed to be
 # as large as the difference itself, and smooth over this length.

@@ -26,18 +26,16 @@ from storage.digest import digest, file_digest
 from storage.errors import StoreError
 from storage.stores import open_store
 from storage.values import FloatArray
-from workers.diagnosis.build import body_of, build_subject
-from workers.diagnosis.case import ImagedCase
 from workers.diagnosis.fit import Fit
 from workers.diagnosis.refit import Refit
+from workers.diagnosis.source import Source
+from workers.diagnosis.sources import open_source
 from workers.diagnosis.subject import Subject, unknowns
 from workers.diagnosis.views import View, view
 from workers.effects.base import Effect
-from workers.effects.catalogue import effect
-from workers.fem.model import Model, prepare
+from workers.fem.model import Model
 from workers.fem.solve import Equilibrium
 from workers.library import code_version
-from workers.mesh.hierarchy import build_hierarchy
 from workers.resources import CACHE
 
 ROOMS = (
@@ -54,12 +52,12 @@ Modes = list[list[Any]]
 class Request(TypedDict):
     """What is asked of a diagnosis, small enough to travel.
 
-    ``store`` and ``folder`` are absolute paths that all workers see; ``spacing_mm`` lies
-    between points on the interfaces; ``effects`` are names of the catalogue.
+    ``store`` and ``source`` are absolute paths that all workers see; ``spacing_mm`` lies
+    between points on the interfaces; ``effects`` are names of the source's catalogue.
     """
 
     store: str
-    folder: str
+    source: str
     nodes: int
     spacing_mm: float
     effects: list[str]
@@ -69,17 +67,14 @@ class Request(TypedDict):
 def named(request: Request) -> Request:
     """The request under the name of all that its result depends on, the code included.
 
-    Only the files that case.json names count.
+    Only the files that the source names count.
 
     Raises
     ------
     InputError
-        If the folder is no case.
+        If the source cannot be diagnosed.
     """
-    case = _case(Path(request["folder"]))
-    scans = case.file.scans
-    files = ["case.json", scans.reference, *(d.file for d in scans.deformed)]
-    content = [file_digest(case.folder / file) for file in files]
+    content = [file_digest(file) for file in _source(Path(request["source"])).files]
     how = [request["nodes"], request["spacing_mm"], FINER, request["effects"]]
     name = digest("diagnosis", content, *how, code_version(*ROOMS))
     return {**request, "name": name}
@@ -112,14 +107,19 @@ class Casebook:
         self.store = open_store(request["store"])
 
     @property
-    def case(self) -> ImagedCase:
-        """The scans."""
-        return _case(Path(self.request["folder"]))
+    def source(self) -> Source:
+        """What was imaged or measured."""
+        return _source(Path(self.request["source"]))
 
     @property
     def effects(self) -> list[Effect]:
         """The part of the catalogue that is suspected."""
-        return [effect(name) for name in self.request["effects"]]
+        asked = set(self.request["effects"])
+        return [e for e in self.source.effects if e.name in asked]
+
+    def effect(self, name: str) -> Effect:
+        """One of them."""
+        return next(e for e in self.effects if e.name == name)
 
     def path(self, kind: str, *which: Any) -> Path:
         """Where a part of the diagnosis lies."""
@@ -149,12 +149,11 @@ class Casebook:
     def built(self) -> Subject:
         """The body with its scans, before any fit."""
         nodes, spacing = self.request["nodes"], self.request["spacing_mm"]
-        return self.cached("built", lambda: build_subject(self.case, nodes, spacing))
+        return self.cached("built", lambda: self.source.subject(nodes, spacing))
 
     def finer(self) -> Model:
         """A finer mesh of the same body."""
-        nodes = round(FINER * self.request["nodes"])
-        return prepare(build_hierarchy(body_of(self.case), nodes=nodes))
+        return self.source.finer(round(FINER * self.request["nodes"]))
 
     @property
     def subject(self) -> Subject:
@@ -187,7 +186,7 @@ class Casebook:
         solved = [v for v in views if v is not None]
         if len(solved) < len(views):
             raise StoreError(
-                f"The calibrated constants of {self.request['folder']} were not solved again from "
+                f"The calibrated constants of {self.request['source']} were not solved again from "
                 f"rest. Remove {self.path('calibration')} and run the diagnosis again."
             )
         modes = [[level.stiffest_mode for level in v.at.levels] for v in solved]
@@ -245,6 +244,13 @@ def _fit(
     )
 
 
-def _case(folder: Path) -> ImagedCase:
-    content = file_digest(folder)
-    return CACHE.get(("case", str(folder), content), lambda: ImagedCase(folder))
+def _source(path: Path) -> Source:
+    """Opened once, and again if a file has changed."""
+    return CACHE.get(("source", str(path), *_stamps(path)), lambda: open_source(path))
+
+
+def _stamps(path: Path) -> list[tuple[str, int, int]]:
+    """Name, time and size of the files there, none of which is opened."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    stats = [(file.name, file.stat()) for file in files if file.is_file()]
+    return [(name, stat.st_mtime_ns, stat.st_size) for name, stat in stats]

@@ -38,7 +38,6 @@ from workers.diagnosis.subject import Subject
 from workers.diagnosis.summary import summary
 from workers.diagnosis.threshold import alarm_threshold, null_alarms
 from workers.effects.base import Effect
-from workers.effects.catalogue import effect
 from workers.observation.interface import InterfacePoints
 
 Record = dict[str, Any]
@@ -102,7 +101,7 @@ def print_effect(request: Request, name: str, scan: int) -> Record:
         subject, nominal = book.subject, book.nominal
         alone = replace(subject, scans=[subject.scans[scan]])
         there = replace(nominal, views=(nominal.views[scan],))
-        prints, _ = fingerprints(alone, there, [effect(name)])
+        prints, _ = fingerprints(alone, there, [book.effect(name)])
         arrays = _arrays(prints[0]) if prints else {}
         told = {"acts": bool(prints), "seconds": time.perf_counter() - begun}
         book.save(arrays, told, "print", name, scan)
@@ -122,7 +121,7 @@ def refit_effects(request: Request, names: list[str]) -> Record:
     if not book.has("refit", names):
         begun = time.perf_counter()
         seen = look_of(book)
-        effects = [effect(name) for name in names]
+        effects = [book.effect(name) for name in names]
         found = refit(
             seen.subject, book.nominal, effects, seen.by_name, seen.prints, seen.places
         )  # fmt: skip
@@ -148,7 +147,7 @@ def weigh_case(request: Request) -> Record:
         found = diagnose(seen, book.effects, _stored(book))
     except _WantedError as missing:
         return {"wanted": missing.combinations}
-    told = summary(found, book.effects, book.case.file.id)
+    told = summary(found, book.effects, book.source.name)
     book.save(_maps(found), told, "verdict")
     return {"wanted": [], "summary": book.told("verdict")}
 
@@ -221,7 +220,10 @@ def _arrays(found: Fingerprint) -> dict[str, Any]:
 
 
 def _maps(found: Diagnosis) -> dict[str, Any]:
-    """Residuals on the interfaces, (scans, points) in mm, before and after, and their noise."""
+    """Residuals on the interfaces, (scans, points) in mm, before and after, and their noise.
+
+    Also where the points go, ``moved_``, and the observed normals there.
+    """
     subject = found.look.subject
     shape = (len(subject.scans), len(subject.points))
     noise = np.sqrt((found.look.linear.covariance_factor**2).sum(axis=1))
@@ -230,9 +232,14 @@ def _maps(found: Diagnosis) -> dict[str, Any]:
         "interface": subject.points.interface,
         "before": found.look.linear.residual.reshape(shape),
         "noise": noise.reshape(shape),
+        "moved_before": np.stack([v.points for v in found.look.nominal.views]),
+        "normals_before": np.stack([v.normals for v in found.look.nominal.views]),
     }
     if found.best is not None:
-        maps["after"] = found.best.fit.linearised(subject).residual.reshape(shape)
+        fit = found.best.fit
+        maps["after"] = fit.linearised(subject).residual.reshape(shape)
+        maps["moved_after"] = np.stack([v.points for v in fit.views])
+        maps["normals_after"] = np.stack([v.normals for v in fit.views])
     return maps
 
 

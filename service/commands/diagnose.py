@@ -47,10 +47,9 @@ def diagnose(
     Ctrl-C stops it at any time; the same command continues it.
     """
     from service.diagnosis.run import ask
-    from workers.diagnosis.case import ImagedCase
-    from workers.diagnosis.checks import check_case
+    from workers.diagnosis.sources import open_source
 
-    check_case(ImagedCase(case))
+    open_source(case).check()
     request = ask(case, store or RUNS / "store", nodes)
     with _stop_requests() as requests:
         found = _found(request, workers, scheduler, requests)

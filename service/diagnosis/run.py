@@ -17,7 +17,7 @@ from storage.stores import open_store
 from workers import examine
 from workers.casebook import Casebook, Request, named
 from workers.diagnosis.build import NODES, POINT_SPACING_MM
-from workers.effects.catalogue import BREAST_EFFECTS
+from workers.diagnosis.sources import open_source
 from workers.effects.inclusion import INCLUSION
 
 Json = dict[str, Any]
@@ -48,7 +48,7 @@ class Found:
 
 
 def ask(
-    folder: Path,
+    path: Path,
     store: Path,
     nodes: int = NODES,
     spacing_mm: float = POINT_SPACING_MM,
@@ -58,29 +58,31 @@ def ask(
 
     Parameters
     ----------
-    folder : Path
-        Of the case.
+    path : Path
+        Of what is diagnosed, see `workers.diagnosis.sources.open_source`.
     store : Path
     nodes : int
         Of the mesh.
     spacing_mm : float
         Between points on the interfaces.
     effects : iterable of str, optional
-        Those that are suspected; the whole catalogue.
+        Those that are suspected; the whole catalogue of the source.
 
     Raises
     ------
     InputError
-        If the folder is no case.
+        If the path cannot be diagnosed.
     StoreError
         If the store cannot be used.
     """
+    path = path.expanduser().absolute()
+    known = [e.name for e in open_source(path).effects]
     request: Request = {
         "store": str(open_store(store).root),
-        "folder": str(folder.expanduser().absolute()),
+        "source": str(path),
         "nodes": nodes,
         "spacing_mm": spacing_mm,
-        "effects": [e.name for e in BREAST_EFFECTS] if effects is None else list(effects),
+        "effects": known if effects is None else list(effects),
         "name": "",
     }
     return named(request)
@@ -92,7 +94,7 @@ def finished(request: Request) -> Found | None:
     if not book.has("verdict"):
         return None
     maps, summary = book.load("verdict")
-    return Found(summary, maps, book.case.names)
+    return Found(summary, maps, list(book.source.scans))
 
 
 def run(request: Request, dispatcher: Dispatcher, tell: Tell) -> Found:

@@ -1,7 +1,7 @@
 """A small breast between plates, scanned by the solver itself: a case with a known cause."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,9 +25,16 @@ PHANTOM = BreastPhantom(
     glandular_fraction=0.3, skin_mm=0.0, ligament_mm=0.0, compartments=60,
 )  # fmt: skip
 SCANS = ("rest.nrrd", "pressed_8N.nrrd", "pressed_20N.nrrd")
+PRESSED = tuple(
+    {"file": file, "plate_force_N": force} for file, force in zip(SCANS[1:], FORCES_N, strict=True)
+)
+CROSSWISE = {
+    "file": "pressed_8N_x.nrrd", "plate_force_N": 8.0,
+    "compression_axis": [1, 0, 0], "lower_mm": -45, "upper_mm": 45,
+}  # fmt: skip
 
 
-def described() -> dict:
+def described(pressed: Sequence[dict] = PRESSED) -> dict:
     """What case.json says."""
     return {
         "id": "small",
@@ -40,33 +47,32 @@ def described() -> dict:
             "plates": "lower fixed at y=-28, upper at y=28",
         },
         "segmentation": "noise sd 0.2 mm, correlation length 4 mm",
-        "scans": {
-            "reference": SCANS[0],
-            "deformed": [
-                {"file": file, "plate_force_N": force}
-                for file, force in zip(SCANS[1:], FORCES_N, strict=True)
-            ],
-        },
+        "scans": {"reference": SCANS[0], "deformed": list(pressed)},
     }
 
 
-def write_case(folder: Path, effects: Mapping[str, float] | None = None, nodes: int = 1500) -> Path:
+def write_case(
+    folder: Path,
+    effects: Mapping[str, float] | None = None,
+    nodes: int = 1500,
+    pressed: Sequence[dict] = PRESSED,
+) -> Path:
     """Scans of a body that lacks nothing but `effects`, parameters of the catalogue."""
     folder.mkdir(parents=True)
     rest = generate_breast(PHANTOM, seed=5).labels
-    for file in SCANS:
+    for file in (SCANS[0], *(one["file"] for one in pressed)):
         write_scan(folder / file, rest)
-    (folder / "case.json").write_text(json.dumps(described()))
+    (folder / "case.json").write_text(json.dumps(described(pressed)))
     case = ImagedCase(folder)
     hierarchy = build_hierarchy(case.reference, nodes=nodes)
     model = prepare(hierarchy)
     frame = frame_of(model.finest.nodes)
-    for file, force in zip(SCANS[1:], FORCES_N, strict=True):
-        problem = with_effects(case.problem(force, frame)(TRUE_MPA), effects or {}, frame)
+    for number, one in enumerate(pressed):
+        problem = with_effects(case.problem(number, frame)(TRUE_MPA), effects or {}, frame)
         solution = solve(model, problem)
         assert solution.outcome.converged, solution.outcome.reason
-        pressed = warp_labels(case.reference, hierarchy.finest.mesh, solution.displacement_mm)
-        write_scan(folder / file, pressed)
+        scan = warp_labels(case.reference, hierarchy.finest.mesh, solution.displacement_mm)
+        write_scan(folder / one["file"], scan)
     return folder
 
 

@@ -329,7 +329,7 @@ def test_the_command_refuses_before_it_opens_a_cluster(
     assert said.err.startswith("Error: The body is ")
     assert (said.err.count("\n"), said.out) == (1, "")
     assert main(["diagnose", str(copied.parent)]) == 2
-    assert "is no case: it has no case.json" in capsys.readouterr().err
+    assert "cannot be diagnosed: expected a folder with case.json" in capsys.readouterr().err
 
 
 def test_the_command_writes_page_and_record(

@@ -60,10 +60,10 @@ def build_subject(
     scans = [
         Scan(
             name,
-            case.problem(force, frame),
+            case.problem(number, frame),
             partial(residual, observed=observe(labels, INTERFACES)),
         )
-        for name, force, labels in zip(case.names, case.forces_n, case.deformed, strict=True)
+        for number, (name, labels) in enumerate(zip(case.names, case.deformed, strict=True))
     ]
     return Subject(
         model=model,

@@ -2,28 +2,28 @@
 
 ::
 
-    case.json           forces, nominal physics, noise: all that may be known
+    case.json           loads, nominal physics, noise: all that may be known
     reference.nrrd      labels of the body at rest
-    deformed_40N.nrrd   labels between the plates, one file for each load
+    deformed_40N.nrrd   labels between the plates, one file for each load and direction
 
 The nominal physics are read from the words of case.json where it has no numbers of
-their own.
+their own. Plates press with a known force, or stand at a known distance.
 """
 
 import json
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from storage.errors import InputError
-from storage.values import Tissue, Volume
+from storage.values import Tissue, Triple, Volume
 from workers.diagnosis.subject import Free, Values
 from workers.fem.fields import FibreField, Frame
-from workers.fem.loads import Device, ForceControl, Wall
+from workers.fem.loads import Device, DistanceControl, ForceControl, Load, Wall
 from workers.fem.problem import Constants, Problem
 from workers.images.labels import crop_to_body, relabel
 from workers.images.read import read_volume
@@ -33,21 +33,61 @@ from workers.units import KPA, KPA_PER_MM
 
 # What voxels leave of an interface, see `workers.observation.noise`.
 NUGGET_VOXELS = 0.08
+# Around the body: more than an interface is blurred by.
+AIR_VOXELS = 4
 LABELS = {0: "air", 1: "fat", 2: "glandular"}
+# First words of the labels of case.json. Skin in a scan is counted as the fat under it.
+MEANINGS = {
+    "air": "air", "background": "air", "fat": "fat", "adipose": "fat", "skin": "fat",
+    "glandular": "glandular", "gland": "glandular", "fibroglandular": "glandular",
+}  # fmt: skip
+ALONG_Y = (0.0, 1.0, 0.0)
+AXES = {(1.0, 0.0, 0.0): "x", ALONG_Y: "y"}
 
 
 class _Record(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True)
 
 
-class _Deformed(_Record):
+class Deformed(_Record):
+    """One loaded scan.
+
+    Plates start at `lower_mm` and `upper_mm` along their axis if the force is known. With
+    `plate_distance_mm` they end there; by default where the body in the scan does.
+    """
+
     file: str
-    plate_force_n: float = Field(gt=0, alias="plate_force_N")
+    plate_force_n: float | None = Field(default=None, gt=0, alias="plate_force_N")
+    plate_distance_mm: float | None = Field(default=None, gt=0)
+    compression_axis: Triple = ALONG_Y
+    lower_mm: float | None = None
+    upper_mm: float | None = None
+
+    @model_validator(mode="after")
+    def _one_load(self) -> Self:
+        if (self.plate_force_n is None) == (self.plate_distance_mm is None):
+            raise ValueError("give plate_force_N or plate_distance_mm, one of them")
+        if self.compression_axis[2] or not any(self.compression_axis):
+            raise ValueError("compression_axis must lie across z, such as [0, 1, 0] or [1, 0, 0]")
+        return self
+
+    @property
+    def name(self) -> str:
+        """In the words of a report."""
+        loaded = (
+            f"{self.plate_force_n:g} N" if self.plate_force_n is not None
+            else f"{self.plate_distance_mm:g} mm"
+        )  # fmt: skip
+        if self.compression_axis == ALONG_Y:
+            return loaded
+        x, y, _ = self.compression_axis
+        along = AXES.get(self.compression_axis, f"{np.degrees(np.arctan2(y, x)):.0f} degrees")
+        return f"{loaded} along {along}"
 
 
 class _Scans(_Record):
     reference: str
-    deformed: tuple[_Deformed, ...] = Field(min_length=1)
+    deformed: tuple[Deformed, ...] = Field(min_length=1)
 
 
 class _Nominal(_Record):
@@ -56,6 +96,7 @@ class _Nominal(_Record):
     fibre_direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
     unknown_constants: tuple[str, ...]
     plausible_kpa: dict[str, tuple[float, float]] = Field(alias="plausible_kPa")
+    held_kpa: dict[str, float] = Field(default_factory=dict, alias="held_kPa")
     chest_wall: str
     plates: str
 
@@ -64,6 +105,7 @@ class CaseFile(_Record):
     """What case.json says."""
 
     id: str
+    labels: dict[int, str] = Field(default_factory=lambda: dict(LABELS))
     nominal: _Nominal
     segmentation: str
     scans: _Scans
@@ -86,13 +128,13 @@ class ImagedCase:
         self.folder = folder
         self.file = _read(folder / "case.json")
         self.reference = self._scan(self.file.scans.reference)
-        self.deformed = [self._scan(d.file) for d in self.file.scans.deformed]
-        self.forces_n = [d.plate_force_n for d in self.file.scans.deformed]
+        self.loads = list(self.file.scans.deformed)
+        self.deformed = [self._scan(load.file) for load in self.loads]
 
     @property
     def names(self) -> list[str]:
         """Of the loaded scans."""
-        return [f"{force:g} N" for force in self.forces_n]
+        return [load.name for load in self.loads]
 
     @property
     def free(self) -> list[Free]:
@@ -103,6 +145,12 @@ class ImagedCase:
             raise InputError(
                 f"{self.folder / 'case.json'}: nominal.plausible_kPa lacks an interval for "
                 f"{', '.join(sorted(missing))}."
+            )
+        loose = {"E_fat", "E_gl"} - set(nominal.unknown_constants) - set(nominal.held_kpa)
+        if loose:
+            raise InputError(
+                f"{self.folder / 'case.json'} gives no value of {', '.join(sorted(loose))}: name "
+                "it in nominal.unknown_constants, or hold it in nominal.held_kPa."
             )
         return [
             Free(name, *(KPA.to_inside(v) for v in nominal.plausible_kpa[name]))
@@ -122,19 +170,19 @@ class ImagedCase:
         nugget = NUGGET_VOXELS * max(self.reference.spacing_mm)
         return SegmentationNoise(sd, length, sd if on_reference else 0.0, nugget)
 
-    def problem(self, force_n: float, frame: Frame) -> Callable[[Values], Problem]:
-        """The nominal model of one load, from the values of the free constants."""
+    def problem(self, number: int, frame: Frame) -> Callable[[Values], Problem]:
+        """The nominal model of one loaded scan, from the values of the free constants."""
         nominal = self.file.nominal
-        lower, upper = self._plates()
-        device = Device(pivot_mm=frame.centre_mm)
-        load = ForceControl(force_n, lower, upper, device)
+        load = self._load(number, frame)
         wall = Wall((False, False, True), (self._spring("kx"), self._spring("ky"), 0.0))
+        held = {name: KPA.to_inside(value) for name, value in nominal.held_kpa.items()}
 
         def build(values: Values) -> Problem:
+            known = held | dict(values)
             return Problem(
                 {
-                    Tissue.FAT: _constants(values, "E_fat", nominal.nu),
-                    Tissue.GLANDULAR: _constants(values, "E_gl", nominal.nu),
+                    Tissue.FAT: _constants(known, "E_fat", nominal.nu),
+                    Tissue.GLANDULAR: _constants(known, "E_gl", nominal.nu),
                 },
                 load,
                 fibres=FibreField(axis=nominal.fibre_direction),
@@ -144,6 +192,24 @@ class ImagedCase:
             )
 
         return build
+
+    def _load(self, number: int, frame: Frame) -> Load:
+        said = self.loads[number]
+        device = Device(said.compression_axis, frame.centre_mm)
+        if said.plate_force_n is not None:
+            lower, upper = said.lower_mm, said.upper_mm
+            if lower is None or upper is None:
+                lower, upper = self._plates()
+            return ForceControl(said.plate_force_n, lower, upper, device)
+        lower, upper = extent_mm(self.deformed[number], said.compression_axis)
+        if said.plate_distance_mm is not None:
+            spare = (upper - lower - said.plate_distance_mm) / 2
+            lower, upper = lower + spare, upper - spare
+        return DistanceControl(
+            lower if said.lower_mm is None else said.lower_mm,
+            upper if said.upper_mm is None else said.upper_mm,
+            device,
+        )
 
     def _plates(self) -> tuple[float, float]:
         text = self.file.nominal.plates
@@ -168,13 +234,29 @@ class ImagedCase:
                 f"{self.folder / 'case.json'} names {name}, which is not in the folder."
             )
         volume = read_volume(path)
+        meant = self._labels()
         found = {int(label) for label in np.unique(volume.values)}
-        if not found <= set(LABELS) or not {1, 2} <= found:
+        if not found <= set(meant) or {meant[label] for label in found} != set(LABELS.values()):
             raise InputError(
                 f"{path} has the labels {sorted(found)}; a case has 0 background, 1 fat and "
-                "2 glandular, all of them. Relabel the scan, or segment what is missing."
+                "2 glandular, all of them, or what its case.json says under labels. Relabel the "
+                "scan, or segment what is missing."
             )
-        return crop_to_body(above_wall(relabel(volume, LABELS), self._wall_mm()))
+        named = {label: meant[label] for label in found}
+        body = crop_to_body(above_wall(relabel(volume, named), self._wall_mm()), margin_voxels=0)
+        return in_air(body, AIR_VOXELS)
+
+    def _labels(self) -> dict[int, str]:
+        meant = {}
+        for label, words in self.file.labels.items():
+            first = re.split(r"[^a-z]", words.strip().lower())[0]
+            if first not in MEANINGS:
+                raise InputError(
+                    f"{self.folder / 'case.json'}: labels: {label} is {words!r}, expected one of "
+                    f"{', '.join(MEANINGS)} as its first word."
+                )
+            meant[label] = MEANINGS[first]
+        return meant
 
     def _wall_mm(self) -> float:
         text = self.file.nominal.chest_wall
@@ -187,6 +269,28 @@ def above_wall(labels: Volume, wall_mm: float) -> Volume:
     first = int(np.searchsorted(z, wall_mm + 1e-6))
     x0, y0, _ = labels.origin_mm
     return Volume(labels.values[first:], labels.spacing_mm, (x0, y0, float(z[first])))
+
+
+def in_air(labels: Volume, voxels: int) -> Volume:
+    """With air on all sides but that of the chest wall.
+
+    A scan may end where the body touches a plate; its surface there is no cut.
+    """
+    values = np.pad(labels.values, ((0, voxels), (voxels, voxels), (voxels, voxels)))
+    x, y, z = labels.origin_mm
+    dx, dy, _ = labels.spacing_mm
+    return Volume(values, labels.spacing_mm, (x - voxels * dx, y - voxels * dy, z))
+
+
+def extent_mm(labels: Volume, axis: Triple) -> tuple[float, float]:
+    """From where to where the body reaches along an axis across z: faces of its voxels."""
+    along = np.asarray(axis[:2]) / np.linalg.norm(axis)
+    _, y, x = np.nonzero(labels.values != Tissue.AIR)
+    spacing = np.asarray(labels.spacing_mm[:2])
+    places = np.asarray(labels.origin_mm[:2]) + spacing * np.column_stack([x, y])
+    heights = places @ along
+    half = float(np.abs(along) @ spacing) / 2
+    return float(heights.min()) - half, float(heights.max()) + half
 
 
 def _constants(values: Values, young: str, poisson: float) -> Constants:

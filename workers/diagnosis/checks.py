@@ -11,8 +11,8 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 
 from storage.errors import InputError
-from storage.values import FloatArray, Tissue, Volume
-from workers.diagnosis.case import ImagedCase
+from storage.values import FloatArray, Tissue, Triple, Volume
+from workers.diagnosis.case import ALONG_Y, ImagedCase, extent_mm
 from workers.images.labels import resample_labels
 
 # Living tissue hardly changes its volume; segmentations differ by some per cent.
@@ -37,7 +37,8 @@ CELLS = (32, 16)
 
 class _Scan(NamedTuple):
     file: str
-    force_n: float
+    force_n: float | None
+    axis: Triple
     labels: Volume
 
 
@@ -68,10 +69,9 @@ def check_case(case: ImagedCase) -> None:
 
 
 def _scans(case: ImagedCase) -> Iterator[_Scan]:
-    yield _Scan(case.file.scans.reference, 0.0, case.reference)
-    named = (d.file for d in case.file.scans.deformed)
-    for file, force_n, labels in zip(named, case.forces_n, case.deformed, strict=True):
-        yield _Scan(file, force_n, labels)
+    yield _Scan(case.file.scans.reference, 0.0, ALONG_Y, case.reference)
+    for load, labels in zip(case.loads, case.deformed, strict=True):
+        yield _Scan(load.file, load.plate_force_n, load.compression_axis, labels)
 
 
 def _check_tissue(scan: _Scan) -> None:
@@ -143,29 +143,35 @@ def _check_shares(rest: _Scan, scan: _Scan) -> None:
 
 
 def _check_side(rest: _Scan, scan: _Scan) -> None:
-    """Seen along the direction of compression, left and right differ as they did."""
-    before, after = _lopsided(rest.labels), _lopsided(scan.labels)
+    """Seen along the direction of compression, the two sides differ as they did."""
+    across = 1 if abs(scan.axis[0]) > abs(scan.axis[1]) else 0
+    before, after = _lopsided(rest.labels, across), _lopsided(scan.labels, across)
     agreement = _agreement(before, after)
     if np.sqrt(np.nanmean(before**2)) > ALIKE and agreement < MIRRORED:
+        along = "xy"[across]
         raise InputError(
-            f"{scan.file} looks like a mirror image of {rest.file}: along x, what differs between "
-            f"the two sides of the glandular tissue correlates with {agreement:.2f}, expected near "
-            f"1. Flip {scan.file} along x, or write the right direction into its header."
+            f"{scan.file} looks like a mirror image of {rest.file}: along {along}, what differs "
+            f"between the two sides of the glandular tissue correlates with {agreement:.2f}, "
+            f"expected near 1. Flip {scan.file} along {along}, or write the right direction into "
+            "its header."
         )
 
 
 def _check_loads(scans: list[_Scan]) -> None:
-    """From the smallest force to the largest, the body gets thinner."""
-    for less, more in pairwise(sorted(scans, key=lambda scan: scan.force_n)):
-        thick, thin = _thickness_mm(less.labels), _thickness_mm(more.labels)
-        slack = THICKNESS_VOXELS * max(less.labels.spacing_mm[1], more.labels.spacing_mm[1])
-        if thin > thick + slack and less.force_n < more.force_n:
-            raise InputError(
-                f"The body is {thick:.1f} mm thick under {less.force_n:g} N ({less.file}), but "
-                f"{thin:.1f} mm under {more.force_n:g} N ({more.file}); the larger force was "
-                "expected to press it thinner. Exchange the two files, or their plate_force_N, in "
-                "case.json."
-            )
+    """Along each direction, from the smallest force to the largest, the body gets thinner."""
+    for axis in dict.fromkeys(scan.axis for scan in scans[1:]):
+        known = [(s.force_n, s) for s in scans[1:] if s.axis == axis and s.force_n is not None]
+        pressed = sorted([(0.0, scans[0]), *known], key=lambda one: one[0])
+        for (less_n, less), (more_n, more) in pairwise(pressed):
+            thick, thin = _thickness_mm(less.labels, axis), _thickness_mm(more.labels, axis)
+            slack = THICKNESS_VOXELS * max(*less.labels.spacing_mm[:2], *more.labels.spacing_mm[:2])
+            if thin > thick + slack and less_n < more_n:
+                raise InputError(
+                    f"The body is {thick:.1f} mm thick under {less_n:g} N ({less.file}), but "
+                    f"{thin:.1f} mm under {more_n:g} N ({more.file}); the larger force was "
+                    "expected to press it thinner. Exchange the two files, or their "
+                    "plate_force_N, in case.json."
+                )
 
 
 def _ml(labels: Volume) -> float:
@@ -176,20 +182,20 @@ def _gland_share(labels: Volume) -> float:
     return float((labels.values == Tissue.GLANDULAR).sum() / (labels.values != Tissue.AIR).sum())
 
 
-def _thickness_mm(labels: Volume) -> float:
-    rows = np.flatnonzero((labels.values != Tissue.AIR).any(axis=(0, 2)))
-    return float((rows[-1] - rows[0] + 1) * labels.spacing_mm[1])
+def _thickness_mm(labels: Volume, axis: Triple) -> float:
+    low, high = extent_mm(labels, axis)
+    return high - low
 
 
-def _lopsided(labels: Volume) -> FloatArray:
-    """Glandular share of the columns along y, less that of their mirror images in x.
+def _lopsided(labels: Volume, across: int) -> FloatArray:
+    """Glandular share of the columns along the compression, less that of their mirror images.
 
-    Cells follow the box of the body, which may become longer and wider; nan where one of
-    the two is outside. Shape [z, x].
+    Columns are counted across it: along x (0) or y (1), and along z. Cells follow the box of
+    the body, which may become longer and wider; nan where one of the two is outside.
     """
-    z, y, x = np.nonzero(labels.values != Tissue.AIR)
-    gland = labels.values[z, y, x] == Tissue.GLANDULAR
-    columns = _cell(x, CELLS[0]) + CELLS[0] * _cell(z, CELLS[1])
+    z, *yx = np.nonzero(labels.values != Tissue.AIR)
+    gland = labels.values[z, yx[0], yx[1]] == Tissue.GLANDULAR
+    columns = _cell(yx[1 - across], CELLS[0]) + CELLS[0] * _cell(z, CELLS[1])
     size = CELLS[0] * CELLS[1]
     count = np.bincount(columns, minlength=size).astype(np.float64)
     count[count == 0] = np.nan

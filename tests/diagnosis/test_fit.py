@@ -85,7 +85,7 @@ def test_derivatives_are_those_of_the_residual() -> None:
     scan = subject.scans[1]
     here = view(subject, scan, free, z, None)
     assert here is not None
-    found = derivatives(subject, scan, free, z, here)
+    found = derivatives(subject, scan, free, z, here).columns
     for i in range(len(z)):
         h = 1e-3
         ahead, behind = z.copy(), z.copy()

@@ -8,13 +8,13 @@ import numpy as np
 from storage.values import FloatArray
 from workers.diagnosis.linear import Linearised
 from workers.diagnosis.subject import Subject, Unknowns
-from workers.diagnosis.views import View, derivatives, view
+from workers.diagnosis.views import Slope, View, derivatives, view
 from workers.fem.solve import Equilibrium
 
 MAX_ITERATIONS = 12
 MAX_HALVINGS = 5
 # A fall of minus twice the log posterior below this changes no verdict.
-TOLERANCE = 0.02
+TOLERANCE = 0.05
 # Longest step of a parameter in prior standard deviations.
 LONGEST = 1.5
 
@@ -99,17 +99,26 @@ def fit(
     if views is None:
         return None
     cost = _cost(subject, unknowns, z, views)
+    slopes: list[Slope] | None = None
+    fall = np.inf
     for iteration in range(1, MAX_ITERATIONS + 1):
-        J = _jacobian(subject, unknowns, z, views)
-        step = _step(subject, unknowns, z, views, J)
+        slopes = _slopes(subject, unknowns, z, views, slopes)
+        J = np.vstack([slope.columns for slope in slopes])
+        step, expected = _step(subject, unknowns, z, views, J)
+        if expected < TOLERANCE:
+            return Fit(unknowns, z, views, J, cost, True, iteration)
         found = _descend(subject, unknowns, z, views, cost, step)
+        if found is None and not all(slope.fresh for slope in slopes):
+            slopes = None  # columns taken over from elsewhere may point uphill
+            continue
         if found is None:
             return Fit(unknowns, z, views, J, cost, True, iteration)
         fall = cost - found[2]
         z, views, cost = found
         if fall < TOLERANCE:
             break
-    J = _jacobian(subject, unknowns, z, views)
+    slopes = _slopes(subject, unknowns, z, views, slopes)
+    J = np.vstack([slope.columns for slope in slopes])
     return Fit(unknowns, z, views, J, cost, fall < TOLERANCE, iteration)
 
 
@@ -125,11 +134,16 @@ def _views(
     return tuple(found)
 
 
-def _jacobian(
-    subject: Subject, unknowns: Unknowns, z: FloatArray, views: Sequence[View]
-) -> FloatArray:
-    pairs = zip(subject.scans, views, strict=True)
-    return np.vstack([derivatives(subject, scan, unknowns, z, v) for scan, v in pairs])
+def _slopes(
+    subject: Subject,
+    unknowns: Unknowns,
+    z: FloatArray,
+    views: Sequence[View],
+    before: Sequence[Slope] | None,
+) -> list[Slope]:
+    known = before or [None] * len(views)
+    rows = zip(subject.scans, views, known, strict=True)
+    return [derivatives(subject, scan, unknowns, z, v, last) for scan, v, last in rows]
 
 
 def _cost(subject: Subject, u: Unknowns, z: FloatArray, views: Sequence[View]) -> float:
@@ -147,8 +161,11 @@ def _whiten(subject: Subject, values: FloatArray) -> FloatArray:
 
 def _step(
     subject: Subject, u: Unknowns, z: FloatArray, views: Sequence[View], J: FloatArray
-) -> FloatArray:
-    """The Gauss-Newton step; parameters at a bound that push outwards stay there."""
+) -> tuple[FloatArray, float]:
+    """The Gauss-Newton step, and by how much the cost should fall.
+
+    Parameters at a bound that push outwards stay there.
+    """
     A = _whiten(subject, J) * u.sd
     rho = _whiten(subject, residuals(subject, views))
     held = np.zeros(len(z), bool)
@@ -163,7 +180,8 @@ def _step(
             break
         held |= blocked
     longest = float(np.abs(step).max(initial=0.0))
-    return np.asarray(step * u.sd * min(1.0, LONGEST / longest if longest else 1.0))
+    length = min(1.0, LONGEST / longest if longest else 1.0)
+    return np.asarray(step * u.sd * length), float(-g @ step)
 
 
 def _descend(

@@ -18,6 +18,8 @@ from workers.fem.solve import Equilibrium, equilibrium
 LOG_STEP = 1e-4
 # Difference of friction in prior standard deviations.
 STEP = 0.05
+# Within this, in the same unit, the derivative by friction is taken over.
+NEAR = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +79,31 @@ def seen(subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, at: Eq
     return View(at, points, r, normals)
 
 
+@dataclass(frozen=True, eq=False)
+class Slope:
+    """Derivatives of one scan by all parameters, shape (k, p), and where they were taken.
+
+    Fresh unless a column was taken over from a place nearby.
+    """
+
+    z: FloatArray
+    columns: FloatArray
+    fresh: bool = True
+
+
 def derivatives(
-    subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, seen_now: View
-) -> FloatArray:
-    """Of the residual by every parameter, shape (k, p).
+    subject: Subject,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    seen_now: View,
+    before: Slope | None = None,
+) -> Slope:
+    """Of the residual by every parameter.
 
     With friction the path of the load counts, of which tangents know the last step only:
-    good enough for other parameters, but that of friction comes from another simulation.
+    good enough for other parameters, but that of friction comes from another simulation,
+    unless `before` was taken at about the same friction.
     """
     changes = [_log_change(subject, scan, unknowns, z, i) for i in range(len(unknowns.free))]
     for effect in unknowns.effects:
@@ -95,8 +115,13 @@ def derivatives(
     found = _with_observed(subject, unknowns, seen_now, moved)
     if FRICTION in unknowns.effects and seen_now.at.problem.load.device.friction:
         at = unknowns.names.index(FRICTION.names[0])
+        if before is not None and abs(z[at] - before.z[at]) < NEAR * unknowns.sd[at]:
+            # The place where that column was taken stays: it must not drift.
+            found[:, at] = before.columns[:, at]
+            z = np.where(np.arange(len(z)) == at, before.z, z)
+            return Slope(z, found, fresh=False)
         found[:, at] = _by_solving(subject, scan, unknowns, z, seen_now, at)
-    return found
+    return Slope(z, found)
 
 
 def _by_solving(

@@ -39,7 +39,8 @@ from workers.library import code_version
 from workers.resources import CACHE
 
 ROOMS = (
-    "diagnosis", "effects", "fem", "images", "materials", "mesh", "observation",
+    "diagnosis", "effects", "fem", "images", "imaging", "materials", "mesh", "observation",
+    "similarity",
 )  # fmt: skip
 # Nodes of the mesh that says what the working mesh gets wrong, over those of that one.
 FINER = 2.8

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from storage.values import BoolArray
+from storage.values import BoolArray, FloatArray
 from workers.casebook import Casebook, Request
 from workers.diagnosis.calibrate import calibrate
 from workers.diagnosis.diagnosis import (
@@ -37,6 +37,7 @@ from workers.diagnosis.screen import screen
 from workers.diagnosis.subject import Subject
 from workers.diagnosis.summary import summary
 from workers.diagnosis.threshold import alarm_threshold, null_alarms
+from workers.diagnosis.views import view
 from workers.effects.base import Effect
 from workers.observation.interface import InterfacePoints
 
@@ -148,7 +149,8 @@ def weigh_case(request: Request) -> Record:
     except _WantedError as missing:
         return {"wanted": missing.combinations}
     told = summary(found, book.effects, book.source.name)
-    book.save(_maps(found), told, "verdict")
+    drawn, rows = book.source.pictures(found, _moved(book, found))
+    book.save(_maps(found) | drawn, told | rows, "verdict")
     return {"wanted": [], "summary": book.told("verdict")}
 
 
@@ -217,6 +219,25 @@ def _arrays(found: Fingerprint) -> dict[str, Any]:
         "prior_sd": found.prior_sd,
         "one_sided": found.one_sided,
     }
+
+
+def _moved(book: Casebook, found: Diagnosis) -> dict[str, list[FloatArray]]:
+    """Displacements of the nodes before, and after where an effect is accused and simulated.
+
+    What the store has of a refit are its points; the body is solved once more.
+    """
+    subject, nominal = book.subject, book.nominal
+    moved = {"before": [v.at.solution.displacement_mm for v in nominal.views]}
+    if found.best is not None:
+        fit = found.best.fit
+        again = [
+            view(subject, scan, fit.unknowns, fit.z, v.at)
+            for scan, v in zip(subject.scans, nominal.views, strict=True)
+        ]
+        solved = [v.at.solution.displacement_mm for v in again if v is not None]
+        if len(solved) == len(again):
+            moved["after"] = solved
+    return moved
 
 
 def _maps(found: Diagnosis) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
@@ -23,10 +24,10 @@ SIGNED = LinearSegmentedColormap.from_list(
 # (across, up, along): columns of (x, y, z), and what a reader sees.
 VIEWS = (
     (0, 1, "seen towards the chest wall"),
-    (0, 2, "seen along the compression"),
-    (1, 2, "seen from above"),
+    (0, 2, "seen along y"),
+    (1, 2, "seen along x"),
 )
-DOTS_PER_INCH = 220
+DOTS_PER_INCH = 180
 POINT = 11.0
 
 
@@ -34,6 +35,15 @@ def range_mm(before: FloatArray, noise: FloatArray) -> float:
     """End of the colour scale: what 98 % of the significant residuals keep below."""
     loud = np.abs(before)[np.abs(before) >= SIGNIFICANT * noise]
     return max(SMALLEST_RANGE_MM, float(np.quantile(loud, 0.98)) if loud.size else 0.0)
+
+
+def sharpened(drawn: Figure) -> None:
+    """Draw what is drawn as dots with `DOTS_PER_INCH`.
+
+    A canvas remembers the resolution that it was made with, so it is made anew.
+    """
+    drawn.set_dpi(DOTS_PER_INCH)
+    FigureCanvasSVG(drawn)
 
 
 def residual_map(
@@ -59,7 +69,7 @@ def residual_map(
     per_in = sum(spans[across] for across, _, _ in VIEWS) / 8.6
     heights = [max(spans[up] for _, up, _ in VIEWS) / per_in] * len(rows)
     drawn = figure(10.4, sum(heights) + 0.55 * len(rows) + 0.2)
-    drawn.set_dpi(DOTS_PER_INCH)
+    sharpened(drawn)
     widths = [spans[across] for across, _, _ in VIEWS]
     grid = drawn.subplots(len(rows), len(VIEWS), squeeze=False, width_ratios=widths)
     scale = Normalize(-most_mm, most_mm)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 
 from service.diagnosis.run import Found
 from service.diagnosis.words import (
@@ -18,19 +17,17 @@ from service.diagnosis.words import (
     together,
 )
 from service.report import diagnosis_tables as tables
+from service.report import diagnosis_where as where
 from service.report.diagnosis_figures import Cause, Evidence, Judged, evidence, gaps, probabilities
-from service.report.diagnosis_maps import SIGNIFICANT, range_mm, residual_map
+from service.report.diagnosis_slices import overlay_legend
 from service.report.pictures import Picture, picture
 from service.versions import palpate_version
 from storage.plain import to_plain
-from workers.diagnosis.summary import INTERFACES
 from workers.effects.catalogue import NOT_SIMULATED
 
 Json = dict[str, Any]
 # Causes in the chart besides those of the 90 % set.
 CAUSES = 8
-# Fewer points of an interface make no map.
-FEW_POINTS = 5
 
 
 def render(found: Found) -> str:
@@ -63,7 +60,13 @@ def context(found: Found) -> Json:
         "about_causes": _about_causes(told),
         "constants": tables.constants(told["constants"]),
         "effects": tables.effects(told["effects"], told["absorbed"]),
-        "maps": list(_maps(found, accused)),
+        "maps": list(where.maps(found.maps, found.scans, accused)),
+        "averaged": where.on_surfaces(found.maps),
+        "sections": list(where.sections(found.maps, found.scans, accused)),
+        "section_legend": overlay_legend(),
+        "cause_map": where.cause_picture(found.maps, told.get("cause_map"), accused),
+        "overlap": tables.overlap(told.get("overlap", [])),
+        "percentiles": any("p95_mm" in region for region in told["where"]),
         "regions": tables.regions(told["where"]),
         "not_simulated": NOT_SIMULATED,
         "json": json.dumps(to_plain(told), indent=2, ensure_ascii=False),
@@ -168,26 +171,3 @@ def _about_causes(told: Json) -> str:
             f"The most probable family is {families[0][0]} ({likely(families[0][1])})."
         )
     return " ".join(sentences)
-
-
-def _maps(found: Found, accused: str) -> Iterator[Picture]:
-    """A picture for each scan and interface; one colour scale for all."""
-    maps = found.maps
-    most = range_mm(maps["before"], maps["noise"])
-    for scan, name in enumerate(found.scans):
-        for number, interface in enumerate(INTERFACES):
-            own = maps["interface"] == number
-            if own.sum() < FEW_POINTS:
-                continue
-            rows = {"nominal model": maps["before"][scan, own]}
-            if "after" in maps:
-                rows[f"with {accused}"] = maps["after"][scan, own]
-            noise = maps["noise"][scan, own]
-            loud = {title: (abs(r) >= SIGNIFICANT * noise).mean() for title, r in rows.items()}
-            said = ", ".join(f"{100 * share:.0f} % ({title})" for title, share in loud.items())
-            drawn = residual_map(maps["points"][own], rows, noise, most)
-            title = f"{interface.capitalize()}, scan at {name}"
-            beyond = f"beyond twice the noise lie {said} of the points; noise alone puts 5 % there"
-            yield picture(
-                drawn, f"{title}: {beyond}.", Markup("<b>{}</b>: {}.").format(title, beyond)
-            )

@@ -1,5 +1,6 @@
 """The rows of a diagnosis' tables, ready to print."""
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ from service.diagnosis.words import likely, measured, millimetres, signed, spoke
 from service.report.words import NONE, number, percent, signed_error, symbol
 
 Json = Mapping[str, Any]
+Pair = tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,25 @@ class RegionRow:
     region: str
     gap: str
     mean: str
+    median: str
+    p95: str
     points: str
     significant: bool
+
+
+@dataclass(frozen=True)
+class OverlapRow:
+    """How one interface of a scan is matched; pairs are the nominal model and the effect."""
+
+    scan: str
+    interface: str
+    jc: Pair
+    reachable: str
+    mhd: Pair
+    gsf: Pair
+    median: Pair
+    p95: Pair
+    mean: Pair
 
 
 def constants(found: Json) -> list[ConstantRow]:
@@ -83,11 +102,45 @@ def regions(found: Iterable[Json]) -> list[RegionRow]:
             r["region"],
             millimetres(r),
             signed(r["signed_mean_mm"], 2, "+"),
+            _fixed(r.get("p50_mm"), 2),
+            _fixed(r.get("p95_mm"), 2),
             str(r["points"]),
             r["significant"],
         )
         for r in found
     ]
+
+
+def overlap(found: Iterable[Json]) -> list[OverlapRow]:
+    """Every interface of every scan, as `workers.diagnosis.drawings.overlap_rows` has them."""
+    rows = []
+    for r in found:
+        before, after = r["before"], r["after"] or {}
+
+        def pair(key: str, digits: int, before: Json = before, after: Json = after) -> Pair:
+            return _fixed(before[key], digits), _fixed(after.get(key), digits)
+
+        rows.append(
+            OverlapRow(
+                scan=r["scan"],
+                interface=r["interface"],
+                jc=pair("jc", 3),
+                reachable=_fixed(r["reachable_jc"], 3),
+                mhd=pair("mhd_mm", 2),
+                gsf=pair("gsf", 2),
+                median=pair("p50_mm", 2),
+                p95=pair("p95_mm", 2),
+                mean=pair("signed_mean_mm", 2),
+            )
+        )
+    return rows
+
+
+def _fixed(value: float | None, digits: int) -> str:
+    """A number with so many decimals; no number is a dash, and infinite ones have a sign."""
+    if value is None or not math.isfinite(value):
+        return number(value)
+    return signed(value, digits)
 
 
 def _effect(e: Json, hidden: bool) -> EffectRow:

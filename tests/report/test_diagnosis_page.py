@@ -144,7 +144,7 @@ def test_a_map_for_each_scan_and_interface() -> None:
     # Twelve points, half of them on each interface; twice the noise is 0.8 mm.
     maps = found().maps
     loud = 100 * (abs(maps["before"][0, :6]) >= 0.8).mean()
-    assert f"lie {loud:.0f} % (nominal model)" in captions[0]
+    assert f"of a point: {loud:.0f} % (nominal model)" in captions[0]
 
 
 def test_bars_are_as_long_as_their_gaps() -> None:

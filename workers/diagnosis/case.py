@@ -243,7 +243,7 @@ class ImagedCase:
                 "scan, or segment what is missing."
             )
         named = {label: meant[label] for label in found}
-        body = crop_to_body(above_wall(relabel(volume, named), self._wall_mm()), margin_voxels=0)
+        body = crop_to_body(above_wall(relabel(volume, named), self.wall_mm), margin_voxels=0)
         return in_air(body, AIR_VOXELS)
 
     def _labels(self) -> dict[int, str]:
@@ -258,7 +258,9 @@ class ImagedCase:
             meant[label] = MEANINGS[first]
         return meant
 
-    def _wall_mm(self) -> float:
+    @property
+    def wall_mm(self) -> float:
+        """The z of the chest wall."""
         text = self.file.nominal.chest_wall
         return self._number(text, r"z\s*=\s*([+-]?[\d.]+)", "chest_wall: .. z=..")
 

@@ -141,7 +141,7 @@ def _slopes(
     views: Sequence[View],
     before: Sequence[Slope] | None,
 ) -> list[Slope]:
-    known = before or [None] * len(views)
+    known: Sequence[Slope | None] = before or [None] * len(views)
     rows = zip(subject.scans, views, known, strict=True)
     return [derivatives(subject, scan, unknowns, z, v, last) for scan, v, last in rows]
 

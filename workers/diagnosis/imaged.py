@@ -2,10 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from workers.diagnosis.build import body_of, build_subject
-from workers.diagnosis.case import ImagedCase
+from workers.diagnosis.case import ImagedCase, above_wall
 from workers.diagnosis.checks import check_case
+from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.pictures import Moved, pictures_of_scans
 from workers.diagnosis.subject import Subject
 from workers.effects.base import Effect
 from workers.effects.catalogue import BREAST_EFFECTS
@@ -63,3 +68,10 @@ class ImagedSource:
     def finer(self, nodes: int) -> Model:
         """Of the same outline."""
         return prepare(build_hierarchy(body_of(self.case), nodes=nodes))
+
+    def pictures(self, found: Diagnosis, moved: Moved) -> tuple[dict[str, NDArray[Any]], Any]:
+        """Bodies, maps and overlaps."""
+        case = self.case
+        return pictures_of_scans(
+            found, moved, case.reference, case.deformed, lambda v: above_wall(v, case.wall_mm)
+        )

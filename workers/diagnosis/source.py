@@ -2,8 +2,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
+from numpy.typing import NDArray
+
+from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.pictures import Moved
 from workers.diagnosis.subject import Subject
 from workers.effects.base import Effect
 from workers.fem.model import Model
@@ -48,3 +52,6 @@ class Source(Protocol):
 
     def finer(self, nodes: int) -> Model:
         """Another mesh of the same body, to see what the mesh adds."""
+
+    def pictures(self, found: Diagnosis, moved: Moved) -> tuple[dict[str, NDArray[Any]], Any]:
+        """What the report draws of the bodies, and rows for the summary; may both be empty."""

@@ -161,6 +161,8 @@ def _where(found: Diagnosis) -> list[Json]:
                         | _as_json(found_gap)
                         | {
                             "signed_mean_mm": float(fit.residual[chosen].mean()),
+                            "p50_mm": float(np.quantile(np.abs(fit.residual[chosen]), 0.5)),
+                            "p95_mm": float(np.quantile(np.abs(fit.residual[chosen]), 0.95)),
                             "significant": bool(found_gap.low_mm > NOTHING_MM),
                         }
                     )

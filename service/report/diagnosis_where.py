@@ -1,0 +1,131 @@
+"""The pictures of where model and scan differ, as far as the store has what they show."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from service.diagnosis.words import signed
+from service.report.diagnosis_maps import SIGNIFICANT, range_mm, residual_map
+from service.report.diagnosis_slices import cause_sections, overlays, titled
+from service.report.diagnosis_surfaces import Painted, surface_map
+from service.report.pictures import Picture, picture
+from service.report.slices import middle_mm
+from storage.arrays import Arrays
+from storage.values import FloatArray, Tissue, Triple, Volume
+from workers.diagnosis.summary import INTERFACES
+
+Json = dict[str, Any]
+# Fewer points of an interface make no map.
+FEW_POINTS = 5
+PARTS = ("vertices", "triangles")
+
+
+def maps(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Picture]:
+    """Signed residuals of every scan, all in one colour scale.
+
+    On surfaces, averaged around each point, where the store has these; else as points seen
+    from three sides.
+    """
+    solid_ones = on_surfaces(found)
+    value, spread = ("local_before", "local_before_sd") if solid_ones else ("before", "noise")
+    most = range_mm(found[value], found[spread])
+    for scan, name in enumerate(scans):
+        painted = []
+        for one, interface in enumerate(INTERFACES):
+            own = found["interface"] == one
+            if own.sum() < FEW_POINTS:
+                continue
+            points, noise = found["points"][own], found["noise"][scan, own]
+            rows = {t: found[k][scan, own] for k, t in titled(found, accused)}
+            if not solid_ones:
+                drawn = residual_map(points, rows, noise, most)
+                title = f"{interface.capitalize()}, scan at {name}"
+                yield _captioned(drawn, title, _beyond(_loud(rows, noise)))
+                continue
+            local = {
+                t: (found[f"local_{k}"][scan, own], found[f"local_{k}_sd"][scan, own])
+                for k, t in titled(found, accused)
+            }
+            vertices, triangles = (found[f"shape_{interface}_{w}"] for w in PARTS)
+            solid = Painted(interface, vertices.astype(np.float64), triangles, points, local)
+            painted.append((solid, f"{interface}: {_loud(rows, noise)}"))
+        if painted:
+            drawn = surface_map([solid for solid, _ in painted], most)
+            yield _captioned(drawn, f"Scan at {name}", _beyond("; ".join(w for _, w in painted)))
+
+
+def on_surfaces(found: Arrays) -> bool:
+    """Whether the store has the shapes of the interfaces and residuals averaged on them."""
+    return "local_before" in found and f"shape_{INTERFACES[0]}_vertices" in found
+
+
+def sections(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Picture]:
+    """Observed and predicted bodies of every scan that the store has."""
+    for scan, name in enumerate(scans):
+        if f"labels_{scan}" not in found:
+            continue
+        stack, frame = found[f"labels_{scan}"], found[f"labels_{scan}_frame"]
+        observed, *models = (_volume(labels, frame) for labels in stack)
+        keys = dict(zip(("before", "after"), models, strict=False))
+        shown = {title: keys[key] for key, title in titled(keys, accused)}
+        middle = middle_mm(observed, (Tissue.GLANDULAR,))
+        yield _captioned(
+            overlays(observed, shown, middle),
+            f"Scan at {name}",
+            "sections through the middle of the glandular tissue of the scan; lines are its "
+            "interfaces",
+        )
+
+
+def cause_picture(found: Arrays, told: Json | None, accused: str) -> Picture | None:
+    """The map of causes; None if there is none."""
+    if told is None or "cause_before" not in found:
+        return None
+    before = told["before"]
+    body = _volume(found["labels_rest"], found["labels_rest_frame"])
+    keys = {key: found[f"cause_{key}"] for key in ("before", "after") if f"cause_{key}" in found}
+    shown = {
+        title: _volume(keys[key], found["cause_frame"]) for key, title in titled(keys, accused)
+    }
+    at: Triple = (before["x_mm"], before["y_mm"], before["z_mm"])
+    drawn = cause_sections(shown, body, at, before["reached_by_noise"])
+    return _captioned(drawn, "Map of causes", cause_words(told))
+
+
+def cause_words(told: Json) -> str:
+    """Where the map is loudest, and whether that is more than noise."""
+    before = told["before"]
+    way = "stiffer" if before["score"] > 0 else "softer"
+    noise = before["reached_by_noise"]
+    place = ", ".join(f"{axis} = {signed(before[f'{axis}_mm'], 0)}" for axis in "xyz")
+    verdict = (
+        "more than noise alone reaches anywhere in the body"
+        if abs(before["score"]) > noise
+        else "no more than noise alone reaches somewhere in the body"
+    )
+    return (
+        f"{way} tissue at {place} mm (the cross) would explain most. Its score of "
+        f"{signed(before['score'], 1)} is {verdict} (±{noise:.1f} in 5 of 100 cases, the strokes "
+        "in the scale)"
+    )
+
+
+def _beyond(said: str) -> str:
+    return f"points beyond twice the noise of a point: {said}. Noise alone puts 5 % there"
+
+
+def _loud(rows: Mapping[str, FloatArray], noise: FloatArray) -> str:
+    """Share of the points that noise alone rarely puts so far."""
+    shares = {title: (np.abs(r) >= SIGNIFICANT * noise).mean() for title, r in rows.items()}
+    return ", ".join(f"{100 * share:.0f} % ({title})" for title, share in shares.items())
+
+
+def _captioned(drawn: Any, title: str, words: str) -> Picture:
+    return picture(drawn, f"{title}: {words}.", Markup("<b>{}</b>: {}.").format(title, words))
+
+
+def _volume(values: Any, frame: FloatArray) -> Volume:
+    (dx, dy, dz), (x, y, z) = frame.tolist()
+    return Volume(values, (dx, dy, dz), (x, y, z))

@@ -1,0 +1,66 @@
+"""A diagnosis with bodies: an egg between plates, once along y and once along x."""
+
+from typing import Any
+
+import numpy as np
+from diagnosis_at_hand import summary
+
+from service.diagnosis.run import Found
+from storage.values import FloatArray, Volume
+from workers.diagnosis.cause_map import CauseMap
+from workers.diagnosis.drawings import bodies, cause_record, causes, overlap_rows
+from workers.observation.interface import GLANDULAR, OUTLINE, interface_points
+
+SCANS = ["40 N", "40 N along x"]
+HALF_AXES_MM = np.array([24.0, 16.0, 14.0])
+# Of the egg between the plates.
+PRESSED_MM = (np.array([27.0, 12.0, 15.0]), np.array([18.0, 20.0, 15.0]))
+# The nominal model is pressed too little.
+NOMINAL_MM = (np.array([26.0, 13.5, 15.0]), np.array([19.5, 19.0, 15.0]))
+LUMP_MM = (8.0, -4.0, 2.0)
+
+
+def egg(half_axes_mm: FloatArray) -> Volume:
+    """Fat with a gland in its middle, voxels of 1.5 mm, all on one lattice."""
+    z, y, x = (a * 1.5 for a in np.mgrid[-12:13, -15:16, -20:21])
+    a, b, c = half_axes_mm
+    r = np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)
+    values = (r < 1).astype(np.uint8) + (r < 0.55)
+    return Volume(values, (1.5, 1.5, 1.5), (-30.0, -22.5, -18.0))
+
+
+def found(accused: bool = True, **changes: Any) -> Found:
+    """The egg; `changes` go into the summary."""
+    reference = egg(HALF_AXES_MM)
+    points = interface_points(reference, (OUTLINE, GLANDULAR), 5.0, 2.0)
+    k = len(points)
+    observed = [egg(half) for half in PRESSED_MM]
+    predicted = {"before": [egg(half) for half in NOMINAL_MM]}
+    along = points.points / HALF_AXES_MM
+    apart = np.stack([
+        ((nominal - pressed) * along * points.normals).sum(axis=1)
+        for nominal, pressed in zip(NOMINAL_MM, PRESSED_MM, strict=True)
+    ])  # fmt: skip
+    maps = {
+        "points": points.points,
+        "interface": points.interface,
+        "before": apart,
+        "noise": np.full((2, k), 0.3),
+        "local_before": apart,
+        "local_before_sd": np.full((2, k), 0.1),
+    }
+    if accused:
+        predicted["after"] = observed
+        maps |= {"after": 0 * apart, "local_after": 0 * apart}
+        maps["local_after_sd"] = maps["local_before_sd"]
+    places = np.array([LUMP_MM, (-8.0, 4.0, 2.0), (0.0, 0.0, 0.0)])
+    cause = CauseMap(places, np.array([6.2, -3.0, 1.0]), np.array([0.9, -0.4, 0.1]),
+                     np.full(3, 0.2), np.ones(3, bool), 3.3)  # fmt: skip
+    told = summary(**changes) if accused else summary(primary=[], **changes)
+    residuals = {when: maps[when] for when in predicted}
+    told["overlap"] = overlap_rows(
+        SCANS, observed, predicted, residuals, maps["noise"], points.interface
+    )
+    told["cause_map"] = {"before": cause_record(cause)}
+    maps |= bodies(reference, observed, predicted) | causes({"before": cause}, reference)
+    return Found(told, maps, SCANS)

@@ -1,0 +1,208 @@
+"""The pictures of where model and scan differ: bodies drawn as they lie, colours as they mean."""
+
+import numpy as np
+import pytest
+from diagnosis_at_hand import found as without_bodies
+from diagnosis_at_hand import summary
+from diagnosis_bodies_at_hand import LUMP_MM, SCANS, egg, found
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize, to_hex, to_rgb
+from pages import Page
+
+from service.diagnosis.run import Found
+from service.report import diagnosis_tables as tables
+from service.report import diagnosis_where as where
+from service.report.diagnosis_maps import FAINT, SIGNED
+from service.report.diagnosis_page import render
+from service.report.diagnosis_slices import (
+    BODY,
+    GLAND,
+    PAPER,
+    cause_sections,
+    compared,
+    overlays,
+)
+from service.report.diagnosis_surfaces import (
+    SIDES,
+    UNKNOWN,
+    Painted,
+    basis,
+    colours_of,
+    surface_map,
+)
+from service.report.palette import BLUE, VERMILION
+from service.report.slices import Section
+from storage.values import Volume
+
+
+@pytest.fixture(scope="module")
+def whole() -> Found:
+    return found()
+
+
+@pytest.fixture(scope="module")
+def source(whole: Found) -> str:
+    return render(whole)
+
+
+@pytest.fixture(scope="module")
+def page(source: str) -> Page:
+    return Page(source)
+
+
+def test_the_page_with_bodies_needs_no_other_file_and_is_light(source: str, page: Page) -> None:
+    assert len(page.ids) == len(set(page.ids))
+    assert all(address.startswith("data:") for address in page.addresses)
+    assert all(image["alt"] for image in page.images)
+    assert page.drawings()
+    assert len(source) < 3e6
+    assert render(found()) == source
+
+
+def test_every_scan_has_its_map_and_its_sections_whatever_way_the_plates_press(page: Page) -> None:
+    told = [image["alt"].split(":")[0] for image in page.images if "Scan at" in image["alt"]]
+    assert told == [f"Scan at {name}" for name in SCANS] * 2
+
+
+def test_without_an_accused_effect_there_is_one_column_and_no_arrow() -> None:
+    alone = Page(render(found(accused=False, verdict="none-of-these", set90=["none-of-these"])))
+    assert "with plate tilt" not in alone.text
+    cells = [row for row in alone.cells if row and row[0] == "40 N along x"]
+    assert cells
+    assert all("→" not in cell for row in cells for cell in row)
+
+
+def test_both_sides_together_show_the_plates_along_x_and_along_y() -> None:
+    for face in np.concatenate([np.eye(3)[:2], -np.eye(3)[:2]]):
+        assert max(face @ basis(way)[2] for _, way in SIDES) > 0.4
+    for _, way in SIDES:
+        across, up, near = basis(way)
+        np.testing.assert_allclose(np.cross(across, up), near, atol=1e-12)
+        assert up[2] > 0.7  # the nipple points upwards
+        assert near[2] > 0.4  # and towards the viewer
+
+
+def square(z: float) -> tuple[np.ndarray, np.ndarray]:
+    corners = np.array([[0, 0, z], [4, 0, z], [4, 4, z], [0, 4, z]], float)
+    return corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+
+
+def test_a_triangle_has_the_colour_of_its_nearest_point() -> None:
+    """Two triangles: the point of one lies within the noise, that of the other does not."""
+    vertices, triangles = square(0.0)
+    points = np.array([[3.0, 1.0, 0.0], [1.0, 3.0, 0.0]])
+    values, spread = np.array([-1.0, 0.15]), np.array([0.1, 0.1])
+    one = Painted("outline", vertices, triangles, points, {})
+    colours = colours_of(one, values, spread, Normalize(-2, 2))
+    np.testing.assert_allclose(colours[0], SIGNED(0.25)[:3])
+    np.testing.assert_allclose(colours[1], to_rgb(FAINT))
+    far = Painted("outline", vertices + 50.0, triangles, points, {})
+    for colour in colours_of(far, values, spread, Normalize(-2, 2)):
+        np.testing.assert_allclose(colour, to_rgb(UNKNOWN))
+
+
+def test_what_is_nearer_to_the_viewer_is_drawn_later() -> None:
+    low, triangles = square(0.0)
+    high, _ = square(10.0)
+    vertices = np.concatenate([high, low])
+    both = np.concatenate([triangles, triangles + 4])
+    points = np.array([[2.0, 2.0, 10.0], [2.0, 2.0, 0.0]])
+    rows = {"nominal model": (np.array([1.0, -1.0]), np.full(2, 0.1))}
+    drawn = surface_map([Painted("outline", vertices, both, points, rows)], 1.0)
+    for axes in drawn.axes[:2]:
+        (solid,) = (c for c in axes.collections if isinstance(c, PolyCollection))
+        red, _, blue = solid.get_facecolor()[:, :3].T
+        np.testing.assert_array_equal(red > blue, [False, False, True, True])
+
+
+def test_the_same_scale_serves_all_scans_and_both_models(whole: Found, page: Page) -> None:
+    maps = whole.maps
+    loud = np.abs(maps["local_before"])[np.abs(maps["local_before"]) >= 0.2]
+    assert np.quantile(loud, 0.98) > 0.5
+    labels = [image for image in page.drawings() if "outside" in _text(image)]
+    ticks = [sorted(t for t in _text(image).split() if t.lstrip("−").replace(".", "").isdigit())
+             for image in labels]  # fmt: skip
+    assert len(ticks) == 2
+    assert ticks[0] == ticks[1]
+
+
+def _text(image: object) -> str:
+    return " ".join(image.itertext())  # type: ignore[attr-defined]
+
+
+def test_sections_are_compared_voxel_by_voxel() -> None:
+    """Body b, gland g; the model has both one column too far to the right::
+
+    scan  .bgb.
+    model ..bgb
+    """
+    seen = Section(np.array([[0, 1, 2, 1, 0]], np.uint8), (1.0, 1.0), (0.0, 0.0))
+    model = Section(np.array([[0, 0, 1, 2, 1]], np.uint8), (1.0, 1.0), (0.0, 0.0))
+    pixels = [to_hex(p) for p in compared(seen, model)[0]]
+    assert pixels == [PAPER, BLUE, BLUE, VERMILION, VERMILION]
+    same = [to_hex(p) for p in compared(seen, seen)[0]]
+    assert same == [PAPER, BODY, GLAND, BODY, PAPER]
+
+
+def test_a_model_that_is_too_long_is_vermilion_at_its_ends() -> None:
+    """Along x the model is 6 mm longer at each end, along y and z it fits."""
+    seen, model = egg(np.array([18.0, 16.0, 14.0])), egg(np.array([24.0, 16.0, 14.0]))
+    drawn = overlays(seen, {"nominal model": model}, (0.0, 0.0, 0.0))
+    coronal, transverse, sagittal = drawn.axes
+    for axes in (coronal, sagittal):
+        image = axes.images[0].get_array()
+        assert image is not None
+        line = image[len(image) // 2]
+        ends = {to_hex(line[5]), to_hex(line[-6])}
+        assert ends == {VERMILION}
+        assert axes.images[0].get_extent()[:2] == [-30.75, 30.75]
+    assert VERMILION not in {to_hex(p) for p in transverse.images[0].get_array().reshape(-1, 3)}
+
+
+def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: Found) -> None:
+    frame = whole.maps["cause_frame"]
+    scores = Volume(whole.maps["cause_before"], tuple(frame[0]), tuple(frame[1]))
+    drawn = cause_sections({"nominal model": scores}, egg(np.array([24.0, 16.0, 14.0])), LUMP_MM, 3)
+    coronal = drawn.axes[0]
+    image = coronal.images[0]
+    left, right, bottom, top = image.get_extent()
+    pixels = np.asarray(image.get_array())
+    rows, columns, _ = pixels.shape
+    column = int((LUMP_MM[0] - left) / (right - left) * columns)
+    row = int((LUMP_MM[1] - bottom) / (top - bottom) * rows)
+    red, green, _ = pixels[row, column]
+    assert red > 1.5 * green  # purple: stiffer
+    # The other sign on the other side.
+    red, green, _ = pixels[rows - 1 - row, columns - 1 - column]
+    assert green > red
+
+
+def test_words_of_the_map_say_whether_it_is_more_than_noise(whole: Found) -> None:
+    told = whole.summary["cause_map"]
+    assert where.cause_words(told).startswith(
+        "stiffer tissue at x = 8, y = −4, z = 2 mm (the cross) would explain most. Its score of "
+        "6.2 is more than noise alone reaches anywhere"
+    )
+    quiet = {"before": told["before"] | {"score": -2.1}}
+    assert "softer tissue" in where.cause_words(quiet)
+    assert "Its score of −2.1 is no more than noise alone" in where.cause_words(quiet)
+
+
+def test_overlap_before_and_after_with_what_is_reachable(whole: Found, page: Page) -> None:
+    rows = tables.overlap(whole.summary["overlap"])
+    assert [(r.scan, r.interface) for r in rows] == [
+        ("40 N", "outline"), ("40 N", "glandular"),
+        ("40 N along x", "outline"), ("40 N along x", "glandular"),
+    ]  # fmt: skip
+    told = whole.summary["overlap"][0]
+    assert rows[0].jc == (f"{told['before']['jc']:.3f}", "1.000")
+    assert rows[0].gsf[1] == "−∞"  # the same voxels
+    shown = next(row for row in page.cells if row[:2] == ["40 N", "outline"] and "→" in row[2])
+    assert " ".join(shown[2].split()) == (f"{rows[0].jc[0]} → 1.000 ({told['reachable_jc']:.3f})")
+
+
+def test_percentiles_of_regions_are_shown_where_they_are_known() -> None:
+    regions = [r | {"p50_mm": 0.2, "p95_mm": 0.714} for r in summary()["where"]]
+    page = Page(render(without_bodies(summary(where=regions))))
+    row = next(r for r in page.cells if r[:3] == ["80 N", "glandular", "nipple third"])
+    assert row[5:7] == ["0.20", "0.71"]

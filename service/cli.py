@@ -11,6 +11,7 @@ import typer
 
 from service.commands import (
     bench,
+    blind,
     diagnose,
     doctor,
     import_,
@@ -18,6 +19,7 @@ from service.commands import (
     new,
     parameters,
     phantom,
+    plan,
     report,
     run,
     show,
@@ -59,6 +61,8 @@ app.command("status")(status.status)
 app.command("show")(show.show)
 app.command("report")(report.report)
 app.command("diagnose")(diagnose.diagnose)
+app.command("plan")(plan.plan)
+app.add_typer(blind.app, name="blind")
 app.command("import")(import_.import_image)
 app.command("phantom")(phantom.phantom)
 app.command("mesh")(mesh.mesh)

@@ -29,7 +29,6 @@ from storage.values import FloatArray
 from workers.diagnosis.fit import Fit
 from workers.diagnosis.refit import Refit
 from workers.diagnosis.source import Source
-from workers.diagnosis.sources import open_source
 from workers.diagnosis.subject import Subject, unknowns
 from workers.diagnosis.views import View, view
 from workers.effects.base import Effect
@@ -37,6 +36,7 @@ from workers.fem.model import Model
 from workers.fem.solve import Equilibrium
 from workers.library import code_version
 from workers.resources import CACHE
+from workers.sources import open_source
 
 ROOMS = (
     "diagnosis", "effects", "fem", "images", "imaging", "materials", "mesh", "observation",

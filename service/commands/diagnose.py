@@ -47,7 +47,7 @@ def diagnose(
     Ctrl-C stops it at any time; the same command continues it.
     """
     from service.diagnosis.run import ask
-    from workers.diagnosis.sources import open_source
+    from workers.sources import open_source
 
     open_source(case).check()
     request = ask(case, store or RUNS / "store", nodes)

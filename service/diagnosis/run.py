@@ -17,8 +17,8 @@ from storage.stores import open_store
 from workers import examine
 from workers.casebook import Casebook, Request, named
 from workers.diagnosis.build import NODES, POINT_SPACING_MM
-from workers.diagnosis.sources import open_source
 from workers.effects.inclusion import INCLUSION
+from workers.sources import open_source
 
 Json = dict[str, Any]
 Tell = Callable[[str, int, int, Json], None]
@@ -59,7 +59,7 @@ def ask(
     Parameters
     ----------
     path : Path
-        Of what is diagnosed, see `workers.diagnosis.sources.open_source`.
+        Of what is diagnosed, see `workers.sources.open_source`.
     store : Path
     nodes : int
         Of the mesh.

@@ -25,7 +25,8 @@ from workers.diagnosis.subject import Free, Values
 from workers.fem.fields import FibreField, Frame
 from workers.fem.loads import Device, DistanceControl, ForceControl, Load, Wall
 from workers.fem.problem import Constants, Problem
-from workers.images.labels import crop_to_body, relabel
+from workers.images.labels import relabel
+from workers.images.one_body import in_air, one_body
 from workers.images.read import read_volume
 from workers.observation.noise import SegmentationNoise
 from workers.spec import validated
@@ -33,8 +34,6 @@ from workers.units import KPA, KPA_PER_MM
 
 # What voxels leave of an interface, see `workers.observation.noise`.
 NUGGET_VOXELS = 0.08
-# Around the body: more than an interface is blurred by.
-AIR_VOXELS = 4
 LABELS = {0: "air", 1: "fat", 2: "glandular"}
 # First words of the labels of case.json. Skin in a scan is counted as the fat under it.
 MEANINGS = {
@@ -243,8 +242,8 @@ class ImagedCase:
                 "scan, or segment what is missing."
             )
         named = {label: meant[label] for label in found}
-        body = crop_to_body(above_wall(relabel(volume, named), self.wall_mm), margin_voxels=0)
-        return in_air(body, AIR_VOXELS)
+        body = one_body(above_wall(relabel(volume, named), self.wall_mm))
+        return in_air(body)
 
     def _labels(self) -> dict[int, str]:
         meant = {}
@@ -271,17 +270,6 @@ def above_wall(labels: Volume, wall_mm: float) -> Volume:
     first = int(np.searchsorted(z, wall_mm + 1e-6))
     x0, y0, _ = labels.origin_mm
     return Volume(labels.values[first:], labels.spacing_mm, (x0, y0, float(z[first])))
-
-
-def in_air(labels: Volume, voxels: int) -> Volume:
-    """With air on all sides but that of the chest wall.
-
-    A scan may end where the body touches a plate; its surface there is no cut.
-    """
-    values = np.pad(labels.values, ((0, voxels), (voxels, voxels), (voxels, voxels)))
-    x, y, z = labels.origin_mm
-    dx, dy, _ = labels.spacing_mm
-    return Volume(values, labels.spacing_mm, (x - voxels * dx, y - voxels * dy, z))
 
 
 def extent_mm(labels: Volume, axis: Triple) -> tuple[float, float]:

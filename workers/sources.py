@@ -5,6 +5,7 @@ from pathlib import Path
 from storage.errors import InputError
 from workers.diagnosis.imaged import ImagedSource
 from workers.diagnosis.source import Source
+from workers.studies import is_study, open_study
 
 
 def open_source(path: Path) -> Source:
@@ -13,7 +14,7 @@ def open_source(path: Path) -> Source:
     Parameters
     ----------
     path : Path
-        A folder with case.json and its scans.
+        A folder with case.json and its scans, or the folder of a study that has run.
 
     Raises
     ------
@@ -22,4 +23,9 @@ def open_source(path: Path) -> Source:
     """
     if (path / "case.json").is_file():
         return ImagedSource(path)
-    raise InputError(f"{path} cannot be diagnosed: expected a folder with case.json and its scans.")
+    if is_study(path):
+        return open_study(path)
+    raise InputError(
+        f"{path} cannot be diagnosed: expected a folder with case.json and its scans, or the "
+        "folder of a study that `palpate run` has made."
+    )

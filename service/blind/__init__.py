@@ -1,0 +1,1 @@
+"""Diagnoses of cases whose cause is known to somebody else: made, sealed, answered, scored."""

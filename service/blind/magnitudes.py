@@ -1,0 +1,119 @@
+"""True magnitudes in the words of the catalogue, and how far the found ones are off.
+
+Whoever made a case gave each cause a form of its own; where the catalogue has a parameter of
+the same meaning, that is what the diagnosis should find:
+
+========================  ==============================================================
+tilt, friction, gravity,  the same quantities under other names
+chest wall, skin, labels
+fibres                    an angle and its direction, as turns towards x and y
+gradient                  ln of the stiffness at the faces of the body (a tanh, not a line)
+lump                      ln of the ratio; the radius of the ball of equal volume; its centre
+                          in the frame of the scan
+stiffening                c2 / mu = b / 4: Fung's law mu / (2 b) (exp(b (I1 - 3)) - 1) has the
+                          second term mu b / 4 (I1 - 3)^2
+========================  ==============================================================
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from service.blind.records import Magnitude
+from service.blind.truth import Truth
+from workers.effects.inclusion import INCLUSION, PLACE
+
+Json = Mapping[str, Any]
+Given = Mapping[str, Any]
+
+
+def _renamed(**names: str) -> Callable[[Given], dict[str, float]]:
+    """Parameters of the catalogue that have another name in the truth."""
+    return lambda given: {ours: float(given[theirs]) for ours, theirs in names.items()}
+
+
+def _fibres(given: Given) -> dict[str, float]:
+    turn, azimuth = given["turn_deg"], math.radians(given["azimuth_deg"])
+    return {
+        "fibre_turn_x_deg": turn * math.cos(azimuth),
+        "fibre_turn_y_deg": turn * math.sin(azimuth),
+    }
+
+
+def _lump(given: Given) -> dict[str, float]:
+    ratio = math.log(given["ratio"])
+    return {"inclusion_ln_ratio": ratio, "inclusion_radius_mm": given["radius_mm"]}
+
+
+IN_CATALOGUE: dict[str, Callable[[Given], dict[str, float]]] = {
+    "gravity_change": _renamed(gravity_x_g="x_g", gravity_y_g="y_g", gravity_z_g="z_g"),
+    "plate_tilt": _renamed(tilt_depth_deg="depth_deg", tilt_across_deg="across_deg"),
+    "plate_friction": _renamed(friction="coefficient"),
+    "wall_compliance": _renamed(wall_compliance_mm_per_kpa="compliance_mm_per_kpa"),
+    "stiffness_gradient": _renamed(
+        ln_gradient_x="ln_x", ln_gradient_y="ln_y", ln_gradient_z="ln_z"
+    ),
+    "fibre_rotation": _fibres,
+    "strain_stiffening": lambda given: {"stiffening": given["exponent"] / 4},
+    "skin_added": _renamed(skin_added_n_per_m="stiffness_n_per_m"),
+    "inclusion": _lump,
+    "segmentation_offset": _renamed(
+        segmentation_fat_mm="outline_mm", segmentation_glandular_mm="glandular_mm"
+    ),
+}
+
+
+def true_values(truth: Truth) -> dict[str, float]:
+    """Parameters of the catalogue under their door names, of all true effects.
+
+    Raises
+    ------
+    KeyError
+        If a cause lacks a parameter.
+    """
+    out: dict[str, float] = {}
+    for cause in truth.causes:
+        if cause.effect in IN_CATALOGUE:
+            out |= IN_CATALOGUE[cause.effect](cause.parameters)
+    return out
+
+
+def magnitudes(truth: Truth, by_name: Mapping[str, Json]) -> list[Magnitude]:
+    """Found beside true, of a single effect that was refitted.
+
+    Parameters
+    ----------
+    by_name : mapping of str to dict
+        What is said of each effect, see `workers.diagnosis.summary`.
+    """
+    found = by_name.get(truth.effects[0]) if truth.group == "single" else None
+    if found is None or not found["refitted"]:
+        return []
+    true = true_values(truth)
+    return [
+        Magnitude(p["parameter"], p["magnitude"], p["sd"], true[p["parameter"]])
+        for p in found["parameters"]
+        if p["parameter"] in true
+    ]
+
+
+def lump_apart_mm(
+    truth: Truth, by_name: Mapping[str, Json], centre_mm: list[float] | None
+) -> float | None:
+    """Between the centres of the true and the found lump; None unless both are there.
+
+    Parameters
+    ----------
+    centre_mm : list of float or None
+        Middle of the body, from which the found place counts.
+    """
+    given = next((c.parameters for c in truth.causes if c.effect == INCLUSION.name), None)
+    found = by_name.get(INCLUSION.name)
+    if given is None or found is None or centre_mm is None or not found["refitted"]:
+        return None
+    sizes = {p["parameter"]: p["magnitude"] for p in found["parameters"]}
+    doors = {p.name: p.door_name for p in INCLUSION.parameters}
+    at = np.add(centre_mm, [sizes[doors[name]] for name in PLACE])
+    return float(np.linalg.norm(at - np.asarray(given["centre_mm"])))

@@ -1,0 +1,195 @@
+"""A blind set on disk, and whether it still is what was sealed.
+
+::
+
+    SET/manifest.json         hashes of all cases and truths, and the diagnosis as it stood
+    SET/cases/<id>/           what a diagnosis may see
+    SET/answers/<id>.json     what it said, and <id>.npz: where it put the points
+    SET/answers.json          hashes of all answers
+    SET-truth/plan.json       seeds, kinds and salts
+    SET-truth/<id>/           truth.json, truth.npz
+
+Nothing in SET tells one kind of case from another: names are drawn, cases lie in the order
+of their names, and the truth lies elsewhere. Answers on the scans pressed along y alone are
+in ``answers-y`` and ``answers-y.json``.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from service.blind.seal import file_hash, folder_hash, read_json, salted_hash
+from storage.errors import InputError
+
+Json = dict[str, Any]
+Directions = Literal["all", "y"]
+DIRECTIONS: tuple[Directions, ...] = ("all", "y")
+
+
+@dataclass(frozen=True)
+class BlindSet:
+    """Every path of a set, spelled once.
+
+    Parameters
+    ----------
+    root : Path
+    """
+
+    root: Path
+
+    @property
+    def manifest(self) -> Path:
+        """What was sealed."""
+        return self.root / "manifest.json"
+
+    @property
+    def cases(self) -> Path:
+        """One folder for each case."""
+        return self.root / "cases"
+
+    def case(self, name: str) -> Path:
+        """The folder of one case."""
+        return self.cases / name
+
+    def answers(self, directions: Directions) -> Path:
+        """The folder of answers."""
+        return self.root / _suffixed("answers", directions)
+
+    def answer(self, name: str, directions: Directions) -> Path:
+        """What was said of one case."""
+        return self.answers(directions) / f"{name}.json"
+
+    def points(self, name: str, directions: Directions) -> Path:
+        """Where the points of one case went."""
+        return self.answers(directions) / f"{name}.npz"
+
+    def sealed_answers(self, directions: Directions) -> Path:
+        """Hashes of all answers."""
+        return self.root / f"{_suffixed('answers', directions)}.json"
+
+    def truth_beside(self) -> Path:
+        """Where truths lie unless somebody says otherwise."""
+        root = self.root.absolute()
+        return root.with_name(f"{root.name}-truth")
+
+
+@dataclass(frozen=True)
+class Truths:
+    """Every path of the truths, which no diagnosis is told."""
+
+    root: Path
+
+    @property
+    def plan(self) -> Path:
+        """Seeds, kinds and salts."""
+        return self.root / "plan.json"
+
+    def of(self, name: str) -> Path:
+        """The folder of one truth."""
+        return self.root / name
+
+
+def read_manifest(blind: BlindSet) -> Json:
+    """What was sealed.
+
+    Raises
+    ------
+    InputError
+        If the set is not finished.
+    """
+    if not blind.manifest.is_file():
+        raise InputError(
+            f"{blind.root} is no sealed set: it has no {blind.manifest.name}. Make one with "
+            f"`palpate blind make {blind.root}`; the same command finishes one that is half made."
+        )
+    record = read_json(blind.manifest)
+    if not isinstance(record.get("cases"), dict) or not isinstance(record.get("diagnosis"), dict):
+        raise InputError(f"{blind.manifest} is no manifest: expected `cases` and `diagnosis`.")
+    return record
+
+
+def check_cases(blind: BlindSet, manifest: Json) -> None:
+    """Compare every case with the manifest.
+
+    Raises
+    ------
+    InputError
+        Naming the cases that are missing, added or changed.
+    """
+    sealed = manifest["cases"]
+    there = {p.name for p in blind.cases.iterdir() if p.is_dir() and p.name[0] != "."}
+    missing, added = sorted(sealed.keys() - there), sorted(there - sealed.keys())
+    same = sorted(there & sealed.keys())
+    changed = [name for name in same if folder_hash(blind.case(name)) != sealed[name]["case"]]
+    what = {"missing": missing, "added": added, "changed": changed}
+    found = "; ".join(f"{word}: {', '.join(names)}" for word, names in what.items() if names)
+    if found:
+        raise InputError(
+            f"{blind.cases} is not what {blind.manifest.name} seals ({found}). Restore it, or "
+            "make a new set."
+        )
+
+
+def check_truths(truths: Truths, manifest: Json) -> None:
+    """Compare every truth and its salt with the manifest.
+
+    Raises
+    ------
+    InputError
+        Naming the truths that are missing or changed.
+    """
+    plan = read_json(truths.plan)
+    salts = {entry["id"]: entry["salt"] for entry in plan["cases"]}
+    wrong = [
+        name
+        for name, sealed in sorted(manifest["cases"].items())
+        if name not in salts or salted_hash(salts[name], truths.of(name)) != sealed["truth"]
+    ]
+    if wrong:
+        raise InputError(
+            f"{truths.root} does not hold the sealed truth of {', '.join(wrong)}. Give the folder "
+            "that was made with the set by --truth, unchanged."
+        )
+
+
+def check_answers(blind: BlindSet, directions: Directions) -> Json:
+    """The record of the sealed answers, compared with manifest and answers.
+
+    Raises
+    ------
+    InputError
+        If answers are missing or changed, or belong to another set.
+    """
+    path = blind.sealed_answers(directions)
+    if not path.is_file():
+        raise InputError(
+            f"{blind.root} has no {path.name}: not all cases are answered. Go on with "
+            f"`palpate blind run {blind.root} --directions {directions}`."
+        )
+    record = read_json(path)
+    if record["manifest"] != file_hash(blind.manifest):
+        raise InputError(f"{path} answers another manifest than {blind.manifest}.")
+    wrong = [
+        name
+        for name, hashes in sorted(record["answers"].items())
+        if hashes != answer_hashes(blind, name, directions)
+    ]
+    if wrong:
+        raise InputError(
+            f"Answers have changed since they were sealed in {path}: {', '.join(wrong)}. Restore "
+            "them; a second run needs a new set."
+        )
+    return record
+
+
+def answer_hashes(blind: BlindSet, name: str, directions: Directions) -> Json:
+    """Hashes of what was said of a case; ``npz`` is None where the diagnosis failed."""
+    points = blind.points(name, directions)
+    return {
+        "json": file_hash(blind.answer(name, directions)),
+        "npz": file_hash(points) if points.is_file() else None,
+    }
+
+
+def _suffixed(word: str, directions: Directions) -> str:
+    return word if directions == "all" else f"{word}-{directions}"

@@ -1,0 +1,255 @@
+"""`palpate blind`: cases with a sealed truth, diagnosed, then opened and scored."""
+
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.commands.common import RUNS, JsonOption, StoreOption, print_json
+from service.commands.run import INTERRUPTED, _stop_requests
+from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from service.blind.page import Scored
+    from service.blind.scores import Figure
+    from service.dispatch import Dispatcher
+
+NODES = 5000
+
+app = typer.Typer(
+    help="Test the diagnosis on cases whose cause it cannot know.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+class Which(StrEnum):
+    """Scans that a diagnosis is shown."""
+
+    all = "all"
+    y = "y"
+
+
+SetArgument = Annotated[Path, typer.Argument(metavar="SET", help="Folder of the set.")]
+TruthOption = Annotated[
+    Path | None,
+    typer.Option(help="Folder of the truths. Default: SET-truth.", show_default=False),
+]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(help="Processes of this machine. Default: one per core.", show_default=False),
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Use a running Dask cluster, tcp://HOST:8786."),
+]
+DirectionsOption = Annotated[
+    Which, typer.Option(help="Scans that are shown: all, or those pressed along y.")
+]
+
+
+@app.command("make")
+def make(
+    folder: SetArgument,
+    cases: Annotated[int, typer.Option(min=1, help="How many.")] = 60,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Of all cases. Default: one that nobody knows.",
+                     show_default=False),
+    ] = None,
+    one_direction: Annotated[
+        bool, typer.Option("--one-direction", help="Press all bodies along y only.")
+    ] = False,
+    truth: TruthOption = None,
+    nodes: Annotated[int, typer.Option(min=200, help="Of the diagnosis that is sealed.")] = NODES,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:  # fmt: skip
+    """Draw cases, write them without their truths, and seal both.
+
+    Ctrl-C stops it at any time; the same command continues it.
+    """
+    from service.blind.make import Asked, plan, seal, unmade
+    from service.blind.make import make as make_cases
+    from service.blind.making import make_case
+    from service.blind.progress import SetProgress
+    from service.blind.sets import BlindSet, Truths
+    from workers.blind.draw import KINDS
+
+    blind = BlindSet(folder)
+    truths = Truths(truth or blind.truth_beside())
+    _refuse_nested(folder, truths.root)
+    asked = Asked(cases, seed, one_direction, nodes)
+    entries = plan(blind, truths, asked, KINDS)
+    waiting = unmade(blind, truths, entries)
+
+    def work(dispatcher: "Dispatcher", console: "Console") -> None:
+        with SetProgress(console, "made", len(entries) - len(waiting), len(entries)) as told:
+            make_cases(blind, truths, waiting, asked, dispatcher, told, make_case)
+
+    if waiting:
+        _with_workers(work, scheduler, workers)
+    sealed = seal(blind, truths, entries, asked)
+    typer.echo(f"{len(entries)} cases in {folder}, their truths in {truths.root}")
+    typer.echo(f"manifest: sha256 {sealed}")
+
+
+@app.command("run")
+def run(
+    folder: SetArgument,
+    directions: DirectionsOption = Which.all,
+    limit: Annotated[
+        int | None,
+        typer.Option(min=1, help="Answer at most so many cases now.", show_default=False),
+    ] = None,
+    nodes: Annotated[int, typer.Option(min=200, help="Nodes of the mesh.")] = NODES,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    store: StoreOption = None,
+    declare: Annotated[
+        str | None,
+        typer.Option(metavar="REASON", help="Why the diagnosis is not the one that was sealed.",
+                     show_default=False),
+    ] = None,
+) -> None:  # fmt: skip
+    """Diagnose every case of a set, and seal the answers when all are there.
+
+    Ctrl-C stops it at any time; the same command continues it.
+    """
+    from service.blind.progress import SetProgress
+    from service.blind.run import Answering, answer, seal, unanswered
+    from service.blind.sets import BlindSet, read_manifest
+
+    asked = Answering(
+        BlindSet(folder), store or RUNS / "store", directions.value, nodes, limit, declare
+    )
+    waiting = unanswered(asked)
+    of = len(read_manifest(asked.blind)["cases"])
+
+    def work(dispatcher: "Dispatcher", console: "Console") -> None:
+        with SetProgress(console, "answered", of - len(waiting), of) as told:
+            answer(asked, waiting, dispatcher, told)
+
+    if waiting:
+        _with_workers(work, scheduler, workers)
+    sealed = seal(asked)
+    if sealed is None:
+        left = len(unanswered(asked))
+        typer.echo(f"{of - left} of {of} cases are answered; the same command goes on.")
+        return
+    typer.echo(f"answers: sha256 {sealed}")
+    typer.echo(f"next: palpate blind score {folder}" + _directions(directions))
+
+
+@app.command("score")
+def score(
+    folder: SetArgument,
+    truth: TruthOption = None,
+    directions: DirectionsOption = Which.all,
+    page: Annotated[
+        Path | None, typer.Option(help="Write a page to this file.", show_default=False)
+    ] = None,
+    into: Annotated[
+        Path | None,
+        typer.Option(help="Put the figures into this text, between its marks.",
+                     show_default=False),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Open the truths of a set whose answers are sealed, and score the answers."""
+    from service.blind.score import record, score_set
+    from service.blind.sets import BlindSet, Truths
+
+    blind = BlindSet(folder)
+    scored = score_set(blind, Truths(truth or blind.truth_beside()), directions.value)
+    if page is not None:
+        _write(page, scored)
+    if into is not None:
+        _put_into(into, scored)
+    if as_json:
+        print_json(record(scored))
+        return
+    from rich.console import Console
+
+    _print(scored, Console(highlight=False))
+    if page is not None:
+        typer.echo(f"page: {page}")
+
+
+def _refuse_nested(folder: Path, truth: Path) -> None:
+    """Keep the truths out of the set, which is handed on, and the set out of the truths."""
+    a, b = folder.absolute().resolve(), truth.absolute().resolve()
+    if a == b or a in b.parents or b in a.parents:
+        raise InputError(
+            f"The truths must lie outside of the set: found {truth} and {folder}. Give another "
+            "folder by --truth."
+        )
+
+
+def _with_workers(
+    work: "Callable[[Dispatcher, Console], None]", scheduler: str | None, workers: int | None
+) -> None:
+    """Do something with a cluster; leave with 130 if somebody asks to stop."""
+    from rich.console import Console
+
+    from service.cluster import open_cluster
+    from service.dispatch import Dispatcher
+    from service.errors import Interrupted
+
+    with _stop_requests() as requests:
+        try:
+            with open_cluster(scheduler, workers) as cluster:
+                dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
+                work(dispatcher, Console(stderr=True, highlight=False))
+        except (Interrupted, KeyboardInterrupt):
+            typer.echo(
+                "Interrupted; what is finished is kept. The same command continues it.", err=True
+            )
+            raise typer.Exit(INTERRUPTED) from None
+
+
+def _directions(which: Which) -> str:
+    return "" if which is Which.all else f" --directions {which.value}"
+
+
+def _write(page: Path, scored: "Scored") -> None:
+    from service.blind.page import render
+    from storage.atomic import write_file
+
+    write_file(page, render(scored).encode())
+
+
+def _put_into(text: Path, scored: "Scored") -> None:
+    from service.blind.markdown import filled
+    from storage.atomic import write_file
+
+    if not text.is_file():
+        raise InputError(f"--into {text}: there is no such file. Give a text with the two marks.")
+    write_file(text, filled(text.read_text(encoding="utf-8"), scored).encode())
+
+
+def _print(scored: "Scored", console: Any) -> None:
+    """All figures on a console, those with a target first."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for heading in ("figure", "value", "95 %", "cases", "target", ""):
+        table.add_column(heading, justify="right" if heading in ("value", "cases") else "left")
+    for figure in sorted(scored.figures, key=lambda f: f.target is None):
+        table.add_row(*_cells(figure))
+    console.print(table)
+    if scored.floor_mm is not None:
+        console.print(f"Floor: {scored.floor_mm:.3f} mm of true gap in the median control.")
+
+
+def _cells(figure: "Figure") -> tuple[str, ...]:
+    from service.blind.words import interval, limit, shown
+
+    met = {None: "", True: "met", False: "not met"}[figure.met]
+    found = figure.estimate
+    value = shown(found.value, figure.unit)
+    return figure.title, value, interval(figure), str(found.count), limit(figure), met

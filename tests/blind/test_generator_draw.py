@@ -1,0 +1,160 @@
+"""Which cases are drawn, and that their words are those of the diagnosis."""
+
+import ast
+import json
+from collections import Counter
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import workers
+from storage.errors import InputError
+from workers.blind.draw import BY_KIND, KINDS, SINGLES, draw
+from workers.blind.scene import Scene
+from workers.effects.catalogue import BREAST_EFFECTS
+
+FAMILIES = {e.name: e.family for e in BREAST_EFFECTS}
+ROOM = Path(workers.__file__).parent
+
+
+def test_shares_sum_to_one_and_are_met():
+    assert sum(KINDS.values()) == pytest.approx(1)
+    seen = Counter(draw(seed).kind for seed in range(600))
+    for kind, share in KINDS.items():
+        assert abs(seen[kind] - 600 * share) < 4.5 * np.sqrt(600 * share)
+
+
+def test_shares_are_those_of_the_protocol():
+    assert 0.15 <= KINDS["control"] <= 0.2
+    assert 0.1 <= KINDS["pair"] <= 0.15
+    assert KINDS["plate_force"] == 0.05
+    others = [k for k, cause in BY_KIND.items() if cause.effect is None]
+    assert sum(KINDS[k] for k in others) == pytest.approx(0.15)
+
+
+def test_a_case_is_a_function_of_its_seed():
+    for kind in (None, "inclusion", "pair"):
+        assert draw(17, kind) == draw(17, kind)
+    assert draw(17).anatomy != draw(18).anatomy
+
+
+def test_body_constants_and_forces_do_not_tell_the_kind():
+    cases = [draw(5, kind) for kind in KINDS]
+    for case in cases:
+        assert case.anatomy == cases[0].anatomy
+        assert case.constants == cases[0].constants
+        assert case.loads == cases[0].loads
+        assert case.noise_sd_mm == cases[0].noise_sd_mm
+        assert case.kind in KINDS
+
+
+@pytest.mark.parametrize("kind", BY_KIND)
+def test_every_cause_speaks_the_words_of_the_catalogue(kind):
+    cause = BY_KIND[kind]
+    assert cause.kind == kind
+    if cause.effect is not None:
+        assert cause.family == FAMILIES[cause.effect]
+    elif cause.family is not None:
+        assert cause.family in FAMILIES.values()
+
+
+@pytest.mark.parametrize("kind", BY_KIND)
+def test_every_cause_changes_the_scene_and_nothing_of_the_body(kind):
+    for seed in range(5):
+        truth = draw(seed, kind)
+        nominal = Scene(truth.anatomy, truth.constants)
+        changed = [f.name for f in fields(Scene)
+                   if getattr(truth.scene, f.name) != getattr(nominal, f.name)]  # fmt: skip
+        assert len(changed) == 1
+        assert changed[0] not in ("anatomy", "constants")
+
+
+@pytest.mark.parametrize("kind", [k for k in BY_KIND if k != "segmentation"])
+def test_fields_of_a_cause_are_finite_everywhere_in_the_box(kind):
+    for seed in range(10):
+        truth = draw(seed, kind)
+        scene, body = truth.scene, truth.anatomy
+        points = np.random.default_rng(0).uniform(-1, 1, (200, 3)) * body.half_mm + body.centre_mm
+        fields_ = [*scene.friction, *scene.ln_stiffness, scene.wall_compliance, scene.wall_grip]
+        for f in fields_:
+            if f is not None:
+                values = f(points)
+                assert values.shape == (200,)
+                assert np.isfinite(values).all()
+        for f in (*scene.friction, scene.wall_compliance, scene.wall_grip):
+            assert f is None or f(points).min() >= 0
+        if scene.fibres is not None:
+            assert np.linalg.norm(scene.fibres(points), axis=1) == pytest.approx(1)
+
+
+def test_pairs_have_two_different_causes():
+    for seed in range(40):
+        truth = draw(seed, "pair")
+        assert len({c.kind for c in truth.causes}) == 2
+        assert all(type(c) in SINGLES for c in truth.causes)
+        assert len(truth.effects) == len(truth.families) == 2
+
+
+def test_lumps_lie_inside_the_body():
+    for seed in range(50):
+        truth = draw(seed, "inclusion")
+        lump, body = truth.causes[0], truth.anatomy
+        x, y, z = lump.centre_mm
+        along = body.upper_mm if x > 0 else body.lower_mm
+        assert (x / along) ** 2 + (y / body.half_width_mm) ** 2 + (z / body.depth_mm) ** 2 < 1
+        assert z >= lump.radius_mm
+        # The volume is that of a ball of its radius, whatever the stretch.
+        inside = truth.scene.ln_stiffness[0]
+        sharp = replace(lump, fade=0.0).put(Scene(body, truth.constants)).ln_stiffness[0]
+        cloud = np.random.default_rng(1).uniform(-30, 30, (40_000, 3)) + lump.centre_mm
+        share = np.count_nonzero(sharp(cloud)) / len(cloud)
+        assert share * 60**3 == pytest.approx(4 / 3 * np.pi * lump.radius_mm**3, rel=0.25)
+        assert inside(np.array([lump.centre_mm]))[0] == pytest.approx(np.log(lump.ratio))
+
+
+def test_loads_press_both_ways_and_grow():
+    loads = draw(3).loads
+    assert [load.axis for load in loads] == ["y", "y", "x", "x"]
+    assert loads[0].force_n < loads[1].force_n
+    assert loads[2].force_n < loads[3].force_n
+    assert [load.axis for load in draw(3, one_direction=True).loads] == ["y", "y"]
+    assert draw(3, one_direction=True).causes == draw(3).causes
+
+
+def test_the_record_is_plain_json_and_complete():
+    for kind in KINDS:
+        record = json.loads(json.dumps(draw(8, kind).record()))
+        assert record["kind"] == kind
+        for cause in record["causes"]:
+            assert set(cause["parameters"]) == {f.name for f in fields(BY_KIND[cause["kind"]])}
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, True, "3"])
+def test_seeds_are_whole_numbers(seed):
+    with pytest.raises(InputError, match="seed"):
+        draw(seed)
+
+
+def test_an_unknown_kind_is_refused_with_those_there_are():
+    with pytest.raises(InputError, match="bent_plate"):
+        draw(1, "bending")
+
+
+def imports_of(folder: Path) -> set[str]:
+    found = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                found |= {node.module} | {f"{node.module}.{a.name}" for a in node.names}
+            elif isinstance(node, ast.Import):
+                found |= {a.name for a in node.names}
+    return found
+
+
+def test_generator_and_diagnosis_share_no_physics():
+    theirs = ("workers.fem", "workers.effects", "workers.diagnosis", "workers.observation")
+    assert not [name for name in imports_of(ROOM / "blind") if name.startswith(theirs)]
+    for room in ("fem", "effects", "diagnosis", "observation", "organs", "materials"):
+        assert not [n for n in imports_of(ROOM / room) if n.startswith("workers.blind")]

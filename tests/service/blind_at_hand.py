@@ -1,0 +1,138 @@
+"""Blind cases made by our own solver, for tests of what happens to them; and records by hand."""
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from compressed_breast import CROSSWISE, PHANTOM, PRESSED, SCANS, TRUE_MPA, described, write_scan
+
+from service.blind.make import Asked, make, plan, seal, unmade
+from service.blind.making import publish
+from service.blind.records import CaseRecord
+from service.blind.sets import BlindSet, Truths
+from service.dispatch import Ending
+from workers.diagnosis.build import INTERFACES, WALL_MARGIN_MM
+from workers.diagnosis.case import ImagedCase
+from workers.effects.catalogue import with_effects
+from workers.fem.fields import frame_of
+from workers.fem.model import prepare
+from workers.fem.solve import solve
+from workers.imaging.warp import warp_labels
+from workers.mesh.hierarchy import build_hierarchy
+from workers.observation.interface import interface_points
+from workers.observation.locate import interpolation
+from workers.phantom.breast import generate_breast
+
+NODES, SPACING_MM = 600, 9.0
+SUSPECTS = ["plate_tilt", "segmentation_offset"]
+TILT_DEG = 8.0
+TILT = {"kind": "tilt", "effect": "plate_tilt", "family": "plate geometry",
+        "parameters": {"depth_deg": TILT_DEG, "across_deg": 0.0}}  # fmt: skip
+CAUSES: dict[str, list[dict[str, Any]]] = {"control": [], "tilt": [TILT]}
+SHARES = {"control": 1.0, "tilt": 1.0}
+LOADS = (PRESSED[1], CROSSWISE)
+
+
+def small_case(seed: int, kind: str, one_direction: bool, case: str, truth: str) -> dict[str, Any]:
+    """In place of `service.blind.making.make_case`: a tilted plate, or nothing."""
+    loads = LOADS[:1] if one_direction else LOADS
+    publish(Path(case), Path(truth), lambda *folders: write_small(kind, loads, *folders))
+    return {"seconds": 0.0}
+
+
+def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: Path) -> None:
+    """Scans, and where the interfaces truly went."""
+    loads = list(loads)
+    rest = generate_breast(PHANTOM, seed=5).labels
+    for file in (SCANS[0], *(load["file"] for load in loads)):
+        write_scan(case / file, rest)
+    (case / "case.json").write_text(json.dumps(described(loads) | {"id": case.name}))
+    imaged = ImagedCase(case)
+    hierarchy = build_hierarchy(imaged.reference, nodes=NODES)
+    mesh, model = hierarchy.finest.mesh, prepare(hierarchy)
+    frame = frame_of(model.finest.nodes)
+    points = interface_points(imaged.reference, INTERFACES, 3.0, WALL_MARGIN_MM)
+    at_points = interpolation(mesh, points.points)
+    effects = {"tilt_depth": TILT_DEG} if kind == "tilt" else {}
+    went = []
+    for number, load in enumerate(loads):
+        problem = with_effects(imaged.problem(number, frame)(TRUE_MPA), effects, frame)
+        solution = solve(model, problem)
+        write_scan(
+            case / load["file"], warp_labels(imaged.reference, mesh, solution.displacement_mm)
+        )
+        went.append(at_points @ solution.displacement_mm)
+    (truth / "truth.json").write_text(json.dumps({"kind": kind, "causes": CAUSES[kind]}))
+    np.savez(truth / "truth.npz", points=points.points, interface=points.interface,
+             displacement=np.stack(went))  # fmt: skip
+
+
+class Inline:
+    """A dispatcher without a cluster."""
+
+    def __init__(self, threads: int = 1) -> None:
+        self.threads = threads
+        self.asked: list[str] = []
+
+    def run(
+        self, task: Callable[..., Any], asks: Iterable[tuple[Any, tuple[Any, ...]]]
+    ) -> Iterator[Ending]:
+        for key, arguments in asks:
+            self.asked.append(task.__name__)
+            try:
+                yield Ending(key, "returned", task(*arguments))
+            except ArithmeticError as error:
+                yield Ending(key, "crashed", None, error, f"{type(error).__name__}: {error}")
+
+
+def make_set(root: Path, cases: int = 2, task: Any = small_case, **more: Any) -> BlindSet:
+    """A sealed set in `root`, its truths beside it."""
+    blind, asked = BlindSet(root), Asked(cases, 7, False, NODES)
+    truths = Truths(blind.truth_beside())
+    entries = plan(blind, truths, asked, more.pop("shares", SHARES))
+    waiting = unmade(blind, truths, entries)
+    make(blind, truths, waiting, asked, Inline(), lambda: None, task)  # type: ignore[arg-type]
+    seal(blind, truths, entries, asked)
+    return blind
+
+
+def record(group: str = "single", **changes: Any) -> CaseRecord:
+    """A tilted plate that is found, or whatever the changes make of it."""
+    given: dict[str, Any] = {
+        "name": "c0",
+        "kind": "tilt",
+        "group": group,
+        "effects": ("plate_tilt",),
+        "families": ("plate geometry",),
+        "answer": "effect",
+        "primary": ("plate_tilt",),
+        "primary_families": ("plate geometry",),
+        "set90": ("plate_tilt",),
+        "probabilities": {
+            "no-gap": 0.0, "none-of-these": 0.0, "plate_tilt": 1.0, "plate_friction": 0.0,
+        },
+        "claimed_before_mm": 0.30,
+        "claimed_after_mm": 0.10,
+        "true_before_mm": 0.30,
+        "true_after_mm": 0.10,
+        "claimed_share": 0.9,
+        "held_out_share": 0.8,
+        "catalogue": 2,
+    }  # fmt: skip
+    return CaseRecord(**given | changes)
+
+
+def nothing(group: str = "control", **changes: Any) -> CaseRecord:
+    """A case in which nothing is found."""
+    given: dict[str, Any] = {
+        "kind": group, "effects": (), "families": (), "answer": "no-gap", "primary": (),
+        "primary_families": (), "set90": ("no-gap",), "claimed_before_mm": 0.05,
+        "claimed_after_mm": None, "true_before_mm": 0.10, "true_after_mm": None,
+        "claimed_share": None, "held_out_share": None,
+        "probabilities": {
+            "no-gap": 1.0, "none-of-these": 0.0, "plate_tilt": 0.0, "plate_friction": 0.0,
+        },
+    }  # fmt: skip
+    return record(group, **given | changes)

@@ -1,0 +1,36 @@
+"""Diagnose a case in a process that notes every file it opens.
+
+::
+
+    python open_files.py CASE STORE OTHER
+
+writes the lists to standard output as JSON. OTHER is opened at the end, to see that a list
+would show it.
+"""
+
+import json
+import os
+import sys
+from pathlib import Path
+
+OPENED: list[str] = []
+EVENTS = ("open", "os.listdir", "os.scandir")
+
+
+def note(event: str, arguments: tuple[object, ...]) -> None:
+    """An audit hook: files opened and folders listed, by Python and by what it calls."""
+    if event in EVENTS and isinstance(arguments[0], str | os.PathLike):
+        OPENED.append(os.path.realpath(arguments[0]))
+
+
+sys.addaudithook(note)
+
+from service.blind.alone import diagnose_alone  # noqa: E402
+from service.diagnosis.run import ask  # noqa: E402
+
+if __name__ == "__main__":
+    case, store, other = (Path(argument) for argument in sys.argv[1:])
+    diagnose_alone(ask(case, store, 600, 12.0, ["plate_tilt", "segmentation_offset"]))
+    before = list(OPENED)
+    other.read_bytes()
+    json.dump({"by_the_diagnosis": before, "by_us": OPENED[len(before) :]}, sys.stdout)

@@ -1,0 +1,120 @@
+"""The gap without noise, against maps of the body that are known exactly."""
+
+import numpy as np
+import pytest
+
+from service.blind.true_gap import NEIGHBOURS, material_points, true_gap
+from service.blind.truth import Moved
+from storage.errors import InputError
+from storage.values import FloatArray
+
+AXES = np.array([45.0, 30.0, 35.0])
+
+
+def ellipsoid(count: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Points spread over the upper part of an ellipsoid, and their outward normals."""
+    drawn = np.random.default_rng(seed).normal(size=(6 * count, 3))
+    unit = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+    unit = unit[unit[:, 2] > 0.2][:count]
+    normals = unit / AXES
+    return unit * AXES, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def pressed(x: FloatArray) -> FloatArray:
+    """A map of determinant 1: pressed by 20 % along y, then sheared by a parabola."""
+    out = x * [1.12, 0.8, 1 / (1.12 * 0.8)]
+    out[:, 0] += 0.002 * out[:, 1] ** 2 + 0.1 * out[:, 2]
+    return out
+
+
+def normals_after(x: FloatArray, normals: FloatArray) -> FloatArray:
+    """Unit normals of the pressed surface, by Nanson: the inverse transpose of the gradient."""
+    step = 1e-5
+    F = np.stack([(pressed(x + step * e) - pressed(x - step * e)) / (2 * step) for e in np.eye(3)],
+                 axis=2)  # fmt: skip
+    np.testing.assert_allclose(np.linalg.det(F), 1.0, rtol=1e-8)
+    out = np.einsum("kji,kj->ki", np.linalg.inv(F), normals)
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Moved:
+    points, _ = ellipsoid(3000, 0)
+    displacement = np.stack([pressed(points) - points, np.zeros_like(points)])
+    return Moved(points, np.zeros(len(points), np.int32), displacement)
+
+
+@pytest.fixture(scope="module")
+def noisy() -> tuple[FloatArray, FloatArray]:
+    """Points that a noisy scan puts 0.3 mm off the interface, inside the rim of the truth."""
+    points, normals = ellipsoid(600, 1)
+    inside = points[:, 2] > 0.4 * AXES[2]
+    points, normals = points[inside], normals[inside]
+    off = np.random.default_rng(2).normal(0, 0.3, len(points))
+    return points + off[:, None] * normals, normals
+
+
+def test_points_beside_the_interface_go_where_the_body_goes(
+    truth: Moved, noisy: tuple[FloatArray, FloatArray]
+) -> None:
+    points, normals = noisy
+    went = material_points(points, truth)
+    after = normals_after(points, normals)
+    off = np.einsum("kc,kc->k", went[0] - pressed(points), after)
+    assert np.sqrt(np.mean(off**2)) < 0.008
+    # Where the nearest point of the truth goes is worse by far: it knows nothing of the depth.
+    nearest = np.argmin(np.linalg.norm(points[:, None] - truth.points[None], axis=2), axis=1)
+    naive = np.einsum("kc,kc->k", points + truth.displacement[0, nearest] - pressed(points), after)
+    assert np.sqrt(np.mean(naive**2)) > 0.05
+    np.testing.assert_allclose(went[1], points, atol=1e-9)  # a body that stands still
+
+
+def test_more_points_of_the_truth_make_it_better(noisy: tuple[FloatArray, FloatArray]) -> None:
+    points, normals = noisy
+    on = points - np.einsum("kc,kc->k", points - noisy_feet(points), normals)[:, None] * normals
+    errors = []
+    for count in (375, 1500):
+        at, _ = ellipsoid(count, 5)
+        bent = 3 * np.sin(at / 12)
+        truth = Moved(at, np.zeros(count, np.int32), bent[None])
+        wrong = material_points(on, truth)[0] - on - 3 * np.sin(on / 12)
+        errors.append(np.sqrt(np.mean(wrong**2)))
+    # Half the spacing; cubic functions in a plane are of an order above two.
+    assert errors[1] < errors[0] / 4
+
+
+def noisy_feet(points: FloatArray) -> FloatArray:
+    """On the ellipsoid, in the direction of its middle."""
+    return points / np.linalg.norm(points / AXES, axis=1, keepdims=True)
+
+
+def test_a_model_that_is_off_by_a_known_field_has_that_gap(
+    truth: Moved, noisy: tuple[FloatArray, FloatArray]
+) -> None:
+    points, normals = noisy
+    after = normals_after(points, normals)
+    rng = np.random.default_rng(3)
+    amiss = 0.25 * np.sin(points[:, 0] / 15)
+    slip = np.cross(after, rng.normal(size=after.shape))  # along the surface: no gap
+    moved = np.stack([
+        pressed(points) + (amiss[:, None] * after + slip),
+        points + 0.7 * normals,
+    ])  # fmt: skip
+    known = np.stack([np.zeros(len(points)), np.full(len(points), 0.2)])
+    found = true_gap(points, moved, np.stack([after, normals]), truth, known)
+    expected = np.sqrt(np.mean(amiss**2))
+    assert found.scans_mm == pytest.approx((expected, 0.5), abs=0.003)
+    both = np.sqrt((expected**2 + 0.25) / 2)
+    assert found.gap_mm == pytest.approx(both, abs=0.003)
+
+
+def test_an_answer_to_other_scans_is_refused(
+    truth: Moved, noisy: tuple[FloatArray, FloatArray]
+) -> None:
+    points, normals = noisy
+    none = np.zeros((1, len(points)))
+    with pytest.raises(InputError, match="The answer has 1 scans"):
+        true_gap(points, points[None], normals[None], truth, none)
+    few = Moved(truth.points[:9], truth.interface[:9], truth.displacement[:, :9])
+    with pytest.raises(InputError, match=f"has 9 points, expected at least {NEIGHBOURS}"):
+        material_points(points, few)

@@ -1,0 +1,141 @@
+"""`palpate plan`: a case without loaded scans on a small cluster, its record, words and page."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from meant_case import at_force, write_meant
+from pages import Page
+
+from service import cluster as cluster_module
+from service.cli import main
+from service.diagnosis import plan_words as words
+from service.report.plan_page import render
+from workers.diagnosis.plan_summary import CLEAR
+
+Json = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the case lies and the plan is written."""
+    folder = tmp_path_factory.mktemp("plan")
+    write_meant(folder / "meant", [at_force(12)])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def record(runs: Path) -> Json:
+    """The plan, computed once by one worker process."""
+    out = str(runs / "page.html")
+    command = ["plan", str(runs / "meant"), "--nodes", "600", "--workers", "1", "--out", out]
+    assert main([*command, "--store", str(runs / "store"), "--json"]) == 0
+    stored = list((runs / "store" / "fields").iterdir())
+    assert len(stored) == 6  # five loads and the summary
+    return _again(runs)
+
+
+def _again(runs: Path) -> Json:
+    from service.diagnosis.foresee import ask_plan
+    from workers.foresee import stored_plan
+
+    found = stored_plan(ask_plan(runs / "meant", runs / "store", 600))
+    assert found is not None
+    return found
+
+
+@pytest.fixture
+def no_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    def refuse(*arguments: Any) -> None:
+        raise AssertionError("a cluster was opened")
+
+    monkeypatch.setattr(cluster_module, "open_cluster", refuse)
+    return
+
+
+def test_the_record_says_what_can_be_told(record: Json) -> None:
+    assert record["case"] == "small"
+    assert record["scans"] == ["12 N"]
+    names = [e["name"] for e in record["effects"]]
+    assert {"plate_force", "plate_tilt", "inclusion", "rigid_motion"} <= set(names)
+    assert record["pairs"] == len(names) * (len(names) - 1) // 2
+    seen = sum(e["seen"] for e in record["effects"])
+    assert record["told_apart"] + len(record["confusable"]) == seen * (seen - 1) // 2
+    assert all(pair["log_evidence"] < CLEAR for pair in record["confusable"])
+    assert all(row[i] == 1.0 for i, row in enumerate(record["cosines"]))
+    force = next(e for e in record["effects"] if e["name"] == "plate_force")
+    assert force["absorbed_share"] > 0.95
+    assert not force["seen"]
+
+
+def test_what_else_could_be_measured_is_ranked(record: Json) -> None:
+    found = {a["name"]: a for a in record["acquisitions"]}
+    loads = {"a scan at 6 N", "a scan at 24 N", "a view, 12 N along x"}
+    assert loads <= set(found) | {f"a scan at {n}" for n in record["not_simulated"]}
+    assert "a second segmentation of every scan" in found
+    ranks = [a["more_told_apart"] for a in record["acquisitions"]]
+    assert ranks == sorted(ranks, reverse=True)
+    assert max(ranks) > 0
+
+
+def test_a_stored_plan_needs_no_cluster(
+    runs: Path, record: Json, no_cluster: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    where = ["--store", str(runs / "store"), "--out", str(runs / "again.html")]
+    assert main(["plan", str(runs / "meant"), "--nodes", "600", *where, "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out) == record
+    assert "nothing to compute" in said.err
+    assert (runs / "again.html").read_bytes() == (runs / "page.html").read_bytes()
+
+
+def test_the_console_names_effects_and_measurements(
+    runs: Path, record: Json, no_cluster: None, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.setenv("COLUMNS", "200")
+    where = ["--store", str(runs / "store"), "--out", str(runs / "page.html")]
+    assert main(["plan", str(runs / "meant"), "--nodes", "600", *where]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("One scan (12 N) can find ")
+    assert "plate force" in said
+    assert "hides in the constants" in said
+    assert record["acquisitions"][0]["name"] in said
+    assert f"page: {runs / 'page.html'}" in said
+
+
+def test_the_page_shows_all_of_it(record: Json) -> None:
+    page = Page(render(record))
+    assert words.headline(record) in page.text
+    for effect in record["effects"]:
+        row = next(r for r in page.cells if r and r[0].startswith(effect["name"].replace("_", " ")))
+        assert f"{100 * effect['absorbed_share']:.0f} %" in row
+    for acquisition in record["acquisitions"]:
+        assert page.row(acquisition["name"])[1] == str(acquisition["told_apart"])
+    assert len(page.drawings()) == 2
+    assert not [a for a in page.addresses if not a.startswith("data:")]
+    assert render(record) == render(record)
+
+
+def test_nothing_to_plan_is_said(
+    tmp_path: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", str(tmp_path), "--store", str(tmp_path / "store")]) == 2
+    assert "expected a folder with case.json" in capsys.readouterr().err
+
+
+def test_words_for_what_is_silent_and_alike() -> None:
+    told = {
+        "effects": [
+            {"name": "plate_force", "why_not": "hidden"}, {"name": "creep", "why_not": "weak"},
+            {"name": "plate_tilt", "why_not": ""},
+        ],
+        "confusable": [{"effects": ["plate_tilt", "plate_flex"], "log_evidence": 1.234}],
+    }  # fmt: skip
+    assert words.silence(told) == (
+        "Neither accused nor acquitted: plate force (hidden in the constants); creep (too weak)."
+    )
+    assert words.confusions(told).endswith("plate tilt or plate flex (1.2).")
+    assert words.silence({"effects": told["effects"][2:]}) == ""

@@ -1,0 +1,1 @@
+"""Cases whose truth is known: another solver, other forms of every effect, sealed noise."""

@@ -1,0 +1,1 @@
+"""What may differ from the nominal physics, each in a form of its own."""

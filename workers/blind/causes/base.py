@@ -1,0 +1,58 @@
+"""What a cause is, and how its size is drawn.
+
+A cause is drawn for an anatomy and put into a scene. Magnitudes are log-uniform over what
+is plausible, so that a part of them lies below the noise of a segmentation.
+"""
+
+import math
+from typing import ClassVar, Protocol, Self
+
+import numpy as np
+
+from storage.values import FloatArray, Triple
+from workers.blind.scene import Anatomy, Scene
+
+Rng = np.random.Generator
+
+
+class Cause(Protocol):
+    """One difference.
+
+    ``kind`` names it here; ``effect`` and ``family`` are the words in which a diagnosis
+    would be right, None where it has none. Parameters are its fields, units in their names.
+    """
+
+    kind: ClassVar[str]
+    effect: ClassVar[str | None]
+    family: ClassVar[str | None]
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """One at random."""
+        ...
+
+    def put(self, scene: Scene) -> Scene:
+        """The scene with this difference."""
+        ...
+
+
+def log_uniform(rng: Rng, low: float, high: float) -> float:
+    """A number whose logarithm is uniform."""
+    return float(math.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def sign(rng: Rng) -> float:
+    """1 or -1."""
+    return 1.0 if rng.random() < 0.5 else -1.0
+
+
+def direction(rng: Rng) -> Triple:
+    """A unit vector, every one as likely."""
+    vector = rng.standard_normal(3)
+    return triple(vector / np.linalg.norm(vector))
+
+
+def triple(vector: FloatArray) -> Triple:
+    """The three numbers of an array (3,)."""
+    x, y, z = vector.tolist()
+    return x, y, z

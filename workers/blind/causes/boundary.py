@@ -1,0 +1,86 @@
+"""How skin and chest wall are held."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.blind.causes.base import Rng, log_uniform
+from workers.blind.scene import Anatomy, Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """Coulomb's friction on both plates, a little uneven along x."""
+
+    kind: ClassVar[str] = "friction"
+    effect: ClassVar[str | None] = "plate_friction"
+    family: ClassVar[str | None] = "boundary"
+    coefficient: float
+    unevenness: float
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        return cls(log_uniform(rng, 0.04, 0.6), rng.uniform(-0.25, 0.25))
+
+    def put(self, scene: Scene) -> Scene:
+        def at(points: FloatArray) -> FloatArray:
+            s = scene.anatomy.normalised(points)[:, 0]
+            return np.asarray(self.coefficient * (1 + self.unevenness * np.sin(0.5 * np.pi * s)))
+
+        return replace(scene, friction=(*scene.friction, at))
+
+
+@dataclass(frozen=True, slots=True)
+class WallCompliance:
+    """A chest wall that yields, more in places: a cosine along x."""
+
+    kind: ClassVar[str] = "wall_compliance"
+    effect: ClassVar[str | None] = "wall_compliance"
+    family: ClassVar[str | None] = "boundary"
+    compliance_mm_per_kpa: float
+    unevenness: float
+    phase_deg: float
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        return cls(log_uniform(rng, 0.01, 0.5), rng.uniform(0.0, 0.6), rng.uniform(0, 360))
+
+    def put(self, scene: Scene) -> Scene:
+        def at(points: FloatArray) -> FloatArray:
+            s = scene.anatomy.normalised(points)[:, 0]
+            wave = np.cos(np.pi * s + math.radians(self.phase_deg))
+            return np.asarray(self.compliance_mm_per_kpa * (1 + self.unevenness * wave))
+
+        return replace(scene, wall_compliance=at)
+
+
+@dataclass(frozen=True, slots=True)
+class Adhesion:
+    """A scar that holds a patch of the chest wall against sliding."""
+
+    kind: ClassVar[str] = "adhesion"
+    effect: ClassVar[str | None] = None
+    family: ClassVar[str | None] = "boundary"
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+    grip_kpa_per_mm: float
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        radius = rng.uniform(10.0, 25.0)
+        r, angle = 0.6 * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
+        across, along = r * math.cos(angle), r * math.sin(angle)
+        along *= anatomy.upper_mm if along > 0 else anatomy.lower_mm
+        grip = log_uniform(rng, 0.3, 10.0)
+        return cls(along, across * anatomy.half_width_mm, radius, grip)
+
+    def put(self, scene: Scene) -> Scene:
+        def at(points: FloatArray) -> FloatArray:
+            far = np.hypot(points[:, 0] - self.x_mm, points[:, 1] - self.y_mm)
+            return np.where(far < self.radius_mm, self.grip_kpa_per_mm, 0.0)
+
+        return replace(scene, wall_grip=at)

@@ -1,0 +1,27 @@
+"""Labels that are drawn wrongly."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+from workers.blind.causes.base import Rng, log_uniform
+from workers.blind.scene import Anatomy, Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Segmentation:
+    """Labels of the loaded scans that reach too far, or not far enough."""
+
+    kind: ClassVar[str] = "segmentation"
+    effect: ClassVar[str | None] = "segmentation_offset"
+    family: ClassVar[str | None] = "observation"
+    outline_mm: float
+    glandular_mm: float
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        size, angle = log_uniform(rng, 0.1, 0.8), rng.uniform(0, 2 * math.pi)
+        return cls(size * math.cos(angle), size * math.sin(angle))
+
+    def put(self, scene: Scene) -> Scene:
+        return replace(scene, segmentation_mm=(self.outline_mm, self.glandular_mm))

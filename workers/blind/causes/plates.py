@@ -1,0 +1,44 @@
+"""Plates that are not flat, or not parallel."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+from workers.blind.causes.base import Rng, log_uniform, sign
+from workers.blind.scene import Anatomy, Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Tilt:
+    """An upper plate that is not parallel to the lower one."""
+
+    kind: ClassVar[str] = "tilt"
+    effect: ClassVar[str | None] = "plate_tilt"
+    family: ClassVar[str | None] = "plate geometry"
+    depth_deg: float
+    across_deg: float
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        size, angle = log_uniform(rng, 0.4, 6.0), rng.uniform(0, 2 * math.pi)
+        return cls(size * math.cos(angle), size * math.sin(angle))
+
+    def put(self, scene: Scene) -> Scene:
+        return replace(scene, tilt_deg=(self.depth_deg, self.across_deg))
+
+
+@dataclass(frozen=True, slots=True)
+class BentPlate:
+    """An upper plate bent across as a cosine, away from the body or towards it."""
+
+    kind: ClassVar[str] = "bent_plate"
+    effect: ClassVar[str | None] = None
+    family: ClassVar[str | None] = "plate geometry"
+    sag_mm: float
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        return cls(sign(rng) * log_uniform(rng, 0.7, 5.0))
+
+    def put(self, scene: Scene) -> Scene:
+        return replace(scene, sag_mm=self.sag_mm)

@@ -1,0 +1,128 @@
+"""The nominal physics of a breast between plates, and where reality may differ from them.
+
+Distances are in mm; stiffness goes by factors and lengths, so nothing here has a unit of
+stress but the wall's springs.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from storage.values import FloatArray, Triple
+
+Field = Callable[[FloatArray], FloatArray]
+"""From points (k, 3) in mm to a number at each of them, (k,)."""
+
+WALL_SPRING_KPA_PER_MM = 0.05
+NU = 0.49
+
+
+@dataclass(frozen=True, slots=True)
+class Anatomy:
+    """Size and inside of a breast: two half ellipsoids on the chest wall.
+
+    Parameters
+    ----------
+    seed : int
+        Of the compartments.
+    lower_mm, upper_mm, half_width_mm, depth_mm : float
+        Semi-axes below and above the nipple (x), across (y) and deep (z).
+    compartments : int
+    glandular_fraction : float
+    """
+
+    seed: int
+    lower_mm: float
+    upper_mm: float
+    half_width_mm: float
+    depth_mm: float
+    compartments: int
+    glandular_fraction: float
+
+    @property
+    def centre_mm(self) -> Triple:
+        """Middle of the box around the body."""
+        return (self.upper_mm - self.lower_mm) / 2, 0.0, self.depth_mm / 2
+
+    @property
+    def half_mm(self) -> Triple:
+        """Half sides of that box."""
+        return (self.upper_mm + self.lower_mm) / 2, self.half_width_mm, self.depth_mm / 2
+
+    def normalised(self, points: FloatArray) -> FloatArray:
+        """Points (k, 3) with -1 and 1 on the faces of the box."""
+        return np.asarray((points - self.centre_mm) / np.asarray(self.half_mm))
+
+    def depth_inside(self, points: FloatArray) -> FloatArray:
+        """How far points (k, 3) lie inside the ellipsoids, in mm, roughly."""
+        along = np.where(points[:, 0] < 0, self.lower_mm, self.upper_mm)
+        axes = np.column_stack(
+            [along, np.full((len(points), 2), (self.half_width_mm, self.depth_mm))]
+        )
+        scaled = np.linalg.norm(points / axes, axis=1)
+        return np.asarray((1 - scaled) * axes.min(axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class Constants:
+    """What a diagnosis does not know, in kPa."""
+
+    E_fat_kpa: float
+    E_gl_kpa: float
+    eta_kpa: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """All that a solution depends on; without changes, the nominal physics.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+    constants : Constants
+    gravity_g : tuple of float
+        That of the loaded scans less that of the reference scan.
+    force_factor : float
+        Share of the plate's force that the body carries.
+    tilt_deg : tuple of float
+        Of the upper plate, about the first in-plane axis (the axis of compression x z)
+        and about z.
+    sag_mm : float
+        By which the upper plate bends away, 50 mm across from its pivot.
+    friction : tuple of Field
+        Coulomb's coefficients; they add up.
+    wall_compliance : Field or None
+        Of the chest wall along z, in mm/kPa.
+    wall_grip : Field or None
+        Springs along the chest wall on top of the nominal ones, in kPa/mm.
+    ln_stiffness : tuple of Field
+        ln of factors on all moduli.
+    fibres : callable or None
+        From points (k, 3) to unit vectors (k, 3).
+    fung : float
+        Exponent of Fung's law.
+    growth : tuple of callable
+        From points (k, 3) and whether each is glandular (k,) to stretches at which the
+        tissue is free of stress, less 1.
+    skin_n_per_m : float
+        E t of a skin.
+    segmentation_mm : tuple of float
+        How far the outline and the glandular labels of the loaded scans reach too far.
+    """
+
+    anatomy: Anatomy
+    constants: Constants
+    gravity_g: Triple = (0.0, 0.0, 0.0)
+    force_factor: float = 1.0
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    sag_mm: float = 0.0
+    friction: tuple[Field, ...] = ()
+    wall_compliance: Field | None = None
+    wall_grip: Field | None = None
+    ln_stiffness: tuple[Field, ...] = ()
+    fibres: Callable[[FloatArray], FloatArray] | None = None
+    fung: float = 0.0
+    growth: tuple[Callable[[FloatArray, FloatArray], FloatArray], ...] = ()
+    skin_n_per_m: float = 0.0
+    segmentation_mm: tuple[float, float] = field(default=(0.0, 0.0))

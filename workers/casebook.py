@@ -40,7 +40,7 @@ from workers.sources import open_source
 
 ROOMS = (
     "diagnosis", "effects", "fem", "images", "imaging", "materials", "mesh", "observation",
-    "similarity",
+    "organs", "similarity", "specimen",
 )  # fmt: skip
 # Nodes of the mesh that says what the working mesh gets wrong, over those of that one.
 FINER = 2.8
@@ -152,8 +152,8 @@ class Casebook:
         nodes, spacing = self.request["nodes"], self.request["spacing_mm"]
         return self.cached("built", lambda: self.source.subject(nodes, spacing))
 
-    def finer(self) -> Model:
-        """A finer mesh of the same body."""
+    def finer(self) -> Model | None:
+        """A finer mesh of the same body; None where it would tell nothing new."""
         return self.source.finer(round(FINER * self.request["nodes"]))
 
     @property

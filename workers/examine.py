@@ -31,7 +31,7 @@ from workers.diagnosis.diagnosis import (
     discrepancy_of,
 )
 from workers.diagnosis.fingerprint import Fingerprint
-from workers.diagnosis.fingerprints import fingerprints, grid
+from workers.diagnosis.fingerprints import acts, fingerprints, grid
 from workers.diagnosis.refit import Refit, refit
 from workers.diagnosis.screen import screen
 from workers.diagnosis.subject import Subject
@@ -94,7 +94,8 @@ def print_effect(request: Request, name: str, scan: int) -> Record:
     Returns
     -------
     dict
-        ``acts``: whether it does anything there and could be simulated; ``seconds``.
+        ``acts``: whether it does anything there and could be simulated; ``idle``: whether
+        it does nothing there; ``seconds``.
     """
     book = Casebook(request)
     if not book.has("print", name, scan):
@@ -102,9 +103,14 @@ def print_effect(request: Request, name: str, scan: int) -> Record:
         subject, nominal = book.subject, book.nominal
         alone = replace(subject, scans=[subject.scans[scan]])
         there = replace(nominal, views=(nominal.views[scan],))
-        prints, _ = fingerprints(alone, there, [book.effect(name)])
+        acting = book.effect(name)
+        prints, _ = fingerprints(alone, there, [acting])
         arrays = _arrays(prints[0]) if prints else {}
-        told = {"acts": bool(prints), "seconds": time.perf_counter() - begun}
+        told = {
+            "acts": bool(prints),
+            "idle": not prints and not acts(alone, there, acting),
+            "seconds": time.perf_counter() - begun,
+        }
         book.save(arrays, told, "print", name, scan)
     return book.told("print", name, scan)
 
@@ -199,15 +205,20 @@ def _look(book: Casebook) -> Look:
 
 
 def _print(book: Casebook, acting: Effect, subject: Subject) -> Fingerprint | None:
-    """The columns of all scans, one after another; None unless all scans have some."""
+    """The columns of all scans, one after another; zero where the effect does nothing.
+
+    None if it does nothing anywhere, or could not be simulated in some scan.
+    """
     parts = [book.load("print", acting.name, scan) for scan in range(len(subject.scans))]
-    if not all(told["acts"] for _, told in parts):
+    stacks = [arrays for arrays, told in parts if told["acts"]]
+    if not stacks or not all(told["acts"] or told["idle"] for _, told in parts):
         return None
-    stacks = [arrays for arrays, _ in parts]
+    nothing = np.zeros_like(stacks[0]["columns"])
+    columns = [arrays["columns"] if told["acts"] else nothing for arrays, told in parts]
     return Fingerprint(
         acting.name,
         acting.family,
-        np.concatenate([arrays["columns"] for arrays in stacks], axis=-2),
+        np.concatenate(columns, axis=-2),
         stacks[0]["prior_sd"],
         stacks[0]["one_sided"],
     )

@@ -5,6 +5,7 @@ from pathlib import Path
 from storage.errors import InputError
 from workers.diagnosis.imaged import ImagedSource
 from workers.diagnosis.source import Source
+from workers.specimen.source import SpecimenSource
 from workers.studies import is_study, open_study
 
 
@@ -25,6 +26,8 @@ def open_source(path: Path) -> Source:
         return ImagedSource(path)
     if is_study(path):
         return open_study(path)
+    if path.suffix in (".yaml", ".yml") and path.is_file():
+        return SpecimenSource(path)
     raise InputError(
         f"{path} cannot be diagnosed: expected a folder with case.json and its scans, or the "
         "folder of a study that `palpate run` has made."

@@ -58,7 +58,7 @@ def diagnose(
             "Interrupted; what is finished is kept. The same command continues it.", err=True
         )
         raise typer.Exit(INTERRUPTED)
-    page = _write(found, out or RUNS / case.absolute().name)
+    page = _write(found, out or RUNS / (case.stem if case.is_file() else case.absolute().name))
     if as_json:
         print_json(found.summary)
         return
@@ -113,6 +113,7 @@ def print_verdict(summary: Json, console: Any) -> None:
     """A sentence, and the most probable causes, on a console."""
     from rich.table import Table
 
+    from service.diagnosis.experiment import experiment_lines
     from service.diagnosis.words import likely, measured, sentence, spoken
 
     console.print(sentence(summary), soft_wrap=True)
@@ -135,3 +136,5 @@ def print_verdict(summary: Json, console: Any) -> None:
         names = ", ".join(spoken(name) for name in summary["absorbed"])
         console.print(f"Hidden in the constants, neither accused nor acquitted: {names}.",
                       soft_wrap=True)  # fmt: skip
+    for line in experiment_lines(summary):
+        console.print(line, soft_wrap=True)

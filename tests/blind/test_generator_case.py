@@ -11,7 +11,7 @@ from workers.blind.anatomy import body_of
 from workers.blind.draw import draw
 from workers.blind.fine_mesh import fine_mesh_of
 from workers.blind.material_points import locate, points_on
-from workers.blind.observe import Hand, deformed_labels, padded, segmented
+from workers.blind.observe import Hand, deformed_labels, glandular_share, padded, segmented
 from workers.blind.write import write_case
 from workers.images.read import read_volume
 from workers.observation.distance import signed_distance
@@ -51,9 +51,11 @@ def test_truth_lies_on_the_interfaces_that_the_scans_show(folder):
         for number, interface in enumerate((OUTLINE, GLANDULAR)):
             mine = truth["interface"] == number
             away, _ = signed_distance(labels, interface.inside).at((truth["points"] + move)[mine])
-            away = np.median(away), 1.4826 * np.median(np.abs(away - np.median(away)))
-            assert abs(away[0]) < 0.15
-            assert 0.7 * noise < away[1] < 1.8 * noise
+            # At thin strands the nearest boundary may be another one.
+            near = away[np.abs(away) < 4 * noise]
+            assert len(near) > 0.9 * len(away)
+            assert abs(np.median(near)) < 0.08
+            assert 0.75 * noise < near.std() < 1.4 * noise
 
 
 def test_loads_move_the_body_more_than_noise_and_the_larger_more(folder):
@@ -174,7 +176,7 @@ def test_small_linear_elements_fill_the_body_and_carry_a_quadratic_field(body):
 
 def test_a_body_at_rest_shows_its_own_labels(body):
     still = np.zeros_like(body.mesh.nodes)
-    rest = deformed_labels(body.labels, fine_mesh_of(body.mesh), still)
+    rest = deformed_labels(glandular_share(body.labels), fine_mesh_of(body.mesh), still)
     ours = np.count_nonzero(rest.values == Tissue.GLANDULAR)
     theirs = np.count_nonzero(body.labels.values == Tissue.GLANDULAR)
     assert ours == pytest.approx(theirs, rel=0.01)

@@ -16,7 +16,7 @@ from workers.blind.anatomy import CORNERS, SPACING_MM, Body, body_of
 from workers.blind.draw import Load, Truth
 from workers.blind.fine_mesh import fine_mesh_of
 from workers.blind.material_points import points_on
-from workers.blind.observe import Hand, deformed_labels, segmented
+from workers.blind.observe import Hand, deformed_labels, glandular_share, segmented
 from workers.blind.scene import NU, WALL_SPRING_KPA_PER_MM
 from workers.blind.solution import Solution, plate_starts, solve_scene
 from workers.blind.system import topology_of
@@ -74,16 +74,16 @@ def scan_names(loads: tuple[Load, ...]) -> list[str]:
 
 
 def _scans(truth: Truth, body: Body, solutions: list[Solution]) -> dict[str, Volume]:
-    fine = fine_mesh_of(body.mesh)
+    fine, share = fine_mesh_of(body.mesh), glandular_share(body.labels)
     # As many streams as scans, apart from those that drew the truth.
     streams = np.random.SeedSequence([truth.seed, 1]).spawn(len(solutions) + 1)
     rngs = [np.random.default_rng(s) for s in streams]
     outline, gland = truth.scene.segmentation_mm
-    rest = deformed_labels(body.labels, fine, np.zeros_like(body.mesh.nodes))
+    rest = deformed_labels(share, fine, np.zeros_like(body.mesh.nodes))
     found = {"reference.nrrd": segmented(rest, Hand(truth.noise_sd_mm), rngs[0])}
     hand = Hand(truth.noise_sd_mm, outline, gland)
     for name, solution, rng in zip(scan_names(truth.loads), solutions, rngs[1:], strict=True):
-        moved = deformed_labels(body.labels, fine, solution.displacement_mm)
+        moved = deformed_labels(share, fine, solution.displacement_mm)
         found[name] = segmented(moved, hand, rng)
     return found
 

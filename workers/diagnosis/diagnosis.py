@@ -33,10 +33,15 @@ SINGLES = 5
 PARTNERS = 3
 # An effect this far behind the best one by screening is not refitted, in nats.
 FAR_BEHIND = 60.0
+# But one that gains this part of what the best one gains is: where data are much finer than
+# the effects, the linear model errs by more than that.
+NEARLY = 0.5
 # Nor is one that the data speak against by this much, in nats.
 LEAST = -2.0
 # Pairs are refitted if a smooth field gains this much on top of the best effect, in nats.
 LEFT_OVER = 1.0
+# So is one with an effect that gains this much on top of it, as it looked alone.
+SECOND = 3.0
 FALSE_ALARMS = 0.02
 NULL_DRAWS = 400
 
@@ -135,9 +140,14 @@ def diagnose(seen: Look, effects: Sequence[Effect], refits: RefitMany) -> Diagno
         if refitted is not None:
             found[refitted.names] = refitted
     ranked = sorted(found.values(), key=lambda r: -r.log_evidence)[:PARTNERS]
-    if ranked and not _unexplained(seen, ranked[0]):
-        ranked = []
-    pairs = [(known[a.names[0]], known[b.names[0]]) for a, b in combinations(ranked, 2)]
+    pairs: list[tuple[Effect, ...]] = []
+    if ranked:
+        pairs = [(*ranked[0].effects, e) for e in partners(seen, known, ranked[0])]
+    if ranked and _unexplained(seen, ranked[0]):
+        tried = {frozenset(e.name for e in pair) for pair in pairs}
+        for a, b in combinations(ranked, 2):
+            if {*a.names, *b.names} not in tried:
+                pairs.append((*a.effects, *b.effects))
     for refitted in refits(pairs):
         if refitted is not None:
             found[refitted.names] = refitted
@@ -145,6 +155,14 @@ def diagnose(seen: Look, effects: Sequence[Effect], refits: RefitMany) -> Diagno
     families = {name: known[name].family for name in seen.prints}
     said = verdict(hypotheses, families, seen.threshold, seen.absorbed())
     return Diagnosis(seen, said, found, hypotheses)
+
+
+def partners(seen: Look, known: dict[str, Effect], best: Refit) -> list[Effect]:
+    """Effects that what the best one leaves speaks for, as they looked at the nominal fit."""
+    others = [p for p in seen.prints.values() if p.name not in best.names]
+    left = screen(best.fit.linearised(seen.subject), others)
+    loud = [f for f in left if f.absorbed <= HIDDEN and f.log_bayes_factor > SECOND]
+    return [known[f.name] for f in loud[:PARTNERS]]
 
 
 def _unexplained(seen: Look, best: Refit) -> bool:
@@ -160,7 +178,7 @@ def suspects(seen: Look, known: dict[str, Effect]) -> list[Effect]:
     if not open_ones:
         return []
     best = open_ones[0].log_bayes_factor
-    least = max(best - FAR_BEHIND, LEAST)
+    least = max(min(best - FAR_BEHIND, NEARLY * best), LEAST)
     near = [f for f in open_ones if f.log_bayes_factor > least]
     return [known[f.name] for f in near[:SINGLES]]
 

@@ -43,7 +43,7 @@ def fingerprints(
     Places
     """
     places = grid(subject)
-    acting = [e for e in effects if _acts(subject, at, e)]
+    acting = [e for e in effects if acts(subject, at, e)]
     columns: dict[str, list[FloatArray]] = {e.name: [] for e in acting}
     for scan, view in zip(subject.scans, at.views, strict=True):
         for effect in acting:
@@ -69,7 +69,8 @@ def grid(subject: Subject) -> Places:
     return Places(centres[inside] - np.asarray(subject.frame.centre_mm))
 
 
-def _acts(subject: Subject, at: Fit, effect: Effect) -> bool:
+def acts(subject: Subject, at: Fit, effect: Effect) -> bool:
+    """Whether an effect changes any scan of the subject."""
     return any(
         effect.acts_on(problem_of(scan, at.unknowns, at.z, subject.frame), subject.frame)
         for scan in subject.scans

@@ -138,6 +138,8 @@ def _starts(
 
 
 def _expected(effect: Effect, estimate: FloatArray) -> dict[str, float]:
+    if effect.if_present:
+        return {n: mean for n, (mean, _) in zip(effect.names, effect.if_present, strict=True)}
     start = {}
     for p, sd, value in zip(effect.parameters, effect.prior_sd, estimate, strict=True):
         neutral = effect.neutral[p.name]

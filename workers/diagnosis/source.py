@@ -50,8 +50,8 @@ class Source(Protocol):
             If there is nothing to mesh or nothing to compare.
         """
 
-    def finer(self, nodes: int) -> Model:
-        """Another mesh of the same body, to see what the mesh adds."""
+    def finer(self, nodes: int) -> Model | None:
+        """Another mesh of the same body, to see what the mesh adds; None if that is known."""
 
     def pictures(self, found: Diagnosis, moved: Moved) -> tuple[dict[str, NDArray[Any]], Any]:
         """What the report draws of the bodies, and rows for the summary; may both be empty."""

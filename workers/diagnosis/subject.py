@@ -92,6 +92,10 @@ class Subject:
         Of the noise of the residuals of all scans, one after another, in mm^2.
     bias : ndarray, shape (s k,)
         What the mesh adds to the residuals, in mm; subtracted.
+    arms : csr_matrix, shape (k, n), optional
+        From displacements of the nodes to those of the end of an arm of 1 mm, which
+        stands on the surface at the point, less those of its foot. None where no point
+        is a marker.
     """
 
     model: Model
@@ -103,6 +107,7 @@ class Subject:
     noise: SegmentationNoise
     covariance: FloatArray
     bias: FloatArray
+    arms: csr_matrix | None = None
 
     @cached_property
     def covariance_factor(self) -> FloatArray:
@@ -124,6 +129,7 @@ class Subject:
             at_points=self.at_points[index],
             covariance=self.covariance[np.ix_(rows, rows)],
             bias=self.bias[rows],
+            arms=None if self.arms is None else self.arms[index],
         )
 
 
@@ -163,7 +169,9 @@ class Unknowns:
     def one_sided(self) -> BoolArray:
         """Which parameters have a half-normal prior."""
         sides = [False] * len(self.free)
-        return np.array(sides + [one_sided(p) for e in self.effects for p in e.parameters])
+        for e in self.effects:
+            sides += [one_sided(p) and not e.if_present for p in e.parameters]
+        return np.array(sides)
 
     def constants(self, z: FloatArray) -> dict[str, float]:
         """Values of the free constants at `z`."""
@@ -197,7 +205,10 @@ def unknowns(
     """
     mean, sd = [f.log_mean for f in free], [f.log_sd for f in free]
     for effect in effects:
-        for name, neutral in effect.neutral.items():
-            mean.append((means or {}).get(name, neutral))
-        sd.extend(effect.prior_sd)
+        present = effect.if_present or tuple(
+            zip(effect.neutral.values(), effect.prior_sd, strict=True)
+        )
+        for name, (middle, scale) in zip(effect.names, present, strict=True):
+            mean.append((means or {}).get(name, middle))
+            sd.append(scale)
     return Unknowns(free, effects, np.array(mean), np.array(sd))

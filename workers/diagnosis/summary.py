@@ -55,12 +55,14 @@ def summary(found: Diagnosis, effects: list[Effect], case: str) -> Json:
 
 def _effect(found: Diagnosis, effect: Effect) -> Json:
     finding = found.look.by_name[effect.name]
-    refit = found.refits.get((effect.name,))
+    best = found.best
+    names = best.names if best is not None and effect.name in best.names else (effect.name,)
+    refit = found.refits.get(names)
     magnitudes: list[Json] = []
     for i, parameter in enumerate(effect.parameters):
         if refit is not None:
             at = refit.fit.unknowns.names.index(parameter.name)
-            value, sd = float(refit.fit.z[at]), float(_sds(found, (effect.name,))[at])
+            value, sd = float(refit.fit.z[at]), float(_sds(found, names)[at])
         elif i < len(finding.estimate):
             value, sd = float(finding.estimate[i]), float(finding.estimate_sd[i])
             if one_sided(parameter):

@@ -1,6 +1,6 @@
 """The scans as a hypothesis predicts them: residuals, and their derivatives."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +75,8 @@ def seen(subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, at: Eq
     for effect in unknowns.effects:
         if effect.observation is not None:
             values = unknowns.of_effect(effect, z)
-            r = r + effect.shift(points, normals, tissues, values, subject.frame)
+            places = _seen_by(effect, subject, at)
+            r = r + effect.shift(places, normals, tissues, values, subject.frame)
     return View(at, points, r, normals)
 
 
@@ -111,7 +112,10 @@ def derivatives(
             base = problem_of(scan, unknowns, z, subject.frame, leave_out=effect)
             values = unknowns.of_effect(effect, z)
             changes.extend(effect.changes(base, subject.frame, values))
-    moved = columns_of(subject, seen_now, changes)
+    observed = [e for e in unknowns.effects if e.observation is not None]
+    moved = columns_of(
+        subject, seen_now, changes, [(e, unknowns.of_effect(e, z)) for e in observed]
+    )
     found = _with_observed(subject, unknowns, seen_now, moved)
     if FRICTION in unknowns.effects and seen_now.at.problem.load.device.friction:
         at = unknowns.names.index(FRICTION.names[0])
@@ -137,20 +141,57 @@ def _by_solving(
     return (found.residual - seen_now.residual) / h
 
 
-def columns_of(subject: Subject, seen_now: View, changes: Sequence[Change]) -> FloatArray:
-    """Derivatives of the residual by changes of the problem, shape (k, c)."""
+def columns_of(
+    subject: Subject,
+    seen_now: View,
+    changes: Sequence[Change],
+    observed: Sequence[tuple[Effect, Mapping[str, float]]] = (),
+) -> FloatArray:
+    """Derivatives of the residual by changes of the problem, shape (k, c).
+
+    `observed` are the effects on the observation that act, with their values: a point that
+    moves is seen elsewhere.
+    """
     dx = tangents(seen_now.at, changes)
     out = np.empty((len(seen_now.residual), len(changes)))
     for c, nodal in enumerate(dx):
         out[:, c] = ((subject.at_points @ nodal) * seen_now.normals).sum(axis=1)
+        for effect, values in observed:
+            out[:, c] += _shift_along(subject, seen_now, effect, values, nodal)
     return out
+
+
+def _shift_along(
+    subject: Subject, seen_now: View, effect: Effect, values: Mapping[str, float], u: FloatArray
+) -> FloatArray:
+    """Derivative of `Effect.shift`, affine in what the effect sees, along nodal motion `u`."""
+    here = _seen_by(effect, subject, seen_now.at)
+    step = _moves(effect, subject, u)
+    rest = seen_now.normals, tissues_of(subject), values, subject.frame
+    return effect.shift(here + step, *rest) - effect.shift(here, *rest)
 
 
 def observed_columns(subject: Subject, effect: Effect, seen_now: View) -> FloatArray:
     """Derivatives by the parameters of an effect on the observation, shape (k, q)."""
     if effect.observation is None:
         raise ValueError(f"{effect.name} acts on the body")
-    return effect.observation(seen_now.points, seen_now.normals, tissues_of(subject), subject.frame)
+    places = _seen_by(effect, subject, seen_now.at)
+    return effect.observation(places, seen_now.normals, tissues_of(subject), subject.frame)
+
+
+def _seen_by(effect: Effect, subject: Subject, at: Equilibrium) -> FloatArray:
+    """What an effect on the observation is given as points; see `Effect.sees`."""
+    moved = _moves(effect, subject, at.solution.displacement_mm)
+    return subject.points.points + moved if effect.sees == "points" else moved
+
+
+def _moves(effect: Effect, subject: Subject, u: FloatArray) -> FloatArray:
+    """How motion `u` of the nodes moves what an effect sees, shape (k, 3)."""
+    if effect.sees != "arms":
+        return np.asarray(subject.at_points @ u)
+    if subject.arms is None:
+        raise ValueError(f"{effect.name} needs markers")
+    return np.asarray(subject.arms @ u)
 
 
 def _log_change(subject: Subject, scan: Scan, unknowns: Unknowns, z: FloatArray, i: int) -> Change:

@@ -62,6 +62,13 @@ class Effect:
         For an effect on the observation: from points, normals, tissues and frame to
         the shift of the observed interface for one unit of each parameter, shape
         (k, parameters); see `shift`.
+    if_present : tuple of (float, float), optional
+        For an effect whose size is known if it acts at all, as the weight of a body is:
+        mean and standard deviation of each parameter then. What it would do is still
+        looked up on the scale of `prior_sd`; a refit believes this.
+    sees : {"points", "moves", "arms"}
+        What such an effect is given as points: where they are now, how far they have
+        moved, or how far the end of an arm of 1 mm on each has moved against its foot.
 
     Raises
     ------
@@ -79,6 +86,8 @@ class Effect:
     transform: Transform
     references: tuple[str, ...]
     observation: Columns | None = None
+    if_present: tuple[tuple[float, float], ...] = ()
+    sees: Literal["points", "moves", "arms"] = "points"
 
     def __post_init__(self) -> None:
         for what, numbers in (("prior_sd", self.prior_sd), ("steps", self.steps)):
@@ -188,7 +197,8 @@ class Effect:
         Parameters
         ----------
         points, normals : ndarray, shape (k, 3)
-            On the interfaces, in mm; unit normals out of the tissue.
+            On the interfaces, in mm, or what else the effect `sees`; unit normals out of
+            the tissue.
         tissues : ndarray of int, shape (k,)
             The `Tissue` that each interface encloses.
         values : mapping of str to float

@@ -1,0 +1,1 @@
+"""Bench specimens: one YAML file says body, loads, material and what markers showed."""

@@ -9,7 +9,7 @@ from workers.mesh.hierarchy import build_hierarchy
 from workers.phantom.breast import BreastPhantom, generate_breast
 
 SPACING_MM = 0.8
-CORNERS = 3000  # of the tetrahedra; with the middles of their edges about 21,000 nodes
+CORNERS = 2000  # of the tetrahedra; with the middles of their edges about 14,000 nodes
 
 
 @dataclass(frozen=True, eq=False)

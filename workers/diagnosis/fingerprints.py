@@ -12,12 +12,15 @@ from workers.diagnosis.subject import Scan, Subject
 from workers.diagnosis.views import View, columns_of, observed_columns, problem_of
 from workers.effects.base import Effect, one_sided
 from workers.effects.inclusion import INCLUSION, PLACE, RATIO
+from workers.fem.problem import Problem
 from workers.fem.solve import equilibrium
 
 # Centres at which a lump is looked for.
 GRID_MM = 12.0
 # How deep inside the body they lie at least.
 DEPTH_MM = 6.0
+# Magnitudes at which a one-sided effect is tried, in prior standard deviations.
+TRIED = (1.0, 0.25)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +36,9 @@ def fingerprints(
     """Columns of every effect that acts on the subject.
 
     Two-sided effects are tangents. One-sided ones, which set in with full force and
-    then tire, are secants from neutral to one prior standard deviation; their tangents
-    at zero would mislead. A lump gets one column for each place of a grid.
+    then tire, are secants from neutral; their tangents at zero would mislead. One with a
+    single parameter gets a secant to a small magnitude and one to a prior standard
+    deviation, as if they were places. A lump gets a column for each place of a grid.
 
     Returns
     -------
@@ -80,7 +84,7 @@ def acts(subject: Subject, at: Fit, effect: Effect) -> bool:
 def _columns(
     subject: Subject, scan: Scan, at: Fit, view: View, effect: Effect, places: Places
 ) -> FloatArray | None:
-    """Shape (k, q), or (g, k, 1) for a lump."""
+    """Shape (k, q), or (g, k, 1) for a lump and for what is tried at several magnitudes."""
     if effect.observation is not None:
         return observed_columns(subject, effect, view)
     problem = problem_of(scan, at.unknowns, at.z, subject.frame)
@@ -95,31 +99,31 @@ def _columns(
     return columns_of(subject, view, effect.changes(problem, subject.frame))
 
 
-def _secants(subject: Subject, view: View, effect: Effect, problem) -> FloatArray | None:  # type: ignore[no-untyped-def]
-    columns = []
-    for name, sd in zip(effect.names, effect.prior_sd, strict=True):
-        changed = effect.apply(problem, {name: effect.neutral[name] + sd}, subject.frame)
-        found = equilibrium(subject.model, changed, view.at).solution
-        if not found.outcome.converged:
-            return None
-        moved = found.displacement_mm - view.at.solution.displacement_mm
-        columns.append(((subject.at_points @ moved) * view.normals).sum(axis=1) / sd)
-    return np.stack(columns, axis=1)
+def _secants(subject: Subject, view: View, effect: Effect, problem: Problem) -> FloatArray | None:
+    tried = TRIED if len(effect.names) == 1 else (1.0,)
+    places, start = [], view.at
+    for share in tried:
+        columns = []
+        for name, sd in zip(effect.names, effect.prior_sd, strict=True):
+            step = share * sd
+            changed = effect.apply(problem, {name: effect.neutral[name] + step}, subject.frame)
+            found = equilibrium(subject.model, changed, start)
+            if not found.solution.outcome.converged:
+                return None
+            if len(effect.names) == 1:
+                start = found
+            moved = found.solution.displacement_mm - view.at.solution.displacement_mm
+            columns.append(((subject.at_points @ moved) * view.normals).sum(axis=1) / step)
+        places.append(np.stack(columns, axis=1))
+    return np.stack(places) if len(places) > 1 else places[0]
 
 
 def _fingerprint(effect: Effect, columns: Sequence[FloatArray]) -> Fingerprint:
+    stacked = np.concatenate(columns, axis=-2)
+    sided = np.array([one_sided(p) for p in effect.parameters])
     if effect is INCLUSION:
-        return Fingerprint(
-            effect.name,
-            effect.family,
-            np.concatenate(columns, axis=1),
-            np.array(effect.prior_sd[:1]),
-            np.zeros(1, np.bool_),
-        )
+        sided = np.zeros(1, np.bool_)
+    q = stacked.shape[-1]
     return Fingerprint(
-        effect.name,
-        effect.family,
-        np.vstack(columns),
-        np.array(effect.prior_sd),
-        np.array([one_sided(p) for p in effect.parameters]),
+        effect.name, effect.family, stacked, np.array(effect.prior_sd[:q]), sided[:q]
     )

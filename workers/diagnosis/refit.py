@@ -15,9 +15,11 @@ from workers.diagnosis.subject import Subject, unknowns
 from workers.effects.base import Effect, one_sided
 from workers.effects.inclusion import INCLUSION, PLACE, RATIO
 
-# Where a refit begins, as a part of what the screening expects. A one-sided parameter
-# begins at its prior standard deviation, where its secant is right.
+# Where a refit begins, as a part of what the screening expects. A one-sided parameter, whose
+# secant was taken, begins where that expects it.
 START = 0.5
+# But not nearer to zero than this part of its prior standard deviation, where it is steepest.
+LEAST = 0.1
 # Best places from which the fit of a lump begins.
 STARTS = 2
 
@@ -143,6 +145,8 @@ def _expected(effect: Effect, estimate: FloatArray) -> dict[str, float]:
     start = {}
     for p, sd, value in zip(effect.parameters, effect.prior_sd, estimate, strict=True):
         neutral = effect.neutral[p.name]
-        step = float(np.clip(START * value, -1.5 * sd, 1.5 * sd))
-        start[p.name] = neutral + (sd if one_sided(p) else step)
+        if one_sided(p):
+            start[p.name] = neutral + float(np.clip(value, LEAST * sd, 1.5 * sd))
+        else:
+            start[p.name] = neutral + float(np.clip(START * value, -1.5 * sd, 1.5 * sd))
     return start

@@ -26,9 +26,9 @@ from storage.digest import digest, file_digest
 from storage.errors import StoreError
 from storage.stores import open_store
 from storage.values import FloatArray
+from workers.cases.source import Source
 from workers.diagnosis.fit import Fit
 from workers.diagnosis.refit import Refit
-from workers.diagnosis.source import Source
 from workers.diagnosis.subject import Subject, unknowns
 from workers.diagnosis.views import View, view
 from workers.effects.base import Effect
@@ -39,8 +39,8 @@ from workers.resources import CACHE
 from workers.sources import open_source
 
 ROOMS = (
-    "diagnosis", "effects", "fem", "images", "imaging", "materials", "mesh", "observation",
-    "organs", "similarity", "specimen",
+    "cases", "diagnosis", "effects", "fem", "images", "imaging", "materials", "mesh",
+    "observation", "organs", "pictures", "similarity", "specimen",
 )  # fmt: skip
 # Nodes of the mesh that says what the working mesh gets wrong, over those of that one.
 FINER = 2.8

@@ -17,19 +17,20 @@ from storage.arrays import exists, load_arrays, load_meta, save_arrays
 from storage.digest import digest, file_digest
 from storage.errors import InputError
 from storage.stores import open_store
-from workers.diagnosis.acquisition import State, states_of
-from workers.diagnosis.foreseen import Foreseen, foresee, ground_of
-from workers.diagnosis.plan_summary import plan
-from workers.diagnosis.prospect import Prospect, prospect_of_case
 from workers.diagnosis.subject import Subject
 from workers.library import code_version
+from workers.planning.acquisition import State, states_of
+from workers.planning.foreseen import Foreseen, foresee, ground_of
+from workers.planning.prospect import Prospect, prospect_of_case
+from workers.planning.summary import plan
 from workers.resources import CACHE
 from workers.studies import is_study, open_study
 
 Record = dict[str, Any]
 NOMINAL = "nominal"
 ROOMS = (
-    "diagnosis", "effects", "fem", "images", "materials", "mesh", "observation", "organs",
+    "cases", "diagnosis", "effects", "fem", "images", "materials", "mesh", "observation", "organs",
+    "planning",
 )  # fmt: skip
 
 
@@ -115,7 +116,7 @@ def foresee_state(request: PlanRequest, number: int) -> Record:
 
 
 def weigh_plan(request: PlanRequest) -> Record:
-    """What the acquisition can tell, see `workers.diagnosis.plan_summary.plan`.
+    """What the acquisition can tell, see `workers.planning.summary.plan`.
 
     Raises
     ------

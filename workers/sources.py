@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from storage.errors import InputError
-from workers.diagnosis.imaged import ImagedSource
-from workers.diagnosis.source import Source
+from workers.cases.imaged import ImagedSource
+from workers.cases.source import Source
 from workers.specimen.source import SpecimenSource
 from workers.studies import is_study, open_study
 

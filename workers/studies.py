@@ -9,7 +9,7 @@ from storage.layout import StudyLayout
 from storage.records import EvaluationRecord, StudyRecord, record_of
 from storage.status import Status
 from storage.stores import open_store
-from workers.diagnosis.study_source import StudyPieces, StudySource
+from workers.cases.study import StudyPieces, StudySource
 from workers.images.one_body import in_air
 from workers.library import Library
 from workers.spec import CaseSpec, TargetSpec, validated

@@ -9,7 +9,7 @@ import workers
 from service.versions import palpate_version
 from storage.digest import digest, file_digest
 from workers.casebook import FINER, ROOMS
-from workers.diagnosis.build import NODES, POINT_SPACING_MM
+from workers.cases.build import NODES, POINT_SPACING_MM
 from workers.diagnosis.diagnosis import FALSE_ALARMS, NULL_DRAWS
 from workers.diagnosis.hypotheses import PriorOdds
 from workers.diagnosis.verdict import CREDIBLE, EXPLAINED, HIDDEN

@@ -58,7 +58,7 @@ def run_plan(request: PlanRequest, dispatcher: Dispatcher, tell: Tell) -> Json:
     Returns
     -------
     dict
-        See `workers.diagnosis.plan_summary.plan`.
+        See `workers.planning.summary.plan`.
 
     Raises
     ------

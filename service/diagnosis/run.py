@@ -16,7 +16,7 @@ from storage.errors import PalpateError
 from storage.stores import open_store
 from workers import examine
 from workers.casebook import Casebook, Request, named
-from workers.diagnosis.build import NODES, POINT_SPACING_MM
+from workers.cases.build import NODES, POINT_SPACING_MM
 from workers.effects.inclusion import INCLUSION
 from workers.sources import open_source
 

@@ -112,7 +112,7 @@ def regions(found: Iterable[Json]) -> list[RegionRow]:
 
 
 def overlap(found: Iterable[Json]) -> list[OverlapRow]:
-    """Every interface of every scan, as `workers.diagnosis.drawings.overlap_rows` has them."""
+    """Every interface of every scan, as `workers.pictures.drawings.overlap_rows` has them."""
     rows = []
     for r in found:
         before, after = r["before"], r["after"] or {}

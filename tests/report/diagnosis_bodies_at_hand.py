@@ -7,9 +7,9 @@ from diagnosis_at_hand import summary
 
 from service.diagnosis.run import Found
 from storage.values import FloatArray, Volume
-from workers.diagnosis.cause_map import CauseMap
-from workers.diagnosis.drawings import bodies, cause_record, causes, overlap_rows
 from workers.observation.interface import GLANDULAR, OUTLINE, interface_points
+from workers.pictures.cause_map import CauseMap
+from workers.pictures.drawings import bodies, cause_record, causes, overlap_rows
 
 SCANS = ["40 N", "40 N along x"]
 HALF_AXES_MM = np.array([24.0, 16.0, 14.0])

@@ -13,8 +13,8 @@ from service.blind.making import publish
 from service.blind.records import CaseRecord
 from service.blind.sets import BlindSet, Truths
 from service.dispatch import Ending
-from workers.diagnosis.build import INTERFACES, WALL_MARGIN_MM
-from workers.diagnosis.case import ImagedCase
+from workers.cases.build import INTERFACES, WALL_MARGIN_MM
+from workers.cases.case import ImagedCase
 from workers.effects.catalogue import with_effects
 from workers.fem.fields import frame_of
 from workers.fem.model import prepare

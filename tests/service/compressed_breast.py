@@ -9,7 +9,7 @@ import numpy as np
 
 from service.export import export_volume
 from storage.values import Tissue, Volume
-from workers.diagnosis.case import ImagedCase
+from workers.cases.case import ImagedCase
 from workers.effects.catalogue import with_effects
 from workers.fem.fields import frame_of
 from workers.fem.model import prepare

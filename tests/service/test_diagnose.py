@@ -20,10 +20,10 @@ from storage.errors import InputError, StoreError
 from storage.values import Volume
 from workers import examine
 from workers.casebook import Casebook, Request
-from workers.diagnosis.build import build_subject
+from workers.cases.build import build_subject
+from workers.cases.case import ImagedCase
+from workers.cases.checks import check_case
 from workers.diagnosis.calibrate import calibrate
-from workers.diagnosis.case import ImagedCase
-from workers.diagnosis.checks import check_case
 from workers.diagnosis.diagnosis import diagnose, look, one_by_one
 from workers.diagnosis.summary import summary
 from workers.effects.catalogue import effect

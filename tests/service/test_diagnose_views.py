@@ -7,10 +7,10 @@ import pytest
 from compressed_breast import CROSSWISE, PRESSED, TRUE_MPA, described, write_case
 
 from storage.errors import InputError
-from workers.diagnosis.build import build_subject
+from workers.cases.build import build_subject
+from workers.cases.case import ImagedCase, extent_mm
+from workers.cases.checks import check_case
 from workers.diagnosis.calibrate import calibrate
-from workers.diagnosis.case import ImagedCase, extent_mm
-from workers.diagnosis.checks import check_case
 
 NODES, SPACING_MM = 1600, 8.0
 

@@ -13,7 +13,7 @@ from service import cluster as cluster_module
 from service.cli import main
 from service.diagnosis import plan_words as words
 from service.report.plan_page import render
-from workers.diagnosis.plan_summary import CLEAR
+from workers.planning.summary import CLEAR
 
 Json = dict[str, Any]
 

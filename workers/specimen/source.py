@@ -54,7 +54,7 @@ class Components:
 
 
 class SpecimenSource:
-    """The experiment that a YAML file describes; see `workers.diagnosis.source.Source`.
+    """The experiment that a YAML file describes; see `workers.cases.source.Source`.
 
     Parameters
     ----------

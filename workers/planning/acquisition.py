@@ -14,11 +14,11 @@ from typing import Literal
 import numpy as np
 
 from storage.values import FloatArray, Triple
-from workers.diagnosis.prospect import Builder, Prospect
 from workers.diagnosis.subject import Values
 from workers.fem.fields import Frame
 from workers.fem.loads import DistanceControl, ForceControl, Load, Wall
 from workers.fem.problem import Problem
+from workers.planning.prospect import Builder, Prospect
 
 Kind = Literal["meant", "load", "view"]
 

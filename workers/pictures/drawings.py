@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.values import FloatArray, IntArray, Volume
-from workers.diagnosis.cause_map import CauseMap, voxels
 from workers.diagnosis.gap import LinearFit
 from workers.diagnosis.linear import Linearised
-from workers.diagnosis.local_mean import local_mean
-from workers.diagnosis.overlap import INTERFACES, distances, on_one_box, overlaps, reachable_jc
-from workers.diagnosis.shapes import shape
 from workers.observation.interface import InterfacePoints
+from workers.pictures.cause_map import CauseMap, voxels
+from workers.pictures.local_mean import local_mean
+from workers.pictures.overlap import INTERFACES, distances, on_one_box, overlaps, reachable_jc
+from workers.pictures.shapes import shape
 
 Arrays = dict[str, NDArray[Any]]
 Json = dict[str, Any]
@@ -46,7 +46,7 @@ def bodies(
         Of the loaded scans.
     predicted : mapping of str to sequence of Volume
         For "before", and "after" if an effect is accused: see
-        `workers.diagnosis.overlap.predict`. Cut where the scans were cut.
+        `workers.pictures.overlap.predict`. Cut where the scans were cut.
 
     Raises
     ------

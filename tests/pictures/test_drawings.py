@@ -5,8 +5,10 @@ import pytest
 
 from storage.arrays import load_arrays, save_arrays
 from storage.values import Volume
-from workers.diagnosis.cause_map import CauseMap
-from workers.diagnosis.drawings import (
+from workers.diagnosis.linear import Linearised
+from workers.observation.interface import GLANDULAR, OUTLINE, interface_points
+from workers.pictures.cause_map import CauseMap
+from workers.pictures.drawings import (
     bodies,
     cause_record,
     causes,
@@ -14,9 +16,7 @@ from workers.diagnosis.drawings import (
     local_means,
     overlap_rows,
 )
-from workers.diagnosis.linear import Linearised
-from workers.diagnosis.local_mean import local_mean
-from workers.observation.interface import GLANDULAR, OUTLINE, interface_points
+from workers.pictures.local_mean import local_mean
 
 
 def egg(shift_mm=0.0, half_axis_x_mm=24.0):

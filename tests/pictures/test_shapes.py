@@ -5,7 +5,7 @@ import pytest
 
 from storage.errors import InputError
 from storage.values import Tissue, Volume
-from workers.diagnosis.shapes import shape
+from workers.pictures.shapes import shape
 
 RADIUS_MM = 20.0
 

@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 from storage.errors import InputError
 from storage.values import Volume
 from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.foreseen import INTERFACES, ground_of
-from workers.diagnosis.pictures import Moved, pictures_of_scans
-from workers.diagnosis.prospect import Builder, Prospect
 from workers.diagnosis.subject import Free, Scan, Subject, Values
 from workers.effects.base import Effect
 from workers.effects.catalogue import BREAST_EFFECTS
@@ -31,6 +28,9 @@ from workers.observation.residual import observe, residual
 from workers.observation.smooth_outline import smooth_outline
 from workers.organs.breast import extent_of, materials_of, problem_of
 from workers.parameters import Bounds
+from workers.pictures.of_scans import Moved, pictures_of_scans
+from workers.planning.foreseen import INTERFACES, ground_of
+from workers.planning.prospect import Builder, Prospect
 from workers.spec import CaseSpec, MeshSpec
 
 # What an image that somebody has drawn is taken to err by, in voxels, and over which length.
@@ -74,7 +74,7 @@ class StudyPieces:
 
 
 class StudySource:
-    """See `workers.diagnosis.source.Source`.
+    """See `workers.cases.source.Source`.
 
     Parameters
     ----------

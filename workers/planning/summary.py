@@ -7,9 +7,12 @@ from typing import Any
 import numpy as np
 
 from storage.values import FloatArray
-from workers.diagnosis.acquisition import State
-from workers.diagnosis.foreseen import Foreseen
-from workers.diagnosis.plan_case import (
+from workers.diagnosis.subject import Subject
+from workers.diagnosis.verdict import HIDDEN
+from workers.effects.base import Effect
+from workers.fem.loads import ForceControl
+from workers.planning.acquisition import State
+from workers.planning.designs import (
     CLEAR,
     PLATES_SD_MM,
     STIFFNESS_SD,
@@ -20,10 +23,7 @@ from workers.diagnosis.plan_case import (
     plausible,
     simulated,
 )
-from workers.diagnosis.subject import Subject
-from workers.diagnosis.verdict import HIDDEN
-from workers.effects.base import Effect
-from workers.fem.loads import ForceControl
+from workers.planning.foreseen import Foreseen
 
 Json = dict[str, Any]
 
@@ -42,9 +42,9 @@ def plan(
     name : str
         Of the case.
     ground : Subject
-        See `workers.diagnosis.foreseen.ground_of`.
+        See `workers.planning.foreseen.ground_of`.
     states : sequence of State
-        See `workers.diagnosis.acquisition.states_of`.
+        See `workers.planning.acquisition.states_of`.
     foreseen : mapping of int to Foreseen
         By the number of the state; states that cannot be simulated are missing.
     effects : sequence of Effect

@@ -6,20 +6,20 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from workers.diagnosis.build import body_of, build_subject
-from workers.diagnosis.case import ImagedCase, above_wall
-from workers.diagnosis.checks import check_case
+from workers.cases.build import body_of, build_subject
+from workers.cases.case import ImagedCase, above_wall
+from workers.cases.checks import check_case
 from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.pictures import Moved, pictures_of_scans
 from workers.diagnosis.subject import Subject
 from workers.effects.base import Effect
 from workers.effects.catalogue import BREAST_EFFECTS
 from workers.fem.model import Model, prepare
 from workers.mesh.hierarchy import build_hierarchy
+from workers.pictures.of_scans import Moved, pictures_of_scans
 
 
 class ImagedSource:
-    """See `workers.diagnosis.source.Source`.
+    """See `workers.cases.source.Source`.
 
     Parameters
     ----------

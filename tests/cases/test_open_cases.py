@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from workers.diagnosis.build import body_of, build_subject
+from workers.cases.build import body_of, build_subject
+from workers.cases.case import ImagedCase
 from workers.diagnosis.calibrate import calibrate
-from workers.diagnosis.case import ImagedCase
 from workers.diagnosis.diagnosis import diagnose, look, one_by_one
 from workers.diagnosis.summary import summary
 from workers.effects.catalogue import BREAST_EFFECTS

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from storage.values import FloatArray, TetMesh, Volume
-from workers.diagnosis.cause_map import cause_map
 from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.drawings import (
+from workers.effects.inclusion import INCLUSION
+from workers.pictures.cause_map import cause_map
+from workers.pictures.drawings import (
     Arrays,
     bodies,
     cause_record,
@@ -16,8 +17,7 @@ from workers.diagnosis.drawings import (
     local_means,
     overlap_rows,
 )
-from workers.diagnosis.overlap import predict
-from workers.effects.inclusion import INCLUSION
+from workers.pictures.overlap import predict
 
 Json = dict[str, Any]
 Moved = Mapping[str, Sequence[FloatArray]]
@@ -46,7 +46,7 @@ def pictures_of_scans(
     Returns
     -------
     arrays : dict of str to ndarray
-        See `workers.diagnosis.drawings`.
+        See `workers.pictures.drawings`.
     told : dict
         ``overlap``: rows for each scan and interface; ``cause_map``: its loudest place.
     """

@@ -4,7 +4,7 @@ Nothing here looks at a residual. An effect is *seen* if it, acting at its plaus
 is expected to raise the log evidence by `CLEAR` over no gap, and if the constants do not
 hide it. Two effects are *told apart* if both are seen and each, when it acts, is expected
 to beat the other by `CLEAR`. More rows never lower an expected log evidence, for it is a
-Kullback-Leibler divergence; see `workers.diagnosis.plan`.
+Kullback-Leibler divergence; see `workers.planning.states`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,9 +18,7 @@ from storage.values import BoolArray, FloatArray
 from workers.diagnosis.calibrate import with_common_error
 from workers.diagnosis.detectability import confusion
 from workers.diagnosis.fingerprint import Fingerprint
-from workers.diagnosis.foreseen import Foreseen
 from workers.diagnosis.linear import Linearised, factored
-from workers.diagnosis.plan import Detectability, detectability, separation
 from workers.diagnosis.subject import Scan, Subject, Values
 from workers.diagnosis.verdict import HIDDEN
 from workers.effects.base import Effect, one_sided
@@ -28,6 +26,8 @@ from workers.effects.inclusion import INCLUSION
 from workers.fem.problem import Problem
 from workers.observation.interface import InterfacePoints
 from workers.observation.noise import covariance
+from workers.planning.foreseen import Foreseen
+from workers.planning.states import Detectability, detectability, separation
 
 # Log evidence that decides: twenty to one.
 CLEAR = 3.0
@@ -125,7 +125,7 @@ def outlook(
     Parameters
     ----------
     ground : Subject
-        See `workers.diagnosis.foreseen.ground_of`.
+        See `workers.planning.foreseen.ground_of`.
     design : Design
     foreseen : mapping of int to Foreseen
         Of every state of the design at least.

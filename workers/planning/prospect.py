@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 
 from storage.values import Volume
-from workers.diagnosis.build import body_of
-from workers.diagnosis.case import ImagedCase
+from workers.cases.build import body_of
+from workers.cases.case import ImagedCase
 from workers.diagnosis.subject import Free, Values
 from workers.effects.base import Effect
 from workers.effects.catalogue import BREAST_EFFECTS

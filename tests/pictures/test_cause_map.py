@@ -5,10 +5,10 @@ import pytest
 
 from storage.errors import InputError
 from storage.values import Volume
-from workers.diagnosis.cause_map import CauseMap, cause_map, voxels
 from workers.diagnosis.fingerprint import Fingerprint
 from workers.diagnosis.linear import Linearised, factored
 from workers.diagnosis.screen import screen
+from workers.pictures.cause_map import CauseMap, cause_map, voxels
 
 M, P = 80, 3
 LINE = np.linspace(0.0, 60.0, M)

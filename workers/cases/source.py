@@ -7,10 +7,10 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.pictures import Moved
 from workers.diagnosis.subject import Subject
 from workers.effects.base import Effect
 from workers.fem.model import Model
+from workers.pictures.of_scans import Moved
 
 
 class Source(Protocol):

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_erosion
 
 from storage.errors import InputError
 from storage.values import FloatArray, Tissue, Triple, Volume
-from workers.diagnosis.case import ALONG_Y, ImagedCase, extent_mm
+from workers.cases.case import ALONG_Y, ImagedCase, extent_mm
 from workers.images.labels import resample_labels
 
 # Living tissue hardly changes its volume; segmentations differ by some per cent.

@@ -15,7 +15,7 @@ from linear_world import (
 
 from storage.errors import InputError
 from workers.diagnosis.detectability import minimum_detectable
-from workers.diagnosis.plan import (
+from workers.planning.states import (
     NewStates,
     detectability,
     extended,

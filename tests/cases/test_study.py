@@ -9,9 +9,9 @@ from compressed_breast import PHANTOM
 from storage.errors import InputError
 from storage.values import Volume
 from workers import pipeline
+from workers.cases.study import StudyPieces, StudySource
 from workers.diagnosis.calibrate import calibrate
 from workers.diagnosis.diagnosis import diagnose, look, one_by_one
-from workers.diagnosis.study_source import StudyPieces, StudySource
 from workers.fem.model import prepare
 from workers.images.one_body import in_air
 from workers.organs.breast import extent_of

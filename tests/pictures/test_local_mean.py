@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from storage.errors import InputError
-from workers.diagnosis.local_mean import local_mean
+from workers.pictures.local_mean import local_mean
 
 K = 60
 POINTS = np.stack([np.arange(K) * 2.0, np.zeros(K), np.zeros(K)], axis=1)

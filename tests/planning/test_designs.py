@@ -8,16 +8,16 @@ import pytest
 from meant_case import NODES, SPACING_MM, at_distance, at_force, write_meant
 
 from storage.errors import InputError
-from workers.diagnosis.acquisition import State, held_alike, pressed_by, states_of, turned_to
 from workers.diagnosis.detectability import NONCENTRALITY
-from workers.diagnosis.foreseen import Foreseen, deformed_normals, foresee, ground_of
-from workers.diagnosis.plan_case import Design, assembled, loose, outlook, simulated
-from workers.diagnosis.plan_summary import designs, plan
-from workers.diagnosis.prospect import prospect_of_case
 from workers.diagnosis.subject import Subject
 from workers.effects.catalogue import effect
 from workers.fem.loads import DistanceControl, ForceControl, Wall
 from workers.fem.solve import solve
+from workers.planning.acquisition import State, held_alike, pressed_by, states_of, turned_to
+from workers.planning.designs import Design, assembled, loose, outlook, simulated
+from workers.planning.foreseen import Foreseen, deformed_normals, foresee, ground_of
+from workers.planning.prospect import prospect_of_case
+from workers.planning.summary import designs, plan
 
 SUSPECTS = [
     effect(name)

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from storage.values import Volume
-from workers.diagnosis.case import ImagedCase
+from workers.cases.case import ImagedCase
 from workers.diagnosis.subject import Scan, Subject
 from workers.fem.fields import frame_of
 from workers.fem.model import prepare

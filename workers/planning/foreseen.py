@@ -21,7 +21,6 @@ from storage.errors import InputError
 from storage.values import FloatArray
 from workers.diagnosis.fingerprints import fingerprints
 from workers.diagnosis.fit import Fit
-from workers.diagnosis.prospect import Builder, Prospect
 from workers.diagnosis.subject import Scan, Subject, Unknowns, unknowns
 from workers.diagnosis.views import LOG_STEP, View, columns_of
 from workers.effects.base import Effect
@@ -33,8 +32,9 @@ from workers.fem.solve import Equilibrium, equilibrium
 from workers.observation.interface import GLANDULAR, OUTLINE, InterfacePoints, interface_points
 from workers.observation.locate import interpolation
 from workers.observation.noise import covariance
+from workers.planning.prospect import Builder, Prospect
 
-# As for scans that are there, see `workers.diagnosis.build`.
+# As for scans that are there, see `workers.cases.build`.
 INTERFACES = (OUTLINE, GLANDULAR)
 WALL_MARGIN_MM = 4.0
 CLEAR_NOISES = 5.0

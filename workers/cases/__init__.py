@@ -1,0 +1,1 @@
+"""Where the subject of a diagnosis comes from."""

@@ -1,0 +1,1 @@
+"""What a diagnosis shows: bodies, maps and overlaps."""

@@ -1,0 +1,1 @@
+"""What scans can tell before they are made."""

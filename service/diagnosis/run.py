@@ -4,6 +4,7 @@ Every step is a task that leaves its result in the store under the digest of all
 it depends on. Running a diagnosis and going on with an interrupted one are the same.
 """
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,8 @@ from workers.effects.inclusion import INCLUSION
 from workers.sources import open_source
 
 Json = dict[str, Any]
+# With more loaded scans than these, points are sparser: about as many residuals in all.
+SCANS = 2
 Tell = Callable[[str, int, int, Json], None]
 """Told of each step: the phase, how many of its tasks are done and how many there are, and
 what the last one said (empty when the phase begins)."""
@@ -51,7 +54,7 @@ def ask(
     path: Path,
     store: Path,
     nodes: int = NODES,
-    spacing_mm: float = POINT_SPACING_MM,
+    spacing_mm: float | None = None,
     effects: Iterable[str] | None = None,
 ) -> Request:
     """What is asked of the workers; makes the store.
@@ -63,8 +66,8 @@ def ask(
     store : Path
     nodes : int
         Of the mesh.
-    spacing_mm : float
-        Between points on the interfaces.
+    spacing_mm : float, optional
+        Between points on the interfaces; more where there are more than two loaded scans.
     effects : iterable of str, optional
         Those that are suspected; the whole catalogue of the source.
 
@@ -76,7 +79,10 @@ def ask(
         If the store cannot be used.
     """
     path = path.expanduser().absolute()
-    known = [e.name for e in open_source(path).effects]
+    source = open_source(path)
+    known = [e.name for e in source.effects]
+    if spacing_mm is None:
+        spacing_mm = POINT_SPACING_MM * math.sqrt(max(1.0, len(source.scans) / SCANS))
     request: Request = {
         "store": str(open_store(store).root),
         "source": str(path),

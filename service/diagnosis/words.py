@@ -11,6 +11,8 @@ Json = Mapping[str, Any]
 MOST_DIGITS = 4
 # A gap that would be printed as zero.
 NOTHING_MM = 0.005
+# The smallest upper limit of a gap that is printed.
+LEAST_MM = 0.01
 NOT_EFFECTS = {"no-gap": "no gap", "none-of-these": "none of these"}
 
 
@@ -110,12 +112,12 @@ def sentence(summary: Json) -> str:
     if summary["verdict"] == "no-gap":
         most = gap["before"]["high_mm"]
         return (
-            "Model and images agree: what is left between them is no more than the noise of the "
-            f"segmentation. A gap larger than {most:.2f} mm is unlikely."
+            "Model and data agree: what is left between them is no more than noise. A gap larger "
+            f"than {max(most, LEAST_MM):.2f} mm is unlikely."
         )
-    differ = f"Model and images differ by {before} beyond the noise"
+    differ = f"Model and data differ by {before} beyond the noise"
     if gap["before"]["gap_mm"] < NOTHING_MM:
-        differ = "Model and images differ by less than the noise, but not at random"
+        differ = "Model and data differ by less than the noise, but not at random"
     if summary["verdict"] == "none-of-these":
         return (
             f"{differ}, and no effect of the catalogue explains it: the cause is something that "

@@ -16,6 +16,7 @@ from service.diagnosis.words import (
     spoken,
     together,
 )
+from service.report import diagnosis_experiment as experiment
 from service.report import diagnosis_tables as tables
 from service.report import diagnosis_where as where
 from service.report.diagnosis_figures import Cause, Evidence, Judged, evidence, gaps, probabilities
@@ -60,7 +61,12 @@ def context(found: Found) -> Json:
         "about_causes": _about_causes(told),
         "constants": tables.constants(told["constants"]),
         "effects": tables.effects(told["effects"], told["absorbed"]),
-        "maps": list(where.maps(found.maps, found.scans, accused)),
+        "advice": _advice(told),
+        "markers": experiment.markers(told),
+        "states": experiment.states(told),
+        "hidden": experiment.hidden(told),
+        "expected": experiment.expected(told),
+        "maps": [] if "markers" in told else list(where.maps(found.maps, found.scans, accused)),
         "averaged": where.on_surfaces(found.maps),
         "sections": list(where.sections(found.maps, found.scans, accused)),
         "section_legend": overlay_legend(),
@@ -76,11 +82,28 @@ def context(found: Found) -> Json:
 
 def _lead(told: Json) -> str:
     noise = told["gap_mm"]["noise_floor"]
+    if "markers" in told:
+        return (
+            f"Model and measurement were compared at {told['points'] // 3} points in every loaded "
+            "state, after the constants had been fitted. The measurement alone makes one component "
+            f"err by {noise:.2f} mm; a gap is what differs beyond that. Intervals hold with 90 %."
+        )
     return (
         f"Model and scans were compared at {told['points']} points on the outline and on the "
         "boundary of the glandular tissue, in every loaded scan, after the constants had been "
         f"fitted. The segmentation alone makes a point err by {noise:.2f} mm; a gap is what "
         "differs beyond that. Intervals hold with 90 %."
+    )
+
+
+def _advice(told: Json) -> str:
+    """What to do where the data do not decide."""
+    if told["verdict"] != "cannot-be-told-apart" or "markers" in told:
+        return ""
+    return (
+        "These scans do not decide. “palpate plan”, given the same folder, says which further "
+        "measurement would tell the causes apart best: another load, another direction, or the "
+        "same scans segmented once more."
     )
 
 
@@ -160,7 +183,9 @@ def _cause_picture(told: Json) -> Picture:
 
 def _about_causes(told: Json) -> str:
     named = [name for name in told["set90"] if name not in NOT_EFFECTS]
-    if len(told["set90"]) == 1:
+    if len(told["primary"]) > 1 and told["verdict"] == "effect":
+        held = f"{together(told['primary'])} together explain what no single effect does"
+    elif len(told["set90"]) == 1:
         held = f"{spoken(told['set90'][0])} alone holds 90 % of the probability"
     else:
         held = f"90 % of the probability is held by {together(told['set90'])}"

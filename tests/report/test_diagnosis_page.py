@@ -48,7 +48,7 @@ def test_same_diagnosis_same_bytes(source: str) -> None:
 
 def test_the_verdict_says_cause_size_and_what_is_left_on_an_unseen_scan() -> None:
     assert sentence(summary()) == (
-        "Model and images differ by 0.27 mm (0.23 to 0.31) beyond the noise. The cause is plate "
+        "Model and data differ by 0.27 mm (0.23 to 0.31) beyond the noise. The cause is plate "
         "tilt (5.48 ± 0.27 deg, probability > 99 %). On a scan that it was not fitted to, it "
         "leaves nothing that stands out of the noise (at most 0.15 mm) of 0.31 mm."
     )
@@ -59,7 +59,7 @@ def test_a_pattern_without_size_is_not_called_a_gap_of_zero() -> None:
     gap = summary()["gap_mm"]
     gap["before"] = gap["held_out_before"] = gap["before"] | {"gap_mm": 0.0, "low_mm": 0.0}
     said = sentence(summary(gap_mm=gap))
-    assert said.startswith("Model and images differ by less than the noise, but not at random.")
+    assert said.startswith("Model and data differ by less than the noise, but not at random.")
     assert said.endswith("leaves nothing that stands out of the noise (at most 0.15 mm).")
 
 

@@ -355,7 +355,7 @@ def test_the_command_writes_page_and_record(
     command = ["diagnose", str(tilted), "--nodes", str(NODES), "--workers", "1"]
     assert main(command) == 0
     said = capsys.readouterr()
-    assert said.out.startswith("Model and images differ by ")
+    assert said.out.startswith("Model and data differ by ")
     assert "The cause is plate tilt" in said.out
     assert "finding the nominal constants" in said.err
     written = tmp_path / "runs" / "tilted"

@@ -14,7 +14,7 @@ from storage.values import FloatArray, Triple
 Field = Callable[[FloatArray], FloatArray]
 """From points (k, 3) in mm to a number at each of them, (k,)."""
 
-WALL_SPRING_KPA_PER_MM = 0.05
+WALL_SPRING_KPA_PER_MM = 0.2
 NU = 0.49
 
 

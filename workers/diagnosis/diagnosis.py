@@ -36,8 +36,8 @@ FAR_BEHIND = 60.0
 # But one that gains this part of what the best one gains is: where data are much finer than
 # the effects, the linear model errs by more than that.
 NEARLY = 0.5
-# Nor is one that the data speak against by this much, in nats.
-LEAST = -2.0
+# Nor is one that the data speak against, in nats.
+LEAST = 0.0
 # Pairs are refitted if a smooth field gains this much on top of the best effect, in nats.
 LEFT_OVER = 1.0
 # So is one with an effect that gains this much on top of it, as it looked alone.

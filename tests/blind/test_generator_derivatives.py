@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from blocks import block, matter, plates, wall
+from pressed_blocks import block, matter, plates, wall
 
 from workers.blind.sheet import sheet_of
 from workers.blind.system import State, System, topology_of

@@ -3,7 +3,7 @@
 import felupe
 import numpy as np
 import pytest
-from blocks import block, matter, pressed
+from pressed_blocks import block, matter, pressed
 from scipy.optimize import fsolve, minimize
 from scipy.sparse import bmat, bsr_matrix
 from scipy.sparse.linalg import spsolve

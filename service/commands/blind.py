@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.commands.common import RUNS, JsonOption, StoreOption, print_json
-from service.commands.run import INTERRUPTED, _stop_requests
+from service.commands.interrupts import INTERRUPTED, stop_requests
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -200,7 +200,7 @@ def _with_workers(
     from service.dispatch import Dispatcher
     from service.errors import Interrupted
 
-    with _stop_requests() as requests:
+    with stop_requests() as requests:
         try:
             with open_cluster(scheduler, workers) as cluster:
                 dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.commands.common import RUNS, JsonOption, StoreOption, print_json
-from service.commands.run import INTERRUPTED, _stop_requests
+from service.commands.interrupts import INTERRUPTED, stop_requests
 
 if TYPE_CHECKING:
     from service.diagnosis.run import Found
@@ -51,7 +51,7 @@ def diagnose(
 
     open_source(case).check()
     request = ask(case, store or RUNS / "store", nodes)
-    with _stop_requests() as requests:
+    with stop_requests() as requests:
         found = _found(request, workers, scheduler, requests)
     if found is None:
         typer.echo(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.commands.common import RUNS, JsonOption, StoreOption, print_json
-from service.commands.run import INTERRUPTED, _stop_requests
+from service.commands.interrupts import INTERRUPTED, stop_requests
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,7 +48,7 @@ def plan(
     from service.diagnosis.foresee import ask_plan
 
     request = ask_plan(source, store or RUNS / "store", nodes)
-    with _stop_requests() as requests:
+    with stop_requests() as requests:
         found = _planned(request, workers, scheduler, requests)
     if found is None:
         typer.echo(

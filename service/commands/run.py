@@ -1,19 +1,15 @@
 """`palpate run`: start a study, or go on with it."""
 
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.commands.common import RUNS, JsonOption, load_spec, print_json
+from service.commands.interrupts import INTERRUPTED, stop_requests
 
 if TYPE_CHECKING:
     from service.study import Study
-
-INTERRUPTED = 130
 
 
 def run(
@@ -47,7 +43,7 @@ def run(
 
     Ctrl-C stops it at any time; the same command continues it.
     """
-    with _stop_requests() as requests:
+    with stop_requests() as requests:
         code = _run(study, folder, workers, scheduler, store, accept_new_code, as_json, requests)
     if code == INTERRUPTED:
         again = f"palpate run {study}" + (f" --study {folder}" if folder else "")
@@ -102,21 +98,3 @@ def _completed(
     except (Interrupted, KeyboardInterrupt):
         return False
     return True
-
-
-@contextmanager
-def _stop_requests() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM; the second one interrupts at once."""
-    requests: list[int] = []
-
-    def note(number: int, frame: Any) -> None:
-        requests.append(number)
-        if len(requests) > 1:
-            raise KeyboardInterrupt
-
-    before = {s: signal.signal(s, note) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield requests
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -63,7 +63,7 @@ def test_a_control_moves_as_the_solver_of_the_diagnosis_says(truth, body, number
     at = interpolation(hierarchy.finest.mesh, points.points[inner])
     away = points.moved(ours.displacement_mm)[inner] - at @ theirs.displacement_mm
     moved = np.linalg.norm(at @ theirs.displacement_mm, axis=1).mean()
-    assert moved > 5
+    assert moved > 2
     assert np.linalg.norm(away, axis=1).mean() < 0.03 * moved
 
 

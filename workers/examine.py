@@ -22,13 +22,12 @@ from storage.values import BoolArray, FloatArray
 from workers.casebook import Casebook, Request
 from workers.diagnosis.calibrate import calibrate
 from workers.diagnosis.diagnosis import (
-    FALSE_ALARMS,
-    NULL_DRAWS,
     Diagnosis,
     Look,
     RefitMany,
     diagnose,
     discrepancy_of,
+    threshold_of,
 )
 from workers.diagnosis.fingerprint import Fingerprint
 from workers.diagnosis.fingerprints import acts, fingerprints, grid
@@ -36,13 +35,11 @@ from workers.diagnosis.refit import Refit, refit
 from workers.diagnosis.screen import screen
 from workers.diagnosis.subject import Subject
 from workers.diagnosis.summary import summary
-from workers.diagnosis.threshold import alarm_threshold, null_alarms
 from workers.diagnosis.views import view
 from workers.effects.base import Effect
 from workers.observation.interface import InterfacePoints
 
 Record = dict[str, Any]
-SEED = 0
 
 
 def calibrate_case(request: Request) -> Record:
@@ -190,8 +187,7 @@ def _look(book: Casebook) -> Look:
     prints = [p for e in book.effects if (p := _print(book, e, subject)) is not None]
     field = discrepancy_of(subject, nominal)
     if not book.has("threshold"):
-        alarms = null_alarms(linear, prints, SEED, NULL_DRAWS, field)
-        book.save({}, {"threshold": alarm_threshold(alarms, FALSE_ALARMS)}, "threshold")
+        book.save({}, {"threshold": threshold_of(linear, prints, field)}, "threshold")
     return Look(
         subject,
         nominal,

@@ -10,7 +10,7 @@ from service.versions import palpate_version
 from storage.digest import digest, file_digest
 from workers.casebook import FINER, ROOMS
 from workers.cases.build import NODES, POINT_SPACING_MM
-from workers.diagnosis.diagnosis import FALSE_ALARMS, NULL_DRAWS
+from workers.diagnosis.diagnosis import FALSE_ALARMS, LEAST_ALARM, NULL_DRAWS
 from workers.diagnosis.hypotheses import PriorOdds
 from workers.diagnosis.verdict import CREDIBLE, EXPLAINED, HIDDEN
 from workers.effects.base import Effect
@@ -41,7 +41,7 @@ def frozen(nodes: int = NODES) -> Json:
         "settings": {
             "effects": [_effect(e) for e in BREAST_EFFECTS],
             "prior_odds": asdict(PriorOdds()),
-            "alarm": {"rate": FALSE_ALARMS, "replicates": NULL_DRAWS},
+            "alarm": {"rate": FALSE_ALARMS, "replicates": NULL_DRAWS, "least": LEAST_ALARM},
             "verdict": {"hidden": HIDDEN, "explained": EXPLAINED, "credible": CREDIBLE},
             "mesh": {"nodes": nodes, "finer": FINER, "point_spacing_mm": POINT_SPACING_MM},
         },

@@ -87,8 +87,8 @@ def record_of(name: str, truth: Truth, moved: Moved, said: Json, maps: Arrays) -
         true_before_mm=_true_mm("before", truth, moved, maps, {}),
         true_after_mm=_true_mm("after", truth, moved, maps, _offsets(told)),
         gap_interval_mm=(gap["before"]["low_mm"], gap["before"]["high_mm"]),
-        share_interval=(gap["share"]["low"], gap["share"]["high"]) if gap.get("share") else None,
-        claimed_share=gap["share"]["share"] if gap.get("share") else None,
+        share_interval=_share_interval(gap),
+        claimed_share=_known(gap["share"]["share"]) if gap.get("share") else None,
         held_out_share=_held_out(gap),
         magnitudes=tuple(magnitudes(truth, by_name)),
         lump_apart_mm=lump_apart_mm(truth, by_name, said.get("centre_mm")),
@@ -136,5 +136,19 @@ def _offsets(told: Json) -> dict[str, float]:
 
 def _held_out(gap: Json) -> float | None:
     each = gap.get("held_out_each") or {}
-    shares = [h["share"]["share"] for h in each.values()]
-    return float(np.mean(shares)) if shares else None
+    shares = [_known(h["share"]["share"]) for h in each.values()]
+    known = [share for share in shares if share is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _share_interval(gap: Json) -> tuple[float, float] | None:
+    if not gap.get("share"):
+        return None
+    low, high = (_known(gap["share"][end]) for end in ("low", "high"))
+    return None if low is None or high is None else (low, high)
+
+
+def _known(value: float | str) -> float | None:
+    """A number of an answer, where "nan" says that there is none: no gap has no share."""
+    number = float(value)
+    return None if np.isnan(number) else number

@@ -50,7 +50,7 @@ BY_KIND: Final = {cause.kind: cause for cause in (*SINGLES, *OTHERS)}
 AXES: Final = ("y", "x")
 # That compress a body of 20 mm mean half section by some 15 and 25 %, in N. Along its longer
 # axis a breast between smooth plates slips aside under more.
-FORCES_N: Final = MappingProxyType({"y": (11.0, 24.0), "x": (6.5, 11.5)})
+FORCES_N: Final = MappingProxyType({"y": (15.0, 32.0), "x": (10.0, 20.0)})
 
 
 @dataclass(frozen=True, slots=True)

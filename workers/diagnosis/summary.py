@@ -108,26 +108,43 @@ def _sds(found: Diagnosis, names: tuple[str, ...]) -> FloatArray:
 
 def _gap_mm(found: Diagnosis) -> Json:
     subject, nominal = found.look.subject, found.look.linear
-    before = gap(LinearFit(nominal))
-    out: Json = {"before": _as_json(before), "noise_floor": before.noise_mm}
+    floor_mm = _floor_mm(subject, nominal)
+    before = gap(LinearFit(nominal), floor_mm=floor_mm)
+    out: Json = {
+        "before": _as_json(before),
+        "noise_floor": before.noise_mm,
+        "calibration_floor": floor_mm,
+    }
     refit = found.best
     if refit is None:
         return out | {"after": None, "held_out_before": None, "held_out_after": None}
     with_effect = refit.fit.linearised(subject)
-    inside = shrinkage(nominal, with_effect, SEED)
+    inside = shrinkage(nominal, with_effect, SEED, floor_mm=floor_mm)
     out |= {"after": _as_json(inside.after), "share": _share(inside)}
-    held = _held_out(subject, nominal, with_effect)
+    held = _held_out(subject, nominal, with_effect, floor_mm)
     return out | held
 
 
-def _held_out(subject: Subject, nominal: Linearised, with_effect: Linearised) -> Json:
+def _floor_mm(subject: Subject, nominal: Linearised) -> float:
+    """What even the right model misses: the noise that was fitted, and what the mesh leaves.
+
+    The latter is as large as what a finer mesh has taken off. Without this, gaps near zero
+    come out too small.
+    """
+    mesh = float(np.sqrt((subject.bias**2).mean()))
+    return float(np.hypot(LinearFit(nominal).floor_mm, mesh))
+
+
+def _held_out(
+    subject: Subject, nominal: Linearised, with_effect: Linearised, floor_mm: float
+) -> Json:
     """Each scan judged by a fit to the others."""
     if len(subject.scans) < 2:
         return {"held_out_before": None, "held_out_after": None, "held_out": "one scan only"}
     judged = []
     for number, scan in enumerate(subject.scans):
         judge: BoolArray = subject.rows == number
-        found = shrinkage(nominal, with_effect, SEED, ~judge, judge)
+        found = shrinkage(nominal, with_effect, SEED, ~judge, judge, floor_mm)
         judged.append((scan.name, found))
     name, last = judged[-1]
     return {

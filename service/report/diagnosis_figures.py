@@ -109,7 +109,7 @@ def evidence(rows: Sequence[Evidence], threshold: float) -> Figure:
     handles = [
         Patch(color=BLUE, label="effect"),
         Patch(color=ORANGE, label="smooth misfit on top of it"),
-        _dotted("reached by noise alone in 2 of 100 cases"),
+        _dotted("alarm"),
     ]
     legend(axes, handles=handles)
     return drawn

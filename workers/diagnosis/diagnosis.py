@@ -66,7 +66,7 @@ class Look:
         The largest Bayes factor first.
     field : Discrepancy
     threshold : float
-        Alarm that a case without any effect exceeds in two of a hundred.
+        Alarm that a case without any effect should seldom exceed; see `threshold_of`.
     """
 
     subject: Subject

@@ -23,7 +23,6 @@ from storage.errors import InputError
 
 Json = dict[str, Any]
 Directions = Literal["all", "y"]
-DIRECTIONS: tuple[Directions, ...] = ("all", "y")
 
 
 @dataclass(frozen=True)

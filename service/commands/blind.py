@@ -7,8 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.common import RUNS, JsonOption, StoreOption, print_json
-from service.commands.interrupts import INTERRUPTED, stop_requests
+from service.commands.common import (
+    RUNS,
+    JsonOption,
+    SchedulerOption,
+    StoreOption,
+    WorkersOption,
+    print_json,
+)
+from service.commands.interrupts import interrupted, stop_requests
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,14 +45,6 @@ SetArgument = Annotated[Path, typer.Argument(metavar="SET", help="Folder of the 
 TruthOption = Annotated[
     Path | None,
     typer.Option(help="Folder of the truths. Default: SET-truth.", show_default=False),
-]
-WorkersOption = Annotated[
-    int | None,
-    typer.Option(help="Processes of this machine. Default: one per core.", show_default=False),
-]
-SchedulerOption = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="Use a running Dask cluster, tcp://HOST:8786."),
 ]
 DirectionsOption = Annotated[
     Which, typer.Option(help="Scans that are shown: all, or those pressed along y.")
@@ -206,10 +205,7 @@ def _with_workers(
                 dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
                 work(dispatcher, Console(stderr=True, highlight=False))
         except (Interrupted, KeyboardInterrupt):
-            typer.echo(
-                "Interrupted; what is finished is kept. The same command continues it.", err=True
-            )
-            raise typer.Exit(INTERRUPTED) from None
+            raise interrupted() from None
 
 
 def _directions(which: Which) -> str:

@@ -18,6 +18,18 @@ StoreOption = Annotated[
     Path | None,
     typer.Option("--store", help="Folder of volumes and evaluations. Default: runs/store."),
 ]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(
+        "--workers", help="Processes of this machine. Default: one per core.", show_default=False
+    ),
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler", metavar="ADDRESS", help="Use a running Dask cluster, tcp://HOST:8786."
+    ),
+]
 StudyArgument = Annotated[
     Path | None,
     typer.Argument(

@@ -1,4 +1,4 @@
-"""`palpate diagnose`: why a simulated body differs from the imaged one."""
+"""`palpate diagnose`: why a simulated body differs from the real one."""
 
 import json
 from pathlib import Path
@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.common import RUNS, JsonOption, StoreOption, print_json
-from service.commands.interrupts import INTERRUPTED, stop_requests
+from service.commands.common import (
+    RUNS,
+    JsonOption,
+    SchedulerOption,
+    StoreOption,
+    WorkersOption,
+    print_json,
+)
+from service.commands.interrupts import interrupted, stop_requests
 
 if TYPE_CHECKING:
     from service.diagnosis.run import Found
@@ -19,46 +26,43 @@ SHOWN = 6
 
 
 def diagnose(
-    case: Annotated[
+    source: Annotated[
         Path,
-        typer.Argument(metavar="CASE_FOLDER", help="A folder with case.json and its scans."),
+        typer.Argument(
+            metavar="SOURCE",
+            help="A folder with case.json and its scans, a study that has run, or the file of a "
+            "bench experiment.",
+        ),
     ],
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for diagnosis.html and diagnosis.json. Default: runs/CASE_FOLDER.",
+            help="Folder for diagnosis.html and diagnosis.json. Default: runs/SOURCE.",
             show_default=False,
         ),
     ] = None,
     nodes: Annotated[int, typer.Option(min=200, help="Nodes of the mesh.")] = 5000,
-    workers: Annotated[
-        int | None,
-        typer.Option(help="Processes of this machine. Default: one per core.", show_default=False),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Use a running Dask cluster, tcp://HOST:8786."),
-    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find out where simulated and imaged body differ, why, and by how much.
+    """Find out where simulated and real body differ, why, and by how much.
 
     Ctrl-C stops it at any time; the same command continues it.
     """
     from service.diagnosis.run import ask
     from workers.sources import open_source
 
-    open_source(case).check()
-    request = ask(case, store or RUNS / "store", nodes)
+    open_source(source).check()
+    request = ask(source, store or RUNS / "store", nodes)
     with stop_requests() as requests:
         found = _found(request, workers, scheduler, requests)
     if found is None:
-        typer.echo(
-            "Interrupted; what is finished is kept. The same command continues it.", err=True
-        )
-        raise typer.Exit(INTERRUPTED)
-    page = _write(found, out or RUNS / (case.stem if case.is_file() else case.absolute().name))
+        raise interrupted()
+    page = _write(
+        found, out or RUNS / (source.stem if source.is_file() else source.absolute().name)
+    )
     if as_json:
         print_json(found.summary)
         return

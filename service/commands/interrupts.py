@@ -5,8 +5,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import typer
+
 INTERRUPTED = 130
 """Exit code of a command that was stopped and can be continued."""
+
+
+def interrupted() -> typer.Exit:
+    """Say that nothing is lost; the exit to raise."""
+    typer.echo("Interrupted; what is finished is kept. The same command continues it.", err=True)
+    return typer.Exit(INTERRUPTED)
 
 
 @contextmanager

@@ -6,8 +6,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.common import RUNS, JsonOption, StoreOption, print_json
-from service.commands.interrupts import INTERRUPTED, stop_requests
+from service.commands.common import (
+    RUNS,
+    JsonOption,
+    SchedulerOption,
+    StoreOption,
+    WorkersOption,
+    print_json,
+)
+from service.commands.interrupts import interrupted, stop_requests
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,14 +37,8 @@ def plan(
         typer.Option(help="The page. Default: runs/NAME/plan.html.", show_default=False),
     ] = None,
     nodes: Annotated[int, typer.Option(min=200, help="Nodes of the mesh.")] = 2000,
-    workers: Annotated[
-        int | None,
-        typer.Option(help="Processes of this machine. Default: one per core.", show_default=False),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Use a running Dask cluster, tcp://HOST:8786."),
-    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -51,10 +52,7 @@ def plan(
     with stop_requests() as requests:
         found = _planned(request, workers, scheduler, requests)
     if found is None:
-        typer.echo(
-            "Interrupted; what is finished is kept. The same command continues it.", err=True
-        )
-        raise typer.Exit(INTERRUPTED)
+        raise interrupted()
     page = _write(found, out or RUNS / source.absolute().name / "plan.html")
     if as_json:
         print_json(found)

@@ -5,7 +5,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.commands.common import RUNS, JsonOption, load_spec, print_json
+from service.commands.common import (
+    RUNS,
+    JsonOption,
+    SchedulerOption,
+    WorkersOption,
+    load_spec,
+    print_json,
+)
 from service.commands.interrupts import INTERRUPTED, stop_requests
 
 if TYPE_CHECKING:
@@ -18,14 +25,8 @@ def run(
         Path | None,
         typer.Option("--study", help="The study's folder. Default: runs/NAME.", show_default=False),
     ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(help="Processes of this machine. Default: one per core.", show_default=False),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Use a running Dask cluster, tcp://HOST:8786."),
-    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     store: Annotated[
         Path | None,
         typer.Option(

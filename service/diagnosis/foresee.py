@@ -9,6 +9,7 @@ from service.errors import TaskError
 from storage.errors import PalpateError
 from storage.stores import open_store
 from workers import foresee
+from workers.cases.build import POINT_SPACING_MM
 from workers.foresee import PlanRequest
 
 Json = dict[str, Any]
@@ -16,7 +17,6 @@ Tell = Callable[[int, int, Json], None]
 """Told of each load: how many are done, of how many, and what the last task said."""
 
 NODES = 2000
-POINT_SPACING_MM = 6.0
 
 
 def ask_plan(

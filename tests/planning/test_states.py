@@ -1,4 +1,4 @@
-"""What further scans add, against problems that were built whole."""
+"""What states show, and what a further one adds."""
 
 from dataclasses import replace
 
@@ -13,40 +13,23 @@ from linear_world import (
     observed,
 )
 
-from storage.errors import InputError
 from workers.diagnosis.detectability import minimum_detectable
-from workers.planning.states import (
-    NewStates,
-    detectability,
-    extended,
-    next_scan,
-    of_states,
-    separation,
-)
+from workers.diagnosis.linear import Linearised, factored
+from workers.planning.states import detectability, separation
 
 LOW = layout(60)[2] == 0
 
 
-def high_state(fingerprints):
-    """The second state of the world, as one that is not scanned yet."""
-    problem = nominal_problem()
-    C = problem.covariance
-    return NewStates(
-        problem.nominal[~LOW],
-        {f.name: f.columns[..., ~LOW, :] for f in fingerprints},
-        C[np.ix_(~LOW, ~LOW)],
-        C[np.ix_(~LOW, LOW)],
+def of_states(problem, fingerprints, rows):
+    """The problem with some of its residuals, those of one state."""
+    smaller = Linearised(
+        problem.residual[rows],
+        problem.nominal[rows],
+        problem.nominal_sd,
+        problem.nominal_offset,
+        factored(problem.covariance[np.ix_(rows, rows)]),
     )
-
-
-def test_a_state_taken_off_and_put_back():
-    whole = nominal_problem()
-    smaller, fewer = of_states(whole, catalogue(), LOW)
-    again, effects = extended(smaller, fewer, high_state(catalogue()))
-    assert again.covariance_factor == pytest.approx(whole.covariance_factor, abs=1e-12)
-    assert (again.nominal == whole.nominal).all()
-    for found, expected in zip(effects, catalogue(), strict=True):
-        assert (found.columns == expected.columns).all()
+    return smaller, [replace(f, columns=f.columns[..., rows, :]) for f in fingerprints]
 
 
 def test_another_state_never_hides_anything():
@@ -112,7 +95,7 @@ def test_twins_are_not_separated():
     assert found == pytest.approx(np.zeros((2, 2)), abs=1e-9)
 
 
-def test_the_next_scan_is_the_one_that_separates():
+def test_a_second_load_separates_what_is_alike_at_one():
     """Two effects are one and the same at the low load; they differ at the high one only."""
     low = of_states(nominal_problem(), catalogue(), LOW)[0]
     shape = mode(60, (0, 1, 1), 0, 1.0)
@@ -120,26 +103,4 @@ def test_the_next_scan_is_the_one_that_separates():
     pair = [effect("linear", shape[LOW]), effect("stiffening", stiff[LOW])]
     assert separation(low, pair) == pytest.approx(np.zeros((2, 2)), abs=1e-9)
     whole = [effect("linear", shape), effect("stiffening", stiff)]
-    second = high_state(whole)
-    C = nominal_problem().covariance
-    repeat = NewStates(
-        low.nominal,
-        {f.name: f.columns for f in pair},
-        C[np.ix_(LOW, LOW)],
-        C[np.ix_(~LOW, LOW)],
-    )
-    found = next_scan(low, pair, {"linear", "stiffening"}, {"repeat": repeat, "second": second})
-    assert list(found) == ["second", "repeat"]
-    assert found["repeat"] == pytest.approx(0.0, abs=1e-9)
-    assert found["second"] == pytest.approx(separation(nominal_problem(), whole)[0, 1], rel=0.9)
-    assert found["second"] > 1.0
-
-
-def test_wrong_input_is_named():
-    problem = nominal_problem()
-    with pytest.raises(InputError, match="Name two or more"):
-        next_scan(problem, catalogue(), {"tilt"}, {})
-    with pytest.raises(InputError, match="no columns of \\['friction'"):
-        extended(problem, catalogue()[2:], high_state(catalogue()[:2]))
-    with pytest.raises(InputError, match="Choose some"):
-        of_states(problem, catalogue(), np.zeros(120, dtype=bool))
+    assert separation(nominal_problem(), whole)[0, 1] > 1.0

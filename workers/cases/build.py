@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from storage.values import Volume
-from workers.cases.case import ImagedCase
+from workers.cases.case import WALL_MARGIN_MM, ImagedCase
 from workers.diagnosis.subject import Scan, Subject
 from workers.fem.fields import frame_of
 from workers.fem.model import prepare
@@ -22,8 +22,6 @@ NODES = 5000
 POINT_SPACING_MM = 6.0
 # Tissue on either side of a point, in standard deviations of the segmentation.
 CLEAR_NOISES = 5.0
-# Points this near to the chest wall sit where the image was cut.
-WALL_MARGIN_MM = 4.0
 
 
 def body_of(case: ImagedCase) -> Volume:

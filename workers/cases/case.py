@@ -3,7 +3,8 @@
 ::
 
     case.json           loads, nominal physics, noise: all that may be known
-    reference.nrrd      labels of the body at rest
+    reference.nrrd      labels of the body at rest; a second segmentation of it, if there is
+                        one, measures the noise
     deformed_40N.nrrd   labels between the plates, one file for each load and direction
 
 The nominal physics are read from the words of case.json where it has no numbers of
@@ -13,6 +14,7 @@ their own. Plates press with a known force, or stand at a known distance.
 import json
 import re
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -29,11 +31,14 @@ from workers.images.labels import relabel
 from workers.images.one_body import in_air, one_body
 from workers.images.read import read_volume
 from workers.observation.noise import SegmentationNoise
+from workers.observation.repeat import from_repeat
 from workers.spec import validated
 from workers.units import KPA, KPA_PER_MM
 
 # What voxels leave of an interface, see `workers.observation.noise`.
 NUGGET_VOXELS = 0.08
+# Points this near to the chest wall sit where the image was cut.
+WALL_MARGIN_MM = 4.0
 LABELS = {0: "air", 1: "fat", 2: "glandular"}
 # First words of the labels of case.json. Skin in a scan is counted as the fat under it.
 MEANINGS = {
@@ -86,6 +91,7 @@ class Deformed(_Record):
 
 class _Scans(_Record):
     reference: str
+    reference_repeat: str | None = None
     deformed: tuple[Deformed, ...] = Field(min_length=1)
 
 
@@ -106,7 +112,7 @@ class CaseFile(_Record):
     id: str
     labels: dict[int, str] = Field(default_factory=lambda: dict(LABELS))
     nominal: _Nominal
-    segmentation: str
+    segmentation: str = ""
     scans: _Scans
 
 
@@ -126,8 +132,10 @@ class ImagedCase:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.file = _read(folder / "case.json")
-        self.reference = self._scan(self.file.scans.reference)
-        self.loads = list(self.file.scans.deformed)
+        scans = self.file.scans
+        self.reference = self._scan(scans.reference)
+        self.repeat = self._scan(scans.reference_repeat) if scans.reference_repeat else None
+        self.loads = list(scans.deformed)
         self.deformed = [self._scan(load.file) for load in self.loads]
 
     @property
@@ -156,9 +164,11 @@ class ImagedCase:
             for name in nominal.unknown_constants
         ]
 
-    @property
+    @cached_property
     def noise(self) -> SegmentationNoise:
-        """Of the segmentation, every scan alike."""
+        """Of the segmentation, every scan alike: as two of one image differ, or as stated."""
+        if self.repeat is not None:
+            return from_repeat(self.reference, self.repeat, wall_margin_mm=WALL_MARGIN_MM)
         sd = self._number(self.file.segmentation, r"sd\s*([\d.]+)\s*mm", "segmentation: sd .. mm")
         length = self._number(
             self.file.segmentation,

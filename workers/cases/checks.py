@@ -14,6 +14,7 @@ from storage.errors import InputError
 from storage.values import FloatArray, Tissue, Triple, Volume
 from workers.cases.case import ALONG_Y, ImagedCase, extent_mm
 from workers.images.labels import resample_labels
+from workers.similarity.overlap import jaccard
 
 # Living tissue hardly changes its volume; segmentations differ by some per cent.
 VOLUME_SHARE = 0.15
@@ -31,6 +32,8 @@ GLAND_OUTSIDE = 0.75
 MIRRORED = -0.5
 # Root mean square of those differences, of a glandular share, below which sides are alike.
 ALIKE = 0.02
+# Jaccard of the glandular tissue in two segmentations of one scan, at least.
+SAME_GLAND = 0.5
 # Cells along x and z in which tissue is counted.
 CELLS = (32, 16)
 
@@ -57,6 +60,8 @@ def check_case(case: ImagedCase) -> None:
         compressed scan has the smaller force.
     """
     scans = list(_scans(case))
+    if case.repeat is not None:
+        _check_repeat(case.reference, case.repeat, case.file.scans.reference_repeat)
     for scan in scans:
         _check_tissue(scan)
     _check_labels(scans[0])
@@ -82,6 +87,18 @@ def _check_tissue(scan: _Scan) -> None:
                 "the chest wall, expected both fat (1) and glandular tissue (2). Segment them, or "
                 "write an origin into its header that puts the chest wall at the z of case.json."
             )
+
+
+def _check_repeat(first: Volume, second: Volume, file: str | None) -> None:
+    here = first.values == Tissue.GLANDULAR
+    there = resample_labels(second, first).values == Tissue.GLANDULAR
+    found = jaccard(int((here & there).sum()), int(here.sum()), int(there.sum()))
+    if found < SAME_GLAND:
+        raise InputError(
+            f"The glandular tissue in {file} overlaps that of the reference scan with a Jaccard "
+            f"of {found:.2f}; two segmentations of the same scan reach {SAME_GLAND} or more. "
+            "Segment the reference scan again, or leave scans.reference_repeat out."
+        )
 
 
 def _check_volume(rest: _Scan, scan: _Scan) -> None:

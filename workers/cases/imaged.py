@@ -49,7 +49,8 @@ class ImagedSource:
     def files(self) -> Sequence[Path]:
         """Those that case.json names, and itself."""
         scans = self.case.file.scans
-        named = ["case.json", scans.reference, *(d.file for d in scans.deformed)]
+        repeat = [scans.reference_repeat] if scans.reference_repeat else []
+        named = ["case.json", scans.reference, *repeat, *(d.file for d in scans.deformed)]
         return [self.case.folder / name for name in named]
 
     @property

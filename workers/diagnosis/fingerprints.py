@@ -1,7 +1,7 @@
 """What every effect of a catalogue would do to the residuals of the nominal fit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,10 @@ GRID_MM = 12.0
 DEPTH_MM = 6.0
 # Magnitudes at which a one-sided effect is tried, in prior standard deviations.
 TRIED = (1.0, 0.25)
+# Columns only choose what is refitted: relative error of a tangent, Newton's last step of a
+# secant in mm.
+ROUGH = 1e-3
+ROUGH_MM = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,13 +97,14 @@ def _columns(
         for offset in places.offsets:
             where = {RATIO: 0.0} | dict(zip(PLACE, map(float, offset), strict=True))
             changes.append(effect.changes(problem, subject.frame, where)[0])
-        return columns_of(subject, view, changes).T[:, :, None]
+        return columns_of(subject, view, changes, tolerance=ROUGH).T[:, :, None]
     if any(one_sided(p) for p in effect.parameters):
         return _secants(subject, view, effect, problem)
-    return columns_of(subject, view, effect.changes(problem, subject.frame))
+    return columns_of(subject, view, effect.changes(problem, subject.frame), tolerance=ROUGH)
 
 
 def _secants(subject: Subject, view: View, effect: Effect, problem: Problem) -> FloatArray | None:
+    problem = replace(problem, tolerance_mm=max(problem.tolerance_mm, ROUGH_MM))
     tried = TRIED if len(effect.names) == 1 else (1.0,)
     places, start = [], view.at
     for share in tried:

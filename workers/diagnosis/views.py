@@ -11,7 +11,7 @@ from workers.effects.base import Effect
 from workers.effects.friction import FRICTION
 from workers.fem.fields import Frame
 from workers.fem.problem import Problem
-from workers.fem.sensitivity import Change, tangents
+from workers.fem.sensitivity import RELATIVE_ERROR, Change, tangents
 from workers.fem.solve import Equilibrium, equilibrium
 
 # Difference of the logarithm of a constant.
@@ -147,13 +147,14 @@ def columns_of(
     seen_now: View,
     changes: Sequence[Change],
     observed: Sequence[tuple[Effect, Mapping[str, float]]] = (),
+    tolerance: float = RELATIVE_ERROR,
 ) -> FloatArray:
     """Derivatives of the residual by changes of the problem, shape (k, c).
 
     `observed` are the effects on the observation that act, with their values: a point that
-    moves is seen elsewhere.
+    moves is seen elsewhere. `tolerance` is that of `tangents`.
     """
-    dx = tangents(seen_now.at, changes)
+    dx = tangents(seen_now.at, changes, tolerance)
     out = np.empty((len(seen_now.residual), len(changes)))
     for c, nodal in enumerate(dx):
         out[:, c] = ((subject.at_points @ nodal) * seen_now.normals).sum(axis=1)

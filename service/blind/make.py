@@ -33,12 +33,20 @@ class Asked:
         Whether all scans are pressed along y.
     nodes : int
         Of the diagnosis' working mesh, which the manifest freezes.
+    controls : bool
+        Whether no body lacks anything: null replicates by full simulation.
     """
 
     cases: int
     seed: int | None
     one_direction: bool
     nodes: int
+    controls: bool = False
+
+    @property
+    def rules(self) -> Json:
+        """What the cases of a set depend on besides its seed."""
+        return {"one_direction": self.one_direction, "controls": self.controls}
 
 
 def plan(blind: BlindSet, truths: Truths, asked: Asked, shares: Mapping[str, float]) -> list[Json]:
@@ -59,14 +67,15 @@ def plan(blind: BlindSet, truths: Truths, asked: Asked, shares: Mapping[str, flo
     InputError
         If the earlier call asked for another set, or its truths are elsewhere.
     """
-    wanted = {"cases": asked.cases, "one_direction": asked.one_direction}
+    wanted = {"cases": asked.cases} | asked.rules
     if truths.plan.is_file():
         found = read_json(truths.plan)
-        before = {"cases": len(found["cases"]), "one_direction": found["one_direction"]}
+        before = {"cases": len(found["cases"])} | {k: found.get(k, False) for k in asked.rules}
         if before != wanted or asked.seed not in (None, found["seed"]):
             raise InputError(
                 f"{truths.plan} plans another set ({before['cases']} cases, seed {found['seed']}, "
-                f"one direction: {before['one_direction']}). Ask for the same, or for a new SET."
+                f"one direction: {before['one_direction']}, controls only: {before['controls']}). "
+                "Ask for the same, or for a new SET."
             )
         return list(found["cases"])
     if blind.manifest.is_file():
@@ -84,7 +93,7 @@ def plan(blind: BlindSet, truths: Truths, asked: Asked, shares: Mapping[str, flo
     entries.sort(key=lambda entry: str(entry["id"]))
     with explained(truths.root):
         truths.root.mkdir(parents=True, exist_ok=True)
-    write_json(truths.plan, {"seed": seed, "one_direction": asked.one_direction, "cases": entries})
+    write_json(truths.plan, {"seed": seed} | asked.rules | {"cases": entries})
     return entries
 
 

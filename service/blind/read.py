@@ -135,10 +135,7 @@ def _offsets(told: Json) -> dict[str, float]:
 
 
 def _held_out(gap: Json) -> float | None:
-    each = gap.get("held_out_each") or {}
-    shares = [_known(h["share"]["share"]) for h in each.values()]
-    known = [share for share in shares if share is not None]
-    return float(np.mean(known)) if known else None
+    return _known(gap["held_out_share"]["share"]) if gap.get("held_out_share") else None
 
 
 def _share_interval(gap: Json) -> tuple[float, float] | None:

@@ -63,6 +63,9 @@ def make(
     one_direction: Annotated[
         bool, typer.Option("--one-direction", help="Press all bodies along y only.")
     ] = False,
+    controls: Annotated[
+        bool, typer.Option("--controls", help="Only bodies that lack nothing: null replicates.")
+    ] = False,
     truth: TruthOption = None,
     nodes: Annotated[int, typer.Option(min=200, help="Of the diagnosis that is sealed.")] = NODES,
     workers: WorkersOption = None,
@@ -77,13 +80,13 @@ def make(
     from service.blind.making import make_case
     from service.blind.progress import SetProgress
     from service.blind.sets import BlindSet, Truths
-    from workers.blind.draw import KINDS
+    from workers.blind.draw import CONTROL, KINDS
 
     blind = BlindSet(folder)
     truths = Truths(truth or blind.truth_beside())
     _refuse_nested(folder, truths.root)
-    asked = Asked(cases, seed, one_direction, nodes)
-    entries = plan(blind, truths, asked, KINDS)
+    asked = Asked(cases, seed, one_direction, nodes, controls)
+    entries = plan(blind, truths, asked, {CONTROL: 1.0} if controls else KINDS)
     waiting = unmade(blind, truths, entries)
 
     def work(dispatcher: "Dispatcher", console: "Console") -> None:

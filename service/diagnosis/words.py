@@ -148,7 +148,7 @@ def _left(gap: Json) -> str:
     if held is not None:
         before = gap["held_out_before"]["gap_mm"]
         of = f" of {before:.2f} mm" if before >= NOTHING_MM else ""
-        return f"On a scan that it was not fitted to, it leaves {_rest(held)}{of}."
+        return f"On scans that it was not fitted to, it leaves {_rest(held)}{of}."
     return "" if gap["after"] is None else f"It leaves {_rest(gap['after'])}."
 
 

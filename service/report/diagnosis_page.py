@@ -113,7 +113,7 @@ def _tiles(told: Json) -> list[tuple[str, str, str]]:
     if gap["after"] is not None:
         tiles.append(("Gap with the effect", f"{gap['after']['gap_mm']:.2f}", "mm"))
     if gap.get("held_out_after") is not None:
-        tiles.append(("On an unseen scan", f"{gap['held_out_after']['gap_mm']:.2f}", "mm"))
+        tiles.append(("On unseen scans", f"{gap['held_out_after']['gap_mm']:.2f}", "mm"))
     tiles.append(("Noise of a point", f"{gap['noise_floor']:.2f}", "mm"))
     tiles.append(
         ("Evidence for a gap", f"{told['alarm']:.1f}", f"alarm at {told['threshold']:.1f}")
@@ -129,7 +129,7 @@ def _warnings(told: Json) -> Iterator[str]:
     share = told["gap_mm"].get("held_out_share")
     if share is not None and share["low"] < 0:
         yield (
-            "On a scan that it was not fitted to, the effect may leave as large a gap as the "
+            "On scans that it was not fitted to, the effect may leave as large a gap as the "
             "nominal model: take the cause for a lead, not for a finding."
         )
 

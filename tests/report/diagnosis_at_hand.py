@@ -79,7 +79,7 @@ def summary(**changes: Any) -> Json:
             "held_out_before": held["before"],
             "held_out_after": held["after"],
             "held_out_share": held["share"],
-            "held_out": "fitted without 80 N, judged by it",
+            "held_out": "each scan judged by a fit to the others",
             "held_out_each": {"40 N": held, "80 N": held},
         },
         "where": WHERE,

@@ -49,7 +49,7 @@ def test_same_diagnosis_same_bytes(source: str) -> None:
 def test_the_verdict_says_cause_size_and_what_is_left_on_an_unseen_scan() -> None:
     assert sentence(summary()) == (
         "Model and data differ by 0.27 mm (0.23 to 0.31) beyond the noise. The cause is plate "
-        "tilt (5.48 ± 0.27 deg, probability > 99 %). On a scan that it was not fitted to, it "
+        "tilt (5.48 ± 0.27 deg, probability > 99 %). On scans that it was not fitted to, it "
         "leaves nothing that stands out of the noise (at most 0.15 mm) of 0.31 mm."
     )
     assert sentence(VERDICTS["one scan"]).endswith("It leaves 0.10 mm (0.00 to 0.20).")

@@ -16,7 +16,7 @@ Assoc. 99 (2004) 619). Without a fit F is zero. The interval comes from
 for a residual with mean m and covariance D = (I + F) C (I + F)'.
 """
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -43,6 +43,8 @@ class Gap:
         Interval.
     excess_mm2 : float
         Its square before it is cut at zero: may be negative, and averages rightly.
+    reach_mm2 : float
+        Half the interval of `excess_mm2`.
     noise_mm : float
         Root mean square of the noise of the observation.
     points : int
@@ -53,6 +55,7 @@ class Gap:
     low_mm: float
     high_mm: float
     excess_mm2: float
+    reach_mm2: float
     noise_mm: float
     points: int
 
@@ -203,12 +206,31 @@ def gap(
     reach = float(ndtri(0.5 + level / 2)) * _sd_of_mean_square(
         r, fit.covariance[np.ix_(rows, rows)]
     )
+    noise = float(np.sqrt(fit.observation_mm2[rows].mean()))
+    return _gap(excess, reach, noise, n, floor_mm)
+
+
+def pooled(parts: Sequence[Gap], floor_mm: float = 0.0) -> Gap:
+    """One gap of several, each with its part of the points; they may come from different fits.
+
+    Their errors are taken for one and the same: all share the reference scan.
+    """
+    n = np.array([part.points for part in parts], dtype=np.float64)
+    excess, reach, noise2 = (
+        float(np.average(values, weights=n))
+        for values in zip(
+            *((part.excess_mm2, part.reach_mm2, part.noise_mm**2) for part in parts), strict=True
+        )
+    )
+    return _gap(excess, reach, float(np.sqrt(noise2)), int(n.sum()), floor_mm)
+
+
+def _gap(excess: float, reach: float, noise_mm: float, points: int, floor_mm: float) -> Gap:
     middle, low, high = (
         float(np.sqrt(max(0.0, value) + floor_mm**2))
         for value in (excess, excess - reach, excess + reach)
     )
-    noise = float(np.sqrt(fit.observation_mm2[rows].mean()))
-    return Gap(middle, low, high, excess, noise, n)
+    return Gap(middle, low, high, excess, reach, noise_mm, points)
 
 
 def gaps(

@@ -6,16 +6,19 @@ its gap has, plus what the effect changed. Noise of covariance C is drawn around
 models are fitted again, and the shares of all draws are ranked. It is a little wide for the
 share of one image, which moves along with its estimate.
 
-Fitted to some states and judged by the others, the same number is the held-out share.
+Fitted to some states and judged by the others, the same number is the held-out share. With
+each state judged by a fit to the others, all of them are seen, and none by its own fit (the
+cross-validation of M. Stone, J. R. Stat. Soc. B 36 (1974) 111).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from storage.errors import InputError
-from storage.values import BoolArray, FloatArray
-from workers.diagnosis.gap import LEVEL, Gap, LinearFit, gap
+from storage.values import BoolArray, FloatArray, IntArray
+from workers.diagnosis.gap import LEVEL, Gap, LinearFit, gap, pooled
 from workers.diagnosis.linear import Linearised
 
 DRAWS = 400
@@ -82,8 +85,55 @@ def shrinkage(
             "A shrinkage needs two fits of the same residuals and at least 20 draws, found "
             f"{nominal.size} and {effect.size} residuals and {draws} draws."
         )
-    fits = LinearFit(nominal, train, judge), LinearFit(effect, train, judge)
-    before, after = (gap(fit, floor_mm=floor_mm, level=level) for fit in fits)
+    pair = LinearFit(nominal, train, judge), LinearFit(effect, train, judge)
+    return _compared(nominal, effect, [pair], seed, floor_mm, draws, level)
+
+
+def unseen_shrinkage(
+    nominal: Linearised,
+    effect: Linearised,
+    states: IntArray,
+    seed: int,
+    floor_mm: float = 0.0,
+    draws: int = DRAWS,
+    level: float = LEVEL,
+) -> Shrinkage:
+    """Compare fits that never saw what they are judged by; see `shrinkage`.
+
+    Parameters
+    ----------
+    states : ndarray of int, shape (m,)
+        Two or more; each is judged by a fit to the others, and all are taken together.
+
+    Raises
+    ------
+    InputError
+        As `shrinkage`, or if there is one state only.
+    """
+    every = np.unique(states)
+    if len(every) < 2:
+        raise InputError("To leave a state out, there must be two or more; found one.")
+    pairs = [
+        (LinearFit(nominal, states != one, states == one),
+         LinearFit(effect, states != one, states == one))
+        for one in every
+    ]  # fmt: skip
+    return _compared(nominal, effect, pairs, seed, floor_mm, draws, level)
+
+
+def _compared(
+    nominal: Linearised,
+    effect: Linearised,
+    pairs: Sequence[tuple[LinearFit, LinearFit]],
+    seed: int,
+    floor_mm: float,
+    draws: int,
+    level: float,
+) -> Shrinkage:
+    """Of fits without and with the effect, each judged by its part of the residuals."""
+    without, along = zip(*pairs, strict=True)
+    before, after = (pooled([gap(f, level=level) for f in fits], floor_mm)
+                     for fits in (without, along))  # fmt: skip
     share = float(
         _share(_squared(before.excess_mm2, floor_mm), _squared(after.excess_mm2, floor_mm))
     )
@@ -94,7 +144,10 @@ def shrinkage(
         (nominal.size, draws)
     )
     shares = _share(
-        *(_excess(fit, mean, noise, floor_mm) for fit, mean in zip(fits, means, strict=True))
+        *(
+            _squared(_excess(fits, mean, noise), floor_mm)
+            for fits, mean in zip((without, along), means, strict=True)
+        )
     )
     low, high = np.nanquantile(shares, [(1 - level) / 2, (1 + level) / 2])
     return Shrinkage(share, float(low), float(high), before, after)
@@ -112,9 +165,12 @@ def _without_noise(nominal: Linearised, effect: Linearised) -> tuple[FloatArray,
     return nominal.residual - noise, effect.residual - noise
 
 
-def _excess(fit: LinearFit, mean: FloatArray, noise: FloatArray, floor_mm: float) -> FloatArray:
-    squares = (fit.after(mean[:, None] + noise) ** 2).mean(axis=0)
-    return _squared(squares - fit.noise_mm2.mean(), floor_mm)
+def _excess(fits: Sequence[LinearFit], mean: FloatArray, noise: FloatArray) -> FloatArray:
+    """Of every draw, over all that is judged."""
+    sums = [
+        (fit.after(mean[:, None] + noise) ** 2).sum(axis=0) - fit.noise_mm2.sum() for fit in fits
+    ]
+    return np.asarray(np.sum(sums, axis=0) / sum(len(fit.noise_mm2) for fit in fits))
 
 
 def _squared(excess_mm2: FloatArray | float, floor_mm: float) -> FloatArray:

@@ -7,8 +7,8 @@ import pytest
 from linear_world import catalogue, layout, mode, nominal_problem, observed
 
 from storage.errors import InputError
-from workers.diagnosis.gap import LinearFit, gap, gaps
-from workers.diagnosis.shrinkage import shrinkage
+from workers.diagnosis.gap import LinearFit, gap, gaps, pooled
+from workers.diagnosis.shrinkage import shrinkage, unseen_shrinkage
 
 STATE = layout(60)[2]
 LOW, HIGH = STATE == 0, STATE == 1
@@ -121,6 +121,17 @@ def test_subsets_add_up():
     assert parts["low"].points == 60
 
 
+def test_parts_are_pooled_into_the_whole():
+    """The mean square exactly; the interval is no narrower, for parts are taken to err alike."""
+    fit = LinearFit(observed(nominal_problem(), np.random.default_rng(37), known_gap()))
+    whole, both = gap(fit, floor_mm=0.05), pooled([gap(fit, LOW), gap(fit, HIGH)], 0.05)
+    assert both.gap_mm == pytest.approx(whole.gap_mm, rel=1e-10)
+    assert both.noise_mm == pytest.approx(whole.noise_mm, rel=1e-10)
+    assert both.points == whole.points
+    assert both.high_mm >= whole.high_mm
+    assert both.low_mm <= whole.low_mm
+
+
 def test_floor_is_added_in_quadrature():
     fit = LinearFit(observed(nominal_problem(), np.random.default_rng(38), known_gap()))
     plain, raised = gap(fit), gap(fit, floor_mm=0.08)
@@ -158,6 +169,39 @@ def test_shrinkage_and_its_interval(train, judge):
     assert np.mean(widths) < 4.5 * np.std(errors)
 
 
+def test_unseen_shrinkage_is_that_of_fits_that_never_saw_their_judge():
+    """Against the noise-free gaps that the two left-out fits really leave: unbiased, covered."""
+    rng = np.random.default_rng(41)
+    truth, errors, held = known_gap(), [], []
+    for seed in range(150):
+        noise = nominal_problem().covariance_factor @ rng.standard_normal(120)
+        nominal = replace(nominal_problem(), residual=truth + noise)
+        effect = nominal.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
+        found = unseen_shrinkage(nominal, effect, STATE, seed, draws=200)
+        squares = []
+        for problem in (nominal, effect):
+            left = [
+                truth + problem.nominal @ (LinearFit(problem, ~rows).step * problem.nominal_sd)
+                for rows in (LOW, HIGH)
+            ]
+            squares.append(np.where(LOW, *left) @ np.where(LOW, *left))
+        true = 1 - squares[1] / squares[0]
+        errors.append(found.share - true)
+        held.append(found.low <= true <= found.high)
+    assert np.mean(errors) == pytest.approx(0.0, abs=0.05)
+    assert np.mean(held) > 0.9 - 3 * np.sqrt(0.09 / len(held))
+
+
+def test_unseen_shrinkage_pools_what_single_states_say():
+    nominal, effect = both(np.random.default_rng(42))
+    whole = unseen_shrinkage(nominal, effect, STATE, 1)
+    parts = [shrinkage(nominal, effect, 1, ~rows, rows) for rows in (LOW, HIGH)]
+    excess = np.mean([p.before.excess_mm2 for p in parts])
+    assert whole.before.excess_mm2 == pytest.approx(excess, rel=1e-10)
+    left = np.mean([p.after.excess_mm2 for p in parts])
+    assert whole.share == pytest.approx(1 - max(left, 0) / excess, rel=1e-10)
+
+
 def test_shrinkage_is_the_same_for_the_same_seed():
     nominal, effect = both(np.random.default_rng(40))
     assert shrinkage(nominal, effect, 7) == shrinkage(nominal, effect, 7)
@@ -180,3 +224,5 @@ def test_wrong_input_is_named():
         gap(LinearFit(problem), np.zeros(120, dtype=bool))
     with pytest.raises(InputError, match="120 and 40 residuals"):
         shrinkage(problem, nominal_problem(20), 1)
+    with pytest.raises(InputError, match="two or more; found one"):
+        unseen_shrinkage(problem, problem, np.zeros(120, dtype=np.int64), 1)

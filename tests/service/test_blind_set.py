@@ -101,7 +101,8 @@ def test_what_is_made_is_not_made_again(blind: BlindSet, truths: Truths) -> None
 
 
 def test_another_set_in_the_same_place_is_refused(blind: BlindSet, truths: Truths) -> None:
-    for asked in (Asked(9, 7, False, 600), Asked(8, 8, False, 600), Asked(8, 7, True, 600)):
+    for asked in (Asked(9, 7, False, 600), Asked(8, 8, False, 600), Asked(8, 7, True, 600),
+                  Asked(8, 7, False, 600, True)):  # fmt: skip
         with pytest.raises(InputError, match="plans another set"):
             plan(blind, truths, asked, SHARES)
     with pytest.raises(InputError, match="is sealed, and its truths are not in"):

@@ -12,7 +12,6 @@ from workers.observation.noise import SegmentationNoise, correlation, covariance
 from workers.observation.perturb import perturbed
 from workers.observation.repeat import from_repeat
 from workers.observation.residual import observe, residual
-from workers.observation.whitening import whitening
 
 BOTH = (OUTLINE, GLANDULAR)
 NOISE = SegmentationNoise(sd_mm=0.3, correlation_mm=4.0, reference_sd_mm=0.2, nugget_mm=0.04)
@@ -111,19 +110,6 @@ def test_sides_of_a_sheet_err_on_their_own():
     assert up.sum() > 30 and down.sum() > 30
     assert smooth[np.ix_(up, down)].max() < 0.01
     assert smooth[np.ix_(up, up)][np.triu_indices(up.sum(), 1)].max() > 0.8
-
-
-@pytest.mark.parametrize("states", [1, 2, 3])
-def test_whitening_is_that_of_the_whole_covariance(points, states):
-    matrix = covariance(points, NOISE, states)
-    factor = whitening(points, NOISE, states)
-    values = np.random.default_rng(2).standard_normal((len(matrix), 4))
-    white = factor.whiten(values)
-    np.testing.assert_allclose(
-        white.T @ white, values.T @ np.linalg.solve(matrix, values), rtol=1e-8, atol=1e-6
-    )
-    np.testing.assert_allclose(factor.whiten(values[:, 1]), white[:, 1])
-    assert factor.log_det == pytest.approx(np.linalg.slogdet(matrix)[1])
 
 
 def test_a_drawing_is_consistent_and_repeatable(labels):

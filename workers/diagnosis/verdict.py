@@ -33,8 +33,9 @@ class Verdict:
     kind : {"no-gap", "effect", "cannot-be-told-apart", "none-of-these"}
     primary : tuple of str
         The effects accused: of the most probable hypothesis with effects, the more probable
-        one first, a second one only if it is more probable than not. Empty unless `kind`
-        is "effect" or "cannot-be-told-apart".
+        one first, a second one only if it is as probable as the 90 % set: the form of one
+        effect is never quite that of the catalogue, and a second one mends it. Empty unless
+        `kind` is "effect" or "cannot-be-told-apart".
     probabilities : dict of str to float
         Of each effect acting, alone or with another; they need not sum to 1.
     no_gap, none_of_these : float
@@ -169,9 +170,9 @@ def _best_named(cases: Mapping[Case, float]) -> tuple[str, ...]:
 
 
 def _primary(effects: tuple[str, ...], acting: Mapping[str, float]) -> tuple[str, ...]:
-    """The more probable effect, and the other one if it is more probable than not."""
+    """The more probable effect, and the other one if it is hardly to be doubted."""
     first, *second = sorted(effects, key=lambda name: -acting[name])
-    return (first, *(name for name in second if acting[name] > 0.5))
+    return (first, *(name for name in second if acting[name] >= CREDIBLE))
 
 
 def _explained(hypotheses: Sequence[Hypothesis], effects: tuple[str, ...]) -> float | None:

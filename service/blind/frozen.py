@@ -10,9 +10,10 @@ from service.versions import palpate_version
 from storage.digest import digest, file_digest
 from workers.casebook import FINER, ROOMS
 from workers.cases.build import NODES, POINT_SPACING_MM
+from workers.diagnosis.detectability import HIDDEN
 from workers.diagnosis.diagnosis import FALSE_ALARMS, LEAST_ALARM, NULL_DRAWS
 from workers.diagnosis.hypotheses import PriorOdds
-from workers.diagnosis.verdict import CREDIBLE, EXPLAINED, HIDDEN
+from workers.diagnosis.verdict import CREDIBLE, EXPLAINED
 from workers.effects.base import Effect
 from workers.effects.catalogue import BREAST_EFFECTS
 from workers.library import code_version

@@ -133,9 +133,7 @@ def test_a_doubtful_second_effect_is_not_named():
 
 
 def test_what_hides_is_neither_accused_nor_acquitted():
-    found = weigh(
-        Hypothesis(("a",), -80.0), Hypothesis(("d",), -60.0), absorbed={"a": 0.5, "d": 0.96}
-    )
+    found = weigh(Hypothesis(("a",), -80.0), Hypothesis(("d",), -60.0), hiding={"d"})
     assert found.hidden == ("d",)
     assert found.primary == ("a",)
     assert "d" not in found.probabilities
@@ -160,8 +158,8 @@ def test_wrong_input_is_named():
 
 def diagnose(problem, fingerprints, threshold=3.0):
     joint = JointEvidence(problem, fingerprints, smooth_field())
-    absorbed = {f.name: f.absorbed for f in screen(problem, fingerprints)}
-    return verdict(joint.hypotheses(), families(fingerprints), threshold, absorbed)
+    hiding = {f.name for f in screen(problem, fingerprints) if f.hides}
+    return verdict(joint.hypotheses(), families(fingerprints), threshold, hiding)
 
 
 def test_joint_evidence_is_that_of_each_fit():

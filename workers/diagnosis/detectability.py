@@ -17,6 +17,9 @@ from workers.diagnosis.linear import Linearised
 NONCENTRALITY = float((ndtri(0.995) + ndtri(0.8)) ** 2)
 """11.7: a two-sided test at 1 % finds what is this strong in 80 % of cases."""
 
+HIDDEN = 0.95
+"""Absorbed share above which little of an effect is left to see."""
+
 INVISIBLE = 1e-6  # of an effect: what the projection leaves is then rounding
 
 
@@ -36,6 +39,22 @@ def absorbed_share(problem: Linearised, whitened: FloatArray) -> float:
     """
     total = float((whitened**2).sum())
     return 1.0 - float((problem.project(whitened) ** 2).sum()) / total if total > 0 else 1.0
+
+
+def hides(problem: Linearised, whitened: FloatArray) -> bool:
+    """Whether the nominal parameters take nearly all of an effect, and what is left is too weak.
+
+    Weak is what the test of `NONCENTRALITY` would miss at a prior standard deviation, on
+    average over the parameters. A small part of a strong effect may be plain to see.
+
+    Parameters
+    ----------
+    problem : Linearised
+    whitened : ndarray, shape (m, q)
+        See `Fingerprint.whitened`.
+    """
+    left = float((problem.project(whitened) ** 2).sum()) / whitened.shape[1]
+    return absorbed_share(problem, whitened) > HIDDEN and left < NONCENTRALITY
 
 
 def minimum_detectable(problem: Linearised, fingerprint: Fingerprint) -> FloatArray:

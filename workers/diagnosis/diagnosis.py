@@ -24,7 +24,7 @@ from workers.diagnosis.refit import Refit, refit
 from workers.diagnosis.screen import Finding, screen
 from workers.diagnosis.subject import Subject
 from workers.diagnosis.threshold import alarm_threshold, null_alarms
-from workers.diagnosis.verdict import HIDDEN, Verdict, verdict
+from workers.diagnosis.verdict import Verdict, verdict
 from workers.effects.base import Effect
 
 # Single effects that are refitted: the best by screening.
@@ -83,9 +83,9 @@ class Look:
         """Findings by the name of the effect."""
         return {f.name: f for f in self.findings}
 
-    def absorbed(self) -> dict[str, float]:
-        """Share of each effect that the constants hide and that no data could show."""
-        return {f.name: f.absorbed for f in self.findings}
+    def hiding(self) -> set[str]:
+        """Effects that the constants hide."""
+        return {f.name for f in self.findings if f.hides}
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ def diagnose(seen: Look, effects: Sequence[Effect], refits: RefitMany) -> Diagno
             found[refitted.names] = refitted
     hypotheses = weigh(seen, found)
     families = {name: known[name].family for name in seen.prints}
-    said = verdict(hypotheses, families, seen.threshold, seen.absorbed())
+    said = verdict(hypotheses, families, seen.threshold, seen.hiding())
     return Diagnosis(seen, said, found, hypotheses)
 
 
@@ -171,7 +171,7 @@ def partners(seen: Look, known: dict[str, Effect], best: Refit) -> list[Effect]:
     """Effects that what the best one leaves speaks for, as they looked at the nominal fit."""
     others = [p for p in seen.prints.values() if p.name not in best.names]
     left = screen(best.fit.linearised(seen.subject), others)
-    loud = [f for f in left if f.absorbed <= HIDDEN and f.log_bayes_factor > SECOND]
+    loud = [f for f in left if not f.hides and f.log_bayes_factor > SECOND]
     return [known[f.name] for f in loud[:PARTNERS]]
 
 
@@ -184,7 +184,7 @@ def _unexplained(seen: Look, best: Refit) -> bool:
 
 def suspects(seen: Look, known: dict[str, Effect]) -> list[Effect]:
     """The effects worth a refit, the most suspicious first."""
-    open_ones = [f for f in seen.findings if f.absorbed <= HIDDEN]
+    open_ones = [f for f in seen.findings if not f.hides]
     if not open_ones:
         return []
     best = open_ones[0].log_bayes_factor

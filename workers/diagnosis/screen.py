@@ -21,7 +21,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from storage.values import FloatArray
-from workers.diagnosis.detectability import absorbed_share
+from workers.diagnosis.detectability import absorbed_share, hides
 from workers.diagnosis.evidence import Quadratic, log_marginal, posterior
 from workers.diagnosis.fingerprint import Fingerprint
 from workers.diagnosis.linear import Linearised
@@ -44,6 +44,9 @@ class Finding:
         Against the effect being absent, in nats; averaged over the places.
     absorbed : float
         Share of the effect that the nominal parameters hide, 0 to 1; at the best place.
+    hides : bool
+        Whether they hide all that the data could show; see
+        `workers.diagnosis.detectability.hides`.
     place : int
         The best place; 0 for an effect without places.
     place_log_bayes_factors : ndarray, shape (g,)
@@ -56,6 +59,7 @@ class Finding:
     estimate_sd: FloatArray
     log_bayes_factor: float
     absorbed: float
+    hides: bool
     place: int
     place_log_bayes_factors: FloatArray
 
@@ -100,6 +104,7 @@ def _look_at(problem: Linearised, fingerprint: Fingerprint) -> Finding:
         estimate_sd=np.sqrt(np.diag(covariance)) * fingerprint.prior_sd,
         log_bayes_factor=float(logsumexp(factors) - np.log(len(factors))),
         absorbed=absorbed_share(problem, whitened[best]),
+        hides=hides(problem, whitened[best]),
         place=best,
         place_log_bayes_factors=factors,
     )

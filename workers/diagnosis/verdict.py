@@ -6,10 +6,11 @@
    if the best effect explains less than half of what it and a field explain.
 3. Else the effect; or the effects that cannot be told apart, if more than one is needed to
    hold 90 % of the probability.
-4. An effect that hides in the nominal parameters is neither accused nor acquitted.
+4. An effect that hides in the nominal parameters is neither accused nor acquitted; see
+   `workers.diagnosis.detectability.hides`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,7 +20,6 @@ from workers.diagnosis.hypotheses import Case, Hypothesis, PriorOdds, alarm, pro
 Kind = Literal["no-gap", "effect", "cannot-be-told-apart", "none-of-these"]
 
 NO_GAP, NONE_OF_THESE = "no-gap", "none-of-these"
-HIDDEN = 0.95  # absorbed share above which data cannot speak
 EXPLAINED = 0.5
 CREDIBLE = 0.9
 
@@ -75,7 +75,7 @@ def verdict(
     hypotheses: Sequence[Hypothesis],
     families: Mapping[str, str],
     threshold: float,
-    absorbed: Mapping[str, float] | None = None,
+    hiding: Collection[str] = (),
     odds: PriorOdds | None = None,
 ) -> Verdict:
     """Weigh the hypotheses.
@@ -88,8 +88,8 @@ def verdict(
         The family of every effect that was listed, tried or not.
     threshold : float
         Log evidence below which there is no alarm.
-    absorbed : mapping of str to float, optional
-        Share of each effect that the nominal parameters hide; 0 where it is missing.
+    hiding : collection of str
+        Effects that the nominal parameters hide.
     odds : PriorOdds, optional
 
     Raises
@@ -99,7 +99,7 @@ def verdict(
         family.
     """
     _check(hypotheses, families)
-    hidden = tuple(name for name in families if (absorbed or {}).get(name, 0.0) > HIDDEN)
+    hidden = tuple(name for name in families if name in hiding)
     open_ones = [h for h in hypotheses if not set(h.effects) & set(hidden)]
     effects = [name for name in families if name not in hidden]
     cases = probabilities(open_ones, len(effects), odds)

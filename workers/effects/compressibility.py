@@ -41,8 +41,5 @@ COMPRESSIBILITY = Effect(
     prior_sd=(0.5,),
     steps=(1e-4,),
     transform=transform,
-    references=(
-        "C. Tanner et al., Med. Phys. 33 (2006) 1758",
-        "C. Tanner et al., Med. Phys. 38 (2011) 682",
-    ),
+    references=("C. Tanner et al., Med. Phys. 33 (2006) 1758",),
 )  # fmt: skip

@@ -78,6 +78,6 @@ CREEP = Effect(
     references=(
         "Y. C. Fung, Biomechanics: Mechanical Properties of Living Tissues, Springer 1993, "
         "section 7.6",
-        "J. L. Calvo-Gallego et al., J. Mech. Behav. Biomed. Mater. 80 (2018)",
+        "J. L. Calvo-Gallego et al., J. Mech. Behav. Biomed. Mater. 80 (2018) 293",
     ),
 )

@@ -37,7 +37,7 @@ FIBRE_FAN = Effect(
     steps=(1e-3, 1e-3),
     transform=transform,
     references=(
-        "M. A. Lago, PhD thesis, 2014, section 4.6",
+        "M. A. Lago, PhD thesis, 2014, section 4.5.7",
         "C. Tanner et al., Med. Phys. 38 (2011) 682",
     ),
 )  # fmt: skip

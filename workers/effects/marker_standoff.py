@@ -29,7 +29,8 @@ MARKER_STANDOFF = Effect(
     steps=(0.01,),
     transform=unchanged,
     references=(
-        "A. Cappozzo et al., Clin. Biomech. 11 (1996) 90: markers off what they stand for",
+        "A. Cappozzo et al., Clin. Biomech. 11 (1996) 90: markers that move "
+        "against what they stand for",
     ),
     observation=columns,
     sees="arms",

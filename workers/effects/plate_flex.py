@@ -38,8 +38,5 @@ PLATE_FLEX = Effect(
     prior_sd=(2.0, 2.0),
     steps=(1e-4, 1e-4),
     transform=transform,
-    references=(
-        "M. Dustler et al., Acta Radiol. 62 (2021) 1583",
-        "C. Tanner et al., Med. Phys. 38 (2011) 682",
-    ),
+    references=("M. Dustler et al., Acta Radiol. 62 (2021) 1583",),
 )

@@ -37,7 +37,7 @@ PLATE_TILT = Effect(
     steps=(1e-4, 1e-4),
     transform=transform,
     references=(
-        "C. Tanner et al., Med. Phys. 38 (2011) 682",
-        "M. Dustler et al., Acta Radiol. 53 (2012) 973",
+        "W. K. Ma et al., Br. J. Radiol. 89 (2016) 20150715: paddles that tilt by 0.04 to 0.69 "
+        "degrees from side to side",
     ),
 )

@@ -42,7 +42,7 @@ SECOND_FIBRES = Effect(
     steps=(KPA.to_inside(0.1),),
     transform=transform,
     references=(
-        "M. A. Lago, PhD thesis, 2014, section 4.6",
+        "M. A. Lago, PhD thesis, 2014, section 4.5.7",
         "C. Tanner et al., Med. Phys. 38 (2011) 682",
     ),
 )

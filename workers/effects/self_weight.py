@@ -41,5 +41,7 @@ def self_weight(down: Triple) -> Effect:
         steps=(1e-2,),
         transform=Weighed(down),
         if_present=((1.0, DENSITY_SD),),
-        references=("M. Dubied et al., IEEE Robot. Autom. Lett. (2022): a beam of silicone",),
+        references=(
+            "M. Dubied et al., IEEE Robot. Autom. Lett. 7 (2022) 5015: a beam of silicone",
+        ),
     )

@@ -36,8 +36,8 @@ def scale(problem: Problem, values: Values, frame: Frame) -> Problem:
 
 
 REFERENCES = (
-    "M. A. Lago, PhD thesis, 2014, section 4.5",
-    "J. A. Solves-Llorens et al., Med. Phys. 41 (2014) 081903",
+    "M. A. Lago, PhD thesis, 2014, section 4.5.7",
+    "J. A. Solves Llorens et al., Sci. World J. 2012, 876489",
 )
 
 SKIN_ADDED = Effect(

@@ -31,6 +31,6 @@ STIFFNESS_GRADIENT = Effect(
     transform=transform,
     references=(
         "M. A. Lago, PhD thesis, 2014, section 4.5.7",
-        "N. G. Ramiao et al., Biomech. Model. Mechanobiol. 15 (2016) 1307",
+        "N. G. Ramião et al., Biomech. Model. Mechanobiol. 15 (2016) 1307",
     ),
 )

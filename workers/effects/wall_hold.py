@@ -35,8 +35,5 @@ WALL_HOLD = Effect(
     prior_sd=(KPA_PER_MM.to_inside(0.2),) * 2,
     steps=(KPA_PER_MM.to_inside(1e-3),) * 2,
     transform=transform,
-    references=(
-        "L. Han et al., Phys. Med. Biol. 57 (2012) 455",
-        "M. A. Lago, PhD thesis, 2014, section 4.2",
-    ),
+    references=("M. A. Lago, PhD thesis, 2014, section 4.6",),
 )  # fmt: skip

@@ -1,14 +1,12 @@
 """A plan as plain numbers: what `palpate plan --json` prints."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from storage.values import FloatArray
 from workers.diagnosis.subject import Subject
-from workers.diagnosis.verdict import HIDDEN
 from workers.effects.base import Effect
 from workers.fem.loads import ForceControl
 from workers.planning.acquisition import State
@@ -53,12 +51,11 @@ def plan(
     present = tuple(n for n in foreseen if states[n].kind == "meant")
     acting = simulated([foreseen[n] for n in present], effects)
     now = outlook(ground, Design(present), foreseen, acting)
-    shown = frozenset(row.name for row in now.rows if row.absorbed <= HIDDEN)
     found = []
     for option, design in designs(ground, states, foreseen).items():
         known = simulated([foreseen[n] for n in design.states], acting)
         then = outlook(ground, design, foreseen, known)
-        found.append(_acquisition(option, now, replace(then, shown=shown)))
+        found.append(_acquisition(option, now, then))
     return {
         "case": name,
         "scans": [states[n].name for n in present],

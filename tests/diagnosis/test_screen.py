@@ -164,16 +164,14 @@ def test_other_points_are_refused(problem):
         effect("tilt", mode(20, (0, 1, 1), 0, 1.0), sd=0.0)
 
 
-def test_a_strong_effect_shows_although_nearly_all_of_it_is_absorbed():
-    """1 part in 50 of its square is left: weak at 0.1 mm, plain at 10 mm."""
+def test_a_strong_effect_shows_although_most_of_it_is_absorbed():
+    """A thirtieth of its square is left: too weak at 0.1 mm, plain at 100 mm; never a hundredth."""
     problem = nominal_problem()
     within = problem.nominal[:, 0] / np.linalg.norm(problem.nominal[:, 0])
-    left = problem.covariance_factor @ problem.project(
-        np.linalg.solve(problem.covariance_factor, mode(60, (0, 1, 1), 0, 1.0))
-    )
-    left *= np.linalg.norm(problem.whiten(within)) / np.linalg.norm(problem.whiten(left)) / 7
-    for size, hidden in ((0.1, True), (100.0, False)):
-        column = effect("alike", size * (within + left)).whitened(problem)[0]
-        assert absorbed_share(problem, column) == pytest.approx(0.98, abs=0.01)
+    left = problem.covariance_factor @ problem.project(problem.whiten(mode(60, (0, 1, 1), 0, 1.0)))
+    left *= np.linalg.norm(problem.whiten(within)) / np.linalg.norm(problem.whiten(left))
+    for part, size, hidden in ((30, 0.1, True), (30, 100.0, False), (100, 100.0, True)):
+        column = effect("alike", size * (within + left / np.sqrt(part))).whitened(problem)[0]
+        assert 1 - absorbed_share(problem, column) == pytest.approx(1 / part, rel=0.1)
         assert hides(problem, column) is hidden
     assert not hides(problem, problem.project(effect("seen", 0.01 * left).whitened(problem)[0]))

@@ -166,13 +166,12 @@ def test_a_body_that_nothing_holds_is_noticed(sliding: World, tmp_path: Path) ->
     assert loose([held[2][LOW]], SUSPECTS) == []
 
 
-def test_what_hides_is_absorbed_and_too_weak_to_see(sliding: World) -> None:
+def test_what_is_shown_is_not_hidden_by_more(sliding: World) -> None:
     found = chance(sliding, Design((LOW,)))
-    names = np.array(found.names)
-    assert "plate_force" in names[found.hidden]
-    assert not (found.hidden & found.seen).any()
-    loud = replace(found, evidence=np.full(len(names), 100.0))
-    assert not loud.hidden.any()
+    assert "plate_force" in np.array(found.names)[found.hidden]
+    loud = replace(found, evidence=np.full(len(found.names), 100.0))
+    assert "plate_force" in np.array(found.names)[loud.hidden]
+    assert not replace(loud, shown=frozenset(found.names)).hidden.any()
 
 
 def test_effects_that_do_not_act_are_left_out(sliding: World) -> None:

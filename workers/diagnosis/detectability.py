@@ -18,7 +18,10 @@ NONCENTRALITY = float((ndtri(0.995) + ndtri(0.8)) ** 2)
 """11.7: a two-sided test at 1 % finds what is this strong in 80 % of cases."""
 
 HIDDEN = 0.95
-"""Absorbed share above which little of an effect is left to see."""
+"""Absorbed share above which little of an effect is left to see: only of a strong one."""
+
+SUNK = 0.975
+"""Absorbed share above which nothing is: a sixth of its size, no more than models err."""
 
 INVISIBLE = 1e-6  # of an effect: what the projection leaves is then rounding
 
@@ -42,10 +45,10 @@ def absorbed_share(problem: Linearised, whitened: FloatArray) -> float:
 
 
 def hides(problem: Linearised, whitened: FloatArray) -> bool:
-    """Whether the nominal parameters take nearly all of an effect, and what is left is too weak.
+    """Whether the nominal parameters take all of an effect, or what they leave is too weak.
 
     Weak is what the test of `NONCENTRALITY` would miss at a prior standard deviation, on
-    average over the parameters. A small part of a strong effect may be plain to see.
+    average over the parameters.
 
     Parameters
     ----------
@@ -53,8 +56,9 @@ def hides(problem: Linearised, whitened: FloatArray) -> bool:
     whitened : ndarray, shape (m, q)
         See `Fingerprint.whitened`.
     """
+    share = absorbed_share(problem, whitened)
     left = float((problem.project(whitened) ** 2).sum()) / whitened.shape[1]
-    return absorbed_share(problem, whitened) > HIDDEN and left < NONCENTRALITY
+    return share > SUNK or (share > HIDDEN and left < NONCENTRALITY)
 
 
 def minimum_detectable(problem: Linearised, fingerprint: Fingerprint) -> FloatArray:

@@ -1,10 +1,10 @@
 """What an acquisition can tell before it is made, and what one more measurement would add.
 
 Nothing here looks at a residual. An effect is *seen* if it, acting at its plausible size,
-is expected to raise the log evidence by `CLEAR` over no gap. Two effects are *told apart* if
-both are seen and each, when it acts, is expected to beat the other by `CLEAR`. More rows
-never lower an expected log evidence, for it is a Kullback-Leibler divergence; see
-`workers.planning.states`.
+is expected to raise the log evidence by `CLEAR` over no gap, and if the constants do not
+hide it. Two effects are *told apart* if both are seen and each, when it acts, is expected
+to beat the other by `CLEAR`. More rows never lower an expected log evidence, for it is a
+Kullback-Leibler divergence; see `workers.planning.states`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 
 from storage.values import BoolArray, FloatArray
 from workers.diagnosis.calibrate import with_common_error
-from workers.diagnosis.detectability import HIDDEN, confusion
+from workers.diagnosis.detectability import HIDDEN, SUNK, confusion
 from workers.diagnosis.fingerprint import Fingerprint
 from workers.diagnosis.linear import Linearised, factored
 from workers.diagnosis.subject import Scan, Subject, Values
@@ -74,12 +74,16 @@ class Outlook:
         How alike the visible parts of two effects look.
     separation : ndarray, shape (effects, effects)
         Expected log evidence of the effect of the row, acting, over that of the column.
+    shown : frozenset of str
+        Effects that a part of the design shows already: what more is measured does not hide
+        them, though it may lift the share of them that the constants absorb.
     """
 
     rows: tuple[Detectability, ...]
     evidence: FloatArray
     cosines: FloatArray
     separation: FloatArray
+    shown: frozenset[str] = frozenset()
 
     @property
     def names(self) -> list[str]:
@@ -89,12 +93,14 @@ class Outlook:
     @property
     def seen(self) -> BoolArray:
         """Which effects can be accused or acquitted, shape (effects,)."""
-        return np.asarray(self.evidence >= CLEAR)
+        return (self.evidence >= CLEAR) & ~self.hidden
 
     @property
     def hidden(self) -> BoolArray:
-        """Which effects are not seen because the constants absorb them, shape (effects,)."""
-        return np.array([row.absorbed > HIDDEN for row in self.rows], np.bool_) & ~self.seen
+        """Which effects the constants absorb, shape (effects,)."""
+        sunk = [row.absorbed > SUNK and row.name not in self.shown for row in self.rows]
+        mostly = np.array([row.absorbed > HIDDEN for row in self.rows], np.bool_)
+        return np.array(sunk, np.bool_) | (mostly & (self.evidence < CLEAR))
 
     def apart(self) -> set[frozenset[str]]:
         """Pairs of effects that are told apart."""

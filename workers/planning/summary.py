@@ -1,11 +1,13 @@
 """A plan as plain numbers: what `palpate plan --json` prints."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from storage.values import FloatArray
+from workers.diagnosis.detectability import SUNK
 from workers.diagnosis.subject import Subject
 from workers.effects.base import Effect
 from workers.fem.loads import ForceControl
@@ -51,11 +53,12 @@ def plan(
     present = tuple(n for n in foreseen if states[n].kind == "meant")
     acting = simulated([foreseen[n] for n in present], effects)
     now = outlook(ground, Design(present), foreseen, acting)
+    shown = frozenset(row.name for row in now.rows if row.absorbed <= SUNK)
     found = []
     for option, design in designs(ground, states, foreseen).items():
         known = simulated([foreseen[n] for n in design.states], acting)
         then = outlook(ground, design, foreseen, known)
-        found.append(_acquisition(option, now, then))
+        found.append(_acquisition(option, now, replace(then, shown=shown)))
     return {
         "case": name,
         "scans": [states[n].name for n in present],

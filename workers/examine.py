@@ -187,7 +187,7 @@ def _look(book: Casebook) -> Look:
     prints = [p for e in book.effects if (p := _print(book, e, subject)) is not None]
     field = discrepancy_of(subject, nominal)
     if not book.has("threshold"):
-        book.save({}, {"threshold": threshold_of(linear, prints, field)}, "threshold")
+        book.save({}, {"threshold": threshold_of(subject, linear, prints, field)}, "threshold")
     return Look(
         subject,
         nominal,

@@ -10,7 +10,7 @@ from service.versions import palpate_version
 from storage.digest import digest, file_digest
 from workers.casebook import FINER, ROOMS
 from workers.cases.build import NODES, POINT_SPACING_MM
-from workers.diagnosis.detectability import HIDDEN
+from workers.diagnosis.detectability import HIDDEN, SUNK
 from workers.diagnosis.diagnosis import FALSE_ALARMS, LEAST_ALARM, NULL_DRAWS
 from workers.diagnosis.hypotheses import PriorOdds
 from workers.diagnosis.verdict import CREDIBLE, EXPLAINED
@@ -42,8 +42,17 @@ def frozen(nodes: int = NODES) -> Json:
         "settings": {
             "effects": [_effect(e) for e in BREAST_EFFECTS],
             "prior_odds": asdict(PriorOdds()),
-            "alarm": {"rate": FALSE_ALARMS, "replicates": NULL_DRAWS, "least": LEAST_ALARM},
-            "verdict": {"hidden": HIDDEN, "explained": EXPLAINED, "credible": CREDIBLE},
+            "alarm": {
+                "rate": FALSE_ALARMS,
+                "replicates": NULL_DRAWS,
+                "least": {str(n): least for n, least in LEAST_ALARM.items()},
+            },
+            "verdict": {
+                "hidden": HIDDEN,
+                "sunk": SUNK,
+                "explained": EXPLAINED,
+                "credible": CREDIBLE,
+            },
             "mesh": {"nodes": nodes, "finer": FINER, "point_spacing_mm": POINT_SPACING_MM},
         },
     }

@@ -1,6 +1,7 @@
 """Several directions of compression in one case, and plates at a known distance."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from workers.cases.build import build_subject
 from workers.cases.case import ImagedCase, extent_mm
 from workers.cases.checks import check_case
 from workers.diagnosis.calibrate import calibrate
+from workers.diagnosis.diagnosis import directions_of
 
 NODES, SPACING_MM = 1600, 8.0
 
@@ -28,6 +30,8 @@ def test_a_scan_pressed_along_x_is_fitted_with_one_along_y(both_ways: Path) -> N
     assert case.names == ["20 N", "8 N along x"]
     subject, fit = calibrate(build_subject(case, NODES, SPACING_MM))
     assert [s.problem(fit.values()).load.device.axis[0] for s in subject.scans] == [0.0, 1.0]
+    assert directions_of(subject) == 2
+    assert directions_of(replace(subject, scans=subject.scans[:1])) == 1
     for name, true in TRUE_MPA.items():
         assert fit.values()[name] == pytest.approx(true, rel=0.12)
     for scan in fit.views:

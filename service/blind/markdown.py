@@ -1,8 +1,15 @@
 """Figures as a table in a text that is kept with the code."""
 
+from collections.abc import Iterator, Sequence
+
+from service.blind.confusion import confusion
 from service.blind.page import Scored
+from service.blind.probability import calibration_curve
+from service.blind.records import CaseRecord
 from service.blind.scores import Figure
-from service.blind.words import interval, limit, shown
+from service.blind.words import answered, asked_for, interval, limit, millimetres, shown
+from service.diagnosis.words import spoken
+from service.report.words import NONE
 from storage.errors import InputError
 
 BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
@@ -26,7 +33,7 @@ def filled(text: str, scored: Scored) -> str:
 
 
 def table(scored: Scored) -> str:
-    """The figures in Markdown, those with a target first, and what they rest on."""
+    """The figures in Markdown, those with a target first, and what lies behind them."""
     seals = scored.seals
     lines = [
         f"{len(scored.records)} cases of the set {scored.name}. Manifest `{seals['manifest']}`, "
@@ -39,7 +46,41 @@ def table(scored: Scored) -> str:
     lines += [_row(f) for f in sorted(scored.figures, key=lambda f: f.target is None)]
     if scored.floor_mm is not None:
         lines += ["", f"Floor: {scored.floor_mm:.3f} mm of true gap in the median control."]
-    return "\n".join(lines)
+    lines += ["", "| what was true | what was said first, right answers in bold |", "|---|---|"]
+    lines += _confusions(scored.records)
+    lines += ["", "| probability stated | statements | came true |", "|---|---|---|"]
+    lines += _calibration(scored.records)
+    lines += ["", "| wrong answer to | said | true gap, mm | evidence of a gap |",
+              "|---|---|---|---|"]  # fmt: skip
+    return "\n".join([*lines, *_failures(scored.records)])
+
+
+def _confusions(records: Sequence[CaseRecord]) -> Iterator[str]:
+    found = confusion(records)
+    for row, (name, counts) in enumerate(zip(found.rows, found.counts, strict=True)):
+        said = [
+            f"**{words}**" if (row, column) in found.right else words
+            for column, (what, count) in enumerate(zip(found.columns, counts, strict=True))
+            if count
+            for words in (f"{spoken(what)} {count}",)
+        ]
+        yield f"| {' + '.join(map(spoken, name.split(' + ')))} | {', '.join(said)} |"
+
+
+def _calibration(records: Sequence[CaseRecord]) -> Iterator[str]:
+    for b in calibration_curve(records):
+        if b.came_true.count:
+            true = shown(b.came_true.value, "share")
+            yield f"| {b.low:.1f} to {b.high:.1f} | {b.came_true.count} | {true} |"
+
+
+def _failures(records: Sequence[CaseRecord]) -> list[str]:
+    return [
+        f"| {asked_for(r)} | {answered(r)} | {millimetres(r.true_before_mm)} "
+        f"| {NONE if r.alarm is None else f'{r.alarm:.1f}'} |"
+        for r in sorted(records, key=asked_for)
+        if not r.right
+    ]
 
 
 def _row(figure: Figure) -> str:

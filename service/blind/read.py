@@ -82,6 +82,7 @@ def record_of(name: str, truth: Truth, moved: Moved, said: Json, maps: Arrays) -
         primary_families=tuple(by_name[n]["family"] for n in told["primary"]),
         set90=tuple(told["set90"]),
         probabilities=ends | told_apart,
+        alarm=told["alarm"],
         claimed_before_mm=gap["before"]["gap_mm"],
         claimed_after_mm=gap["after"]["gap_mm"] if gap["after"] else None,
         true_before_mm=_true_mm("before", truth, moved, maps, {}),

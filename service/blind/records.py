@@ -41,6 +41,8 @@ class CaseRecord:
     probabilities : mapping of str to float
         That each effect acts, as far as the data could tell; with "no-gap" and
         "none-of-these".
+    alarm : float or None
+        Log evidence against no gap.
     claimed_before_mm, claimed_after_mm : float or None
         Gap beyond noise with the nominal model, and with the effects accused.
     true_before_mm, true_after_mm : float or None
@@ -49,7 +51,7 @@ class CaseRecord:
         In which the gap before and the shrinkage are said to lie with 90 %.
     claimed_share, held_out_share : float or None
         By how much the effects are said to shrink the gap's square: on the scans that they
-        were fitted to, and the mean over the scans that they were not fitted to.
+        were fitted to, and with every scan judged by a fit to the others.
     magnitudes : tuple of Magnitude
         Of the true effect, where it was refitted and the truth has the same parameters.
     lump_apart_mm : float or None
@@ -72,6 +74,7 @@ class CaseRecord:
     primary_families: tuple[str, ...] = ()
     set90: tuple[str, ...] = ()
     probabilities: Mapping[str, float] = field(default_factory=dict)
+    alarm: float | None = None
     claimed_before_mm: float | None = None
     claimed_after_mm: float | None = None
     true_before_mm: float | None = None

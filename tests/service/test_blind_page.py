@@ -1,6 +1,7 @@
 """The page of a scored set, and what the commands say."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -140,6 +141,10 @@ def test_score_prints_figures_and_writes_the_page(
     assert call("score", "set", "--into", text)[0] == 0
     written = text.read_text()
     assert "| One effect, visible: it comes first | 33 % |" in written
+    wrong = written.partition("| wrong answer to")[2].partition("<!-- end")[0].splitlines()[2:]
+    assert len(wrong) == 2
+    right = sum(int(n) for n in re.findall(r"\*\*[^*]+ (\d+)\*\*", written))
+    assert right == len(cases()) - 2
     assert call("score", "set", "--into", text)[0] == 0
     assert text.read_text() == written
     assert written.startswith("Before.") and written.endswith("After.\n") and "stale" not in written

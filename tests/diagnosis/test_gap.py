@@ -192,14 +192,33 @@ def test_unseen_shrinkage_is_that_of_fits_that_never_saw_their_judge():
     assert np.mean(held) > 0.9 - 3 * np.sqrt(0.09 / len(held))
 
 
+@pytest.mark.parametrize("stated", [1.0, 1.3])
+def test_a_small_gap_and_its_share_are_found_although_too_much_noise_is_stated(stated):
+    """An effect of 0.15 mm that is all there is; noise of 0.3 mm, stated up to 30 % too large."""
+    rng = np.random.default_rng(43)
+    truth = -0.15 * catalogue()[1].columns[:, 0]
+    true = nominal_problem().covariance_factor
+    shares, gaps_mm, expected = [], [], []
+    for seed in range(100):
+        problem = replace(nominal_problem(), covariance_factor=stated * true)
+        nominal = replace(problem, residual=truth + true @ rng.standard_normal(120))
+        effect = nominal.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
+        found = shrinkage(nominal, effect, seed, floor_mm=0.03, draws=20)
+        shares.append(found.share)
+        gaps_mm.append(found.before.gap_mm)
+        clean = LinearFit(replace(nominal, residual=truth)).residual
+        expected.append(np.sqrt((clean**2).mean()))
+    assert np.mean(gaps_mm) == pytest.approx(np.mean(expected), abs=0.03)
+    assert np.mean(shares) > 0.65
+
+
 def test_unseen_shrinkage_pools_what_single_states_say():
     nominal, effect = both(np.random.default_rng(42))
     whole = unseen_shrinkage(nominal, effect, STATE, 1)
     parts = [shrinkage(nominal, effect, 1, ~rows, rows) for rows in (LOW, HIGH)]
-    excess = np.mean([p.before.excess_mm2 for p in parts])
-    assert whole.before.excess_mm2 == pytest.approx(excess, rel=1e-10)
-    left = np.mean([p.after.excess_mm2 for p in parts])
-    assert whole.share == pytest.approx(1 - max(left, 0) / excess, rel=1e-10)
+    less = np.mean([p.before.excess_mm2 - p.after.excess_mm2 for p in parts])
+    assert whole.before.excess_mm2 - whole.after.excess_mm2 == pytest.approx(less, rel=1e-10)
+    assert whole.share == pytest.approx(less / whole.before.excess_mm2, rel=1e-10)
 
 
 def test_shrinkage_is_the_same_for_the_same_seed():

@@ -9,6 +9,10 @@ share of one image, which moves along with its estimate.
 Fitted to some states and judged by the others, the same number is the held-out share. With
 each state judged by a fit to the others, all of them are seen, and none by its own fit (the
 cross-validation of M. Stone, J. R. Stat. Soc. B 36 (1974) 111).
+
+The noise cancels in the difference of both squares, which is known far better than either.
+Where more noise is stated than the effect leaves of a residual, both are raised until
+nothing is left: else a small gap would vanish together with its cause.
 """
 
 from collections.abc import Sequence
@@ -18,7 +22,7 @@ import numpy as np
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
-from workers.diagnosis.gap import LEVEL, Gap, LinearFit, gap, pooled
+from workers.diagnosis.gap import LEVEL, Gap, LinearFit, gap, pooled, raised
 from workers.diagnosis.linear import Linearised
 
 DRAWS = 400
@@ -134,6 +138,8 @@ def _compared(
     without, along = zip(*pairs, strict=True)
     before, after = (pooled([gap(f, level=level) for f in fits], floor_mm)
                      for fits in (without, along))  # fmt: skip
+    missing = max(0.0, -after.excess_mm2)
+    before, after = (raised(one, missing, floor_mm) for one in (before, after))
     share = float(
         _share(_squared(before.excess_mm2, floor_mm), _squared(after.excess_mm2, floor_mm))
     )
@@ -143,12 +149,9 @@ def _compared(
     noise = nominal.covariance_factor @ np.random.default_rng(seed).standard_normal(
         (nominal.size, draws)
     )
-    shares = _share(
-        *(
-            _squared(_excess(fits, mean, noise), floor_mm)
-            for fits, mean in zip((without, along), means, strict=True)
-        )
-    )
+    drawn = [_excess(fits, mean, noise) for fits, mean in zip((without, along), means, strict=True)]
+    lacking = np.maximum(0.0, -drawn[1])
+    shares = _share(*(_squared(excess + lacking, floor_mm) for excess in drawn))
     low, high = np.nanquantile(shares, [(1 - level) / 2, (1 + level) / 2])
     return Shrinkage(share, float(low), float(high), before, after)
 

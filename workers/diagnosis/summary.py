@@ -122,7 +122,11 @@ def _gap_mm(found: Diagnosis) -> Json:
         return out | {"after": None, "held_out_before": None, "held_out_after": None}
     with_effect = refit.fit.linearised(subject)
     inside = shrinkage(nominal, with_effect, SEED, floor_mm=floor_mm)
-    out |= {"after": _as_json(inside.after), "share": _share(inside)}
+    out |= {
+        "before": _as_json(inside.before),
+        "after": _as_json(inside.after),
+        "share": _share(inside),
+    }
     held = _held_out(subject, nominal, with_effect, floor_mm)
     return out | held
 

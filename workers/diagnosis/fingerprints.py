@@ -23,7 +23,7 @@ DEPTH_MM = 6.0
 TRIED = (1.0, 0.25)
 # Columns only choose what is refitted: relative error of a tangent, Newton's last step of a
 # secant in mm.
-ROUGH = 1e-3
+ROUGH = 1e-4
 ROUGH_MM = 0.02
 
 

@@ -84,14 +84,17 @@ def test_a_target_with_hidden_constants_shows_no_gap(own: StudySource) -> None:
 
 
 def test_an_effect_that_the_study_lacks_is_found() -> None:
-    """Plates were tilted by 8 degrees when the target was made."""
-    tilted = StudySource(pieces_of(TRUE_KPA | {"tilt_depth_deg": 8.0}, BOUNDS_KPA))
+    """Plates were tilted by 6 degrees when the target was made."""
+    tilted = StudySource(pieces_of(TRUE_KPA | {"tilt_depth_deg": 6.0}, BOUNDS_KPA))
     subject, found = calibrate(tilted.subject(5000, 6.0))
-    seen = look(subject, found, [e for e in tilted.effects if e.name in EFFECTS])
+    effects = [e for e in tilted.effects if e.name in EFFECTS]
+    seen = look(subject, found, effects)
     best = seen.findings[0]
     assert best.name == "plate_tilt"
-    assert best.log_bayes_factor > seen.threshold
-    assert best.estimate[0] == pytest.approx(8.0, rel=0.3)
+    assert best.estimate[0] == pytest.approx(6.0, rel=0.3)
+    said = diagnose(seen, effects, one_by_one(seen)).verdict
+    assert (said.kind, said.primary) == ("effect", ("plate_tilt",))
+    assert said.alarm > said.threshold
 
 
 def test_the_mesh_of_the_study_is_that_of_its_target(own: StudySource) -> None:

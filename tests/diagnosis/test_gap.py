@@ -192,8 +192,8 @@ def test_unseen_shrinkage_is_that_of_fits_that_never_saw_their_judge():
     assert np.mean(held) > 0.9 - 3 * np.sqrt(0.09 / len(held))
 
 
-@pytest.mark.parametrize("stated", [1.0, 1.3])
-def test_a_small_gap_and_its_share_are_found_although_too_much_noise_is_stated(stated):
+@pytest.mark.parametrize(("stated", "least"), [(1.0, 0.65), (1.3, 0.8)])
+def test_a_small_gap_and_its_share_are_found_although_too_much_noise_is_stated(stated, least):
     """An effect of 0.15 mm that is all there is; noise of 0.3 mm, stated up to 30 % too large."""
     rng = np.random.default_rng(43)
     truth = -0.15 * catalogue()[1].columns[:, 0]
@@ -209,7 +209,7 @@ def test_a_small_gap_and_its_share_are_found_although_too_much_noise_is_stated(s
         clean = LinearFit(replace(nominal, residual=truth)).residual
         expected.append(np.sqrt((clean**2).mean()))
     assert np.mean(gaps_mm) == pytest.approx(np.mean(expected), abs=0.03)
-    assert np.mean(shares) > 0.65
+    assert np.mean(shares) > least
 
 
 def test_unseen_shrinkage_pools_what_single_states_say():

@@ -7,7 +7,7 @@ import pytest
 from linear_world import catalogue, layout, mode, nominal_problem, observed
 
 from storage.errors import InputError
-from workers.diagnosis.gap import LinearFit, gap, gaps, pooled
+from workers.diagnosis.gap import LinearFit, gap, pooled
 from workers.diagnosis.shrinkage import shrinkage, unseen_shrinkage
 
 STATE = layout(60)[2]
@@ -115,7 +115,7 @@ def test_without_a_fit_the_excess_is_over_the_noise():
 
 def test_subsets_add_up():
     fit = LinearFit(observed(nominal_problem(), np.random.default_rng(37), known_gap()))
-    parts = gaps(fit, {"low": LOW, "high": HIGH})
+    parts = {"low": gap(fit, LOW), "high": gap(fit, HIGH)}
     mean = (parts["low"].excess_mm2 + parts["high"].excess_mm2) / 2
     assert mean == pytest.approx(gap(fit).excess_mm2, rel=1e-10)
     assert parts["low"].points == 60

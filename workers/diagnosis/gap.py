@@ -16,7 +16,7 @@ Assoc. 99 (2004) 619). Without a fit F is zero. The interval comes from
 for a residual with mean m and covariance D = (I + F) C (I + F)'.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -236,13 +236,6 @@ def _gap(excess: float, reach: float, noise_mm: float, points: int, floor_mm: fl
         for value in (excess, excess - reach, excess + reach)
     )
     return Gap(middle, low, high, excess, reach, noise_mm, points)
-
-
-def gaps(
-    fit: LinearFit, subsets: Mapping[Hashable, BoolArray], floor_mm: float = 0.0
-) -> dict[Hashable, Gap]:
-    """Gap of each subset of the judged residuals; see `gap`."""
-    return {name: gap(fit, rows, floor_mm) for name, rows in subsets.items()}
 
 
 def _sd_of_mean_square(r: FloatArray, D: FloatArray) -> float:

@@ -1,8 +1,8 @@
 """How much evidence against "no gap" noise alone produces.
 
 The posterior probability assumes that the noise is just as stated. The threshold of the
-alarm is set on replicates without any effect instead: those of the linear model below, or
-better, diagnoses of images that the model itself has made.
+alarm is set on replicates without any effect instead: those of the linear model below, and
+bodies of another solver, which give the least threshold (`workers.diagnosis.diagnosis`).
 """
 
 from collections.abc import Sequence

@@ -7,7 +7,7 @@ from service.blind.confusion import confusion
 from service.blind.page import Scored
 from service.blind.probability import calibration_curve
 from service.blind.read import read_records
-from service.blind.scores import figures, floor_mm
+from service.blind.scores import figures, floor_mm, regrouped
 from service.blind.seal import file_hash
 from service.blind.sets import (
     BlindSet,
@@ -35,7 +35,8 @@ def score_set(blind: BlindSet, truths: Truths, directions: Directions) -> Scored
     check_cases(blind, manifest)
     sealed = check_answers(blind, directions)
     check_truths(truths, manifest)
-    records = read_records(blind, truths, sorted(manifest["cases"]), directions)
+    read = read_records(blind, truths, sorted(manifest["cases"]), directions)
+    records = regrouped(read)
     seals = {
         "manifest": file_hash(blind.manifest),
         "answers": file_hash(blind.sealed_answers(directions)),

@@ -108,6 +108,14 @@ def test_an_effect_that_explains_little_is_none_of_these():
     assert found.kind == "none-of-these"
 
 
+def test_an_effect_that_leaves_a_third_unexplained_is_none_of_these():
+    """20 of 30 nats: a gland that has grown, taken for one that is drawn too large."""
+    hypotheses = [Hypothesis((), -100.0, 8.0), Hypothesis(("a",), -80.0, 10.0)]
+    found = verdict(hypotheses, FAMILIES, 6.0)
+    assert found.explained_share == pytest.approx(20 / 30)
+    assert found.kind == "none-of-these"
+
+
 def test_an_effect_whose_form_is_imperfect_is_named():
     """25 of 30 nats: the field mends the form."""
     hypotheses = [Hypothesis((), -100.0, 8.0), Hypothesis(("a",), -75.0, 5.0)]

@@ -12,7 +12,7 @@ from service.blind.confusion import confusion
 from service.blind.magnitudes import IN_CATALOGUE, lump_apart_mm, magnitudes, true_values
 from service.blind.probability import brier, brier_of_base_rates, calibration_curve
 from service.blind.records import CaseRecord, Magnitude
-from service.blind.scores import Figure, figures, floor_mm, strata, visible
+from service.blind.scores import Figure, figures, floor_mm, regrouped, strata, visible
 from service.blind.statistics import correlation, mean, median, share
 from service.blind.truth import Truth
 from workers.blind.draw import KINDS, draw
@@ -78,6 +78,20 @@ def test_false_alarms_count_controls_and_hidden_effects() -> None:
     assert value(found, "false_alarms") == (0.25, 4)
     assert found["false_alarms"].met is False
     assert scored(nothing())["false_alarms"].met is True
+
+
+def test_a_hidden_effect_that_leaves_a_gap_is_to_be_named() -> None:
+    force = {"effects": ("plate_force",), "families": ("loading",)}
+    controls = [nothing(true_before_mm=0.10)]
+    faint = nothing("absorbed", **force, true_before_mm=0.15)
+    unknown = nothing("absorbed", **force, true_before_mm=None)
+    named = record(group="absorbed", **force, primary=("plate_force",), true_before_mm=0.16)
+    groups = [r.group for r in regrouped([*controls, faint, unknown, named])]
+    assert groups == ["control", "absorbed", "absorbed", "single"]
+    assert [r.group for r in regrouped([faint, named])] == ["absorbed", "absorbed"]
+    found = {f.key: f for f in figures(regrouped([*controls, faint, unknown, named]))}
+    assert value(found, "false_alarms") == (0.0, 3)
+    assert value(found, "first_visible") == (1.0, 1)
 
 
 def test_an_effect_that_is_named_acts_or_does_not() -> None:

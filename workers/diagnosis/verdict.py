@@ -3,7 +3,7 @@
 1. No gap if the best alternative raises the log evidence by less than a threshold, which
    `workers.diagnosis.threshold` calibrates, or if no gap is more probable than not.
 2. None of these if a smooth field alone is more probable than all effects together, or
-   if the best effect explains less than half of what it and a field explain.
+   if the best effect explains less than 70 % of what it and a field explain.
 3. Else the effect; or the effects that cannot be told apart, if more than one is needed to
    hold 90 % of the probability.
 4. An effect that hides in the nominal parameters is neither accused nor acquitted; see
@@ -20,7 +20,7 @@ from workers.diagnosis.hypotheses import Case, Hypothesis, PriorOdds, alarm, pro
 Kind = Literal["no-gap", "effect", "cannot-be-told-apart", "none-of-these"]
 
 NO_GAP, NONE_OF_THESE = "no-gap", "none-of-these"
-EXPLAINED = 0.5
+EXPLAINED = 0.7
 CREDIBLE = 0.9
 
 

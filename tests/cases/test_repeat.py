@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 from compressed_breast import PHANTOM, PRESSED, SCANS, described, write_scan
+from redrawn import perturbed
 
 from storage.errors import InputError
 from workers.cases.case import ImagedCase
 from workers.cases.checks import check_case
 from workers.cases.imaged import ImagedSource
 from workers.observation.noise import SegmentationNoise
-from workers.observation.perturb import perturbed
 from workers.phantom.breast import generate_breast
 
 NOISE = SegmentationNoise(0.4, 5.0, 0.4, 0.02)

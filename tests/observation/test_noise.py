@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from ellipsoids import breast
+from redrawn import perturbed
 from scipy.spatial.distance import cdist
 
 from storage.errors import InputError
 from storage.values import Tissue, Volume
 from workers.observation.interface import GLANDULAR, OUTLINE, interface_points
 from workers.observation.noise import SegmentationNoise, correlation, covariance
-from workers.observation.perturb import perturbed
 from workers.observation.repeat import from_repeat
 from workers.observation.residual import observe, residual
 

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from redrawn import perturbed
 
 from storage.errors import InputError
 from storage.values import Tissue, Volume
 from workers.observation.distance import signed_distance
 from workers.observation.interface import OUTLINE
 from workers.observation.noise import SegmentationNoise
-from workers.observation.perturb import perturbed
 from workers.observation.smooth_outline import smooth_outline
 
 HALF = (30.0, 24.0, 26.0)

@@ -7,14 +7,31 @@ from scipy.stats import multivariate_normal
 
 from workers.phantom.breast import BreastPhantom
 from workers.phantom.compartments import draw_compartments, layer_frames
-from workers.phantom.octree import evaluate_box, partition
-from workers.phantom.voxel_kernels import FIRST_ID, LIGAMENT_ID, SKIN_ID
+from workers.phantom.octree import partition, shape_vector
+from workers.phantom.voxel_kernels import FIRST_ID, LIGAMENT_ID, SKIN_ID, fill_voxels
 
 UNPACK = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 
 
 def compartments_of(settings, seed=1):
     return draw_compartments(settings, np.random.default_rng(seed))
+
+
+def evaluate_box(settings, compartments, box, ids):
+    """Write the ids of the voxels of a box by evaluating each with all compartments."""
+    n = len(compartments.offset)
+    fill_voxels(
+        ids,
+        np.array(box, np.int32),
+        np.asarray(settings.origin_mm),
+        float(settings.spacing_mm),
+        shape_vector(settings),
+        np.arange(n, dtype=np.int16),
+        n,
+        compartments.seeds_mm,
+        compartments.precision,
+        compartments.offset,
+    )
 
 
 def points_of(settings, zyx):
@@ -45,7 +62,7 @@ def test_octree_equals_brute_force_on_the_whole_body(preset, changes, seed):
     ids, _ = partition(settings, compartments)
     nx, ny, nz = settings.shape_xyz
     expected = np.zeros_like(ids)
-    evaluate_box(settings, compartments, np.array([0, nx, 0, ny, 0, nz], np.int32), expected)
+    evaluate_box(settings, compartments, [0, nx, 0, ny, 0, nz], expected)
     np.testing.assert_array_equal(ids, expected)
 
 
@@ -60,7 +77,7 @@ def test_octree_equals_brute_force_on_the_whole_body(preset, changes, seed):
 def test_octree_equals_brute_force_on_parts_at_1_mm(fine, box):
     settings, compartments, ids = fine
     expected = np.zeros_like(ids)
-    evaluate_box(settings, compartments, np.array(box, np.int32), expected)
+    evaluate_box(settings, compartments, box, expected)
     part = np.s_[box[4] : box[5], box[2] : box[3], box[0] : box[1]]
     np.testing.assert_array_equal(ids[part], expected[part])
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from redrawn import perturbed
 
 from storage.errors import InputError
 from storage.values import TetMesh, Volume
 from workers.observation.interface import GLANDULAR, OUTLINE
 from workers.observation.noise import SegmentationNoise
-from workers.observation.perturb import perturbed
 from workers.pictures.overlap import distances, on_one_box, overlaps, predict, reachable_jc
 
 # A fat cuboid from 0 to 24 x 16 x 12 mm with a glandular one inside, voxels of 1 mm.

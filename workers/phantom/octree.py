@@ -73,23 +73,6 @@ def partition(settings: BreastPhantom, compartments: Compartments) -> tuple[Ids,
     return ids, int(boxes)
 
 
-def evaluate_box(settings: BreastPhantom, compartments: Compartments, box: Box, ids: Ids) -> None:
-    """Write the ids of the voxels of a box by evaluating each with all compartments."""
-    n = len(compartments.offset)
-    fill_voxels(
-        ids,
-        box,
-        np.asarray(settings.origin_mm),
-        float(settings.spacing_mm),
-        shape_vector(settings),
-        np.arange(n, dtype=np.int16),
-        n,
-        compartments.seeds_mm,
-        compartments.precision,
-        compartments.offset,
-    )
-
-
 def shape_vector(settings: BreastPhantom) -> FloatArray:
     """Lengths of the outline and its layers in mm, as the kernels take them."""
     shape = np.empty(6)

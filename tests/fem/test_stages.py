@@ -73,6 +73,25 @@ def test_a_neighbour_leads_to_the_same_place_with_friction(model, near, wanted):
     assert np.abs(free.displacement_mm - rested.displacement_mm).max() > 0.05
 
 
+@pytest.mark.parametrize(
+    ("near", "wanted", "route"), [(0.3, 0.35, 1), (0.0, 0.0, 1), (0.3, 0.35, 2)]
+)
+def test_a_neighbour_that_needed_more_stages_is_followed_through_them(
+    model, monkeypatch, near, wanted, route
+):
+    """What its direct way could not do, that of a similar body hardly can."""
+    problem = replace(pressed(wanted, tilt_deg=1.0), tolerance_mm=2e-3)
+    neighbour = replace(pressed(near), tolerance_mm=2e-3)
+    with monkeypatch.context() as patch:
+        patch.setattr(march, "routes", lambda *args: list(steps.routes(*args))[route:])
+        start, rested = equilibrium(model, neighbour), equilibrium(model, problem)
+    monkeypatch.setattr(march.March, "from_rest", lambda self: pytest.fail("began from rest"))
+    continued = equilibrium(model, problem, start)
+    assert len(continued.path) == len(start.path) == len(rested.path) > 1
+    apart = continued.solution.displacement_mm - rested.solution.displacement_mm
+    assert np.abs(apart).max() < 5e-3
+
+
 def test_a_neighbour_saves_newton_iterations(model):
     start = equilibrium(model, pressed())
     near = replace(pressed(), constants={Tissue.FAT: Constants(0.0105, 0.49, 0.03)})

@@ -52,9 +52,12 @@ class March:
                 return
 
     def continue_from(self, path: Sequence["Waypoint"]) -> bool:
-        """All stages on the finest mesh alone, each from a neighbour's; False if one fails."""
-        if len(path) != len(self.stages) or len(path[-1].states) != len(self.levels):
+        """A neighbour's stages on the finest mesh alone, from its own; False if one fails."""
+        ways = routes(self.model, self.problem)
+        stages = next((way for way in ways if len(way) == len(path)), None)
+        if stages is None or len(path[-1].states) != len(self.levels):
             return False
+        self.stages = stages
         level = self.levels[-1]
         state = self.states[-1]
         for stage, near in zip(self.stages, path, strict=True):

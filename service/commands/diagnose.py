@@ -42,6 +42,15 @@ def diagnose(
         ),
     ] = None,
     nodes: Annotated[int, typer.Option(min=200, help="Nodes of the mesh.")] = 5000,
+    plan: Annotated[
+        bool | None,
+        typer.Option(
+            "--plan/--no-plan",
+            help="Find the further measurement that would decide most, as palpate plan does. "
+            "Default: where these scans leave several causes.",
+            show_default=False,
+        ),
+    ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: StoreOption = None,
@@ -58,6 +67,8 @@ def diagnose(
     request = ask(source, store or RUNS / "store", nodes)
     with stop_requests() as requests:
         found = _found(request, workers, scheduler, requests)
+        if found is not None and _to_be_planned(found, source, plan):
+            found = _with_plan(found, request, workers, scheduler, requests)
     if found is None:
         raise interrupted()
     page = _write(
@@ -99,6 +110,43 @@ def _found(
         return None
 
 
+def _to_be_planned(found: "Found", source: Path, wanted: bool | None) -> bool:
+    """Whether more measurements are to be tried; a bench experiment has none."""
+    from service.diagnosis.advice import undecided
+
+    if source.is_file():
+        return False
+    return undecided(found.summary) if wanted is None else wanted
+
+
+def _with_plan(
+    found: "Found",
+    request: "Request",
+    workers: int | None,
+    scheduler: str | None,
+    requests: list[int],
+) -> "Found | None":
+    """The diagnosis with what else could be measured; None if somebody asked to stop."""
+    from dataclasses import replace
+
+    from service.commands.plan import planned
+    from service.diagnosis.advice import next_acquisitions
+    from service.diagnosis.foresee import NODES, ask_plan
+    from storage.errors import PalpateError
+
+    nodes = min(NODES, request["nodes"])
+    try:
+        asked = ask_plan(Path(request["source"]), Path(request["store"]), nodes)
+        plan = planned(asked, workers, scheduler, requests)
+    except PalpateError as error:
+        typer.echo(f"No further measurement could be tried. {error}", err=True)
+        return found
+    if plan is None:
+        return None
+    summary = found.summary | {"next_acquisitions": next_acquisitions(found.summary, plan)}
+    return replace(found, summary=summary)
+
+
 def _write(found: "Found", folder: Path) -> Path:
     from service.report.diagnosis_page import render
     from storage.atomic import explained, write_file
@@ -117,6 +165,7 @@ def print_verdict(summary: Json, console: Any) -> None:
     """A sentence, and the most probable causes, on a console."""
     from rich.table import Table
 
+    from service.diagnosis.advice import worth
     from service.diagnosis.experiment import experiment_lines
     from service.diagnosis.words import likely, measured, sentence, spoken
 
@@ -140,5 +189,7 @@ def print_verdict(summary: Json, console: Any) -> None:
         names = ", ".join(spoken(name) for name in summary["absorbed"])
         console.print(f"Hidden in the constants, neither accused nor acquitted: {names}.",
                       soft_wrap=True)  # fmt: skip
+    for option in summary.get("next_acquisitions", []):
+        console.print(f"Next, {option['name']}: {worth(option)}.", soft_wrap=True)
     for line in experiment_lines(summary):
         console.print(line, soft_wrap=True)

@@ -50,7 +50,7 @@ def plan(
 
     request = ask_plan(source, store or RUNS / "store", nodes)
     with stop_requests() as requests:
-        found = _planned(request, workers, scheduler, requests)
+        found = planned(request, workers, scheduler, requests)
     if found is None:
         raise interrupted()
     page = _write(found, out or RUNS / source.absolute().name / "plan.html")
@@ -63,7 +63,7 @@ def plan(
     typer.echo(f"page: {page}")
 
 
-def _planned(
+def planned(
     request: "PlanRequest", workers: int | None, scheduler: str | None, requests: list[int]
 ) -> Json | None:
     """The plan; None if somebody asked to stop."""

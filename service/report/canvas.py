@@ -25,6 +25,9 @@ GRID_EDGE = "#aab2bd"
 # Matplotlib reads these two settings from its global ones when it writes.
 _WRITING: Any = {"svg.fonttype": "none", "svg.hashsalt": "palpate"}
 _lock = threading.Lock()
+# Names of clips and markers are hashes of coordinates to the last bit, which the layout does
+# not always repeat.
+_NAMED = re.compile(r'\bid="([a-z][0-9a-f]{10})"')
 _FONT_LIST = re.compile(r"'DejaVu Sans'(?:, (?:'[^']*'|[\w-]+))*")
 
 
@@ -66,7 +69,10 @@ def svg(drawn: Figure) -> str:
     buffer = io.StringIO()
     with _lock, mpl.rc_context(_WRITING):
         drawn.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return _FONT_LIST.sub(FONTS, buffer.getvalue())
+    text = buffer.getvalue()
+    for n, name in enumerate(dict.fromkeys(_NAMED.findall(text))):
+        text = text.replace(name, f"{name[0]}{n}")
+    return _FONT_LIST.sub(FONTS, text)
 
 
 def data_uri(drawn: Figure) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from service.diagnosis.advice import undecided, worth
 from service.diagnosis.run import Found
 from service.diagnosis.words import (
     NOT_EFFECTS,
@@ -62,6 +63,7 @@ def context(found: Found) -> Json:
         "constants": tables.constants(told["constants"]),
         "effects": tables.effects(told["effects"], told["absorbed"]),
         "advice": _advice(told),
+        "further": [(o["name"], worth(o)) for o in told.get("next_acquisitions", [])],
         "markers": experiment.markers(told),
         "states": experiment.states(told),
         "hidden": experiment.hidden(told),
@@ -98,7 +100,7 @@ def _lead(told: Json) -> str:
 
 def _advice(told: Json) -> str:
     """What to do where the data do not decide."""
-    if told["verdict"] != "cannot-be-told-apart" or "markers" in told:
+    if not undecided(told) or "markers" in told or told.get("next_acquisitions"):
         return ""
     return (
         "These scans do not decide. “palpate plan”, given the same folder, says which further "

@@ -56,15 +56,14 @@ def worth(option: Mapping[str, Any]) -> str:
     --------
     >>> option = {"separates": [["gravity_change", "fibre_fan"]], "reveals": []}
     >>> worth(option | {"minimum_ratio": 0.62})
-    'tells gravity change from fibre fan; the rest is found from 0.62 times its magnitude now'
+    'tells gravity change from fibre fan; the smallest magnitudes found become 0.62 times as large'
     """
     pairs = [f"{spoken(a)} from {spoken(b)}" for a, b in option["separates"]]
     said = [f"tells {listed(pairs)}"] if pairs else []
     if option["reveals"]:
         said.append(f"brings {together(option['reveals'])} to light")
-    ratio = option["minimum_ratio"]
     said.append(
-        f"{'the rest' if said else 'all'} is found from {ratio:.2f} times its magnitude now"
+        f"the smallest magnitudes found become {option['minimum_ratio']:.2f} times as large"
     )
     return "; ".join(said)
 

@@ -30,6 +30,8 @@ from workers.effects.catalogue import NOT_SIMULATED
 Json = dict[str, Any]
 # Causes in the chart besides those of the 90 % set.
 CAUSES = 8
+# A family is worth a sentence if it is more probable than not.
+LIKELY = 0.5
 
 
 def render(found: Found) -> str:
@@ -192,7 +194,7 @@ def _about_causes(told: Json) -> str:
     else:
         held = f"90 % of the probability is held by {together(told['set90'])}"
     sentences = [f"{held[0].upper()}{held[1:]}."]
-    if len(named) > 1:
+    if len(named) > 1 and max(told["families"].values()) > LIKELY:
         families = sorted(told["families"].items(), key=lambda item: -item[1])
         sentences.append(
             f"The most probable family is {families[0][0]} ({likely(families[0][1])})."

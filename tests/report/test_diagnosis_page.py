@@ -126,6 +126,12 @@ def test_the_set_of_several_causes_names_their_family() -> None:
     assert "The most probable family is plate geometry (> 99 %)." in text
 
 
+def test_a_family_that_is_improbable_is_not_mentioned() -> None:
+    told = VERDICTS["not told apart"]
+    faint = dict.fromkeys(told["families"], 0.06)
+    assert "most probable family" not in Page(render(found(told | {"families": faint}))).text
+
+
 def test_warnings() -> None:
     refits = [summary()["refits"][0] | {"converged": False}]
     assert "The refit of plate flex did not converge" in render(found(summary(refits=refits)))

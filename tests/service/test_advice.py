@@ -41,10 +41,10 @@ def test_what_decides_between_the_suspects_comes_first() -> None:
     assert found[0]["separates"] == [["fibre_fan", "plate_tilt"]]
     assert found[1]["reveals"] == ["plate_force"]
     assert worth(found[0]) == (
-        "tells fibre fan from plate tilt; the rest is found from 0.90 times its magnitude now"
+        "tells fibre fan from plate tilt; the smallest magnitudes found become 0.90 times as large"
     )
     assert worth(found[1]).startswith("brings plate force to light")
-    assert worth(found[2]) == "all is found from 0.90 times its magnitude now"
+    assert worth(found[2]) == "the smallest magnitudes found become 0.90 times as large"
     assert undecided(TOLD)
     assert not undecided(TOLD | {"verdict": "effect"})
 

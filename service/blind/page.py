@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
 from service.blind import figures as charts
 from service.blind.confusion import confusion
 from service.blind.probability import calibration_curve
@@ -16,11 +14,11 @@ from service.blind.statistics import Estimate
 from service.blind.truth import GROUPS
 from service.blind.words import answered, asked_for, interval, limit, millimetres, shown
 from service.report.pictures import Picture, picture
+from service.report.template import filled
 from service.versions import palpate_version
 
 Json = dict[str, Any]
 Pairs = list[tuple[float, float]]
-REPORT = Path(__file__).parents[1] / "report"
 
 
 @dataclass(frozen=True)
@@ -47,14 +45,7 @@ class Scored:
 
 def render(scored: Scored) -> str:
     """The page as text; an equal score gives the same bytes."""
-    environment = Environment(
-        loader=FileSystemLoader([Path(__file__).parent, REPORT]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("blind.html.j2").render(context(scored))
+    return filled("blind.html.j2", context(scored), Path(__file__).parent)
 
 
 def context(scored: Scored) -> Json:

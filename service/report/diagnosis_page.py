@@ -2,10 +2,7 @@
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
-
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from service.diagnosis.advice import undecided, worth
 from service.diagnosis.run import Found
@@ -23,6 +20,7 @@ from service.report import diagnosis_where as where
 from service.report.diagnosis_figures import Cause, Evidence, Judged, evidence, gaps, probabilities
 from service.report.diagnosis_slices import overlay_legend
 from service.report.pictures import Picture, picture
+from service.report.template import filled
 from service.versions import palpate_version
 from storage.plain import to_plain
 from workers.effects.catalogue import NOT_SIMULATED
@@ -36,14 +34,7 @@ LIKELY = 0.5
 
 def render(found: Found) -> str:
     """The page as text; an equal diagnosis gives the same bytes."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("diagnosis.html.j2").render(context(found))
+    return filled("diagnosis.html.j2", context(found))
 
 
 def context(found: Found) -> Json:

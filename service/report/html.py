@@ -1,12 +1,10 @@
 """Writes the page: one file, which needs no other."""
 
 from pathlib import Path
-from typing import Any
-
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from service.report.context import context
 from service.report.evidence import Evidence, gather
+from service.report.template import filled
 from storage.atomic import write_file
 from storage.layout import StudyLayout
 
@@ -39,12 +37,4 @@ def write_report(study_dir: Path) -> Path:
 
 def render(evidence: Evidence) -> str:
     """The page as text; equal evidence gives the same bytes."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    values: dict[str, Any] = context(evidence)
-    return environment.get_template("report.html.j2").render(values)
+    return filled("report.html.j2", context(evidence))

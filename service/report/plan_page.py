@@ -3,10 +3,7 @@
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
-
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from service.diagnosis.plan_words import (
     DIGITS,
@@ -21,6 +18,7 @@ from service.diagnosis.plan_words import (
 from service.diagnosis.words import spoken, together
 from service.report.pictures import Picture, picture
 from service.report.plan_figures import alikeness, gains
+from service.report.template import filled
 from service.report.words import NONE, number
 from service.versions import palpate_version
 from storage.plain import to_plain
@@ -56,14 +54,7 @@ class GainRow:
 
 def render(plan: Json) -> str:
     """The page as text; an equal plan gives the same bytes."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("plan.html.j2").render(context(plan))
+    return filled("plan.html.j2", context(plan))
 
 
 def context(plan: Json) -> Json:

@@ -1,0 +1,30 @@
+"""A page from its template: one file, which needs no other."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+HERE = Path(__file__).parent
+
+
+def filled(template: str, values: Mapping[str, Any], folder: Path = HERE) -> str:
+    """The page as text; equal values give the same bytes.
+
+    Parameters
+    ----------
+    template : str
+        Name of the file in `folder`; what it includes may also lie here.
+    values : mapping of str to Any
+        Every name that the template asks for.
+    folder : Path
+    """
+    environment = Environment(
+        loader=FileSystemLoader([folder, HERE]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(values)

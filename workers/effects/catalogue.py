@@ -60,7 +60,8 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
     ),
     (
         "swelling",
-        "a change of volume between the scans has no parameter; smooth misfit is found instead",
+        "a change of volume between the scans has no parameter; a smooth misfit is found "
+        "instead, or, of a gland that grew evenly, one that is drawn too large",
     ),
     (
         "uneven chest wall",

@@ -12,7 +12,7 @@ from workers.casebook import FINER, ROOMS
 from workers.cases.build import NODES, POINT_SPACING_MM
 from workers.diagnosis.detectability import HIDDEN, SUNK
 from workers.diagnosis.diagnosis import FALSE_ALARMS, LEAST_ALARM, NULL_DRAWS
-from workers.diagnosis.hypotheses import PriorOdds
+from workers.diagnosis.hypotheses import FORM, PriorOdds
 from workers.diagnosis.verdict import CREDIBLE, EXPLAINED
 from workers.effects.base import Effect
 from workers.effects.catalogue import BREAST_EFFECTS
@@ -52,6 +52,7 @@ def frozen(nodes: int = NODES) -> Json:
                 "sunk": SUNK,
                 "explained": EXPLAINED,
                 "credible": CREDIBLE,
+                "form": FORM,
             },
             "mesh": {"nodes": nodes, "finer": FINER, "point_spacing_mm": POINT_SPACING_MM},
         },

@@ -16,7 +16,7 @@ from linear_world import (
 
 from storage.errors import InputError
 from workers.diagnosis.evidence import log_evidence
-from workers.diagnosis.hypotheses import Hypothesis, PriorOdds, probabilities
+from workers.diagnosis.hypotheses import FORM, Hypothesis, PriorOdds, probabilities, tempered
 from workers.diagnosis.joint import JointEvidence
 from workers.diagnosis.screen import screen
 from workers.diagnosis.verdict import verdict
@@ -83,6 +83,29 @@ def test_two_effects_that_cannot_be_told_apart():
     assert found.set90 == ("a", "c")
     assert found.family is None
     assert found.probabilities["a"] == pytest.approx(1 / (1 + np.exp(-0.3)), abs=1e-3)
+
+
+def test_of_two_that_explain_much_one_does_not_win_by_little():
+    """Six nats decide among 20, not among 120: no real effect has just the listed form."""
+    quiet = weigh(Hypothesis(("a",), -80.0), Hypothesis(("c",), -86.0))
+    assert quiet.kind == "effect"
+    loud = weigh(Hypothesis(("a",), 22.0, -1.0), Hypothesis(("c",), 16.0))
+    assert loud.kind == "cannot-be-told-apart"
+    assert loud.set90 == ("a", "c")
+    assert 0.7 < loud.probabilities["a"] < 0.85
+    assert loud.alarm == pytest.approx(122.0)
+    apart = weigh(Hypothesis(("a",), 22.0), Hypothesis(("c",), 5.0))
+    assert apart.kind == "effect"
+
+
+def test_only_single_effects_are_tempered():
+    nothing, pair = Hypothesis((), -100.0, 30.0), Hypothesis(("a", "c"), 30.0, 1.0)
+    best, other = Hypothesis(("a",), 100.0, -2.0), Hypothesis(("c",), 10.0, 50.0)
+    found = tempered([nothing, best, other, pair])
+    assert [found[i] for i in (0, 1, 3)] == [nothing, best, pair]
+    assert found[2].best == pytest.approx(100.0 - 40.0 / (FORM * 200.0))
+    assert found[2].discrepancy_gain == 50.0
+    assert tempered([nothing]) == [nothing]
 
 
 def test_relatives_that_cannot_be_told_apart_share_a_family():
@@ -164,10 +187,11 @@ def test_wrong_input_is_named():
 # --- the whole chain in the linear world --------------------------------------------------
 
 
+# The effects of these problems have just the form that is listed.
 def diagnose(problem, fingerprints, threshold=3.0):
     joint = JointEvidence(problem, fingerprints, smooth_field())
     hiding = {f.name for f in screen(problem, fingerprints) if f.hides}
-    return verdict(joint.hypotheses(), families(fingerprints), threshold, hiding)
+    return verdict(joint.hypotheses(), families(fingerprints), threshold, hiding, form=0.0)
 
 
 def test_joint_evidence_is_that_of_each_fit():
@@ -250,7 +274,7 @@ def drawn_cases():
             signal = signal + field_draw(60, rng)
         problem = observed(nominal_problem(), rng, signal)
         joint = JointEvidence(problem, fingerprints, smooth_field())
-        found = verdict(joint.hypotheses(partners=5), families(fingerprints), 0.0)
+        found = verdict(joint.hypotheses(partners=5), families(fingerprints), 0.0, form=0.0)
         cases.append((kind, [fingerprints[i].name for i in acting], found))
     return cases
 

@@ -15,7 +15,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 from storage.errors import InputError
-from workers.diagnosis.hypotheses import Case, Hypothesis, PriorOdds, alarm, probabilities
+from workers.diagnosis.hypotheses import (
+    FORM,
+    Case,
+    Hypothesis,
+    PriorOdds,
+    alarm,
+    probabilities,
+    tempered,
+)
 
 Kind = Literal["no-gap", "effect", "cannot-be-told-apart", "none-of-these"]
 
@@ -77,6 +85,7 @@ def verdict(
     threshold: float,
     hiding: Collection[str] = (),
     odds: PriorOdds | None = None,
+    form: float = FORM,
 ) -> Verdict:
     """Weigh the hypotheses.
 
@@ -91,6 +100,8 @@ def verdict(
     hiding : collection of str
         Effects that the nominal parameters hide.
     odds : PriorOdds, optional
+    form : float
+        See `workers.diagnosis.hypotheses.tempered`.
 
     Raises
     ------
@@ -102,7 +113,7 @@ def verdict(
     hidden = tuple(name for name in families if name in hiding)
     open_ones = [h for h in hypotheses if not set(h.effects) & set(hidden)]
     effects = [name for name in families if name not in hidden]
-    cases = probabilities(open_ones, len(effects), odds)
+    cases = probabilities(tempered(open_ones, form), len(effects), odds)
     acting = {name: sum(p for (who, _), p in cases.items() if name in who) for name in effects}
     causes = _causes(cases, acting)
     credible = _credible(causes)

@@ -19,13 +19,14 @@ from workers.fem.model import prepare
 from workers.mesh.hierarchy import build_hierarchy
 
 CASES = Path(__file__).parents[3] / "shared" / "reference" / "gap-open"
-# What each kind of truth should be called. Gravity acts along the fibres there and moves
-# nothing by more than 0.02 mm.
+# What each kind of truth should be called, the suspects in any order. Gravity acts along the
+# fibres there and moves nothing by more than 0.02 mm. Friction of their law and skin look alike
+# along one direction: 116 and 122 nats.
 CALLED = {
     "control": [],
     "gravity": [],
     "tilt": ["plate_tilt"],
-    "friction": ["plate_friction"],
+    "friction": ["plate_friction", "skin_added"],
     "inclusion": ["inclusion"],
 }
 
@@ -47,8 +48,11 @@ def test_the_cause_is_named(name: str) -> None:
     told = summary(found, list(BREAST_EFFECTS), name)
     truth = json.loads((CASES / name / "truth.json").read_text())
     wanted = CALLED[truth["spec"]["kind"]]
-    assert told["verdict"] == ("effect" if wanted else "no-gap")
-    assert told["primary"] == wanted
+    verdicts = ("no-gap", "effect", "cannot-be-told-apart")
+    assert told["verdict"] == verdicts[len(wanted)]
+    if wanted:
+        assert sorted(told["set90"]) == wanted
+        assert told["primary"][0] in wanted
     if truth["spec"]["kind"] == "tilt":
         tilt = next(e for e in told["effects"] if e["name"] == "plate_tilt")
         assert tilt["magnitude"] == pytest.approx(truth["spec"]["tilt_x"], abs=3 * tilt["sd"])

@@ -50,7 +50,7 @@ FALSE_ALARMS = 0.02
 NULL_DRAWS = 400
 # No alarm below this, in nats, by the directions in which a body was pressed: one, or more.
 # Linear replicates say some 3. The bodies of another solver know better; see docs/blind.md.
-LEAST_ALARM = MappingProxyType({1: 11.0, 2: 5.0})
+LEAST_ALARM = MappingProxyType({1: 11.0, 2: 7.0})
 
 RefitMany = Callable[[Sequence[tuple[Effect, ...]]], Iterable[Refit | None]]
 

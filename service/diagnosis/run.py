@@ -18,12 +18,15 @@ from storage.stores import open_store
 from workers import examine
 from workers.casebook import Casebook, Request, named
 from workers.cases.build import NODES, POINT_SPACING_MM
+from workers.effects.friction import FRICTION
 from workers.effects.inclusion import INCLUSION
 from workers.sources import open_source
 
 Json = dict[str, Any]
 # With more loaded scans than these, points are sparser: about as many residuals in all.
 SCANS = 2
+# What takes longest comes first, so that nobody waits for it at the end.
+LONG = {FRICTION.name, INCLUSION.name}
 Tell = Callable[[str, int, int, Json], None]
 """Told of each step: the phase, how many of its tasks are done and how many there are, and
 what the last one said (empty when the phase begins)."""
@@ -120,13 +123,14 @@ def run(request: Request, dispatcher: Dispatcher, tell: Tell) -> Found:
     one = _Run(request, dispatcher, tell)
     calibrated = one.phase("calibration", examine.calibrate_case, [()])[0]
     scans = range(calibrated["scans"])
-    longest_first = sorted(request["effects"], key=lambda name: name != INCLUSION.name)
-    one.phase("effects", examine.print_effect, [(e, s) for e in longest_first for s in scans])
+    effects = sorted(request["effects"], key=lambda name: name not in LONG)
+    one.phase("effects", examine.print_effect, [(e, s) for e in effects for s in scans])
     while True:
         told = one.phase("weighing", examine.weigh_case, [()])[0]
         if not told["wanted"]:
             break
-        one.phase("refits", examine.refit_effects, [(names,) for names in told["wanted"]])
+        wanted = sorted(told["wanted"], key=LONG.isdisjoint)
+        one.phase("refits", examine.refit_effects, [(names,) for names in wanted])
     found = finished(request)
     if found is None:
         raise TaskError(

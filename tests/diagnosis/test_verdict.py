@@ -188,10 +188,10 @@ def test_wrong_input_is_named():
 
 
 # The effects of these problems have just the form that is listed.
-def diagnose(problem, fingerprints, threshold=3.0):
+def diagnose(problem, fingerprints, threshold=3.0, form=0.0):
     joint = JointEvidence(problem, fingerprints, smooth_field())
     hiding = {f.name for f in screen(problem, fingerprints) if f.hides}
-    return verdict(joint.hypotheses(), families(fingerprints), threshold, hiding, form=0.0)
+    return verdict(joint.hypotheses(), families(fingerprints), threshold, hiding, form=form)
 
 
 def test_joint_evidence_is_that_of_each_fit():
@@ -214,9 +214,13 @@ def test_joint_evidence_is_that_of_each_fit():
 def test_each_strong_effect_is_named(index):
     fingerprint = catalogue()[index]
     signal = -fingerprint.places[-1] @ (2.0 * fingerprint.prior_sd)
-    found = diagnose(observed(nominal_problem(), np.random.default_rng(52), signal), catalogue())
+    problem = observed(nominal_problem(), np.random.default_rng(52), signal)
+    found = diagnose(problem, catalogue())
     assert found.kind == "effect"
     assert found.primary == (fingerprint.name,)
+    said = diagnose(problem, catalogue(), form=FORM)
+    assert said.kind in ("effect", "cannot-be-told-apart")
+    assert said.primary == (fingerprint.name,)
 
 
 def test_a_pair_is_found():

@@ -61,8 +61,13 @@ def diagnose(
     Ctrl-C stops it at any time; the same command continues it.
     """
     from service.diagnosis.run import ask
+    from storage.errors import InputError
     from workers.sources import open_source
 
+    if plan and source.is_file():
+        raise InputError(
+            f"{source} is a bench experiment, and --plan knows further scans only. Leave it out."
+        )
     open_source(source).check()
     request = ask(source, store or RUNS / "store", nodes)
     with stop_requests() as requests:
@@ -111,12 +116,10 @@ def _found(
 
 
 def _to_be_planned(found: "Found", source: Path, wanted: bool | None) -> bool:
-    """Whether more measurements are to be tried; a bench experiment has none."""
+    """Whether more measurements are to be tried; for a bench experiment there are none."""
     from service.diagnosis.advice import undecided
 
-    if source.is_file():
-        return False
-    return undecided(found.summary) if wanted is None else wanted
+    return (undecided(found.summary) and source.is_dir()) if wanted is None else wanted
 
 
 def _with_plan(

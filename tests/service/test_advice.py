@@ -1,14 +1,12 @@
 """What to measure next: ranked by hand, and from a small cluster by the command."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from compressed_breast import write_case
 
-from service import cluster as cluster_module
 from service.cli import main
 from service.diagnosis.advice import next_acquisitions, undecided, worth
 from storage.errors import InputError
@@ -63,15 +61,6 @@ def command(folder: Path) -> list[str]:
     return ["diagnose", str(folder / "small"), "--nodes", NODES, *where]
 
 
-@pytest.fixture
-def no_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    def refuse(*arguments: Any) -> None:
-        raise AssertionError("a cluster was opened")
-
-    monkeypatch.setattr(cluster_module, "open_cluster", refuse)
-    return
-
-
 def test_the_command_says_what_to_measure_next(
     runs: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -92,6 +81,16 @@ def test_without_a_plan_nothing_is_said_of_it(
 ) -> None:
     assert main([*command(runs), "--no-plan", "--json"]) == 0
     assert "next_acquisitions" not in json.loads(capsys.readouterr().out)
+
+
+def test_the_bench_has_no_plan(
+    tmp_path: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "beam.yaml").write_text("organ: specimen\n")
+    assert main(["diagnose", str(tmp_path / "beam.yaml"), "--plan"]) == 2
+    said = capsys.readouterr()
+    assert "is a bench experiment" in said.err
+    assert (said.err.count("\n"), said.out) == (1, "")
 
 
 def test_a_plan_that_fails_takes_no_diagnosis_with_it(

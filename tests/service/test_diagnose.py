@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from compressed_breast import SCANS, TRUE_MPA, write_case, write_scan
 
-from service import cluster as cluster_module
 from service.cli import main
 from service.cluster import open_cluster
 from service.diagnosis.run import Found, ask, finished, run
@@ -323,15 +322,6 @@ def test_sides_that_are_alike_are_no_mirror_image(copied: Path) -> None:
 
 
 # The command
-
-
-@pytest.fixture
-def no_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    def refuse(*arguments: Any) -> None:
-        raise AssertionError("a cluster was opened")
-
-    monkeypatch.setattr(cluster_module, "open_cluster", refuse)
-    return
 
 
 def test_the_command_refuses_before_it_opens_a_cluster(

@@ -1,7 +1,6 @@
 """`palpate plan`: a case without loaded scans on a small cluster, its record, words and page."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,6 @@ import pytest
 from meant_case import at_force, write_meant
 from pages import Page
 
-from service import cluster as cluster_module
 from service.cli import main
 from service.diagnosis import plan_words as words
 from service.report.plan_page import render
@@ -44,15 +42,6 @@ def _again(runs: Path) -> Json:
     found = stored_plan(ask_plan(runs / "meant", runs / "store", 600))
     assert found is not None
     return found
-
-
-@pytest.fixture
-def no_cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    def refuse(*arguments: Any) -> None:
-        raise AssertionError("a cluster was opened")
-
-    monkeypatch.setattr(cluster_module, "open_cluster", refuse)
-    return
 
 
 def test_the_record_says_what_can_be_told(record: Json) -> None:

@@ -15,6 +15,7 @@ from service.blind.probability import brier, brier_of_base_rates
 from service.blind.records import CaseRecord
 from service.blind.statistics import Estimate, correlation, mean, median, share
 from workers.diagnosis.verdict import NONE_OF_THESE
+from workers.effects.inclusion import INCLUSION
 
 Unit = Literal["share", "mm", "number"]
 VISIBLE = 1.5
@@ -210,8 +211,13 @@ def _gaps(records: Records) -> Iterable[Figure]:
 
 
 def _sizes(records: Records) -> Iterable[Figure]:
-    lumps = [r.lump_apart_mm for r in records if r.lump_apart_mm is not None]
-    yield _figure("lump", "Found centre of a lump to the true one", mean(lumps), "mm", at_most=3.0)
+    lumps = [(r.lump_apart_mm, INCLUSION.name in r.primary) for r in records]
+    named = [mm for mm, accused in lumps if accused and mm is not None]
+    other = [mm for mm, accused in lumps if not accused and mm is not None]
+    yield _figure("lump", "A lump is named: its found centre to the true one", mean(named), "mm",
+                  at_most=3.0)  # fmt: skip
+    yield _figure("lump_unnamed", "A lump is not named: its likeliest centre to the true one",
+                  mean(other), "mm")  # fmt: skip
     sizes = [m for r in records if r.right_first for m in r.magnitudes]
     off = [abs(m.found - m.true) / m.sd for m in sizes if m.sd > 0]
     yield _figure("magnitude_sds", "Error of a magnitude in its standard deviations", median(off),

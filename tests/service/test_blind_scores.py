@@ -193,9 +193,15 @@ def test_sizes_count_where_the_cause_is_right() -> None:
     assert value(found, "magnitude_sds") == (1.5, 2)
     assert value(found, "magnitude_within") == (1.0, 2)
     assert value(found, "magnitude_part") == (0.25, 1)
-    near = scored(record(lump_apart_mm=2.0), record(lump_apart_mm=5.0))
+    lump = {"effects": ("inclusion",), "primary": ("inclusion",)}
+    near = scored(
+        record(lump_apart_mm=2.0, **lump),
+        record(lump_apart_mm=5.0, **lump),
+        record(lump_apart_mm=20.0, answer="no-gap", primary=()),
+    )
     assert value(near, "lump") == (3.5, 2)
     assert near["lump"].met is False
+    assert value(near, "lump_unnamed") == (20.0, 1)
 
 
 def test_baselines_accuse_somebody_every_time() -> None:

@@ -20,7 +20,7 @@ import queue
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal
 from uuid import uuid4
@@ -200,6 +200,18 @@ class Dispatcher:
                 self._release(ask)
         finally:
             for ask in in_flight.values():
+                self._release(ask)
+
+    @contextmanager
+    def meanwhile(self, task: Task, asks: Iterable[tuple[Any, tuple[Any, ...]]]) -> Iterator[None]:
+        """Run tasks beside others; nobody waits for them or hears how they end."""
+        sent = [_Ask(*asked) for asked in asks]
+        try:
+            for ask in sent:
+                self._send(task, ask, queue.SimpleQueue())
+            yield
+        finally:
+            for ask in sent:
                 self._release(ask)
 
     def _send(self, task: Task, ask: _Ask, arrived: "queue.SimpleQueue[_Ask]") -> None:

@@ -2,6 +2,7 @@
 
 ::
 
+    build_case         a case               > nothing: this process has its meshes and maps
     calibrate_case     a case               > constants, points and noise in the store
     print_effect       one effect, one scan > what it would do to the residuals
     refit_effects      one effect or a pair > the most probable constants and magnitudes
@@ -40,6 +41,17 @@ from workers.effects.base import Effect
 from workers.observation.interface import InterfacePoints
 
 Record = dict[str, Any]
+
+
+def build_case(request: Request) -> Record:
+    """Make what every task of a case needs, while another process calibrates it.
+
+    Returns
+    -------
+    dict
+        ``points``, how many the interfaces carry.
+    """
+    return {"points": len(Casebook(request).built.points)}
 
 
 def calibrate_case(request: Request) -> Record:

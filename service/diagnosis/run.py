@@ -121,7 +121,9 @@ def run(request: Request, dispatcher: Dispatcher, tell: Tell) -> Found:
         If the dispatcher is told to stop.
     """
     one = _Run(request, dispatcher, tell)
-    calibrated = one.phase("calibration", examine.calibrate_case, [()])[0]
+    others = max(0, dispatcher.threads - 1) if not Casebook(request).has("calibration") else 0
+    with dispatcher.meanwhile(examine.build_case, [(n, (request,)) for n in range(others)]):
+        calibrated = one.phase("calibration", examine.calibrate_case, [()])[0]
     scans = range(calibrated["scans"])
     effects = sorted(request["effects"], key=lambda name: name not in LONG)
     one.phase("effects", examine.print_effect, [(e, s) for e in effects for s in scans])

@@ -3,6 +3,8 @@
 import os
 import signal
 import socket
+import time
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,6 +25,14 @@ def fail(message: str) -> dict[str, Any]:
     raise InputError(message) if message else ZeroDivisionError("no message")
 
 
+def meet(folder: str, own: str, other: str) -> dict[str, Any]:
+    (Path(folder) / own).touch()
+    end = time.monotonic() + 30.0
+    while not (met := (Path(folder) / other).exists()) and time.monotonic() < end:
+        time.sleep(0.02)
+    return {"met": met}
+
+
 def test_a_local_cluster() -> None:
     with open_cluster(workers=1) as cluster:
         assert cluster.local
@@ -41,6 +51,16 @@ def test_a_local_cluster() -> None:
             dispatcher.call(fail, "")
     with pytest.raises(ClusterError, match="run the study again"):
         Dispatcher(cluster.client).call(signals_of_process)
+
+
+def test_what_runs_beside_others_is_not_waited_for(tmp_path: Path) -> None:
+    here = str(tmp_path)
+    with open_cluster(workers=2) as cluster:
+        dispatcher = Dispatcher(cluster.client)
+        with dispatcher.meanwhile(meet, [("beside", (here, "beside", "awaited"))]):
+            assert dispatcher.call(meet, here, "awaited", "beside")["met"]
+        with dispatcher.meanwhile(fail, [("beside", ("",))]):  # how it ends is not heard
+            assert dispatcher.call(signals_of_process)
 
 
 def test_a_worker_that_dask_has_given_up_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:

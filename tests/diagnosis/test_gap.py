@@ -7,7 +7,8 @@ import pytest
 from linear_world import catalogue, layout, mode, nominal_problem, observed
 
 from storage.errors import InputError
-from workers.diagnosis.gap import LinearFit, gap, pooled
+from workers.diagnosis import shrinkage as shrinkages
+from workers.diagnosis.gap import FLOOR_RANGE, LinearFit, gap, pooled
 from workers.diagnosis.shrinkage import shrinkage, unseen_shrinkage
 
 STATE = layout(60)[2]
@@ -136,7 +137,9 @@ def test_floor_is_added_in_quadrature():
     fit = LinearFit(observed(nominal_problem(), np.random.default_rng(38), known_gap()))
     plain, raised = gap(fit), gap(fit, floor_mm=0.08)
     assert raised.gap_mm == pytest.approx(np.hypot(plain.gap_mm, 0.08))
-    assert raised.high_mm == pytest.approx(np.hypot(plain.high_mm, 0.08))
+    least, most = FLOOR_RANGE
+    assert raised.low_mm == pytest.approx(np.hypot(plain.low_mm, least * 0.08))
+    assert raised.high_mm == pytest.approx(np.hypot(plain.high_mm, most * 0.08))
 
 
 def both(rng, size=1.0):
@@ -219,6 +222,16 @@ def test_unseen_shrinkage_pools_what_single_states_say():
     less = np.mean([p.before.excess_mm2 - p.after.excess_mm2 for p in parts])
     assert whole.before.excess_mm2 - whole.after.excess_mm2 == pytest.approx(less, rel=1e-10)
     assert whole.share == pytest.approx(less / whole.before.excess_mm2, rel=1e-10)
+
+
+def test_a_floor_that_is_not_known_exactly_widens_the_interval_of_the_share(monkeypatch):
+    nominal, effect = both(np.random.default_rng(44))
+    loose = shrinkage(nominal, effect, 7, floor_mm=0.15)
+    monkeypatch.setattr(shrinkages, "FLOOR_RANGE", (1.0, 1.0))
+    firm = shrinkage(nominal, effect, 7, floor_mm=0.15)
+    assert loose.share == firm.share
+    assert loose.low < firm.low
+    assert loose.high > firm.high
 
 
 def test_shrinkage_is_the_same_for_the_same_seed():

@@ -2,9 +2,9 @@ r"""How much of the gap an effect takes away: ``1 - G_with^2 / G_nominal^2``.
 
 The interval is a parametric bootstrap in the linearised model. Its truth is what the
 fits found: the systematic part of the residual with the effect, scaled to the size that
-its gap has, plus what the effect changed. Noise of covariance C is drawn around it, both
-models are fitted again, and the shares of all draws are ranked. It is a little wide for the
-share of one image, which moves along with its estimate.
+its gap has, plus what the effect changed. Noise of covariance C is drawn around it, and the
+floor from its range; both models are fitted again, and the shares of all draws are ranked.
+It is a little wide for the share of one image, which moves along with its estimate.
 
 Fitted to some states and judged by the others, the same number is the held-out share. With
 each state judged by a fit to the others, all of them are seen, and none by its own fit (the
@@ -19,10 +19,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
-from workers.diagnosis.gap import LEVEL, Gap, LinearFit, gap, pooled, raised
+from workers.diagnosis.gap import FLOOR_RANGE, LEVEL, Gap, LinearFit, gap, pooled, raised
 from workers.diagnosis.linear import Linearised
 
 DRAWS = 400
@@ -146,12 +147,12 @@ def _compared(
     if before.gap_mm == 0.0:
         return Shrinkage(float("nan"), float("nan"), float("nan"), before, after)
     means = _without_noise(nominal, effect)
-    noise = nominal.covariance_factor @ np.random.default_rng(seed).standard_normal(
-        (nominal.size, draws)
-    )
+    rng = np.random.default_rng(seed)
+    noise = nominal.covariance_factor @ rng.standard_normal((nominal.size, draws))
     drawn = [_excess(fits, mean, noise) for fits, mean in zip((without, along), means, strict=True)]
     lacking = np.maximum(0.0, -drawn[1])
-    shares = _share(*(_squared(excess + lacking, floor_mm) for excess in drawn))
+    floors = floor_mm * _parts_of_floor(rng, draws)
+    shares = _share(*(_squared(excess + lacking, floors) for excess in drawn))
     low, high = np.nanquantile(shares, [(1 - level) / 2, (1 + level) / 2])
     return Shrinkage(share, float(low), float(high), before, after)
 
@@ -176,7 +177,13 @@ def _excess(fits: Sequence[LinearFit], mean: FloatArray, noise: FloatArray) -> F
     return np.asarray(np.sum(sums, axis=0) / sum(len(fit.noise_mm2) for fit in fits))
 
 
-def _squared(excess_mm2: FloatArray | float, floor_mm: float) -> FloatArray:
+def _parts_of_floor(rng: np.random.Generator, draws: int) -> FloatArray:
+    """Log-normal, nine in ten within `FLOOR_RANGE`."""
+    ends = np.log(FLOOR_RANGE)
+    return np.asarray(np.exp(rng.normal(ends.mean(), np.ptp(ends) / 2 / ndtri(0.95), draws)))
+
+
+def _squared(excess_mm2: FloatArray | float, floor_mm: FloatArray | float) -> FloatArray:
     return np.maximum(excess_mm2, 0.0) + floor_mm**2
 
 

@@ -132,7 +132,7 @@ def _with_plan(
     """The diagnosis with what else could be measured; None if somebody asked to stop."""
     from dataclasses import replace
 
-    from service.commands.plan import planned
+    from service.commands.planning import planned
     from service.diagnosis.advice import next_acquisitions
     from service.diagnosis.foresee import NODES, ask_plan
     from storage.errors import PalpateError

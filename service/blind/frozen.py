@@ -12,8 +12,8 @@ from workers.casebook import FINER, ROOMS
 from workers.cases.build import NODES, POINT_SPACING_MM
 from workers.diagnosis.detectability import HIDDEN, SUNK
 from workers.diagnosis.diagnosis import FALSE_ALARMS, LEAST_ALARM, NULL_DRAWS
-from workers.diagnosis.hypotheses import FORM, PriorOdds
-from workers.diagnosis.verdict import CREDIBLE, EXPLAINED
+from workers.diagnosis.hypotheses import EXPLAINED, FORM, PriorOdds
+from workers.diagnosis.verdict import CREDIBLE
 from workers.effects.base import Effect
 from workers.effects.catalogue import BREAST_EFFECTS
 from workers.library import code_version

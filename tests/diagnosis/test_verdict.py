@@ -16,7 +16,14 @@ from linear_world import (
 
 from storage.errors import InputError
 from workers.diagnosis.evidence import log_evidence
-from workers.diagnosis.hypotheses import FORM, Hypothesis, PriorOdds, probabilities, tempered
+from workers.diagnosis.hypotheses import (
+    EXPLAINED,
+    FORM,
+    Hypothesis,
+    PriorOdds,
+    probabilities,
+    tempered,
+)
 from workers.diagnosis.joint import JointEvidence
 from workers.diagnosis.screen import screen
 from workers.diagnosis.verdict import verdict
@@ -103,9 +110,21 @@ def test_only_single_effects_are_tempered():
     best, other = Hypothesis(("a",), 100.0, -2.0), Hypothesis(("c",), 10.0, 50.0)
     found = tempered([nothing, best, other, pair])
     assert [found[i] for i in (0, 1, 3)] == [nothing, best, pair]
-    assert found[2].best == pytest.approx(100.0 - 40.0 / (FORM * 200.0))
-    assert found[2].discrepancy_gain == 50.0
+    most = 110.0 * (1 / EXPLAINED - 1)
+    assert found[2].best == pytest.approx(100.0 - (90.0 - most) / (FORM * 200.0))
+    assert found[2].discrepancy_gain == pytest.approx(most)
     assert tempered([nothing]) == [nothing]
+    assert tempered([nothing, best, other, pair], form=0.0) == [nothing, best, other, pair]
+
+
+def test_a_field_brings_no_effect_that_explains_nothing_close_to_the_best():
+    """Of a large gap a field on top of anything explains most; the best one by far has 1100."""
+    best, field = Hypothesis(("a",), 1000.0, 0.7), Hypothesis((), -100.0, 900.0)
+    others = [Hypothesis((name,), -100.0, 905.0) for name in "bcd"]
+    found = verdict([field, best, *others], FAMILIES, 6.0)
+    assert found.kind == "effect"
+    assert found.set90 == ("a",)
+    assert found.probabilities["a"] > 0.99
 
 
 def test_relatives_that_cannot_be_told_apart_share_a_family():

@@ -19,6 +19,9 @@ from storage.errors import InputError
 # By this part of what the best effect gains, the evidence of effects is uncertain: theirs is
 # not quite the form of the real ones.
 FORM = 0.04
+# Of what an effect and a field on top of it explain, the least part of an effect that acts. A
+# field that explains more does not mend its form, but is something else.
+EXPLAINED = 0.7
 
 Case = tuple[tuple[str, ...], bool]
 """The effects, and whether there is a smooth field too."""
@@ -100,27 +103,42 @@ def tempered(hypotheses: Sequence[Hypothesis], form: float = FORM) -> list[Hypot
 
     The likelihood of a model that is only nearly right is raised to a power below one
     (P. Gruenwald and T. van Ommen, Bayesian Anal. 12 (2017) 1069). Of two effects that explain
-    hundreds of nats, one does not win by six. Pairs, the smooth field and no gap stay.
+    hundreds of nats, one does not win by six. A field on top of an effect counts as far as the
+    effect still explains `EXPLAINED` of both: where a gap is large, the field would else
+    bring effects that do nothing close to the best one. Pairs, the smooth field and no gap stay.
 
     Parameters
     ----------
     hypotheses : sequence of Hypothesis
         The one without effects among them.
     form : float
-        Part of the best gain by which evidence is uncertain; 0 where forms are exact.
+        Part of the best gain by which evidence is uncertain; 0 where forms are exact, and
+        hypotheses stay as they are.
     """
-    singles = [h.best for h in hypotheses if len(h.effects) == 1]
-    if not singles:
+    if not form:
         return list(hypotheses)
-    top = max(singles)
     nothing = next(h for h in hypotheses if not h.effects)
+    mended = [_mended(h, nothing) if len(h.effects) == 1 else h for h in hypotheses]
+    singles = [h.best for h in mended if len(h.effects) == 1]
+    if not singles:
+        return mended
+    top = max(singles)
     blunt = max(1.0, form * (top - nothing.log_evidence))
 
     def moved(h: Hypothesis) -> Hypothesis:
         lift = (top - h.best) * (1.0 - 1.0 / blunt)
         return replace(h, log_evidence=h.log_evidence + lift)
 
-    return [moved(h) if len(h.effects) == 1 else h for h in hypotheses]
+    return [moved(h) if len(h.effects) == 1 else h for h in mended]
+
+
+def _mended(h: Hypothesis, nothing: Hypothesis) -> Hypothesis:
+    """With no more of a field than mends its form."""
+    if h.discrepancy_gain is None:
+        return h
+    own = max(0.0, h.log_evidence - nothing.log_evidence)
+    most = own * (1.0 / EXPLAINED - 1.0)
+    return replace(h, discrepancy_gain=min(h.discrepancy_gain, most))
 
 
 def probabilities(

@@ -16,6 +16,7 @@ from typing import Literal
 
 from storage.errors import InputError
 from workers.diagnosis.hypotheses import (
+    EXPLAINED,
     FORM,
     Case,
     Hypothesis,
@@ -28,7 +29,6 @@ from workers.diagnosis.hypotheses import (
 Kind = Literal["no-gap", "effect", "cannot-be-told-apart", "none-of-these"]
 
 NO_GAP, NONE_OF_THESE = "no-gap", "none-of-these"
-EXPLAINED = 0.7
 CREDIBLE = 0.9
 
 

@@ -1,11 +1,12 @@
 """The task that diagnoses a whole case in one process."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, cast
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
-from service.diagnosis.run import run
-from service.dispatch import Dispatcher, Ending
+from service.diagnosis.run import Asks, run
+from service.dispatch import Ending
 from workers.casebook import Request
 
 Record = dict[str, Any]
@@ -23,16 +24,20 @@ def diagnose_alone(request: Request) -> Record:
         ``seconds``.
     """
     begun = time.perf_counter()
-    run(request, cast(Dispatcher, InThisProcess()), lambda *_: None)
+    run(request, InThisProcess(), lambda *_: None)
     return {"seconds": time.perf_counter() - begun}
 
 
 class InThisProcess:
     """A dispatcher for one who is a worker himself."""
 
-    def run(
-        self, task: Callable[..., Record], asks: Iterable[tuple[Any, tuple[Any, ...]]]
-    ) -> Iterator[Ending]:
+    threads = 1
+
+    def run(self, task: Callable[..., Record], asks: Asks) -> Iterator[Ending]:
         """Run tasks one after the other; what they raise goes up unchanged."""
         for key, arguments in asks:
             yield Ending(key, "returned", task(*arguments))
+
+    def meanwhile(self, task: Callable[..., Record], asks: Asks) -> AbstractContextManager[None]:
+        """There is nobody else to run them."""
+        return nullcontext()

@@ -5,12 +5,13 @@ it depends on. Running a diagnosis and going on with an interrupted one are the 
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from service.dispatch import Dispatcher, Ending
+from service.dispatch import Ending
 from service.errors import ClusterError, TaskError
 from storage.arrays import Arrays
 from storage.errors import PalpateError
@@ -27,9 +28,24 @@ Json = dict[str, Any]
 SCANS = 2
 # What takes longest comes first, so that nobody waits for it at the end.
 LONG = {FRICTION.name, INCLUSION.name}
+Asks = Iterable[tuple[Any, tuple[Any, ...]]]
 Tell = Callable[[str, int, int, Json], None]
 """Told of each step: the phase, how many of its tasks are done and how many there are, and
 what the last one said (empty when the phase begins)."""
+
+
+class Workers(Protocol):
+    """Who does the work: a `service.dispatch.Dispatcher`, or one process alone."""
+
+    @property
+    def threads(self) -> int:
+        """Tasks that can run at once."""
+
+    def run(self, task: Callable[..., Json], asks: Asks) -> Iterator[Ending]:
+        """Run a task for each key and its arguments."""
+
+    def meanwhile(self, task: Callable[..., Json], asks: Asks) -> AbstractContextManager[None]:
+        """Run tasks beside others, for which nobody waits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +122,7 @@ def finished(request: Request) -> Found | None:
     return Found(summary, maps, list(book.source.scans))
 
 
-def run(request: Request, dispatcher: Dispatcher, tell: Tell) -> Found:
+def run(request: Request, workers: Workers, tell: Tell) -> Found:
     """Diagnose a case, from wherever it stands.
 
     Raises
@@ -120,9 +136,9 @@ def run(request: Request, dispatcher: Dispatcher, tell: Tell) -> Found:
     Interrupted
         If the dispatcher is told to stop.
     """
-    one = _Run(request, dispatcher, tell)
-    others = max(0, dispatcher.threads - 1) if not Casebook(request).has("calibration") else 0
-    with dispatcher.meanwhile(examine.build_case, [(n, (request,)) for n in range(others)]):
+    one = _Run(request, workers, tell)
+    others = max(0, workers.threads - 1) if not Casebook(request).has("calibration") else 0
+    with workers.meanwhile(examine.build_case, [(n, (request,)) for n in range(others)]):
         calibrated = one.phase("calibration", examine.calibrate_case, [()])[0]
     scans = range(calibrated["scans"])
     effects = sorted(request["effects"], key=lambda name: name not in LONG)
@@ -145,15 +161,15 @@ def run(request: Request, dispatcher: Dispatcher, tell: Tell) -> Found:
 class _Run:
     """Sends the tasks of one diagnosis."""
 
-    def __init__(self, request: Request, dispatcher: Dispatcher, tell: Tell) -> None:
-        self.request, self.dispatcher, self.tell = request, dispatcher, tell
+    def __init__(self, request: Request, workers: Workers, tell: Tell) -> None:
+        self.request, self.workers, self.tell = request, workers, tell
 
     def phase(self, name: str, task: Any, asked: list[tuple[Any, ...]]) -> list[Json]:
         """Run a task for each of `asked`; what they tell, in order of arrival."""
         self.tell(name, 0, len(asked), {})
         told: list[Json] = []
         asks = [(_named(which), (self.request, *which)) for which in asked]
-        for ending in self.dispatcher.run(task, asks):
+        for ending in self.workers.run(task, asks):
             told.append(_value(name, ending))
             self.tell(name, len(told), len(asked), {"asked": ending.key} | told[-1])
         return told

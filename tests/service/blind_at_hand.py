@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,12 @@ class Inline:
                 yield Ending(key, "returned", task(*arguments))
             except ArithmeticError as error:
                 yield Ending(key, "crashed", None, error, f"{type(error).__name__}: {error}")
+
+    @contextmanager
+    def meanwhile(
+        self, task: Callable[..., Any], asks: Iterable[tuple[Any, tuple[Any, ...]]]
+    ) -> Iterator[None]:
+        yield
 
 
 def make_set(root: Path, cases: int = 2, task: Any = small_case, **more: Any) -> BlindSet:

@@ -32,6 +32,8 @@ from storage.errors import PalpateError, StoreError
 
 Record = dict[str, Any]
 Task = Callable[..., Record]
+Asks = Iterable[tuple[Any, tuple[Any, ...]]]
+"""Keys, and the arguments of a task for each."""
 
 TICK_S = 0.25
 COUNT_EVERY_S = 1.0
@@ -136,7 +138,7 @@ class Dispatcher:
         (record,) = self.all(task, [(task.__name__, arguments)])
         return record
 
-    def all(self, task: Task, asks: Iterable[tuple[Any, tuple[Any, ...]]]) -> list[Record]:
+    def all(self, task: Task, asks: Asks) -> list[Record]:
         """Run tasks that must not fail; their records, in order of arrival.
 
         Raises
@@ -146,7 +148,7 @@ class Dispatcher:
         """
         return [_value(task, ending) for ending in self.run(task, asks)]
 
-    def run(self, task: Task, asks: Iterable[tuple[Any, tuple[Any, ...]]]) -> Iterator[Ending]:
+    def run(self, task: Task, asks: Asks) -> Iterator[Ending]:
         """Send tasks, yield their endings as they arrive.
 
         Parameters
@@ -203,7 +205,7 @@ class Dispatcher:
                 self._release(ask)
 
     @contextmanager
-    def meanwhile(self, task: Task, asks: Iterable[tuple[Any, tuple[Any, ...]]]) -> Iterator[None]:
+    def meanwhile(self, task: Task, asks: Asks) -> Iterator[None]:
         """Run tasks beside others; nobody waits for them or hears how they end."""
         sent = [_Ask(*asked) for asked in asks]
         try:

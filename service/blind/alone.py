@@ -1,12 +1,12 @@
 """The task that diagnoses a whole case in one process."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from service.diagnosis.run import Asks, run
-from service.dispatch import Ending
+from service.diagnosis.run import run
+from service.dispatch import Asks, Ending, Task
 from workers.casebook import Request
 
 Record = dict[str, Any]
@@ -33,11 +33,11 @@ class InThisProcess:
 
     threads = 1
 
-    def run(self, task: Callable[..., Record], asks: Asks) -> Iterator[Ending]:
+    def run(self, task: Task, asks: Asks) -> Iterator[Ending]:
         """Run tasks one after the other; what they raise goes up unchanged."""
         for key, arguments in asks:
             yield Ending(key, "returned", task(*arguments))
 
-    def meanwhile(self, task: Callable[..., Record], asks: Asks) -> AbstractContextManager[None]:
+    def meanwhile(self, task: Task, asks: Asks) -> AbstractContextManager[None]:
         """There is nobody else to run them."""
         return nullcontext()

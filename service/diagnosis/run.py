@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from service.dispatch import Ending
+from service.dispatch import Asks, Ending, Task
 from service.errors import ClusterError, TaskError
 from storage.arrays import Arrays
 from storage.errors import PalpateError
@@ -28,7 +28,6 @@ Json = dict[str, Any]
 SCANS = 2
 # What takes longest comes first, so that nobody waits for it at the end.
 LONG = {FRICTION.name, INCLUSION.name}
-Asks = Iterable[tuple[Any, tuple[Any, ...]]]
 Tell = Callable[[str, int, int, Json], None]
 """Told of each step: the phase, how many of its tasks are done and how many there are, and
 what the last one said (empty when the phase begins)."""
@@ -41,10 +40,10 @@ class Workers(Protocol):
     def threads(self) -> int:
         """Tasks that can run at once."""
 
-    def run(self, task: Callable[..., Json], asks: Asks) -> Iterator[Ending]:
+    def run(self, task: Task, asks: Asks) -> Iterator[Ending]:
         """Run a task for each key and its arguments."""
 
-    def meanwhile(self, task: Callable[..., Json], asks: Asks) -> AbstractContextManager[None]:
+    def meanwhile(self, task: Task, asks: Asks) -> AbstractContextManager[None]:
         """Run tasks beside others, for which nobody waits."""
 
 

@@ -1,7 +1,7 @@
 """Blind cases made by our own solver, for tests of what happens to them; and records by hand."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from service.blind.make import Asked, make, plan, seal, unmade
 from service.blind.making import publish
 from service.blind.records import CaseRecord
 from service.blind.sets import BlindSet, Truths
-from service.dispatch import Ending
+from service.dispatch import Asks, Ending, Task
 from workers.cases.build import INTERFACES, WALL_MARGIN_MM
 from workers.cases.case import ImagedCase
 from workers.effects.catalogue import with_effects
@@ -77,9 +77,7 @@ class Inline:
         self.threads = threads
         self.asked: list[str] = []
 
-    def run(
-        self, task: Callable[..., Any], asks: Iterable[tuple[Any, tuple[Any, ...]]]
-    ) -> Iterator[Ending]:
+    def run(self, task: Task, asks: Asks) -> Iterator[Ending]:
         for key, arguments in asks:
             self.asked.append(task.__name__)
             try:
@@ -88,9 +86,8 @@ class Inline:
                 yield Ending(key, "crashed", None, error, f"{type(error).__name__}: {error}")
 
     @contextmanager
-    def meanwhile(
-        self, task: Callable[..., Any], asks: Iterable[tuple[Any, tuple[Any, ...]]]
-    ) -> Iterator[None]:
+    def meanwhile(self, task: Task, asks: Asks) -> Iterator[None]:
+        self.asked += [task.__name__ for _ in asks]
         yield
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blind_at_hand import Inline
 from compressed_breast import SCANS, TRUE_MPA, write_case, write_scan
 
 from service.cli import main
@@ -175,6 +176,20 @@ def test_an_interrupted_diagnosis_goes_on(
     assert len(done) == 1 + 2 * len(SUSPECTS) + 1  # calibration, prints and threshold
     assert run(request, one_worker, unheard).summary == diagnosed[1].summary
     assert made(request).items() >= done.items()
+
+
+def test_others_build_while_one_calibrates(tilted: Path, tmp_path: Path) -> None:
+    """But only where the store has no calibration yet."""
+
+    def until_effects(phase: str, *step: Any) -> None:
+        if phase == "effects":
+            raise Interrupted
+
+    request, workers = asked(tilted, tmp_path / "store"), Inline(threads=3)
+    for _ in range(2):
+        with pytest.raises(Interrupted):
+            run(request, workers, until_effects)
+    assert workers.asked == ["build_case", "build_case", "calibrate_case", "calibrate_case"]
 
 
 def test_what_is_missing_is_made_again_and_nothing_else(

@@ -14,6 +14,7 @@ COPY README.md LICENSE ./
 COPY storage/ storage/
 COPY workers/ workers/
 COPY service/ service/
+COPY palpate/ palpate/
 RUN pip install --no-cache-dir --disable-pip-version-check --no-deps .
 
 

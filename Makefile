@@ -24,7 +24,7 @@ demo: $(READY)
 	$(BIN)/palpate report runs/demo
 
 test: lint
-	$(BIN)/pytest -m "not slow"
+	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile
 
 test-slow: $(READY)
 	$(BIN)/pytest -m slow

@@ -1,4 +1,4 @@
-"""`python -m service` is `palpate`."""
+"""Runs `palpate` as `python -m service`."""
 
 import sys
 

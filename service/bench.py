@@ -1,4 +1,4 @@
-"""How long each stage takes and how much memory, each in a process of its own.
+"""Measures time and memory of each stage, each in a process of its own.
 
 A stage first runs on a tiny body, so that compiled kernels are loaded and not
 timed, then on the size that is asked for; of the solver the fastest of three counts.
@@ -13,7 +13,7 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -25,18 +25,16 @@ from service.cluster import open_cluster
 from service.dispatch import Dispatcher
 from service.errors import TaskError
 from storage.stores import open_store
-from workers import pipeline
-from workers.effects.catalogue import effect
-from workers.fem.fields import frame_of
-from workers.fem.model import prepare
-from workers.fem.sensitivity import tangents
-from workers.fem.solve import equilibrium
-from workers.library import Library
-from workers.organs.breast import problem_of
-from workers.spec import CaseSpec, MeshSpec, ScoreSpec, validated
+from workers.mechanics.effects.breast_catalogue import effect
+from workers.mechanics.fem.fields import frame_of
+from workers.mechanics.fem.model import prepare
+from workers.mechanics.fem.sensitivity import tangents
+from workers.mechanics.fem.solve import equilibrium
+from workers.organs.registry import organ_named
+from workers.spec import validated
+from workers.tasks.body_store import BodyStore
 
-Json = dict[str, Any]
-
+BREAST = organ_named("breast")
 STAGES = ("phantom", "mesh", "prepare", "solve", "tangent", "tangents", "warp", "score")
 REPEATED = {"solve": 3, "tangent": 3, "tangents": 3}
 # Ten parameters whose forces are of every kind: loads, plates, stiffness, fibres.
@@ -66,7 +64,7 @@ class Row:
 
 
 def measure(nodes: Sequence[int], spacings_mm: Sequence[float], store: Path) -> Iterator[Row]:
-    """Every stage at every size, then the overhead of the scheduler.
+    """Measure every stage at every size, then the overhead of the scheduler.
 
     Parameters
     ----------
@@ -95,7 +93,7 @@ def measure(nodes: Sequence[int], spacings_mm: Sequence[float], store: Path) -> 
 
 
 def _solver(nodes: Sequence[int], spacing_mm: float, store: Path) -> Iterator[Row]:
-    """One solution, two at once, and the derivatives of one, at every size."""
+    """Measure one solution, two at once, and the derivatives of one, at every size."""
     before: Row | None = None
     for count in nodes:
         alone = _in_process("solve", spacing_mm, count, store)
@@ -135,8 +133,8 @@ def scheduler_overhead(tasks: int = TRIVIAL_TASKS) -> Row:
     return Row("scheduler", "one task", None, None, seconds, None)
 
 
-def nothing(number: int) -> Json:
-    """A task without work."""
+def nothing(number: int) -> dict[str, int]:
+    """Do no work."""
     return {"number": number}
 
 
@@ -145,7 +143,7 @@ def _in_process(stage: str, spacing_mm: float, nodes: int, store: Path) -> Row:
 
 
 def _in_processes(stage: str, spacing_mm: float, nodes: int, store: Path, count: int) -> list[Row]:
-    """The same stage in `count` processes that begin together."""
+    """Run the same stage in `count` processes that begin together."""
     command = [
         sys.executable,
         "-m",
@@ -160,9 +158,9 @@ def _in_processes(stage: str, spacing_mm: float, nodes: int, store: Path, count:
     for process in done:
         if process.returncode:
             lines = process.stderr.strip().splitlines()[-3:]
-            said = "\n".join(lines) or f"exit code {process.returncode}"
+            message = "\n".join(lines) or f"exit code {process.returncode}"
             where = f"{nodes} nodes and {spacing_mm} mm"
-            raise TaskError(f"The stage {stage} at {where} failed: {said}")
+            raise TaskError(f"The stage {stage} at {where} failed: {message}")
     return [Row(**json.loads(process.stdout.splitlines()[-1])) for process in done]
 
 
@@ -183,7 +181,7 @@ class Bench:
 
     def __init__(self, spacing_mm: float, nodes: int, store: Path) -> None:
         self.case = validated(
-            CaseSpec,
+            BREAST.case_spec,
             {
                 "reference": {"phantom": {"spacing_mm": spacing_mm}},
                 "mesh": {"nodes": nodes},
@@ -191,7 +189,7 @@ class Bench:
             },
             "The size",
         )
-        self.library = Library(open_store(store))
+        self.bodies = BodyStore(open_store(store), BREAST)
         self.size = f"{spacing_mm:g} mm, {nodes} nodes asked"
         self.voxels: int | None = None
         self.nodes: int | None = None
@@ -209,24 +207,22 @@ class Bench:
         return Row(stage, self.size, self.nodes, self.voxels, seconds, peak / per_mb)
 
     def _body(self) -> Any:
-        self.body = self.library.reference(self.case.reference)
-        volume = self.library.volume(self.body)
+        self.body = self.bodies.bring_body(self.case.reference)
+        volume = self.bodies.body(self.body)
         self.voxels = volume.values.size
         return volume
 
     def _hierarchy(self) -> Any:
         self._body()
-        name, facts = self.library.mesh(self.body, self.case.mesh, self.case.model)
+        name, facts = self.bodies.bring_mesh(self.body, self.case)
         self.mesh = name
         self.nodes = facts["nodes"]
-        return self.library.hierarchy(name)
+        return self.bodies.mesh(name)
 
     def _phantom(self) -> Any:
-        spec = self.case.reference.phantom
-        assert spec is not None
 
         def work() -> None:
-            self.voxels = pipeline.phantom(spec).values.size
+            self.voxels = BREAST.make_body(self.case.reference).values.size
 
         return work
 
@@ -234,7 +230,7 @@ class Bench:
         volume = self._body()
 
         def work() -> None:
-            made = pipeline.mesh(volume, MeshSpec(nodes=self.case.mesh.nodes), self.case.model)
+            made = BREAST.make_mesh(volume, self.case)
             self.nodes = len(made.finest.mesh.nodes)
 
         return work
@@ -243,11 +239,11 @@ class Bench:
         hierarchy = self._hierarchy()
         return lambda: prepare(hierarchy)
 
-    def _simulation(self, constants: Json) -> Any:
-        model = self.library.model(self.mesh)
+    def _simulation(self, constants: Mapping[str, float]) -> Any:
+        model = self.bodies.model(self.mesh)
         values = self.case.complete(constants)
-        body = self.library.extent(self.body)
-        return lambda: pipeline.simulate(model, self.case, values, body)
+        body = self.bodies.landmarks(self.body, self.case)
+        return lambda: BREAST.solve(model, BREAST.problem(model, self.case, values, body))
 
     def _solve(self) -> Any:
         self._hierarchy()
@@ -255,10 +251,10 @@ class Bench:
 
     def _tangents(self, count: int = 10) -> Any:
         self._hierarchy()
-        model = self.library.model(self.mesh)
+        model = self.bodies.model(self.mesh)
         frame = frame_of(model.finest.nodes)
-        values, body = self.case.complete(TRUE_MPA), self.library.extent(self.body)
-        problem = problem_of(self.case.model, self.case.load, values, body, None, frame)
+        values, body = self.case.complete(TRUE_MPA), self.bodies.landmarks(self.body, self.case)
+        problem = BREAST.problem(model, self.case, values, body)
         at = equilibrium(model, problem)
         changes = [c for name in TEN_OF for c in effect(name).changes(problem, frame)][:count]
         assert len(changes) == count
@@ -267,11 +263,11 @@ class Bench:
     def _tangent(self) -> Any:
         return self._tangents(1)
 
-    def _deformation(self, constants: Json) -> Any:
-        mesh = self._hierarchy().finest.mesh
+    def _deformation(self, constants: Mapping[str, float]) -> Any:
+        mesh = self._hierarchy()
         moved = self._simulation(constants)().displacement_mm
-        volume = self.library.volume(self.body)
-        return lambda: pipeline.deform(volume, mesh, np.ascontiguousarray(moved))
+        volume = self.bodies.body(self.body)
+        return lambda: BREAST.deform(volume, mesh, np.ascontiguousarray(moved))
 
     def _warp(self) -> Any:
         return self._deformation(TRUE_MPA)
@@ -279,7 +275,7 @@ class Bench:
     def _score(self) -> Any:
         target = self._deformation(TRUE_MPA)()
         candidate = self._deformation(OTHER_MPA)()
-        against = pipeline.scorer(target, ScoreSpec())
+        against = BREAST.scorer(target, BREAST.score_spec())
         against.score(candidate)  # the target's distance map is made once for all candidates
         return lambda: against.score(candidate)
 

@@ -1,4 +1,4 @@
-"""The command `palpate`.
+"""Defines the command `palpate`.
 
 Exit codes: 0 done; 1 a fault of ours, with its traceback; 2 something that the
 user can put right, said in one message; 130 interrupted, and how to go on.
@@ -15,6 +15,7 @@ from service.commands import (
     diagnose,
     doctor,
     import_,
+    import_case,
     mesh,
     new,
     parameters,
@@ -38,8 +39,8 @@ app = typer.Typer(
 )
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         from service.versions import palpate_version
 
         typer.echo(f"palpate {palpate_version()}")
@@ -64,6 +65,7 @@ app.command("diagnose")(diagnose.diagnose)
 app.command("plan")(plan.plan)
 app.add_typer(blind.app, name="blind")
 app.command("import")(import_.import_image)
+app.command("import-case")(import_case.import_case)
 app.command("phantom")(phantom.phantom)
 app.command("mesh")(mesh.mesh)
 app.command("parameters")(parameters.parameters)

@@ -1,4 +1,4 @@
-"""Where the work is done: processes of this machine, or an existing scheduler.
+"""Opens the cluster that does the work: local processes, or an existing scheduler.
 
 One evaluation per process, one thread per evaluation. Worker processes are
 spawned, so a script that opens a cluster needs ``if __name__ == "__main__":``.
@@ -168,8 +168,8 @@ def _mended(cluster: LocalCluster) -> Iterator[None]:
     """
 
     def mend() -> None:
-        wanted = [name for name in cluster.worker_spec if name in cluster.workers]
-        gone = [name for name in wanted if cluster.workers[name].status in GIVEN_UP]
+        known = [name for name in cluster.worker_spec if name in cluster.workers]
+        gone = [name for name in known if cluster.workers[name].status in GIVEN_UP]
         for name in gone:
             del cluster.workers[name]
         if gone:
@@ -199,16 +199,16 @@ def _unheard_interrupts() -> Iterator[None]:
 
 
 def usable_cores() -> int:
-    """Cores this process may use: fewer than the machine has in a container or a batch job."""
+    """Count the cores this process may use: in a container or a batch job, not all."""
     return int(dask.system.CPU_COUNT)
 
 
-def free_port(wanted: int) -> int:
-    """`wanted` if nobody listens there, else 0: the system's choice."""
+def free_port(preferred: int) -> int:
+    """Return `preferred` if nobody listens on that port, else 0: the system's choice."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind(("127.0.0.1", wanted))
+            probe.bind(("127.0.0.1", preferred))
         except OSError:
             return 0
-    return wanted
+    return preferred

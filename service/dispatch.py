@@ -4,12 +4,13 @@ A future is released as soon as its ending has been dealt with: `Dispatcher.run`
 yields an ending and releases the future when it is asked for the next one. What
 a worker finished is then never run again because some other worker died.
 
-How an ask ends::
+How a submission ends::
 
-    finished                          the task's own record
+    finished                          returned, with the record of the task
     raised                            crashed, with the traceback of the worker
-    the worker died, once too often   asked again, `asks` times in all, at last alone; then lost
-    the scheduler forgot it           asked again, as often as it takes
+    the worker died, once too often   submitted again, `max_attempts` times in all, at last
+                                      alone; then lost
+    the scheduler forgot it           submitted again, as often as it takes
 
 An error of the store (a full disk, another version) is no verdict on a candidate:
 it is raised here and stops the study.
@@ -22,7 +23,7 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 from uuid import uuid4
 
 from distributed import Client, Future, KilledWorker
@@ -30,10 +31,11 @@ from distributed import Client, Future, KilledWorker
 from service.errors import ClusterError, Interrupted, TaskError
 from storage.errors import PalpateError, StoreError
 
-Record = dict[str, Any]
-Task = Callable[..., Record]
-Asks = Iterable[tuple[Any, tuple[Any, ...]]]
+Task = Callable[..., Any]
+"""A function that workers can import: small arguments, a small record back."""
+TaskCalls = Iterable[tuple[Any, tuple[Any, ...]]]
 """Keys, and the arguments of a task for each."""
+Returned = TypeVar("Returned")
 
 TICK_S = 0.25
 COUNT_EVERY_S = 1.0
@@ -42,7 +44,7 @@ FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 
 @dataclass(frozen=True)
 class Ending:
-    """How an ask ended.
+    """How a task ended.
 
     Parameters
     ----------
@@ -50,8 +52,8 @@ class Ending:
         As given to `Dispatcher.run`.
     kind : {"returned", "crashed", "lost"}
         See the top of this file.
-    value : dict or None
-        What the task returned.
+    value : object
+        The record that the task returned; None unless returned.
     error : Exception or None
         What it raised.
     reason : str
@@ -59,12 +61,12 @@ class Ending:
     traceback : str
         On the worker; empty unless crashed.
     attempts : int
-        How often it was asked for.
+        How often it was submitted.
     """
 
     key: Any
     kind: Literal["returned", "crashed", "lost"]
-    value: Record | None = None
+    value: Any = None
     error: BaseException | None = None
     reason: str = ""
     traceback: str = ""
@@ -72,11 +74,14 @@ class Ending:
 
 
 @dataclass
-class _Ask:
+class _Submission:
     key: Any
     arguments: tuple[Any, ...]
     attempts: int = 0
     future: Any = field(default=None, repr=False)
+
+
+_Arrived = queue.SimpleQueue[_Submission]
 
 
 class Dispatcher:
@@ -86,28 +91,28 @@ class Dispatcher:
     ----------
     client : distributed.Client
         Connected to the scheduler.
-    asks : int
-        How often a task is asked for whose workers die, before it is lost. (The
+    max_attempts : int
+        How often a task is submitted whose workers die, before it is lost. (The
         scheduler itself already tries again; see `service.cluster`.)
     no_worker_s : float
         How long to wait while there is no worker.
     no_ending_s : float
         How long to wait while there are workers but no task ends.
     stop : callable
-        Asked between waits; True ends the run with `Interrupted`.
+        Called between waits; True ends the run with `Interrupted`.
     """
 
     def __init__(
         self,
         client: Client,
         *,
-        asks: int = 5,
+        max_attempts: int = 5,
         no_worker_s: float = 120.0,
         no_ending_s: float = 4 * 3600.0,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
         self.client = client
-        self.asks = asks
+        self.max_attempts = max_attempts
         self.no_worker_s = no_worker_s
         self.no_ending_s = no_ending_s
         self.stop = stop
@@ -116,14 +121,14 @@ class Dispatcher:
 
     @property
     def threads(self) -> int:
-        """Evaluations that can run at once, counted anew every `COUNT_EVERY_S`."""
+        """Return how many tasks can run at once, counted anew every `COUNT_EVERY_S`."""
         now = time.monotonic()
         if now - self._counted >= COUNT_EVERY_S:
-            self._threads = sum(self._ask_scheduler().values())
+            self._threads = sum(self._threads_by_worker().values())
             self._counted = now
         return self._threads
 
-    def call(self, task: Task, *arguments: Any) -> Record:
+    def call(self, task: Callable[..., Returned], *arguments: Any) -> Returned:
         """Run one task and return its record.
 
         Raises
@@ -133,29 +138,29 @@ class Dispatcher:
         ClusterError
             If its workers die again and again, or there are none.
         Interrupted
-            If the study is asked to stop.
+            If the study is told to stop.
         """
         (record,) = self.all(task, [(task.__name__, arguments)])
         return record
 
-    def all(self, task: Task, asks: Asks) -> list[Record]:
-        """Run tasks that must not fail; their records, in order of arrival.
+    def all(self, task: Callable[..., Returned], calls: TaskCalls) -> list[Returned]:
+        """Run tasks that must not fail and return their records in order of arrival.
 
         Raises
         ------
         PalpateError, ClusterError, Interrupted
             As `call`.
         """
-        return [_value(task, ending) for ending in self.run(task, asks)]
+        return [value_of(ending, task.__name__) for ending in self.run(task, calls)]
 
-    def run(self, task: Task, asks: Asks) -> Iterator[Ending]:
+    def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Send tasks, yield their endings as they arrive.
 
         Parameters
         ----------
         task : callable
             Importable by the workers; small arguments, a small record back.
-        asks : iterable of (key, arguments)
+        calls : iterable of (key, arguments)
             Read only as fast as tasks end.
 
         Raises
@@ -165,73 +170,83 @@ class Dispatcher:
         StoreError
             If a worker cannot use the store.
         Interrupted
-            If the study is asked to stop.
+            If the study is told to stop.
         """
-        arrived: queue.SimpleQueue[_Ask] = queue.SimpleQueue()
-        waiting = iter(asks)
-        in_flight: dict[int, _Ask] = {}
-        suspects: list[_Ask] = []  # have one ask left, and nothing else runs meanwhile
+        arrived: _Arrived = queue.SimpleQueue()
+        waiting = (_Submission(key, arguments) for key, arguments in calls)
+        in_flight: dict[int, _Submission] = {}
+        suspects: list[_Submission] = []  # have one attempt left, and nothing else runs meanwhile
         try:
             while True:
-                # One to run and one to wait for each thread, so that no worker idles while an
-                # ending is journalled. If a worker dies the one that waited is asked again.
-                while (
-                    len(in_flight) < 2 * max(1, self.threads)
-                    and (asked := next(waiting, None)) is not None
-                ):
-                    ask = _Ask(*asked)
-                    in_flight[id(ask)] = ask
-                    self._send(task, ask, arrived)
-                if not in_flight and suspects:
-                    in_flight[id(suspects[-1])] = suspects[-1]
-                    self._send(task, suspects.pop(), arrived)
+                for submission in self._to_send(waiting, suspects, in_flight):
+                    in_flight[id(submission)] = submission
+                    self._send(task, submission, arrived)
                 if not in_flight:
                     return
-                ask = self._wait(arrived)
-                ending = self._ending(ask)
-                if ending is None:
-                    self._release(ask)
-                    if ask.attempts < self.asks - 1:
-                        self._send(task, ask, arrived)
-                    else:
-                        suspects.append(in_flight.pop(id(ask)))
+                submission = self._wait(arrived)
+                ending = self._ending(submission)
+                if ending is not None:
+                    yield ending
+                    # Whoever asks for the next ending has written this one down.
+                    del in_flight[id(submission)]
+                    self._release(submission)
                     continue
-                yield ending
-                # Whoever asks for the next ending has written this one down.
-                del in_flight[id(ask)]
-                self._release(ask)
+                self._release(submission)
+                if submission.attempts < self.max_attempts - 1:
+                    self._send(task, submission, arrived)
+                else:
+                    suspects.append(in_flight.pop(id(submission)))
         finally:
-            for ask in in_flight.values():
-                self._release(ask)
+            for submission in in_flight.values():
+                self._release(submission)
+
+    def _to_send(
+        self,
+        waiting: Iterator[_Submission],
+        suspects: list[_Submission],
+        in_flight: dict[int, _Submission],
+    ) -> Iterator[_Submission]:
+        """Yield what can be sent now; whatever kills its workers goes last and alone.
+
+        One task runs and one waits for each thread, so that no worker idles while an ending
+        is journalled. If a worker dies, the one that waited is submitted again.
+        """
+        while len(in_flight) < 2 * max(1, self.threads):
+            submission = next(waiting, None)
+            if submission is None:
+                break
+            yield submission
+        if not in_flight and suspects:
+            yield suspects.pop()
 
     @contextmanager
-    def meanwhile(self, task: Task, asks: Asks) -> Iterator[None]:
-        """Run tasks beside others; nobody waits for them or hears how they end."""
-        sent = [_Ask(*asked) for asked in asks]
+    def meanwhile(self, task: Task, calls: TaskCalls) -> Iterator[None]:
+        """Run tasks beside others; nobody waits for them or learns how they end."""
+        sent = [_Submission(key, arguments) for key, arguments in calls]
         try:
-            for ask in sent:
-                self._send(task, ask, queue.SimpleQueue())
+            for submission in sent:
+                self._send(task, submission, queue.SimpleQueue())
             yield
         finally:
-            for ask in sent:
-                self._release(ask)
+            for submission in sent:
+                self._release(submission)
 
-    def _send(self, task: Task, ask: _Ask, arrived: "queue.SimpleQueue[_Ask]") -> None:
-        ask.attempts += 1
+    def _send(self, task: Task, submission: _Submission, arrived: _Arrived) -> None:
+        submission.attempts += 1
         # The key is new every time: Dask remembers the end of a key for a while.
         key = f"{task.__name__}-{uuid4().hex}"
         with _as_cluster_error():
-            ask.future = self.client.submit(task, *ask.arguments, key=key, pure=False)
-        ask.future.add_done_callback(lambda _: arrived.put(ask))
+            submission.future = self.client.submit(task, *submission.arguments, key=key, pure=False)
+        submission.future.add_done_callback(lambda _: arrived.put(submission))
 
-    def _release(self, ask: _Ask) -> None:
+    def _release(self, submission: _Submission) -> None:
         """Let the scheduler forget a task; one that has not started will not start."""
-        if ask.future is not None:
+        if submission.future is not None:
             with suppress(Exception):
-                ask.future.release()
-            ask.future = None
+                submission.future.release()
+            submission.future = None
 
-    def _wait(self, arrived: "queue.SimpleQueue[_Ask]") -> _Ask:
+    def _wait(self, arrived: _Arrived) -> _Submission:
         begun = alive = time.monotonic()
         while not self.stop():
             with suppress(queue.Empty):
@@ -258,7 +273,7 @@ class Dispatcher:
                 "study again to continue."
             )
 
-    def _ask_scheduler(self) -> dict[str, int]:
+    def _threads_by_worker(self) -> dict[str, int]:
         with _as_cluster_error():
             if self.client.status == "connecting":
                 return {}
@@ -266,33 +281,39 @@ class Dispatcher:
                 raise OSError(f"the connection is {self.client.status}")
             return dict(self.client.nthreads())
 
-    def _ending(self, ask: _Ask) -> Ending | None:
-        """The ending of an ask that has arrived; None: ask again."""
-        future: Future = ask.future
+    def _ending(self, submission: _Submission) -> Ending | None:
+        """Return the ending of a task that has arrived; None if it is to be submitted again."""
+        future: Future = submission.future
         if future is None or future.status in ("cancelled", "lost"):
             # The scheduler was restarted or the connection broke; no worker is to blame.
-            ask.attempts -= 1
+            submission.attempts -= 1
             self._outlast_disconnection()
             return None
         try:
             value = future.result(timeout=60.0)
         except KilledWorker as killed:
-            if ask.attempts < self.asks:
+            if submission.attempts < self.max_attempts:
                 return None
-            return Ending(ask.key, "lost", reason=_death(killed), attempts=ask.attempts)
+            return Ending(
+                submission.key, "lost", reason=_death(killed), attempts=submission.attempts
+            )
         except Exception as caught:
             error = caught
         else:
-            return Ending(ask.key, "returned", value, attempts=ask.attempts)
+            return Ending(submission.key, "returned", value, attempts=submission.attempts)
         if future.status != "error":
-            # The result was on a worker that is gone: ask again, the store has it.
-            if ask.attempts < self.asks:
+            # The result was on a worker that is gone: submit again, the store has it.
+            if submission.attempts < self.max_attempts:
                 return None
-            return Ending(ask.key, "lost", reason=_sentence(error), attempts=ask.attempts)
+            return Ending(
+                submission.key, "lost", reason=_sentence(error), attempts=submission.attempts
+            )
         _raise_if_store(error)
         trace = future.traceback(timeout=60.0)  # of the worker, without our own frames
         text = "".join(traceback.format_exception(type(error), error, trace))
-        return Ending(ask.key, "crashed", None, error, _sentence(error), text, ask.attempts)
+        return Ending(
+            submission.key, "crashed", None, error, _sentence(error), text, submission.attempts
+        )
 
     def _outlast_disconnection(self) -> None:
         begun = time.monotonic()
@@ -306,17 +327,36 @@ class Dispatcher:
             raise _scheduler_gone(f"the connection is {self.client.status}")
 
 
-def _value(task: Task, ending: Ending) -> Record:
-    if ending.value is not None:
+def value_of(ending: Ending, what: str) -> Any:
+    """Return the record of a task that must not fail.
+
+    Parameters
+    ----------
+    ending : Ending
+    what : str
+        The task as a message calls it.
+
+    Raises
+    ------
+    PalpateError
+        As the task raised it.
+    ClusterError
+        If the task was lost.
+    TaskError
+        If it raised anything else; with the traceback of the worker.
+    """
+    if ending.kind == "returned":
         return ending.value
     if isinstance(ending.error, PalpateError):
         raise ending.error
     if ending.kind == "lost":
         raise ClusterError(
-            f"{task.__name__} was lost: {ending.reason}. Give the workers more memory, or make "
-            "the case smaller."
+            f"{what} was lost: {ending.reason}. Give the workers more memory, or start fewer with "
+            "--workers, and run the same command again: what is finished is kept."
         )
-    raise TaskError(f"{task.__name__} failed: {ending.reason}.") from ending.error
+    raise TaskError(
+        f"{what} failed: {ending.reason}.\n{ending.traceback}".rstrip()
+    ) from ending.error
 
 
 class _as_cluster_error:  # noqa: N801 - a context manager
@@ -347,11 +387,15 @@ def _raise_if_store(error: BaseException) -> None:
         ) from error
 
 
+def _lost(submission: _Submission, reason: str) -> Ending:
+    return Ending(submission.key, "lost", reason=reason, attempts=submission.attempts)
+
+
 def _death(killed: KilledWorker) -> str:
     worker = getattr(killed, "last_worker", None)
     name = getattr(worker, "address", None) or "unknown"
     deaths = killed.allowed_failures + 1 if hasattr(killed, "allowed_failures") else "several"
-    return f"its worker died every time, {deaths} deaths in the last ask; last worker {name}"
+    return f"its worker died every time, {deaths} deaths in the last attempt; last worker {name}"
 
 
 def _sentence(error: BaseException) -> str:

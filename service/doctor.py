@@ -1,33 +1,96 @@
-"""Looks for what would spoil a run: mixed versions, a store that cannot be written, no room."""
+"""Looks for what would spoil a run: mixed or shadowed code, an unusable store, no room."""
 
 import os
 import platform
 import shutil
 import socket
 import sys
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, TypeVar
 
 import storage
 import workers
 from service.cluster import Cluster, usable_cores
 from service.dispatch import Dispatcher
 from service.errors import ClusterError
+from service.shadows import other_distributions, other_packages
 from service.versions import code_digest, versions
 from storage.digest import source_digest
 from storage.errors import PalpateError
 from storage.stores import open_store
 
-Json = dict[str, Any]
 GIB = 1024**3
 SCARCE_BYTES = 2 * GIB
+Checked = TypeVar("Checked")
 
 
-def describe_process() -> Json:
-    """Of this process: which packages it imports, from where, and what it may use.
+class ProcessFacts(TypedDict):
+    """What one process imports, from where, and what it may use.
 
-    Sent to workers and scheduler as it is, so that they tell of their own.
+    ``packages`` are the folders of ours by name, ``source`` is the digest of all their code,
+    ``code`` of what results depend on; ``others`` describes packages with the same names.
     """
+
+    host: str
+    pid: int
+    python: str
+    packages: dict[str, str]
+    others: list[str]
+    source: str
+    code: str
+    versions: dict[str, str]
+    cores: int
+    memory_bytes: int
+    platform: str
+
+
+class KernelFacts(TypedDict):
+    """The compiler that was tried, and its threads."""
+
+    numba: str
+    threads: int
+
+
+class StoreFacts(TypedDict):
+    """The store that was tried, and the room that is left there."""
+
+    root: str
+    free_bytes: int
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What the doctor has found.
+
+    Parameters
+    ----------
+    problems : list of str
+        Empty when all is well.
+    processes : dict of str to ProcessFacts
+        By role: client, scheduler, and each worker by its address.
+    dashboard : str
+        Address of Dask's page; empty if there is none.
+    store : StoreFacts or None
+        None if it cannot be used.
+    kernels : KernelFacts or None
+        None if none can be compiled.
+    """
+
+    problems: list[str]
+    processes: dict[str, ProcessFacts]
+    dashboard: str
+    store: StoreFacts | None
+    kernels: KernelFacts | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the record that `palpate doctor --json` prints."""
+        return asdict(self)
+
+
+def describe_process() -> ProcessFacts:
+    """Describe this process; sent to workers and scheduler as it is, to describe theirs."""
     from distributed.system import MEMORY_LIMIT
 
     import service
@@ -38,6 +101,7 @@ def describe_process() -> Json:
         "pid": os.getpid(),
         "python": sys.executable,
         "packages": packages,
+        "others": other_packages() + other_distributions(),
         "source": source_digest(sorted(packages.values())),
         "code": code_digest(),
         "versions": versions(),
@@ -47,7 +111,7 @@ def describe_process() -> Json:
     }
 
 
-def try_kernels() -> Json:
+def try_kernels() -> KernelFacts:
     """Compile and run a kernel in this process.
 
     Raises
@@ -65,13 +129,13 @@ def try_kernels() -> Json:
             result += value
         return result
 
-    found = float(total(np.arange(10.0)))
-    if found != 45.0:
-        raise RuntimeError(f"numba added 0 to 9 and got {found}")
+    result = float(total(np.arange(10.0)))
+    if result != 45.0:
+        raise RuntimeError(f"numba added 0 to 9 and got {result}")
     return {"numba": numba.__version__, "threads": numba.get_num_threads()}
 
 
-def try_store(location: str) -> Json:
+def try_store(location: str) -> StoreFacts:
     """Write to the store from this process, and see how much room there is.
 
     Raises
@@ -86,77 +150,72 @@ def try_store(location: str) -> Json:
     return {"root": str(store.root), "free_bytes": shutil.disk_usage(store.root).free}
 
 
-def examine(cluster: Cluster, store: str) -> Json:
-    """Look at client, scheduler, workers and store.
-
-    Returns
-    -------
-    dict
-        ``problems`` (texts; empty when all is well), ``processes`` by role, ``store``,
-        ``kernels``, ``dashboard``.
-    """
+def examine(cluster: Cluster, store: str) -> Examination:
+    """Look at client, scheduler, workers and store."""
     problems: list[str] = []
-    here = describe_process()
-    processes: Json = {"client": here}
+    processes = {"client": describe_process()}
     processes |= _cluster_processes(cluster, problems)
     problems += _mixed(processes)
-    checked = {
-        "store": _try("the store cannot be used here", lambda: try_store(store), problems),
-        "kernels": _try("numba does not work here", try_kernels, problems),
-    }
+    problems += _shadowed(processes)
+    store_facts = _try("the store cannot be used here", lambda: try_store(store), problems)
+    kernels = _try("numba does not work here", try_kernels, problems)
     if any(role.startswith("worker") for role in processes):
         dispatcher = Dispatcher(cluster.client, no_ending_s=120.0)
-        said = "a worker cannot use the store: all need the same folder"
-        _try(said, lambda: dispatcher.call(try_store, store), problems)
+        what = "a worker cannot use the store: all need the same folder"
+        _try(what, lambda: dispatcher.call(try_store, store), problems)
         _try("numba does not work on a worker", lambda: dispatcher.call(try_kernels), problems)
-    free = (checked["store"] or {}).get("free_bytes", SCARCE_BYTES)
-    if free < SCARCE_BYTES:
-        problems.append(f"only {free / GIB:.1f} GiB are free where the store is")
-    return {
-        "problems": problems,
-        "processes": processes,
-        "dashboard": cluster.dashboard,
-        **checked,
-    }
+    if store_facts is not None and store_facts["free_bytes"] < SCARCE_BYTES:
+        free = store_facts["free_bytes"] / GIB
+        problems.append(f"only {free:.1f} GiB are free where the store is")
+    return Examination(problems, processes, cluster.dashboard, store_facts, kernels)
 
 
-def _cluster_processes(cluster: Cluster, problems: list[str]) -> Json:
+def _cluster_processes(cluster: Cluster, problems: list[str]) -> dict[str, ProcessFacts]:
     try:
         scheduler = cluster.client.run_on_scheduler(describe_process)
-        found = cluster.client.run(describe_process, on_error="return")
+        by_address = cluster.client.run(describe_process, on_error="return")
     except Exception as error:
         problems.append(f"the scheduler cannot run palpate's code: {error}")
         return {}
-    processes: Json = {"scheduler": scheduler}
-    for address, told in found.items():
-        if isinstance(told, Exception):
-            problems.append(f"the worker {address} cannot run palpate's code: {told}")
+    processes: dict[str, ProcessFacts] = {"scheduler": scheduler}
+    for address, facts in by_address.items():
+        if isinstance(facts, Exception):
+            problems.append(f"the worker {address} cannot run palpate's code: {facts}")
         else:
-            processes[f"worker {address}"] = told
-    if not found:
+            processes[f"worker {address}"] = facts
+    if not by_address:
         problems.append(str(ClusterError("the scheduler has no workers")))
     return processes
 
 
-def _mixed(processes: Json) -> list[str]:
-    """What differs between the processes that must not."""
+def _mixed(processes: Mapping[str, ProcessFacts]) -> list[str]:
+    """Describe what differs between the processes that must not."""
     here = processes["client"]
     problems = []
-    for role, told in processes.items():
-        if told["source"] != here["source"]:
+    for role, facts in processes.items():
+        if facts["source"] != here["source"]:
             problems.append(
-                f"{role} on {told['host']} has another palpate ({told['packages']['workers']}) "
+                f"{role} on {facts['host']} has another palpate ({facts['packages']['workers']}) "
                 f"than the client ({here['packages']['workers']}): install the same everywhere"
             )
-        for name, version in told["versions"].items():
+        for name, version in facts["versions"].items():
             if name != "code" and version != here["versions"][name]:
                 problems.append(f"{role} has {name} {version}, the client {here['versions'][name]}")
     return problems
 
 
-def _try(what: str, check: Any, problems: list[str]) -> Json | None:
+def _shadowed(processes: Mapping[str, ProcessFacts]) -> list[str]:
+    """Describe packages with the names of ours, each once however many processes see it."""
+    roles_by_problem: dict[str, list[str]] = {}
+    for role, facts in processes.items():
+        for problem in facts["others"]:
+            roles_by_problem.setdefault(problem, []).append(role)
+    return [f"{problem} ({', '.join(roles)})" for problem, roles in roles_by_problem.items()]
+
+
+def _try(what: str, check: Callable[[], Checked], problems: list[str]) -> Checked | None:
     try:
-        return dict(check())
+        return check()
     except PalpateError as error:
         problems.append(f"{what}: {error}")
     except Exception as error:

@@ -1,4 +1,4 @@
-"""What can go wrong between the driver and its cluster.
+"""Defines what can go wrong between the driver and its cluster.
 
 ::
 

@@ -1,4 +1,4 @@
-"""Volumes and meshes as files that other programs read."""
+"""Writes volumes and meshes as files that other programs read."""
 
 from pathlib import Path
 
@@ -7,10 +7,10 @@ import numpy as np
 
 from storage.atomic import explained, replacing
 from storage.errors import InputError
-from storage.meshes import export_mesh
+from storage.meshes import export_mesh, load_mesh
 from storage.stores import Store
 from storage.values import Volume
-from workers.library import Library
+from workers.body.mesh.hierarchy import from_arrays
 
 VOLUME_SUFFIXES = (".nrrd",)
 MESH_SUFFIXES = (".vtu", ".vtk", ".msh")
@@ -27,14 +27,14 @@ def check_suffix(path: Path | None, known: tuple[str, ...]) -> None:
     if path is None:
         return
     if path.suffix.lower() not in known:
-        found = path.suffix or "no suffix"
-        raise InputError(f"--out {path}: {found} is not known, use one of {', '.join(known)}.")
+        suffix = path.suffix or "no suffix"
+        raise InputError(f"--out {path}: {suffix} is not known, use one of {', '.join(known)}.")
     if not path.parent.is_dir():
         raise InputError(f"--out {path}: the folder {path.parent} does not exist, make it first.")
 
 
 def export_volume(path: Path, volume: Volume) -> None:
-    """Write a volume as NRRD, in LPS as `workers.images.read` reads it back.
+    """Write a volume as NRRD, in LPS as `workers.body.images.read` reads it back.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def export_stored_mesh(
     displacement_mm : ndarray, shape (n, 3), optional
         Added to the nodes, and kept as data at the nodes.
     """
-    finest = Library(store).hierarchy(mesh).finest
+    finest = from_arrays(load_mesh(store, mesh)[0]).finest
     body, points = finest.mesh, {}
     if displacement_mm is not None:
         body = type(body)(body.nodes + displacement_mm, body.tets)

@@ -1,4 +1,4 @@
-"""Where observers hang: the loop tells what happened and knows nobody who listens.
+"""Calls observers of a study: the loop reports what happened and knows no observer.
 
 ::
 
@@ -9,18 +9,19 @@
     generation_ended   all scores of a population are known
     stopped            the search has found its end
 
-On a resumed study the generations that the journal holds are told again, in
-order, so that an observer sees the same story however often a study was
-interrupted; endings that were journalled before are told with ``replayed=True``.
+On a resumed study the generations that the journal holds are reported again, in
+order, so that an observer sees the same events however often a study was
+interrupted; endings that were journalled before are reported with ``replayed=True``.
 """
 
 import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from service.search.base import Generation, Proposal
 from storage.records import EvaluationRecord
+from storage.task_records import PreparedBody, PreparedTarget
 
 _log = logging.getLogger(__name__)
 
@@ -54,25 +55,27 @@ class StudyFacts:
 
 
 class Observer:
-    """Listens to a study; override what is of interest."""
+    """Receives the events of a study; override those of interest."""
 
     def started(self, facts: StudyFacts) -> None:
-        """The loop begins."""
+        """Note that the loop begins."""
 
-    def prepared(self, what: str, facts: dict[str, Any]) -> None:
-        """``what`` ("case" or "target") is in the store."""
+    def prepared(
+        self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
+    ) -> None:
+        """Note that the case or the target is in the store."""
 
     def generation_begun(self, number: int, proposal: Proposal) -> None:
-        """A population is about to be evaluated."""
+        """Note that a population is about to be evaluated."""
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
-        """One candidate has its ending, and the journal has it."""
+        """Note the ending of one candidate, which the journal has."""
 
     def generation_ended(self, number: int, generation: Generation) -> None:
-        """All candidates of a population have their scores."""
+        """Note that all candidates of a population have their scores."""
 
     def stopped(self, reason: str) -> None:
-        """The search is over."""
+        """Note that the search is over."""
 
 
 class Hooks(Observer):
@@ -81,7 +84,7 @@ class Hooks(Observer):
     def __init__(self, observers: Iterable[Observer] = ()) -> None:
         self._observers = list(observers)
 
-    def _tell(self, hook: str, *args: Any) -> None:
+    def _call(self, hook: str, *args: Any) -> None:
         for observer in list(self._observers):
             try:
                 getattr(observer, hook)(*args)
@@ -90,19 +93,21 @@ class Hooks(Observer):
                 self._observers.remove(observer)
 
     def started(self, facts: StudyFacts) -> None:
-        self._tell("started", facts)
+        self._call("started", facts)
 
-    def prepared(self, what: str, facts: dict[str, Any]) -> None:
-        self._tell("prepared", what, facts)
+    def prepared(
+        self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
+    ) -> None:
+        self._call("prepared", what, record)
 
     def generation_begun(self, number: int, proposal: Proposal) -> None:
-        self._tell("generation_begun", number, proposal)
+        self._call("generation_begun", number, proposal)
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
-        self._tell("evaluation_ended", record, replayed)
+        self._call("evaluation_ended", record, replayed)
 
     def generation_ended(self, number: int, generation: Generation) -> None:
-        self._tell("generation_ended", number, generation)
+        self._call("generation_ended", number, generation)
 
     def stopped(self, reason: str) -> None:
-        self._tell("stopped", reason)
+        self._call("stopped", reason)

@@ -3,7 +3,7 @@
 import math
 import time
 from collections import Counter
-from typing import Any
+from typing import Literal
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -15,17 +15,18 @@ from service.hooks import Observer, StudyFacts
 from service.search.base import Generation, Proposal
 from storage.records import EvaluationRecord
 from storage.status import Status
+from storage.task_records import PreparedBody, PreparedTarget
 
 LINE_EVERY_S = 10.0
 
 
 def progress_observer(console: Console) -> "Progress":
-    """What suits the console: live on a terminal, lines in a log."""
+    """Return what suits the console: a live panel on a terminal, lines in a log."""
     return LiveProgress(console) if console.is_terminal else PlainProgress(console)
 
 
 class Progress(Observer):
-    """Counts; the two ways of showing it are below.
+    """Counts evaluations; `LiveProgress` and `PlainProgress` show the counts.
 
     Parameters
     ----------
@@ -38,8 +39,8 @@ class Progress(Observer):
         self.facts: StudyFacts | None = None
         self.counts: Counter[str] = Counter()
         self.generation = 0
-        self.asked = 0
-        self.told = 0
+        self.evaluations = 0
+        self.ended_in_generation = 0
         self.best: EvaluationRecord | None = None
         self.phase = "starting"
         self._computed = 0
@@ -56,7 +57,9 @@ class Progress(Observer):
         self.facts = facts
         self.phase = "preparing body and mesh"
 
-    def prepared(self, what: str, facts: dict[str, Any]) -> None:
+    def prepared(
+        self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
+    ) -> None:
         """Say what comes next."""
         self.phase = "making the target" if what == "case" else "searching"
 
@@ -64,13 +67,13 @@ class Progress(Observer):
         """Count anew within the generation."""
         self.phase = "searching"
         self.generation = number
-        self.asked = len(proposal.to_evaluate)
-        self.told = 0
+        self.evaluations = len(proposal.to_evaluate)
+        self.ended_in_generation = 0
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
         """Count, and remember the best."""
         self.counts[record.status.value] += 1
-        self.told += 1
+        self.ended_in_generation += 1
         if not replayed and not record.reused:
             if self._computed == 0:
                 self._since = time.monotonic() - sum(record.seconds.values())
@@ -79,55 +82,50 @@ class Progress(Observer):
             self.best = record
 
     def generation_ended(self, number: int, generation: Generation) -> None:
-        """Nothing more than what the endings said."""
+        """Note nothing: the endings have said it all."""
 
     def stopped(self, reason: str) -> None:
-        """Say why."""
+        """Say why the search has stopped."""
         self.phase = f"stopped: {reason}"
 
     @property
     def ended(self) -> int:
-        """Candidates with an ending."""
+        """Return how many candidates have an ending."""
         return sum(self.counts.values())
 
     @property
     def per_minute(self) -> float:
-        """Evaluations per minute that this run has computed; 0 when unknown."""
+        """Return the evaluations per minute that this run has computed; 0 when unknown."""
         spent = time.monotonic() - self._since
         return 60 * self._computed / spent if self._computed and spent > 0 else 0.0
 
     @property
     def left_s(self) -> float:
-        """Seconds to the last generation at the rate so far; infinite when unknown."""
+        """Return the seconds to the last generation at the rate so far; infinite when unknown."""
         if self.facts is None or not self.per_minute:
             return math.inf
         return 60 * (self.facts.most_evaluations - self.ended) / self.per_minute
 
     def rows(self) -> list[tuple[str, str]]:
-        """What there is to say, as (heading, text)."""
+        """Return the lines to show, as (heading, text)."""
         rows = [("phase", self.phase)]
         facts = self.facts
         if facts is None:
             return rows
-        rows.append(
-            ("generation", f"{self.generation + 1} of {facts.generations} at most, "
-                           f"{self.told} of {self.asked} candidates")
-        )  # fmt: skip
+        number = f"{self.generation + 1} of {facts.generations} at most"
+        candidates = f"{self.ended_in_generation} of {self.evaluations} candidates"
+        rows.append(("generation", f"{number}, {candidates}"))
         if self.best is not None and self.best.score is not None:
             score = self.best.score
-            rows.append(
-                ("best so far", f"GSF {score['gsf']:.4g}   JC {score['jc']:.4f}   "
-                                f"MHD {score['mhd_mm']:.4g} mm   (candidate {self.best.candidate})")
-            )  # fmt: skip
+            scores = f"GSF {score['gsf']:.4g}   JC {score['jc']:.4f}   MHD {score['mhd_mm']:.4g} mm"
+            rows.append(("best so far", f"{scores}   (candidate {self.best.candidate})"))
         failed = [f"{self.counts[s]} {s}" for s in ("diverged", "crashed", "lost")]
         shown = ", ".join(text for text in failed if not text.startswith("0 "))
         done = f"{self.counts['done']} done" + (f", {shown}" if shown else "")
         rows.append(("evaluations", f"{done}; {facts.most_evaluations} at most"))
         if self.per_minute:
-            rows.append(
-                ("rate", f"{self.per_minute:.1f} per minute on {facts.workers} workers, "
-                         f"at most {clock(self.left_s)} left")
-            )  # fmt: skip
+            rate = f"{self.per_minute:.1f} per minute on {facts.workers} workers"
+            rows.append(("rate", f"{rate}, at most {clock(self.left_s)} left"))
         if facts.dashboard:
             rows.append(("dashboard", facts.dashboard))
         return rows
@@ -169,8 +167,10 @@ class PlainProgress(Progress):
         where = f", dashboard {facts.dashboard}" if facts.dashboard else ""
         self._line(f"{facts.name}: {facts.workers} workers, study folder {facts.folder}{where}")
 
-    def prepared(self, what: str, facts: dict[str, Any]) -> None:
-        super().prepared(what, facts)
+    def prepared(
+        self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
+    ) -> None:
+        super().prepared(what, record)
         self._line(f"{what} prepared")
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
@@ -181,12 +181,12 @@ class PlainProgress(Progress):
     def generation_ended(self, number: int, generation: Generation) -> None:
         super().generation_ended(number, generation)
         best = self.best.score if self.best is not None else None
-        found = (
+        text = (
             f"best GSF {best['gsf']:.6g}, JC {best['jc']:.4f}, MHD {best['mhd_mm']:.4g} mm"
             if best
             else "no candidate has a score yet"
         )
-        self._line(f"generation {number + 1} done: {found}; {self.ended} evaluations")
+        self._line(f"generation {number + 1} done: {text}; {self.ended} evaluations")
 
     def stopped(self, reason: str) -> None:
         super().stopped(reason)
@@ -198,7 +198,7 @@ class PlainProgress(Progress):
 
 
 def clock(seconds: float) -> str:
-    """A duration for a reader.
+    """Write a duration for a reader.
 
     Examples
     --------

@@ -1,52 +1,234 @@
-"""What a study has found so far, as one record that JSON can hold.
+"""Reads what a study has found so far: one schema for status, report and page.
 
-Status, report and page all read this. Everything comes from the study's journal;
-nothing is computed anew, and the study may be running meanwhile. Scores that are
-infinite are the texts "-inf" and "inf".
+Everything comes from the study's journal; nothing is computed anew, and the study may be
+running meanwhile. `service.results_json` writes the same as JSON.
 """
 
-import fcntl
-import os
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
-from service.chronicle import Chronicle, read_study
-from service.course import Course, Step, replay
 from service.search.base import Generation
+from service.search_replay import PendingGeneration, SearchReplay, best_of
 from service.spec import StudySpec
-from service.study import best_of
+from service.study_log import StudyLog, read_study
 from storage.errors import InputError
+from storage.journal import Journal
 from storage.layout import StudyLayout
-from storage.plain import to_plain
 from storage.records import EvaluationRecord
-from storage.status import Status
+from storage.task_records import BodyFacts, Scores, TargetKind
 from workers.spec import validated
 
-Json = dict[str, Any]
-SCORES = ("jc", "mhd_mm", "mhd_voxels", "gsf")
+StudyState = Literal["running", "stopped", "interrupted"]
 
 
-def study_results(folder: Path) -> Json:
-    """Everything that a status or a report tells of a study.
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One searched parameter, in its unit at the door.
+
+    Parameters
+    ----------
+    gene : str
+        Its name in the study file, which may end with the unit.
+    unit : str
+        Such as kPa; empty for a pure number.
+    lower, upper : float
+        Bounds of the search.
+    estimate : float or None
+        Of the best candidate; None if no candidate has a score.
+    target : float or None
+        What the target was simulated with; None if it comes from an image.
+    """
+
+    gene: str
+    unit: str
+    lower: float
+    upper: float
+    estimate: float | None
+    target: float | None
+
+    @property
+    def relative_error(self) -> float | None:
+        """Return ``|estimate - target| / target``; None where one of them is not known."""
+        if self.estimate is None or not self.target:
+            return None
+        return abs(self.estimate - self.target) / self.target
+
+
+@dataclass(frozen=True)
+class EvaluationCounts:
+    """How many evaluations ended in which way, and how many of them the store had already."""
+
+    done: int
+    diverged: int
+    crashed: int
+    lost: int
+    reused: int
+
+
+@dataclass(frozen=True)
+class GenerationScores:
+    """The scores of a generation that is complete.
+
+    Parameters
+    ----------
+    best : float
+        Lowest GSF; -inf for identical volumes, +inf if all have failed.
+    mean : float or None
+        Of the finite scores; None if there are none.
+    best_candidate : int
+        Number of the candidate with the lowest score.
+    best_genes : mapping of str to float
+        Its parameters, in their units at the door.
+    failed : int
+        Candidates without a score.
+    """
+
+    best: float
+    mean: float | None
+    best_candidate: int
+    best_genes: Mapping[str, float]
+    failed: int
+
+
+@dataclass(frozen=True)
+class GenerationResult:
+    """One generation of the search.
+
+    Parameters
+    ----------
+    number : int
+        From 0.
+    evaluations : int
+        Candidates that need an evaluation; elites need none.
+    ended : int
+        Evaluations that have ended.
+    scores : GenerationScores or None
+        None until all candidates have an ending.
+    """
+
+    number: int
+    evaluations: int
+    ended: int
+    scores: GenerationScores | None
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """Seconds that the computed evaluations spent in one stage."""
+
+    total_s: float
+    mean_s: float
+    count: int
+
+
+@dataclass(frozen=True)
+class StudyResults:
+    """All that a status or a report says of a study.
 
     Parameters
     ----------
     folder : Path
         Of the study.
+    spec : StudySpec
+        The study file with all defaults.
+    state : {"running", "stopped", "interrupted"}
+    stop_reason : str or None
+        Why the search has stopped; None if it has not.
+    estimates : mapping of str to ParameterEstimate
+        By the name of the parameter inside, such as ``E_fat``.
+    best : EvaluationRecord or None
+        The candidate with the lowest score; None if none has a score.
+    counts : EvaluationCounts
+    generations : tuple of GenerationResult
+    failures : tuple of EvaluationRecord
+        Evaluations without a score, in the order of the candidates.
+    undeformed_scores, best_scores : mapping of str to Scores
+        By tissue, of the undeformed body and of the best candidate; empty until the search has
+        stopped.
+    wall_s : float
+        Of all runs, preparation included.
+    stages : mapping of str to StageTime
+        By stage, over the evaluations that this study has computed.
+    body_facts : BodyFacts
+        Of body and mesh; empty until they are prepared.
+    target_kind : {"simulated", "image"} or None
+        None until the target is prepared.
+    sessions : int
+        How often the study was run.
+    versions : mapping of str to str
+        Of Palpate, its code and the packages that results depend on.
+    store : str or None
+        Of the last run.
+    """
 
-    Returns
-    -------
-    dict
-        ``study``, ``state`` ("running", "stopped" or "interrupted"), ``stopped`` (reason or
-        None), ``estimates`` by parameter, ``score``, ``best`` (candidate), ``evaluations``
-        (counts), ``generations``, ``failures``, ``per_label`` and
-        ``per_label_before`` (scores of best and undeformed body), ``seconds`` (wall time of all
-        runs), ``stages`` (seconds of computed evaluations), ``facts`` (of body and mesh),
-        ``versions``, ``store``, ``folder`` and ``config`` (the study with all defaults).
+    folder: Path
+    spec: StudySpec
+    state: StudyState
+    stop_reason: str | None
+    estimates: Mapping[str, ParameterEstimate]
+    best: EvaluationRecord | None
+    counts: EvaluationCounts
+    generations: tuple[GenerationResult, ...]
+    failures: tuple[EvaluationRecord, ...]
+    undeformed_scores: Mapping[str, Scores]
+    best_scores: Mapping[str, Scores]
+    wall_s: float
+    stages: Mapping[str, StageTime]
+    body_facts: BodyFacts
+    target_kind: TargetKind | None
+    sessions: int
+    versions: Mapping[str, str]
+    store: str | None
+
+    @property
+    def name(self) -> str:
+        """Return the name of the study."""
+        return self.spec.name
+
+    @property
+    def best_score(self) -> Scores | None:
+        """Return the scores of the best candidate over all compared tissues together."""
+        return None if self.best is None else self.best.score
+
+    @property
+    def complete_generations(self) -> list[tuple[GenerationResult, GenerationScores]]:
+        """Return the generations whose scores are all known, with them."""
+        return [(g, g.scores) for g in self.generations if g.scores is not None]
+
+
+@dataclass(frozen=True)
+class CandidateResults:
+    """All that is known of one candidate.
+
+    Parameters
+    ----------
+    study : str
+        Name of the study.
+    candidate, generation : int
+    evaluated_as : int
+        The candidate whose evaluation it shares: an elite has the ending of the candidate that
+        it was carried over from.
+    genes : mapping of str to float
+        In their units at the door.
+    evaluation : EvaluationRecord or None
+        Its ending; None while it has none.
+    """
+
+    study: str
+    candidate: int
+    generation: int
+    evaluated_as: int
+    genes: Mapping[str, float]
+    evaluation: EvaluationRecord | None
+
+
+def study_results(folder: Path) -> StudyResults:
+    """Read what a study has found so far.
 
     Raises
     ------
@@ -55,182 +237,136 @@ def study_results(folder: Path) -> Json:
     JournalError
         If its journal is damaged.
     """
-    study, told = read_study(folder)
+    study, log = read_study(folder)
     spec = validated(StudySpec, study.spec, f"The study in {folder}")
-    best = best_of(told.endings)
-    last = told.sessions[-1] if told.sessions else None
-    found = {
-        "study": spec.name,
-        "state": _state(folder, told),
-        "stopped": None if told.end is None else told.end.reason,
-        "estimates": _estimates(spec, best),
-        "score": {name: best.score.get(name) if best and best.score else None for name in SCORES},
-        "best": None if best is None else _short(best),
-        "evaluations": _counts(told.endings.values()),
-        "generations": _generations(spec, told),
-        "failures": [_short(r) for _, r in sorted(told.endings.items()) if r.reason],
-        "per_label_before": {} if told.end is None else told.end.before,
-        "per_label": {} if told.end is None else told.end.per_label,
-        "seconds": told.seconds,
-        "stages": _stages(told.endings.values()),
-        "facts": {} if last is None else last.prepared.get("facts", {}),
-        "target_kind": None if last is None else last.target.get("kind"),
-        "sessions": len(told.sessions),
-        "versions": study.versions if last is None else last.versions,
-        "store": None if last is None else last.store,
-        "folder": str(folder.absolute()),
-        "config": spec.as_dict(),
-    }
-    return dict(to_plain(found))
+    best, session, end = best_of(log.endings), log.last_session, log.end
+    endings = [record for _, record in sorted(log.endings.items())]
+    return StudyResults(
+        folder=folder.absolute(),
+        spec=spec,
+        state=_state(folder, log),
+        stop_reason=None if end is None else end.reason,
+        estimates=_estimates(spec, best),
+        best=best,
+        counts=_counts(endings),
+        generations=tuple(_generations(spec, log)),
+        failures=tuple(record for record in endings if record.reason),
+        undeformed_scores={} if end is None else end.before,
+        best_scores={} if end is None else end.per_label,
+        wall_s=log.seconds,
+        stages=_stages(log.endings.values()),
+        body_facts={} if session is None else session.prepared["facts"],
+        target_kind=None if session is None else session.target["kind"],
+        sessions=len(log.sessions),
+        versions=study.versions if session is None else session.versions,
+        store=None if session is None else session.store,
+    )
 
 
-def candidate_results(folder: Path, candidate: int | None) -> Json:
-    """All that is known of one candidate; of the best one when None.
-
-    An elite has the ending of the candidate that it was carried over from, whose
-    number is then ``evaluated_as``.
+def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
+    """Read all that is known of one candidate; of the best one when None.
 
     Raises
     ------
     InputError
         If there is no such candidate.
     """
-    study, told = read_study(folder)
+    study, log = read_study(folder)
     spec = validated(StudySpec, study.spec, f"The study in {folder}")
     if candidate is None:
-        best = best_of(told.endings)
+        best = best_of(log.endings)
         if best is None:
             raise _no_such("best candidate", folder, "no candidate has a score yet")
         candidate = best.candidate
-    steps = [step for step, _ in _replayed(spec, told)]
+    generations = [pending for pending, _ in _replayed(spec, log)]
     size = spec.search.population
-    if not 0 <= candidate < size * len(steps):
-        count = f"its candidates are 0 to {size * len(steps) - 1} so far"
+    if not 0 <= candidate < size * len(generations):
+        count = f"its candidates are 0 to {size * len(generations) - 1} so far"
         raise _no_such(f"candidate {candidate}", folder, count)
-    step = steps[candidate // size]
+    generation = generations[candidate // size]
     origin = candidate
-    while (before := steps[origin // size].carried_from(origin)) is not None:
+    while (before := generations[origin // size].carried_from(origin)) is not None:
         origin = before
-    ending = told.endings.get(origin)
-    found: Json = {
-        "study": spec.name,
-        "candidate": candidate,
-        "generation": step.number,
-        "evaluated_as": origin,
-        "genes": step.genes(candidate),
-    }
-    if ending is None:
-        return dict(to_plain(found | {"status": str(Status.WAITING)}))
-    names = ("status", "score", "reason", "traceback", "outcome", "seconds", "worker")
-    told_of = {name: getattr(ending, name) for name in (*names, "attempts", "reused", "digest")}
-    return dict(to_plain(found | told_of))
+    genes, ending = generation.genes(candidate), log.endings.get(origin)
+    return CandidateResults(spec.name, candidate, generation.number, origin, genes, ending)
+
+
+def is_running(folder: Path) -> bool:
+    """Return whether a driver holds the journal of the study."""
+    return Journal.is_being_written(StudyLayout(folder).journal)
 
 
 def _no_such(what: str, folder: Path, why: str) -> InputError:
     return InputError(f"The study {folder} has no {what}: {why}.")
 
 
-def _replayed(spec: StudySpec, told: Chronicle) -> list[tuple[Step, Generation | None]]:
-    course = Course(spec.search_strategy, spec.search.space.names)
-    return list(replay(course, told.endings))
+def _state(folder: Path, log: StudyLog) -> StudyState:
+    if is_running(folder):
+        return "running"
+    return "interrupted" if log.end is None else "stopped"
 
 
-def _estimates(spec: StudySpec, best: EvaluationRecord | None) -> Json:
-    vocabulary = spec.case.parameters
-    truth: dict[str, float] = {}
+def _replayed(
+    spec: StudySpec, log: StudyLog
+) -> Iterable[tuple[PendingGeneration, Generation | None]]:
+    return SearchReplay(spec.search_strategy, spec.search.space).replay(log.endings)
+
+
+def _estimates(spec: StudySpec, best: EvaluationRecord | None) -> dict[str, ParameterEstimate]:
+    parameters = spec.case.parameters
+    target: dict[str, float] = {}
     if spec.target.constants is not None:
-        hidden = spec.case.complete(vocabulary.from_door(spec.target.constants))
-        known = {name: value for name, value in hidden.items() if name in vocabulary}
-        truth = vocabulary.to_door(known) | dict(spec.target.constants)
-    estimates: Json = {}
-    for name, bounds in spec.search.parameters.items():
-        value = None if best is None else best.genes[name]
-        true = truth.get(name)
-        error = None if value is None or not true else abs(value - true) / true
-        parameter = vocabulary.at_door(name)
-        estimates[parameter.name] = {
-            "gene": name,
-            "estimate": value,
-            "target": true,
-            "relative_error": error,
-            "unit": parameter.unit.symbol,
-            "bounds": list(bounds),
-        }
+        constants = spec.case.complete(parameters.from_door(spec.target.constants))
+        known = {name: value for name, value in constants.items() if name in parameters}
+        target = spec.case.canonical(parameters.to_door(known) | dict(spec.target.constants))
+    genes = None if best is None else spec.case.canonical(best.genes)
+    estimates = {}
+    for gene, (lower, upper) in spec.search.parameters.items():
+        parameter = parameters.at_door(gene)
+        estimate = None if genes is None else genes[gene]
+        estimates[parameter.name] = ParameterEstimate(
+            gene, parameter.unit.symbol, lower, upper, estimate, target.get(gene)
+        )
     return estimates
 
 
-def _generations(spec: StudySpec, told: Chronicle) -> list[Json]:
-    rows = []
-    for step, generation in _replayed(spec, told):
-        ended = [c for c in step.candidates if c in told.endings]
-        row: Json = {
-            "number": step.number,
-            "asked": len(step.candidates),
-            "ended": len(ended),
-            "complete": generation is not None,
-        }
-        if generation is not None:
-            index = generation.best
-            finite = generation.scores[np.isfinite(generation.scores)]
-            row |= {
-                "best": float(generation.scores[index]),
-                "mean": float(finite.mean()) if len(finite) else None,
-                "best_candidate": step.first + index,
-                "best_genes": step.genes(step.first + index),
-                "failed": int(np.isposinf(generation.scores).sum()),
-            }
-        rows.append(row)
-    return rows
+def _generations(spec: StudySpec, log: StudyLog) -> Iterable[GenerationResult]:
+    for pending, generation in _replayed(spec, log):
+        ended = sum(candidate in log.endings for candidate in pending.candidates)
+        scores = None if generation is None else _scores(pending, generation)
+        yield GenerationResult(pending.number, len(pending.candidates), ended, scores)
 
 
-def _counts(endings: Iterable[EvaluationRecord]) -> Json:
+def _scores(pending: PendingGeneration, generation: Generation) -> GenerationScores:
+    index = generation.best
+    finite = generation.scores[np.isfinite(generation.scores)]
+    return GenerationScores(
+        best=float(generation.scores[index]),
+        mean=float(finite.mean()) if len(finite) else None,
+        best_candidate=pending.first + index,
+        best_genes=pending.genes(pending.first + index),
+        failed=int(np.isposinf(generation.scores).sum()),
+    )
+
+
+def _counts(endings: Iterable[EvaluationRecord]) -> EvaluationCounts:
     endings = list(endings)
     by_status = Counter(str(record.status) for record in endings)
-    counts: Json = {s: by_status[s] for s in ("done", "diverged", "crashed", "lost")}
-    return counts | {"reused": sum(record.reused for record in endings)}
+    done, diverged, crashed, lost = (
+        by_status[status] for status in ("done", "diverged", "crashed", "lost")
+    )
+    reused = sum(record.reused for record in endings)
+    return EvaluationCounts(done, diverged, crashed, lost, reused)
 
 
-def _stages(endings: Iterable[EvaluationRecord]) -> Json:
-    """Where the time went, for evaluations that this study has computed."""
-    spent: dict[str, list[float]] = {}
+def _stages(endings: Iterable[EvaluationRecord]) -> dict[str, StageTime]:
+    """Add up the time of each stage over the evaluations that this study has computed."""
+    seconds_by_stage: dict[str, list[float]] = {}
     for record in endings:
         if not record.reused:
             for stage, seconds in record.seconds.items():
-                spent.setdefault(stage, []).append(seconds)
+                seconds_by_stage.setdefault(stage, []).append(seconds)
     return {
-        stage: {"total": sum(all_), "mean": sum(all_) / len(all_), "count": len(all_)}
-        for stage, all_ in spent.items()
+        stage: StageTime(sum(spent), sum(spent) / len(spent), len(spent))
+        for stage, spent in seconds_by_stage.items()
     }
-
-
-def _short(record: EvaluationRecord) -> Json:
-    return {
-        "candidate": record.candidate,
-        "generation": record.generation,
-        "status": str(record.status),
-        "reason": record.reason,
-        "genes": record.genes,
-        "score": record.score,
-        "digest": record.digest,
-    }
-
-
-def _state(folder: Path, told: Chronicle) -> str:
-    if is_running(folder):
-        return "running"
-    return "interrupted" if told.end is None else "stopped"
-
-
-def is_running(folder: Path) -> bool:
-    """Whether a driver holds the study's journal."""
-    try:
-        handle = os.open(StudyLayout(folder).journal, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(handle)
-    return False

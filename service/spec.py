@@ -1,29 +1,33 @@
-"""The one file that a user writes: a case, a target, a score, a search and a seed.
+"""Reads the one file that a user writes: a case, a target, a score, a search and a seed.
 
 Case, target and score are checked by `workers.spec`; this file adds the search,
 reads YAML, and says in which keys two studies differ.
 """
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 import yaml
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import (
+    Field,
+    ModelWrapValidatorHandler,
+    SerializeAsAny,
+    StringConstraints,
+    create_model,
+    model_validator,
+)
 
 from service.search.genetic import GeneticSearch, GeneticSettings
-from service.search.operators import (
-    AdaptiveFeasible,
-    Gaussian,
-    latin_hypercube,
-    uniform_population,
-)
+from service.search.operators import INITIAL, MUTATIONS
 from service.search.space import Space
 from service.search.stall import Stall
 from storage.digest import digest
 from storage.errors import InputError
-from workers.parameters import unknown_name
-from workers.spec import CaseSpec, Door, DoorBounds, ScoreSpec, TargetSpec, validated
+from workers.mechanics.parameters import Bounds, unknown_name
+from workers.organs.registry import DEFAULT, MODULES, organ_named
+from workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec, validated
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 
@@ -42,7 +46,7 @@ class SearchSpec(Door):
     ``stall: null`` never stops before the last generation.
     """
 
-    parameters: Annotated[DoorBounds, Field(min_length=1)]
+    parameters: Annotated[dict[str, Bounds], Field(min_length=1)]
     population: Annotated[int, Field(ge=2)] = 84
     generations: Annotated[int, Field(ge=1)] = 15
     elite: Annotated[int, Field(ge=0)] = 2
@@ -62,7 +66,7 @@ class SearchSpec(Door):
 
     @property
     def settings(self) -> GeneticSettings:
-        """The same for `GeneticSearch`."""
+        """Return the settings of `GeneticSearch`."""
         stall = self.stall
         return GeneticSettings(
             population=self.population,
@@ -70,47 +74,50 @@ class SearchSpec(Door):
             elite=self.elite,
             crossover_fraction=self.crossover_fraction,
             stall=None if stall is None else Stall(**stall.model_dump()),
-            mutation=Gaussian() if self.mutation == "gaussian" else AdaptiveFeasible(),
-            initial=latin_hypercube if self.initial == "latin-hypercube" else uniform_population,
+            mutation=MUTATIONS[self.mutation],
+            initial=INITIAL[self.initial],
         )
 
     @property
     def space(self) -> Space:
-        """The box that is searched, in the units at the door."""
+        """Return the box that is searched, in the units at the door."""
         return Space.from_bounds(self.parameters)
 
 
 class StudySpec(Door):
     """A study: what is asked, of which body, and how it is searched.
 
-    ``keep`` says which deformed volumes stay in the store beside those of the
-    target and of the best candidate.
+    Case, target and score are those of the organ that the case names; validating any study
+    gives one of `study_of` that organ. ``keep`` says which deformed bodies stay in the
+    store beside those of the target and of the best candidate.
     """
 
     name: Name
-    case: CaseSpec
-    target: TargetSpec
-    score: ScoreSpec = ScoreSpec()
+    case: SerializeAsAny[CaseSpec]
+    target: SerializeAsAny[TargetSpec]
+    score: SerializeAsAny[ScoreSpec] = ScoreSpec()
     search: SearchSpec
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
     keep: Literal["best", "elites", "all"] = "best"
 
+    @model_validator(mode="wrap")
+    @classmethod
+    def _with_the_doors_of_its_organ(
+        cls, data: Any, handler: ModelWrapValidatorHandler[Self]
+    ) -> Self:
+        if cls is StudySpec and isinstance(data, Mapping):
+            study: Any = study_of(_organ_in(data)).model_validate(data)
+            return cast(Self, study)
+        return handler(data)
+
     @model_validator(mode="after")
     def _parameters_fit_the_case(self) -> Self:
-        known = self.case.parameters
-        for where, names in (
-            ("search.parameters", self.search.parameters),
-            ("target.constants", self.target.constants or {}),
-        ):
-            for name in names:
-                if name not in known.door_names:
-                    skin = (
-                        " (the case has no skin: case.model.skin is none)"
-                        if name == "E_skin_kpa"
-                        else ""
-                    )
-                    hint = unknown_name("parameter", name, known.door_names)
-                    raise ValueError(f"{where}: {hint}{skin}")
+        self._refuse_unknown("search.parameters", self.search.parameters)
+        self._refuse_unknown("target.constants", self.target.constants or {})
+        try:
+            self.case.parameters.bounds_from_door(self.search.parameters)
+        except InputError as error:
+            raise ValueError(f"search.parameters: {error}") from None
         for name in self.search.parameters:
             if name in self.case.constants:
                 raise ValueError(
@@ -119,36 +126,72 @@ class StudySpec(Door):
                 )
         return self
 
+    def _refuse_unknown(self, where: str, names: Iterable[str]) -> None:
+        known = self.case.parameters.door_names
+        for name in names:
+            if name not in known:
+                unused = self.case.unused_parameter(name)
+                reason = f" ({unused})" if unused else ""
+                raise ValueError(f"{where}: {unknown_name('parameter', name, known)}{reason}")
+
     @property
     def search_strategy(self) -> GeneticSearch:
-        """The search, ready to propose."""
+        """Return the search, ready to propose."""
         return GeneticSearch(self.search.space, self.search.settings, self.seed)
 
     def constants_of(self, genes: Mapping[str, float]) -> dict[str, float]:
-        """Searched parameters at the door (kPa) as names and units inside (MPa)."""
+        """Convert searched parameters from the door (kPa) to names and units inside (MPa)."""
         return self.case.parameters.from_door(genes)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-able, defaults written out."""
+        """Return plain values, defaults written out."""
         return self.model_dump(mode="json")
 
     @property
     def digest(self) -> str:
-        """Short name of everything that the user asked for."""
+        """Return a short name of everything that the study file says."""
         return digest(self.as_dict())
+
+
+@cache
+def study_of(organ: str) -> type[StudySpec]:
+    """Return the study whose case, target and score are those of an organ.
+
+    Raises
+    ------
+    InputError
+        If there is no such organ.
+    """
+    doors = organ_named(organ)
+    made: type[StudySpec] = create_model(
+        f"{organ.capitalize()}Study",
+        __base__=StudySpec,
+        case=(doors.case_spec, ...),
+        target=(doors.target_spec, ...),
+        score=(doors.score_spec, doors.score_spec()),
+    )
+    return made
+
+
+def _organ_in(data: Mapping[str, Any]) -> str:
+    """Return the organ that a study names; the default where that makes no sense."""
+    case = data.get("case")
+    named = case.get("organ", DEFAULT) if isinstance(case, Mapping) else DEFAULT
+    organ = getattr(case, "organ", named)
+    return organ if isinstance(organ, str) and organ in MODULES else DEFAULT
 
 
 class _Loader(yaml.SafeLoader):
     """YAML in which a key that stands twice is an error, not a quiet replacement."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen: set[Any] = set()
+        keys: set[Any] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
-            if key in seen:
+            if key in keys:
                 line = key_node.start_mark.line + 1
                 raise yaml.YAMLError(f"the key {key!r} stands twice; the second is in line {line}")
-            seen.add(key)
+            keys.add(key)
         return super().construct_mapping(node, deep=deep)
 
 
@@ -179,7 +222,7 @@ def read_spec(path: Path) -> StudySpec:
 
 
 def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
-    """The study that `text` describes; `where` names it in messages.
+    """Parse the study that `text` describes; `where` names it in messages.
 
     Raises
     ------
@@ -191,8 +234,8 @@ def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
     except yaml.YAMLError as error:
         raise InputError(f"{where} is not valid YAML: {error}") from error
     if not isinstance(data, dict):
-        found = "nothing" if data is None else type(data).__name__
-        raise InputError(f"{where} must hold keys such as name, case and search, found {found}.")
+        kind = "nothing" if data is None else type(data).__name__
+        raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")
     _make_absolute(data.get("target"), folder)
     case = data.get("case")
     _make_absolute(case.get("reference") if isinstance(case, dict) else None, folder)
@@ -200,15 +243,17 @@ def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
 
 
 def _make_absolute(image: object, folder: Path) -> None:
-    """Replace a path that exists beside the study file; a name in the store stays."""
-    if isinstance(image, dict) and isinstance(image.get("volume"), str):
-        found = (folder / Path(image["volume"]).expanduser()).resolve()
-        if found.exists():
-            image["volume"] = str(found)
+    """Replace paths that exist beside the study file; a name in the store stays."""
+    for key, value in image.items() if isinstance(image, dict) else ():
+        _make_absolute(value, folder)
+        if key in ("volume", "file") and isinstance(value, str):
+            beside = (folder / Path(value).expanduser()).resolve()
+            if isinstance(image, dict) and beside.exists():
+                image[key] = str(beside)
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """In which keys two studies differ, one line each.
+    """List the keys in which two studies differ, one line each.
 
     Examples
     --------

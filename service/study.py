@@ -1,8 +1,8 @@
-"""The loop: ask, dispatch, journal, tell.
+"""Runs a study: propose candidates, evaluate them, journal the endings, score generations.
 
 Running a study and resuming it are the same: the journal says which candidates
 have an ending, the search proposes what it proposed before, and what has no
-ending is asked for. Scores are told in the order of the candidates, so neither
+ending is evaluated. Scores are handed to the search in the order of the candidates, so neither
 the number of workers nor an interruption changes what is proposed next.
 """
 
@@ -11,45 +11,63 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any
 
-from service.chronicle import Chronicle, End, GenerationMark, Session, mark_to_json
-from service.course import Course, Step, score_of
 from service.dispatch import Dispatcher, Ending
 from service.errors import ClusterError
-from service.folder import StudyFolder
 from service.hooks import Hooks, Observer, StudyFacts
 from service.search.base import Generation, Stopped
+from service.search_replay import PendingGeneration, SearchReplay, best_of
 from service.spec import StudySpec
+from service.study_folder import StudyFolder
+from service.study_log import StudyLog
 from service.versions import versions
 from storage.evaluations import load_evaluation
 from storage.journal import Journal
-from storage.records import EvaluationRecord
+from storage.records import EndRecord, EvaluationRecord, GenerationRecord, SessionRecord
 from storage.status import Status
 from storage.stores import Store, open_store
+from storage.task_records import (
+    EvaluationRequest,
+    EvaluationResult,
+    PreparedBody,
+    PreparedTarget,
+    Scores,
+)
 from storage.volumes import has_volume
-from workers import tasks as physics
+from workers.tasks import evaluation as evaluation_tasks
 
-Record = dict[str, Any]
-LOST_SHARE = 0.2
+# A generation that loses more than this share of its candidates accuses the cluster.
+MAX_LOST_SHARE = 0.2
+NO_SHARED_TISSUE = "it has no score: candidate and target share no tissue compared"
 
 
 @dataclass(frozen=True)
 class Tasks:
-    """What is sent to the workers; see `workers.tasks` for what each must do."""
+    """The functions that are sent to the workers; see `workers.tasks.evaluation`."""
 
-    prepare: Callable[..., Record] = physics.prepare_case
-    target: Callable[..., Record] = physics.make_target
-    evaluate: Callable[..., Record] = physics.evaluate
-    digest: Callable[..., str] = physics.evaluation_digest
-    keep_volume: Callable[..., Any] = physics.keep_volume
-    compare: Callable[..., Record] = physics.score_volumes
+    prepare: Callable[..., PreparedBody] = evaluation_tasks.prepare_case
+    target: Callable[..., PreparedTarget] = evaluation_tasks.make_target
+    evaluate: Callable[..., EvaluationResult] = evaluation_tasks.evaluate
+    digest: Callable[..., str] = evaluation_tasks.evaluation_digest
+    keep_volume: Callable[..., str] = evaluation_tasks.keep_volume
+    compare: Callable[..., Mapping[str, Scores]] = evaluation_tasks.score_bodies
 
 
 @dataclass(frozen=True)
 class Conclusion:
-    """How a search ended: why, with which best candidate, and all its generations."""
+    """How a search ended.
+
+    Parameters
+    ----------
+    reason : str
+        Why it stopped.
+    best : EvaluationRecord or None
+        None if no candidate has a score.
+    history : tuple of Generation
+        All its generations.
+    """
 
     reason: str
     best: EvaluationRecord | None
@@ -62,7 +80,7 @@ class Study:
     Parameters
     ----------
     spec : StudySpec
-        What was asked.
+        The study file.
     folder : Path
         Made when missing; continued when it holds this study.
     store : str or Path, optional
@@ -71,7 +89,7 @@ class Study:
     tasks : Tasks
         What is sent to the workers.
     observers : iterable of Observer
-        Are told what happens.
+        Hear what happens.
     accept_new_code : bool
         Continue although the code has changed since the last run.
 
@@ -98,7 +116,7 @@ class Study:
         self.hooks = Hooks(observers)
         self.folder = StudyFolder(folder, spec, accept_new_code=accept_new_code)
         self.ended = self.folder.check().end is not None
-        self._wanted_store = store
+        self._given_store = store
 
     def run(self, dispatcher: Dispatcher, dashboard: str = "") -> Conclusion:
         """Run the study to its end, from wherever it stands.
@@ -115,204 +133,228 @@ class Study:
             If the dispatcher is told to stop.
         """
         with self.folder.open() as journal:
-            told = self.folder.begin(journal)
-            store = open_store(self._wanted_store or self.folder.default_store(told))
-            return _Run(self, journal, told, store, dispatcher).go(dashboard)
+            log = self.folder.begin(journal)
+            store = open_store(self._given_store or self.folder.default_store(log))
+            return _Run(self, journal, log, store, dispatcher).to_the_end(dashboard)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """The body and the target of a run, in the store."""
+
+    body: PreparedBody
+    target: PreparedTarget
 
 
 class _Run:
     """One run of a study, its journal locked."""
 
     def __init__(
-        self, study: Study, journal: Journal, told: Chronicle, store: Store, dispatcher: Dispatcher
+        self, study: Study, journal: Journal, log: StudyLog, store: Store, dispatcher: Dispatcher
     ) -> None:
         self.study, self.spec, self.tasks, self.hooks = study, study.spec, study.tasks, study.hooks
-        self.journal, self.told, self.store, self.dispatcher = journal, told, store, dispatcher
+        self.journal, self.log, self.store, self.dispatcher = journal, log, store, dispatcher
         self.began = time.monotonic()
-        self.endings = dict(told.endings)
-        self.replayed = frozenset(told.endings)
+        self.endings = dict(log.endings)
         self.case = self.spec.case.model_dump(mode="json")
         self.score = self.spec.score.model_dump(mode="json")
-        self.steps: list[Step] = []
-        self.prepared: Record = {}
-        self.target: Record = {}
 
-    def go(self, dashboard: str) -> Conclusion:
-        settings = self.spec.search.settings
-        workers = self.dispatcher.threads
-        self.hooks.started(
-            StudyFacts(
-                self.spec.name, str(self.study.folder.root), settings.most_evaluations,
-                settings.generations, workers, dashboard,
-            )
-        )  # fmt: skip
-        self._prepare(workers)
-        course = Course(self.spec.search_strategy, self.spec.search.space.names)
-        while isinstance(step := course.next(), Step):
-            self.steps.append(step)
-            self._evaluate(step)
-            generation = course.close(step, self.endings)
-            self._keep_volumes(step, generation)
-            if not self.replayed.issuperset(step.candidates):
+    def to_the_end(self, dashboard: str) -> Conclusion:
+        self._announce(dashboard)
+        prepared = self._prepare()
+        search = SearchReplay(self.spec.search_strategy, self.spec.search.space)
+        evaluation = _GenerationRun(self, prepared)
+        generations: list[PendingGeneration] = []
+        while isinstance(pending := search.propose(), PendingGeneration):
+            generations.append(pending)
+            self.hooks.generation_begun(pending.number, pending.proposal)
+            evaluation.evaluate(pending)
+            generation = search.complete(pending, self.endings)
+            evaluation.keep_volumes(pending, generation)
+            if not self.log.endings.keys() >= set(pending.candidates):
                 best = float(generation.scores.min())
-                self._mark(GenerationMark(step.number, best, self._elapsed()))
-            self.hooks.generation_ended(step.number, generation)
-        return self._conclude(step, course)
+                self._append(GenerationRecord(pending.number, best, self._elapsed_s()))
+            self.hooks.generation_ended(pending.number, generation)
+        best_candidate = best_of(self.endings)
+        if self.log.end is None:
+            self._append(self._end(pending, best_candidate, generations, evaluation))
+        self.hooks.stopped(pending.reason)
+        return Conclusion(pending.reason, best_candidate, tuple(search.history))
 
-    def _prepare(self, workers: int) -> None:
-        """Bring case and target into the store, which is quick when they are there."""
-        store = str(self.store.root)
-        self.prepared = self.dispatcher.call(self.tasks.prepare, self.case, store)
-        self.hooks.prepared("case", self.prepared)
-        wanted = self.spec.target.model_dump(mode="json")
-        self.target = self.dispatcher.call(self.tasks.target, self.case, wanted, store)
-        self.hooks.prepared("target", self.target)
-        self.study.folder.check_same(self.told, self.prepared, self.target)
-        now = datetime.now(UTC).isoformat(timespec="seconds")
-        session = Session(
-            now, store, versions(), self.prepared, self.target, workers, self._elapsed()
+    def _announce(self, dashboard: str) -> None:
+        settings = self.spec.search.settings
+        facts = StudyFacts(
+            name=self.spec.name,
+            folder=str(self.study.folder.root),
+            most_evaluations=settings.most_evaluations,
+            generations=settings.generations,
+            workers=self.dispatcher.threads,
+            dashboard=dashboard,
         )
-        self.journal.append(mark_to_json(session))
+        self.hooks.started(facts)
 
-    def _evaluate(self, step: Step) -> None:
-        """See that every candidate of a step has an ending."""
-        self.hooks.generation_begun(step.number, step.proposal)
-        waiting: dict[str, list[int]] = {}
-        requests: dict[str, Record] = {}
-        for candidate in step.candidates:
+    def _prepare(self) -> _Prepared:
+        """Bring case and target into the store, which is quick when they are there."""
+        store, workers = str(self.store.root), self.dispatcher.threads
+        body = self.dispatcher.call(self.tasks.prepare, self.case, store)
+        self.hooks.prepared("case", body)
+        target_spec = self.spec.target.model_dump(mode="json")
+        target = self.dispatcher.call(self.tasks.target, self.case, target_spec, store)
+        self.hooks.prepared("target", target)
+        self.study.folder.check_same(self.log, body, target)
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        self._append(
+            SessionRecord(now, store, versions(), body, target, workers, self._elapsed_s())
+        )
+        return _Prepared(body, target)
+
+    def _end(
+        self,
+        stopped: Stopped,
+        best: EvaluationRecord | None,
+        generations: list[PendingGeneration],
+        evaluation: "_GenerationRun",
+    ) -> EndRecord:
+        if best is None:
+            return EndRecord(stopped.reason, None, None, {}, {}, self._elapsed_s())
+        evaluation.make_volumes(generations[best.generation], [best.candidate])
+        before = evaluation.compare_with_target(evaluation.prepared.body["volume"])
+        after = evaluation.compare_with_target(best.digest)
+        reason, elapsed_s = stopped.reason, self._elapsed_s()
+        return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)
+
+    def _append(self, record: SessionRecord | GenerationRecord | EndRecord) -> None:
+        self.journal.append(record.to_json())
+
+    def _elapsed_s(self) -> float:
+        return time.monotonic() - self.began
+
+
+class _GenerationRun:
+    """Evaluates the candidates of a run's generations on the cluster."""
+
+    def __init__(self, run: _Run, prepared: _Prepared) -> None:
+        self.run, self.prepared = run, prepared
+        self.spec, self.tasks, self.hooks = run.spec, run.tasks, run.hooks
+        self.store, self.dispatcher, self.endings = run.store, run.dispatcher, run.endings
+
+    def evaluate(self, pending: PendingGeneration) -> None:
+        """See that every candidate of a generation has an ending."""
+        sharing: dict[str, list[int]] = {}  # equal candidates have one evaluation
+        requests: dict[str, EvaluationRequest] = {}
+        for candidate in pending.candidates:
             if candidate in self.endings:
-                step.check(self.endings[candidate])
+                pending.check(self.endings[candidate])
                 self.hooks.evaluation_ended(self.endings[candidate], True)
                 continue
-            request = self._request(step, candidate)
-            waiting.setdefault(request["digest"], []).append(candidate)
+            request = self._request(pending, candidate)
+            sharing.setdefault(request["digest"], []).append(candidate)
             requests[request["digest"]] = request
-        asks = []
-        for name, candidates in waiting.items():
-            done = load_evaluation(self.store, name)
-            if done is None:
-                asks.append((name, (requests[name],)))
+        calls = []
+        for name, candidates in sharing.items():
+            stored = load_evaluation(self.store, name)
+            if stored is None:
+                calls.append((name, (requests[name],)))
             else:
-                self._journal(step, candidates, Ending(name, "returned", done), reused=True)
+                ending = Ending(name, "returned", stored)
+                self._journal(pending, candidates, ending, reused=True)
         lost = []
-        for ending in self.dispatcher.run(self.tasks.evaluate, asks):
+        for ending in self.dispatcher.run(self.tasks.evaluate, calls):
             if ending.kind == "lost":
                 lost.append(ending)
-                _judge_losses(lost, len(asks))
+                _blame_cluster_if_many(lost, len(calls))
             else:
-                self._journal(step, waiting[ending.key], ending, reused=False)
+                self._journal(pending, sharing[ending.key], ending, reused=False)
         for ending in lost:
-            self._journal(step, waiting[ending.key], ending, reused=False)
+            self._journal(pending, sharing[ending.key], ending, reused=False)
 
-    def _journal(self, step: Step, candidates: list[int], ending: Ending, *, reused: bool) -> None:
-        """Write down an ending for all candidates that share it, then tell of it."""
+    def keep_volumes(self, pending: PendingGeneration, generation: Generation) -> None:
+        """Store the deformed volumes that the study file asks to keep."""
+        if self.spec.keep == "best":
+            return
+        count = len(generation.scores) if self.spec.keep == "all" else self.spec.search.elite
+        kept = [pending.first + int(index) for index in generation.ranking[:count]]
+        self.make_volumes(pending, [c for c in kept if pending.carried_from(c) is None])
+
+    def make_volumes(self, pending: PendingGeneration, candidates: list[int]) -> None:
+        """Store the deformed volumes of candidates, made from fields that are stored."""
+        calls = []
+        for candidate in candidates:
+            ending = self.endings[candidate]
+            if ending.status is Status.DONE and not has_volume(self.store, ending.digest):
+                calls.append((candidate, (self._request(pending, candidate),)))
+        self.dispatcher.all(self.tasks.keep_volume, calls)
+
+    def compare_with_target(self, volume: str) -> Mapping[str, Scores]:
+        """Score a stored volume against the target, tissue by tissue."""
+        store, target = str(self.store.root), self.prepared.target["target"]
+        case, score = self.run.case, self.run.score
+        return self.dispatcher.call(self.tasks.compare, case, store, target, volume, score)
+
+    def _journal(
+        self, pending: PendingGeneration, candidates: list[int], ending: Ending, *, reused: bool
+    ) -> None:
+        """Write down an ending for all candidates that share it, then tell the observers."""
         records = [
-            _record(step, candidate, ending, reused or position > 0)
+            _evaluation_record(pending, candidate, ending, reused or position > 0)
             for position, candidate in enumerate(candidates)
         ]
-        self.journal.append(*(record.to_json() for record in records))
+        self.run.journal.append(*(record.to_json() for record in records))
         for record in records:
             self.endings[record.candidate] = record
             self.hooks.evaluation_ended(record, False)
 
-    def _request(self, step: Step, candidate: int) -> Record:
-        constants = self.spec.constants_of(step.genes(candidate))
-        target = self.target["target"]
-        name = self.tasks.digest(self.case, self.prepared, target, constants, self.score)
+    def _request(self, pending: PendingGeneration, candidate: int) -> EvaluationRequest:
+        constants = self.spec.constants_of(pending.genes(candidate))
+        body, target = self.prepared.body, self.prepared.target["target"]
+        case, score = self.run.case, self.run.score
         return {
             "store": str(self.store.root),
-            "case": self.case,
-            "prepared": self.prepared,
+            "case": case,
+            "prepared": body,
             "target": target,
             "constants": constants,
-            "score": self.score,
+            "score": score,
             "keep_volume": self.spec.keep == "all",
-            "digest": name,
+            "digest": self.tasks.digest(case, body, target, constants, score),
         }
 
-    def _keep_volumes(self, step: Step, generation: Generation) -> None:
-        """Deformed volumes that the study wants, made from fields that are stored."""
-        if self.spec.keep == "best":
-            return
-        count = len(generation.scores) if self.spec.keep == "all" else self.spec.search.elite
-        wanted = [step.first + int(index) for index in generation.ranking[:count]]
-        self._make_volumes(step, [c for c in wanted if step.carried_from(c) is None])
 
-    def _make_volumes(self, step: Step, candidates: list[int]) -> None:
-        asks = []
-        for candidate in candidates:
-            ending = self.endings[candidate]
-            if ending.status is Status.DONE and not has_volume(self.store, ending.digest):
-                asks.append((candidate, (self._request(step, candidate),)))
-        self.dispatcher.all(self.tasks.keep_volume, asks)
-
-    def _conclude(self, stopped: Stopped, course: Course) -> Conclusion:
-        best = best_of(self.endings)
-        history = tuple(course.history)
-        if self.told.end is None:
-            self._mark(self._end(stopped, best))
-        self.hooks.stopped(stopped.reason)
-        return Conclusion(stopped.reason, best, history)
-
-    def _end(self, stopped: Stopped, best: EvaluationRecord | None) -> End:
-        if best is None:
-            return End(stopped.reason, None, None, {}, {}, self._elapsed())
-        self._make_volumes(self.steps[best.generation], [best.candidate])
-        before, after = (self._compare(volume) for volume in (self.prepared["volume"], best.digest))
-        return End(stopped.reason, best.candidate, best.digest, before, after, self._elapsed())
-
-    def _compare(self, volume: str) -> Record:
-        """A volume with the target, tissue by tissue."""
-        return self.dispatcher.call(
-            self.tasks.compare, str(self.store.root), self.target["target"], volume,
-            self.spec.score.surface,
-        )  # fmt: skip
-
-    def _mark(self, mark: GenerationMark | End) -> None:
-        self.journal.append(mark_to_json(mark))
-
-    def _elapsed(self) -> float:
-        return time.monotonic() - self.began
-
-
-def best_of(endings: Mapping[int, EvaluationRecord]) -> EvaluationRecord | None:
-    """The candidate with the lowest score, the first of equals; None if none has one."""
-    scored = [endings[c] for c in sorted(endings) if score_of(endings[c]) < math.inf]
-    return min(scored, key=score_of, default=None)
-
-
-def _judge_losses(lost: list[Ending], asked: int) -> None:
-    """Where many are lost the cluster is to blame: nothing is said of the candidates."""
-    if len(lost) > max(1, LOST_SHARE * asked):
+def _blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:
+    """Raise where many are lost: then the cluster is to blame, and no candidate."""
+    if len(lost) > max(1, MAX_LOST_SHARE * evaluations):
         raise ClusterError(
-            f"{len(lost)} of {asked} candidates have lost their workers again and again: "
+            f"{len(lost)} of {evaluations} candidates have lost their workers again and again: "
             f"{lost[0].reason}. The workers may have too little memory: start fewer with "
             "--workers, then run the study again; what is finished is kept."
         )
 
 
-def _record(step: Step, candidate: int, ending: Ending, reused: bool) -> EvaluationRecord:
-    """What the journal says of an ending."""
-    who: Record = {
-        "candidate": candidate,
-        "generation": step.number,
-        "genes": step.genes(candidate),
-        "digest": ending.key,
-        "attempts": max(1, ending.attempts),
-        "reused": reused,
-    }
-    value = ending.value
-    if value is None:
+def _evaluation_record(
+    pending: PendingGeneration, candidate: int, ending: Ending, reused: bool
+) -> EvaluationRecord:
+    """Make the journal's record of an ending."""
+    record = partial(
+        EvaluationRecord,
+        candidate=candidate,
+        generation=pending.number,
+        genes=pending.genes(candidate),
+        digest=ending.key,
+        attempts=max(1, ending.attempts),
+        reused=reused,
+    )
+    result: EvaluationResult | None = ending.value
+    if result is None:
         status = Status.CRASHED if ending.kind == "crashed" else Status.LOST
-        trace = ending.traceback if status is Status.CRASHED else ""
-        return EvaluationRecord(**who, status=status, reason=ending.reason, traceback=trace)
-    what: Record = {
-        "outcome": value.get("outcome"),
-        "seconds": value.get("seconds", {}),
-        "worker": value.get("worker", ""),
-    }
-    score = value.get("score")
-    if value["status"] == "done" and score is not None and score["gsf"] < math.inf:
-        return EvaluationRecord(**who, **what, status=Status.DONE, score=score)
-    reason = value.get("reason") or "it has no score: candidate and target share no tissue compared"
-    return EvaluationRecord(**who, **what, status=Status.DIVERGED, reason=reason)
+        traceback = ending.traceback if status is Status.CRASHED else ""
+        return record(status=status, reason=ending.reason, traceback=traceback)
+    record = partial(
+        record,
+        outcome=result.get("outcome"),
+        seconds=result.get("seconds", {}),
+        worker=result.get("worker", ""),
+    )
+    score = result.get("score")
+    if result["status"] == "done" and score is not None and score["gsf"] < math.inf:
+        return record(status=Status.DONE, score=score)
+    return record(status=Status.DIVERGED, reason=result.get("reason") or NO_SHARED_TISSUE)

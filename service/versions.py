@@ -1,4 +1,4 @@
-"""Which code makes the numbers: packages, interpreter, and our own source."""
+"""Names the code that makes the numbers: packages, interpreter, and our own source."""
 
 import platform
 from functools import cache
@@ -19,7 +19,7 @@ def code_digest() -> str:
 
 
 def palpate_version() -> str:
-    """Of the installed distribution."""
+    """Return the version of the installed distribution."""
     try:
         return metadata.version("palpate")
     except metadata.PackageNotFoundError:
@@ -37,7 +37,7 @@ def _versions() -> tuple[tuple[str, str], ...]:
 
 
 def versions() -> dict[str, str]:
-    """Palpate, its code, Python and the packages that results depend on."""
+    """Return the versions of Palpate, its code, Python and the packages that results depend on."""
     return dict(_versions())
 
 

@@ -1,1 +1,1 @@
-"""What survives a crash."""
+"""Keeps on disk what must survive a crash."""

@@ -1,4 +1,4 @@
-"""Named arrays in one Zarr group: the form of everything large in a store.
+"""Saves named arrays in one Zarr group: the form of everything large in a store.
 
 Format 3, zstd, written under a temporary name and renamed when complete. The group
 carries a CRC-32 of every array, because Zarr reads a chunk that is missing as
@@ -135,7 +135,7 @@ def load_meta(path: Path) -> Meta:
 
 
 def exists(path: Path) -> bool:
-    """Whether a complete group is there."""
+    """Return whether a complete group is there."""
     return (path / "zarr.json").is_file()
 
 

@@ -1,4 +1,4 @@
-"""A name appears only when all that it names is on disk.
+"""Writes files and folders whose name appears only when all that it names is on disk.
 
 ::
 
@@ -38,7 +38,7 @@ _NO_FOLDER_SYNC = {errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EBADF}
 
 
 def hint(error: OSError) -> str:
-    """What a user can do about a failed write."""
+    """Say what a user can do about a failed write."""
     return _HINTS.get(error.errno or 0, "Check the disk and run the command again.")
 
 
@@ -54,13 +54,13 @@ def explained(path: Path) -> Iterator[None]:
 
 
 def temporary_sibling(path: Path) -> Path:
-    """A new name in the folder of `path`, with the same suffix, that readers ignore."""
+    """Return a new name in the folder of `path`, with the same suffix, that readers ignore."""
     tail = path.name[-LONGEST_TAIL:]
     return path.with_name(f"{PREFIX}{os.getpid()}-{secrets.token_hex(4)}-{tail}")
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether `path` is the name of something half written."""
+    """Return whether `path` is the name of something half written."""
     return path.name.startswith(PREFIX)
 
 

@@ -1,4 +1,4 @@
-"""From content to a short name.
+"""Derives short names from content.
 
 The first 16 hexadecimal digits of SHA-256: among a million names two are equal
 with a probability of 3e-8. Equal content has an equal name in any process, on any

@@ -1,4 +1,4 @@
-"""The tree of errors that a user may see.
+"""Defines the tree of errors that a user may see.
 
 ::
 

@@ -1,15 +1,16 @@
-"""Finished evaluations by digest: what one study has computed, any other may use.
+"""Saves finished evaluations by digest: what one study has computed, any other may use.
 
 A record is written last, after field and volume, and so vouches for them.
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from storage.atomic import write_file
 from storage.errors import StoreError
 from storage.plain import dumps, from_plain, loads, to_plain
 from storage.stores import Store, check_schema
+from storage.task_records import EvaluationResult
 
 SCHEMA_VERSION = 1
 
@@ -34,7 +35,7 @@ def save_evaluation(store: Store, digest: str, record: Mapping[str, Any]) -> Non
     write_file(store.layout.evaluation(digest), text.encode() + b"\n")
 
 
-def load_evaluation(store: Store, digest: str) -> dict[str, Any] | None:
+def load_evaluation(store: Store, digest: str) -> EvaluationResult | None:
     """Read the record of an evaluation; None if it has not been finished.
 
     Raises
@@ -48,7 +49,7 @@ def load_evaluation(store: Store, digest: str) -> dict[str, Any] | None:
     try:
         written = loads(path.read_bytes())
         check_schema(written["schema_version"], SCHEMA_VERSION, path)
-        return from_plain(dict(written["record"]))
+        return cast(EvaluationResult, from_plain(dict(written["record"])))
     except FileNotFoundError:
         return None
     except OSError as error:

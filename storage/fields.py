@@ -1,4 +1,4 @@
-"""Nodal displacements: the small thing that is always kept.
+"""Saves nodal displacements, the small thing that is always kept.
 
 With mesh and reference volume it gives the deformed volume again.
 """
@@ -27,9 +27,10 @@ def save_field(store: Store, digest: str, displacement_mm: FloatArray) -> None:
         If shape or type are others, or the file system refuses.
     """
     shape, dtype = displacement_mm.shape, displacement_mm.dtype
-    if len(shape) != 2 or shape[1] != 3 or dtype != np.float64:
+    if len(shape) != 2 or shape[1] not in (2, 3) or dtype != np.float64:
         raise StoreError(
-            f"A displacement field has shape {shape} and type {dtype}, expected (n, 3) and float64."
+            f"A displacement field has shape {shape} and type {dtype}, "
+            "expected (n, 3), or (n, 2) of a section, and float64."
         )
     save_arrays(store.layout.field(digest), {"displacement_mm": displacement_mm})
 
@@ -49,5 +50,5 @@ def load_field(store: Store, digest: str) -> FloatArray:
 
 
 def has_field(store: Store, digest: str) -> bool:
-    """Whether the field is there, complete."""
+    """Return whether the field is there, complete."""
     return exists(store.layout.field(digest))

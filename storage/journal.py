@@ -1,4 +1,4 @@
-"""The file that a study is resumed from: JSON records, one a line, only ever appended.
+"""Appends to the file that a study is resumed from: JSON records, one a line.
 
 ::
 
@@ -14,6 +14,7 @@ however it ends.
 
 import fcntl
 import os
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -25,9 +26,8 @@ from storage.plain import dumps, loads
 from storage.records import SCHEMA_VERSION
 from storage.stores import check_schema
 
-Json = dict[str, Any]
-
 BLOCK = 65_536
+LOCK_PATIENCE_S = 1.0
 
 
 class Journal:
@@ -106,7 +106,7 @@ class Journal:
             raise
 
     @staticmethod
-    def read(path: Path | str) -> Iterator[Json]:
+    def read(path: Path | str) -> Iterator[dict[str, Any]]:
         """Give every whole record in order; another process may be writing meanwhile.
 
         A journal that is not there yet has no records.
@@ -133,11 +133,23 @@ class Journal:
                     return
                 yield _parse(line, path, number)
 
+    @staticmethod
+    def is_being_written(path: Path | str) -> bool:
+        """Return whether a process holds the lock of a journal; False if there is no journal."""
+        try:
+            handle = os.open(path, os.O_RDONLY)
+        except OSError:
+            return False
+        try:
+            return not _locked(handle, fcntl.LOCK_SH)
+        finally:
+            _unlock_and_close(handle)
+
     def close(self) -> None:
         """Release the lock; closing twice does no harm."""
         if self._handle >= 0:
             handle, self._handle = self._handle, -1
-            os.close(handle)
+            _unlock_and_close(handle)
 
     def __enter__(self) -> Self:
         return self
@@ -152,13 +164,15 @@ class Journal:
             raise self._failed("opened", error) from error
 
     def _lock(self) -> None:
-        try:
-            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise JournalError(
-                f"{self.path} is being written by another process: this study is already running. "
-                "Follow it with `palpate status`, or stop that process first."
-            ) from error
+        """Take the lock; `is_being_written` may hold it for an instant, a writer for long."""
+        deadline = time.monotonic() + LOCK_PATIENCE_S
+        while not _locked(self._handle, fcntl.LOCK_EX):
+            if time.monotonic() > deadline:
+                raise JournalError(
+                    f"{self.path} is being written by another process: this study is already "
+                    "running. Follow it with `palpate status`, or stop that process first."
+                )
+            time.sleep(LOCK_PATIENCE_S / 20)
 
     def _check_file(self) -> None:
         """Notice when the file is no longer the one that was opened."""
@@ -195,6 +209,26 @@ class Journal:
         )
 
 
+def _locked(handle: int, kind: int) -> bool:
+    """Try to take a lock without waiting; False if another process has it."""
+    try:
+        fcntl.flock(handle, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _unlock_and_close(handle: int) -> None:
+    """Give the lock back for all copies of the handle, then close this one.
+
+    A process that another thread is just starting, such as a worker, has a copy between
+    fork and exec: closing ours alone would leave the lock with it.
+    """
+    with suppress(OSError):
+        fcntl.flock(handle, fcntl.LOCK_UN)
+    os.close(handle)
+
+
 def _write_all(handle: int, data: bytes) -> None:
     view = memoryview(data)
     while view:
@@ -202,7 +236,7 @@ def _write_all(handle: int, data: bytes) -> None:
 
 
 def _whole_bytes(handle: int) -> int:
-    """Size of a file up to and including its last newline."""
+    """Return the size of a file up to and including its last newline."""
     end = os.fstat(handle).st_size
     while end > 0:
         start = max(end - BLOCK, 0)
@@ -213,7 +247,7 @@ def _whole_bytes(handle: int) -> int:
     return 0
 
 
-def _parse(line: bytes, path: Path, number: int) -> Json:
+def _parse(line: bytes, path: Path, number: int) -> dict[str, Any]:
     try:
         record = loads(line)
         if not isinstance(record, dict):

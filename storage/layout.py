@@ -1,4 +1,4 @@
-"""Every path, spelled once.
+"""Spells every path of a study and of a store, once.
 
 ::
 
@@ -38,17 +38,17 @@ class StudyLayout:
 
     @property
     def study(self) -> Path:
-        """The study file as it was when the study began."""
+        """Return the path of the study file as it was when the study began."""
         return self.root / "study.yaml"
 
     @property
     def journal(self) -> Path:
-        """The journal; see `storage.journal`."""
+        """Return the path of the journal; see `storage.journal`."""
         return self.root / "journal.jsonl"
 
     @property
     def report(self) -> Path:
-        """The report, one file."""
+        """Return the path of the report, one file."""
         return self.root / "report.html"
 
 
@@ -66,48 +66,48 @@ class StoreLayout:
 
     @property
     def marker(self) -> Path:
-        """The file that makes a folder a store."""
+        """Return the path of the file that makes a folder a store."""
         return self.root / "palpate-store.json"
 
     @property
     def volumes(self) -> Path:
-        """Folder of voxel volumes."""
+        """Return the folder of bodies: voxel volumes, or sections as named arrays."""
         return self.root / "volumes"
 
     @property
     def meshes(self) -> Path:
-        """Folder of mesh hierarchies."""
+        """Return the folder of mesh hierarchies."""
         return self.root / "meshes"
 
     @property
     def fields(self) -> Path:
-        """Folder of displacements."""
+        """Return the folder of displacements."""
         return self.root / "fields"
 
     @property
     def evaluations(self) -> Path:
-        """Folder of finished evaluations."""
+        """Return the folder of finished evaluations."""
         return self.root / "evaluations"
 
     @property
     def folders(self) -> tuple[Path, ...]:
-        """All folders of a store."""
+        """Return all folders of a store."""
         return self.volumes, self.meshes, self.fields, self.evaluations
 
     def volume(self, digest: str) -> Path:
-        """One voxel volume."""
+        """Return the path of one voxel volume."""
         return self.volumes / f"{_checked(digest)}.zarr"
 
     def mesh(self, digest: str) -> Path:
-        """One mesh hierarchy."""
+        """Return the path of one mesh hierarchy."""
         return self.meshes / f"{_checked(digest)}.zarr"
 
     def field(self, digest: str) -> Path:
-        """One displacement field."""
+        """Return the path of one displacement field."""
         return self.fields / f"{_checked(digest)}.zarr"
 
     def evaluation(self, digest: str) -> Path:
-        """One finished evaluation."""
+        """Return the path of one finished evaluation."""
         return self.evaluations / f"{_checked(digest)}.json"
 
 

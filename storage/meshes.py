@@ -1,4 +1,4 @@
-"""Meshes: Zarr inside the store, meshio at the door."""
+"""Saves meshes: as Zarr inside the store, by meshio at the door."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,7 +45,7 @@ def load_mesh(store: Store, digest: str) -> tuple[Arrays, Meta]:
 
 
 def has_mesh(store: Store, digest: str) -> bool:
-    """Whether the mesh is there, complete."""
+    """Return whether the mesh is there, complete."""
     return exists(store.layout.mesh(digest))
 
 
@@ -103,7 +103,7 @@ def _check_lengths(data: Mapping[str, NDArray[Any]], count: int, of: str) -> Non
 
 
 def _writable(values: NDArray[Any]) -> NDArray[Any]:
-    """Booleans and small integers in a type that all formats know."""
+    """Convert booleans and small integers to a type that all formats know."""
     kind = values.dtype.kind
     if kind == "b" or (kind in "iu" and values.dtype.itemsize < 4):
         return values.astype(np.int32)

@@ -1,4 +1,4 @@
-"""JSON that survives infinities.
+"""Converts values to JSON and back so that infinities survive.
 
 JSON knows no infinity and no NaN, but a perfect score is ``-inf`` and a failed
 one ``inf``. They are written as the texts "-inf", "inf" and "nan", and read back
@@ -56,8 +56,8 @@ def to_plain(value: Any, *, finite: bool = False, where: str = "value") -> Any:
         return [
             to_plain(item, finite=finite, where=f"{where}[{i}]") for i, item in enumerate(value)
         ]
-    wanted = "a list in a fixed order" if isinstance(value, Set) else "a plain value"
-    raise TypeError(f"{where} is of type {type(value).__name__}, expected {wanted}")
+    expected = "a list in a fixed order" if isinstance(value, Set) else "a plain value"
+    raise TypeError(f"{where} is of type {type(value).__name__}, expected {expected}")
 
 
 def _plain_mapping(value: Mapping[Any, Any], finite: bool, where: str) -> dict[str, Any]:
@@ -89,7 +89,7 @@ def from_plain(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def dumps(value: Any) -> str:
-    """One line of compact JSON, in ASCII: any text can be written, lone surrogates too."""
+    """Write one line of compact JSON, in ASCII: any text can be written, lone surrogates too."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 

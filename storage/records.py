@@ -1,11 +1,15 @@
-"""What a journal says.
+"""Defines the records of a study's journal.
 
 ::
 
     study         first line: what was asked, and with which versions
+    session       a run of the study begins: versions, store, and what was prepared
     evaluation    one line for each ending of a candidate, in order of arrival
+    generation    all scores of a generation are known
+    end           the search has stopped: reason, best candidate, scores by tissue
 
-A record that makes no sense cannot be made, so none can be read either.
+No score depends on the sessions, generations and the end. A record that makes no sense cannot
+be made, so none can be read either.
 """
 
 import math
@@ -17,19 +21,18 @@ from storage.errors import JournalError
 from storage.plain import to_number, to_plain
 from storage.status import Status
 from storage.stores import check_schema
+from storage.task_records import OutcomeJson, PreparedBody, PreparedTarget, Scores
 
 SCHEMA_VERSION = 1
 
-Json = dict[str, Any]
 
-
-class _Record:
-    """To and from JSON, by the fields of the dataclass."""
+class _JournalRecord:
+    """Convert a dataclass to and from a line of the journal, field by field."""
 
     kind: ClassVar[str]
 
-    def to_json(self) -> Json:
-        """A line of the journal, as plain values."""
+    def to_json(self) -> dict[str, Any]:
+        """Return the line of the journal, as plain values."""
         named: Any = self
         plain = {f.name: to_plain(getattr(self, f.name)) for f in fields(named)}
         return {"kind": self.kind, "schema_version": SCHEMA_VERSION, **plain}
@@ -63,8 +66,8 @@ class _Record:
 
 
 @dataclass(frozen=True)
-class StudyRecord(_Record):
-    """What a study is.
+class StudyRecord(_JournalRecord):
+    """What a study asks: its file with all defaults, and the versions it began with.
 
     Parameters
     ----------
@@ -90,7 +93,100 @@ class StudyRecord(_Record):
 
 
 @dataclass(frozen=True)
-class EvaluationRecord(_Record):
+class SessionRecord(_JournalRecord):
+    """The beginning of a run of the study, after its preparation.
+
+    Parameters
+    ----------
+    began : str
+        Date and time, ISO 8601.
+    store : str
+        Where the store is.
+    versions : mapping of str to str
+        See `service.versions`.
+    prepared : PreparedBody
+        The undeformed body and its mesh.
+    target : PreparedTarget
+        The deformed body that is explained.
+    workers : int
+        Evaluations at once.
+    seconds : float
+        How long the preparation took.
+    """
+
+    kind: ClassVar[str] = "session"
+
+    began: str
+    store: str
+    versions: Mapping[str, str]
+    prepared: PreparedBody
+    target: PreparedTarget
+    workers: int
+    seconds: float
+
+    def __post_init__(self) -> None:
+        _restore_numbers(self, "prepared", "target")
+
+
+@dataclass(frozen=True)
+class GenerationRecord(_JournalRecord):
+    """The mark that all scores of a generation are known.
+
+    Parameters
+    ----------
+    number : int
+        From 0.
+    best : float
+        Lowest GSF; may be infinite.
+    elapsed_s : float
+        Since the session began.
+    """
+
+    kind: ClassVar[str] = "generation"
+
+    number: int
+    best: float
+    elapsed_s: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "best", float(self.best))
+
+
+@dataclass(frozen=True)
+class EndRecord(_JournalRecord):
+    """The end of the search.
+
+    Parameters
+    ----------
+    reason : str
+        In words.
+    best : int or None
+        Candidate; None if none has a score.
+    volume : str or None
+        Digest of its deformed volume.
+    before : mapping of str to Scores
+        By tissue, of the undeformed body: where every fit begins.
+    per_label : mapping of str to Scores
+        By tissue, of the best candidate.
+    elapsed_s : float
+        Since the session began.
+    """
+
+    kind: ClassVar[str] = "end"
+
+    reason: str
+    best: int | None
+    volume: str | None
+    before: Mapping[str, Scores]
+    per_label: Mapping[str, Scores]
+    elapsed_s: float
+
+    def __post_init__(self) -> None:
+        _restore_numbers(self, "before", "per_label")
+
+
+@dataclass(frozen=True)
+class EvaluationRecord(_JournalRecord):
     """How the evaluation of one candidate ended.
 
     Parameters
@@ -105,10 +201,10 @@ class EvaluationRecord(_Record):
         Name of the evaluation in the store.
     status : Status
         done, diverged, crashed or lost.
-    score : mapping of str to float, optional
+    score : Scores, optional
         With ``gsf``, which may be infinite; exactly when done.
-    outcome : mapping, optional
-        What the solver says; see `workers.fem.outcome`.
+    outcome : OutcomeJson, optional
+        What the solver says of its result.
     reason : str
         Why there is no score; empty exactly when done.
     traceback : str
@@ -129,16 +225,13 @@ class EvaluationRecord(_Record):
     """
 
     kind: ClassVar[str] = "evaluation"
-    # Kept as plain values, in which "-inf" is a number.
-    numeric: ClassVar[tuple[str, ...]] = ("genes", "score", "outcome", "seconds")
-
     candidate: int
     generation: int
     genes: Mapping[str, float]
     digest: str
     status: Status
-    score: Mapping[str, Any] | None = None
-    outcome: Mapping[str, Any] | None = None
+    score: Scores | None = None
+    outcome: OutcomeJson | None = None
     reason: str = ""
     traceback: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -148,8 +241,7 @@ class EvaluationRecord(_Record):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", Status(self.status))
-        for part in self.numeric:
-            object.__setattr__(self, part, to_number(to_plain(getattr(self, part))))
+        _restore_numbers(self, "genes", "score", "outcome", "seconds")
         name = f"candidate {self.candidate} is {self.status}"
         if not (_is_count(self.candidate, 0) and _is_count(self.generation, 0)):
             _refuse(f"{name}, but its number or generation ({self.generation}) is no count")
@@ -173,11 +265,15 @@ class EvaluationRecord(_Record):
             _refuse(f"{name} {'with' if self.traceback else 'without'} a traceback")
 
 
-Record = StudyRecord | EvaluationRecord
+JournalRecord = StudyRecord | SessionRecord | EvaluationRecord | GenerationRecord | EndRecord
+_KINDS: dict[str, type[JournalRecord]] = {
+    made.kind: made
+    for made in (StudyRecord, SessionRecord, EvaluationRecord, GenerationRecord, EndRecord)
+}
 
 
-def record_of(line: Mapping[str, Any]) -> Record:
-    """The record that a line of a journal holds.
+def record_of(line: Mapping[str, Any]) -> JournalRecord:
+    """Return the record that a line of a journal holds.
 
     Raises
     ------
@@ -186,9 +282,13 @@ def record_of(line: Mapping[str, Any]) -> Record:
     NewerSchemaError
         If a newer version of Palpate wrote it.
     """
-    if line.get("kind") == StudyRecord.kind:
-        return StudyRecord.from_json(line)
-    return EvaluationRecord.from_json(line)
+    return _KINDS.get(str(line.get("kind")), EvaluationRecord).from_json(line)
+
+
+def _restore_numbers(record: _JournalRecord, *names: str) -> None:
+    """Replace "-inf" and its like by numbers in these fields, at any depth."""
+    for name in names:
+        object.__setattr__(record, name, to_number(to_plain(getattr(record, name))))
 
 
 def _is_count(value: Any, least: int) -> bool:

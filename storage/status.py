@@ -1,4 +1,4 @@
-"""The life of an evaluation.
+"""Defines the life of an evaluation.
 
 ::
 
@@ -28,20 +28,5 @@ class Status(StrEnum):
 
     @property
     def is_ending(self) -> bool:
-        """Whether the search may be told: done, diverged or crashed."""
+        """Return whether the search gets a score for it: done, diverged or crashed."""
         return self in (Status.DONE, Status.DIVERGED, Status.CRASHED)
-
-    @property
-    def may_become(self) -> frozenset["Status"]:
-        """What can follow."""
-        return _NEXT[self]
-
-
-_NEXT = {
-    Status.WAITING: frozenset({Status.RUNNING}),
-    Status.RUNNING: frozenset({Status.DONE, Status.DIVERGED, Status.CRASHED, Status.LOST}),
-    Status.LOST: frozenset({Status.WAITING}),
-    Status.DONE: frozenset[Status](),
-    Status.DIVERGED: frozenset[Status](),
-    Status.CRASHED: frozenset[Status](),
-}

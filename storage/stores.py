@@ -1,4 +1,4 @@
-"""A store: one folder that workers and driver share.
+"""Opens a store: one folder that workers and driver share.
 
 Volumes, meshes, fields and finished evaluations lie there by digest, so
 any study that asks for the same thing finds it. Nothing in a store is changed
@@ -36,7 +36,7 @@ class Store:
 
     @property
     def layout(self) -> StoreLayout:
-        """Where things lie."""
+        """Return the paths of the store."""
         return StoreLayout(self.root)
 
     def __str__(self) -> str:
@@ -109,9 +109,9 @@ def _check(layout: StoreLayout) -> None:
         version = loads(layout.marker.read_bytes())["schema_version"]
         check_schema(version, SCHEMA_VERSION, layout.root)
     except FileNotFoundError as error:
-        found = "has no palpate-store.json" if layout.root.is_dir() else "is missing"
+        problem = "has no palpate-store.json" if layout.root.is_dir() else "is missing"
         raise StoreError(
-            f"{layout.root} is not a store: it {found}. Give the store of an earlier run, or "
+            f"{layout.root} is not a store: it {problem}. Give the store of an earlier run, or "
             "run a study to make one."
         ) from error
     except OSError as error:

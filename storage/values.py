@@ -1,4 +1,4 @@
-"""The plain values that travel through the house: a voxel volume and a mesh.
+"""Defines the plain values that travel through the house: a voxel volume and a mesh.
 
 Nothing here reads or writes. The physics knows these two and no store.
 
@@ -67,17 +67,17 @@ class Volume:
 
     @property
     def shape_xyz(self) -> tuple[int, int, int]:
-        """Number of voxels along x, y and z."""
+        """Return the number of voxels along x, y and z."""
         nz, ny, nx = self.values.shape
         return nx, ny, nz
 
     @property
     def voxel_mm3(self) -> float:
-        """Volume of one voxel."""
+        """Return the volume of one voxel."""
         return float(np.prod(self.spacing_mm))
 
     def on_lattice_of(self, other: "Volume", tolerance: float = 1e-3) -> bool:
-        """Whether voxel centres of both volumes coincide (the boxes may differ)."""
+        """Return whether voxel centres of both volumes coincide (the boxes may differ)."""
         spacing = np.asarray(other.spacing_mm)
         shift = (np.asarray(self.origin_mm) - other.origin_mm) / spacing
         return bool(

@@ -1,4 +1,4 @@
-"""Voxel volumes in a store: phantoms, images, targets and deformed bodies.
+"""Saves voxel volumes in a store: phantoms, images, targets and deformed bodies.
 
 The array ``values`` is chunked and compressed. Spacing, origin and, for tissue
 labels, their names are attributes beside it.
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from storage.arrays import exists, load_arrays, load_meta, save_arrays
-from storage.atomic import is_temporary, withdraw
+from storage.atomic import is_temporary
 from storage.errors import StoreError
 from storage.stores import Store
 from storage.values import Tissue, Triple, Volume
@@ -69,7 +69,7 @@ def load_volume(store: Store, digest: str) -> Volume:
 
 
 def volume_meta(store: Store, digest: str) -> dict[str, Any]:
-    """What is known of a volume, without reading its voxels.
+    """Read what is known of a volume, without reading its voxels.
 
     Returns
     -------
@@ -89,28 +89,17 @@ def volume_meta(store: Store, digest: str) -> dict[str, Any]:
 
 
 def has_volume(store: Store, digest: str) -> bool:
-    """Whether the volume is there, complete."""
+    """Return whether the volume is there, complete."""
     return exists(store.layout.volume(digest))
 
 
 def list_volumes(store: Store) -> list[str]:
-    """Digests of all volumes, sorted."""
+    """Return the digests of all volumes, sorted."""
     folder = store.layout.volumes
     if not folder.is_dir():
         return []
     paths = (path for path in folder.glob("*.zarr") if not is_temporary(path))
     return sorted(path.stem for path in paths if exists(path))
-
-
-def remove_volume(store: Store, digest: str) -> bool:
-    """Remove a volume in one step; False if it is not there.
-
-    Raises
-    ------
-    StoreError
-        If the file system refuses.
-    """
-    return withdraw(store.layout.volume(digest))
 
 
 def _are_tissues(volume: Volume) -> bool:

@@ -3,6 +3,6 @@
 import sys
 from pathlib import Path
 
-for room in Path(__file__).parent.iterdir():
+for room in sorted(Path(__file__).parent.rglob("*")):
     if room.is_dir() and not room.name.startswith(("_", ".")):
         sys.path.append(str(room))

@@ -1,4 +1,4 @@
-"""What a worker process holds: one thread for each evaluation, and a bounded cache.
+"""Hold what a worker process needs: one thread for each evaluation, and a bounded cache.
 
 The only file of this package that knows Dask. Everything works the same in a
 process that is no Dask worker.
@@ -26,7 +26,7 @@ CACHE_BYTES = 2 * 1024**3
 
 
 class OneThread(WorkerPlugin):
-    """Tells the libraries of a worker to use one thread.
+    """Tell the libraries of a worker to use one thread.
 
     Register it with ``client.register_plugin(OneThread())``. It comes in time for
     numba, but not for the BLAS of NumPy, which Dask itself loads: a worker that
@@ -37,7 +37,7 @@ class OneThread(WorkerPlugin):
     idempotent = True
 
     def setup(self, worker: Worker) -> None:
-        """Called by Dask on every worker, also on those that join later."""
+        """Set the variables; Dask calls this on every worker, also on those that join later."""
         if os.environ.get("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS")) != "1":
             _log.warning(
                 "The worker %s was started without OMP_NUM_THREADS=1 and OPENBLAS_NUM_THREADS=1: "
@@ -48,7 +48,7 @@ class OneThread(WorkerPlugin):
 
 
 def worker_name() -> str:
-    """The Dask worker that runs this code, or host and process id outside of one."""
+    """Return the Dask worker that runs this code, or host and process id outside of one."""
     try:
         return str(get_worker().name)
     except ValueError:
@@ -56,7 +56,7 @@ def worker_name() -> str:
 
 
 class Cache:
-    """The values used last, as many as fit.
+    """Keep the values used last, as many as fit.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class Cache:
         self._lock = threading.Lock()
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        """The value of `key`, made by `make` unless it is here."""
+        """Return the value of `key`, made by `make` unless it is here."""
         with self._lock:
             if key in self._values:
                 self._values.move_to_end(key)
@@ -100,7 +100,7 @@ class Cache:
 
     @property
     def used_bytes(self) -> int:
-        """What the arrays of all values take."""
+        """Return what the arrays of all values take."""
         return sum(size for _, size in self._values.values())
 
     def __len__(self) -> int:
@@ -119,18 +119,18 @@ CACHE = Cache()
 
 
 def size_bytes(value: object) -> int:
-    """Bytes of all arrays within a value: dataclasses, containers and plain objects are searched.
+    """Count the bytes of all arrays within a value: dataclasses, containers, plain objects.
 
     An array that is held twice is counted once.
     """
-    seen: set[int] = set()
+    counted: set[int] = set()
     total = 0
     pending: list[object] = [value]
     while pending:
         item = pending.pop()
-        if id(item) in seen:
+        if id(item) in counted:
             continue
-        seen.add(id(item))
+        counted.add(id(item))
         if isinstance(item, np.ndarray):
             total += item.nbytes
         else:

@@ -1,4 +1,4 @@
-"""Units: mm, N, MPa and s inside; what users write at the door.
+"""Define units: mm, N, MPa and s inside; what users write at the door.
 
 A stiffness is written in kPa and computed in MPa. Numbers are converted by one
 multiplication or division by an exact factor, so that 10 kPa is 0.01 MPa to the
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit at the door.
+    """Describe a unit at the door.
 
     Parameters
     ----------
@@ -42,23 +42,25 @@ class Unit:
     inside_per: float = 1.0
 
     def to_inside(self, value: float) -> float:
-        """From this unit to the one inside."""
+        """Convert from this unit to the one inside."""
         return value * self.inside_per / self.per_inside
 
     def to_door(self, value: float) -> float:
-        """From the unit inside to this one."""
+        """Convert from the unit inside to this one."""
         return value * self.per_inside / self.inside_per
 
     def name_at_door(self, name: str) -> str:
-        """`name` with its unit behind it, as users write it."""
+        """Return `name` with its unit behind it, as users write it."""
         return f"{name}_{self.symbol.lower().replace('/', '_per_')}" if self.symbol else name
 
     def text(self, value_inside: float) -> str:
-        """A value for a reader, "10 kPa"."""
+        """Format a value for a reader, "10 kPa"."""
         return f"{self.to_door(value_inside):g} {self.symbol}".rstrip()
 
 
 KPA = Unit("kPa", "MPa", 1000.0)
+PA = Unit("Pa", "MPa", 1e6)
+MMHG = Unit("mmHg", "MPa", 1.0, 1.33322387e-4)
 NUMBER = Unit("", "", 1.0)
 MM = Unit("mm", "mm", 1.0)
 DEGREE = Unit("deg", "deg", 1.0)

@@ -1,1 +1,1 @@
-"""Diagnoses of cases whose cause is known to somebody else: made, sealed, answered, scored."""
+"""Makes, seals, diagnoses and scores cases whose cause the diagnosis cannot know."""

@@ -1,28 +1,93 @@
-"""What a diagnosis said of a case, on paper: words and numbers as JSON, points as arrays."""
+"""Writes what a diagnosis said of a case: words and numbers as JSON, points as arrays."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from service.blind.baselines import raw_correlation
 from service.blind.seal import file_hash, write_json
+from service.blind.sealed_settings import FrozenDiagnosis
 from service.blind.sets import BlindSet, Directions, answer_hashes
-from service.diagnosis.run import Found
+from service.diagnosis.run import FinishedDiagnosis
 from storage.arrays import Arrays
 from storage.atomic import explained, replacing
-from workers.casebook import Casebook, Request
-from workers.effects.inclusion import INCLUSION
+from storage.typed_json import to_json
+from storage.values import Triple
+from workers.diagnosis.summary import Summary
+from workers.mechanics.effects.inclusion import INCLUSION
+from workers.tasks.diagnosis_store import (
+    CalibrationRecord,
+    DiagnosisRequest,
+    DiagnosisStore,
+    JointFitRecord,
+    SensitivityRecord,
+)
 
-Json = dict[str, Any]
 # What a score needs of the maps. Those with "after" are there where an effect is accused.
 KEPT = (
-    "points", "interface", "before", "after", "noise",
-    "moved_before", "moved_after", "normals_before", "normals_after",
-)  # fmt: skip
+    "points",
+    "interface",
+    "before",
+    "after",
+    "noise",
+    "moved_before",
+    "moved_after",
+    "normals_before",
+    "normals_after",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Baselines:
+    """What simpler rules would go by, for each effect; see `service.blind.baselines`.
+
+    Parameters
+    ----------
+    raw_correlation : mapping of str to float
+        Of its columns with the residuals, without projection.
+    refit_left_mm : mapping of str to float
+        Root mean square residual that its joint fit leaves.
+    """
+
+    raw_correlation: Mapping[str, float]
+    refit_left_mm: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a diagnosis said of a case.
+
+    Parameters
+    ----------
+    id : str
+        Of the case.
+    code : str
+        Digest of the source that found it.
+    scans : tuple of str
+        Names of the loaded scans.
+    summary : Summary
+    baselines : Baselines
+    centre_mm : tuple of float or None
+        Middle of the body, from which the place of a lump counts; None if none was fitted.
+    """
+
+    id: str
+    code: str
+    scans: tuple[str, ...]
+    summary: Summary
+    baselines: Baselines
+    centre_mm: Triple | None
 
 
 def write_answer(
-    blind: BlindSet, name: str, directions: Directions, request: Request, found: Found, code: str
+    blind: BlindSet,
+    name: str,
+    directions: Directions,
+    request: DiagnosisRequest,
+    diagnosis: FinishedDiagnosis,
+    code: str,
 ) -> None:
     """Keep what was found; the JSON is written last, so what has one is whole.
 
@@ -30,7 +95,7 @@ def write_answer(
     ----------
     name : str
         Of the case.
-    request : Request
+    request : DiagnosisRequest
         Of the diagnosis, whose parts the store still has.
     code : str
         Digest of the source that found it.
@@ -40,24 +105,19 @@ def write_answer(
     StoreError
         If it cannot be written.
     """
-    book = Casebook(request)
-    arrays: Any = {key: found.maps[key] for key in KEPT if key in found.maps}
+    store, maps = DiagnosisStore(request), diagnosis.maps
+    arrays: Any = {key: maps[key] for key in KEPT if key in maps}
     # What the mesh adds, which the diagnosis takes off its residuals.
-    arrays["bias"] = book.load("calibration")[0]["bias"].reshape(found.maps["before"].shape)
+    _, calibrated = store.calibration.load(CalibrationRecord)
+    arrays["bias"] = calibrated["bias"].reshape(maps["before"].shape)
     folder = blind.answers(directions)
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
         with replacing(blind.points(name, directions)) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)
-    record = {
-        "id": name,
-        "code": code,
-        "scans": found.scans,
-        "summary": found.summary,
-        "baselines": _baselines(book, found.maps),
-        "centre_mm": _centre_mm(book),
-    }
-    write_json(blind.answer(name, directions), record)
+    baselines, centre_mm = _baselines(store, maps), _centre_mm(store)
+    answer = Answer(name, code, diagnosis.scans, diagnosis.summary, baselines, centre_mm)
+    write_json(blind.answer(name, directions), to_json(answer))
 
 
 def write_failure(
@@ -72,14 +132,18 @@ def write_failure(
 
 
 def seal_answers(
-    blind: BlindSet, directions: Directions, names: list[str], diagnosis: Json, reason: str | None
+    blind: BlindSet,
+    directions: Directions,
+    names: list[str],
+    diagnosis: FrozenDiagnosis,
+    reason: str | None,
 ) -> str:
     """Write the hashes of all answers; the hash of that file.
 
     Parameters
     ----------
-    diagnosis : dict
-        As it answered, see `service.blind.frozen.frozen`.
+    diagnosis : FrozenDiagnosis
+        As it answered, see `service.blind.sealed_settings`.
     reason : str or None
         Why it is not the one that the manifest names.
     """
@@ -87,30 +151,34 @@ def seal_answers(
         "manifest": file_hash(blind.manifest),
         "directions": directions,
         "answers": {name: answer_hashes(blind, name, directions) for name in names},
-        "diagnosis": diagnosis,
+        "diagnosis": to_json(diagnosis),
         "declared": reason,
     }
     return write_json(blind.sealed_answers(directions), record)
 
 
-def _centre_mm(book: Casebook) -> list[float] | None:
-    """Middle of the body, from which the place of a lump counts; None if none was refitted."""
-    lump = [INCLUSION.name]
-    if not (book.has("refit", lump) and book.told("refit", lump)["found"]):
+def _centre_mm(store: DiagnosisStore) -> Triple | None:
+    if not _is_fitted(store, INCLUSION.name):
         return None
-    return [float(x) for x in book.built.frame.centre_mm]
+    x, y, z = store.uncalibrated.frame.centre_mm
+    return float(x), float(y), float(z)
 
 
-def _baselines(book: Casebook, maps: Arrays) -> Json:
-    """How each effect does without projection, and refitted alone; see the baselines."""
+def _baselines(store: DiagnosisStore, maps: Arrays) -> Baselines:
     residual = maps["before"]
     correlations, left = {}, {}
-    for effect in book.request["effects"]:
-        parts = [book.load("print", effect, scan) for scan in range(len(residual))]
-        if all(told["acts"] for _, told in parts):
-            columns = np.concatenate([arrays["columns"] for arrays, _ in parts], axis=-2)
+    for effect in store.request.effects:
+        scans = range(len(residual))
+        parts = [store.sensitivity(effect, scan).load(SensitivityRecord) for scan in scans]
+        if all(record.acts for record, _ in parts):
+            columns = np.concatenate([arrays["columns"] for _, arrays in parts], axis=-2)
             correlations[effect] = raw_correlation(columns, residual.ravel())
-        if book.has("refit", [effect]) and book.told("refit", [effect])["found"]:
-            refitted = book.load("refit", [effect])[0]["residual"]
-            left[effect] = float(np.sqrt(np.mean(refitted**2)))
-    return {"raw_correlation": correlations, "refit_left_mm": left}
+        if _is_fitted(store, effect):
+            _, arrays = store.joint_fit([effect]).load(JointFitRecord)
+            left[effect] = float(np.sqrt(np.mean(arrays["residual"] ** 2)))
+    return Baselines(correlations, left)
+
+
+def _is_fitted(store: DiagnosisStore, effect: str) -> bool:
+    part = store.joint_fit([effect])
+    return part.is_finished and part.record(JointFitRecord).simulated

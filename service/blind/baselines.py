@@ -1,4 +1,4 @@
-"""Simpler ways to name a cause, which a diagnosis has to beat.
+"""Names a cause in simpler ways, which a diagnosis has to beat.
 
 1. The largest raw correlation: the effect one of whose fingerprints is most nearly parallel
    to the residuals of the nominal model, at any place; nothing is whitened, and what the
@@ -18,7 +18,7 @@ from storage.values import FloatArray
 
 
 def raw_correlation(columns: FloatArray, residual: FloatArray) -> float:
-    """The largest cosine between the residuals and any column of a fingerprint.
+    """Return the largest cosine between the residuals and any column of a fingerprint.
 
     Parameters
     ----------
@@ -38,12 +38,12 @@ def raw_correlation(columns: FloatArray, residual: FloatArray) -> float:
 
 
 def largest(correlations: Mapping[str, float]) -> str | None:
-    """The effect accused by the first baseline; None without fingerprints."""
+    """Return the effect accused by the first baseline; None without fingerprints."""
     return max(correlations, key=lambda name: correlations[name]) if correlations else None
 
 
 def closest(left_mm: Mapping[str, float]) -> str | None:
-    """The effect accused by the second baseline; None without refits.
+    """Return the effect accused by the second baseline; None without refits.
 
     Parameters
     ----------

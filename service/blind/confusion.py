@@ -1,4 +1,4 @@
-"""What was true, and what was said of it."""
+"""Counts what was true against what was said of it."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -38,10 +38,10 @@ def confusion(records: Sequence[CaseRecord]) -> Confusion:
     """Count answers by what was true."""
     ranked = sorted(records, key=lambda r: (ORDER.index(r.group), true_name(r)))
     rows = tuple(dict.fromkeys(true_name(r) for r in ranked))
-    said = {said_name(r) for r in records}
-    effects = [name for r in ranked for name in r.effects if name in said]
-    others = sorted(said - set(effects) - {NO_GAP, *ENDS})
-    columns = (NO_GAP, *dict.fromkeys(effects), *others, *(e for e in ENDS if e in said))
+    answers = {said_name(r) for r in records}
+    effects = [name for r in ranked for name in r.effects if name in answers]
+    others = sorted(answers - set(effects) - {NO_GAP, *ENDS})
+    columns = (NO_GAP, *dict.fromkeys(effects), *others, *(e for e in ENDS if e in answers))
     count = Counter((true_name(r), said_name(r)) for r in records)
     right = {(rows.index(true_name(r)), columns.index(said_name(r))) for r in records if r.right}
     counts = tuple(tuple(count[row, column] for column in columns) for row in rows)
@@ -49,7 +49,7 @@ def confusion(records: Sequence[CaseRecord]) -> Confusion:
 
 
 def true_name(record: CaseRecord) -> str:
-    """The row of a case."""
+    """Return the row of a case."""
     if record.group == "single":
         return record.effects[0]
     if record.group == "pair":
@@ -58,5 +58,5 @@ def true_name(record: CaseRecord) -> str:
 
 
 def said_name(record: CaseRecord) -> str:
-    """The column of a case."""
+    """Return the column of a case."""
     return record.first or record.answer

@@ -1,4 +1,4 @@
-"""True magnitudes in the words of the catalogue, and how far the found ones are off.
+"""Converts true magnitudes to the catalogue's parameters, to compare estimates with them.
 
 Whoever made a case gave each cause a form of its own; where the catalogue has a parameter of
 the same meaning, that is what the diagnosis should find:
@@ -23,14 +23,15 @@ import numpy as np
 
 from service.blind.records import Magnitude
 from service.blind.truth import Truth
-from workers.effects.inclusion import INCLUSION, PLACE
+from storage.values import Triple
+from workers.diagnosis.summary import EffectSummary
+from workers.mechanics.effects.inclusion import INCLUSION, PLACE
 
-Json = Mapping[str, Any]
 Given = Mapping[str, Any]
 
 
 def _renamed(**names: str) -> Callable[[Given], dict[str, float]]:
-    """Parameters of the catalogue that have another name in the truth."""
+    """Return parameters of the catalogue that have another name in the truth."""
     return lambda given: {ours: float(given[theirs]) for ours, theirs in names.items()}
 
 
@@ -66,7 +67,7 @@ IN_CATALOGUE: dict[str, Callable[[Given], dict[str, float]]] = {
 
 
 def true_values(truth: Truth) -> dict[str, float]:
-    """Parameters of the catalogue under their door names, of all true effects.
+    """Return parameters of the catalogue under their door names, of all true effects.
 
     Raises
     ------
@@ -80,40 +81,40 @@ def true_values(truth: Truth) -> dict[str, float]:
     return out
 
 
-def magnitudes(truth: Truth, by_name: Mapping[str, Json]) -> list[Magnitude]:
-    """Found beside true, of a single effect that was refitted.
+def magnitudes(truth: Truth, by_name: Mapping[str, EffectSummary]) -> list[Magnitude]:
+    """Put found beside true magnitudes, of a single effect that was refitted.
 
     Parameters
     ----------
-    by_name : mapping of str to dict
+    by_name : mapping of str to EffectSummary
         What is said of each effect, see `workers.diagnosis.summary`.
     """
     found = by_name.get(truth.effects[0]) if truth.group == "single" else None
-    if found is None or not found["refitted"]:
+    if found is None or not found.refitted:
         return []
     true = true_values(truth)
     return [
-        Magnitude(p["parameter"], p["magnitude"], p["sd"], true[p["parameter"]])
-        for p in found["parameters"]
-        if p["parameter"] in true
+        Magnitude(p.parameter, p.magnitude, p.sd, true[p.parameter])
+        for p in found.parameters
+        if p.parameter in true
     ]
 
 
 def lump_apart_mm(
-    truth: Truth, by_name: Mapping[str, Json], centre_mm: list[float] | None
+    truth: Truth, by_name: Mapping[str, EffectSummary], centre_mm: Triple | None
 ) -> float | None:
-    """Between the centres of the true and the found lump; None unless both are there.
+    """Return the distance of the true and the found centre of a lump; None unless both are there.
 
     Parameters
     ----------
-    centre_mm : list of float or None
+    centre_mm : tuple of float or None
         Middle of the body, from which the found place counts.
     """
     given = next((c.parameters for c in truth.causes if c.effect == INCLUSION.name), None)
     found = by_name.get(INCLUSION.name)
-    if given is None or found is None or centre_mm is None or not found["refitted"]:
+    if given is None or found is None or centre_mm is None or not found.refitted:
         return None
-    sizes = {p["parameter"]: p["magnitude"] for p in found["parameters"]}
+    sizes = {p.parameter: p.magnitude for p in found.parameters}
     doors = {p.name: p.door_name for p in INCLUSION.parameters}
     at = np.add(centre_mm, [sizes[doors[name]] for name in PLACE])
     return float(np.linalg.norm(at - np.asarray(given["centre_mm"])))

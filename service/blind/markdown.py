@@ -1,12 +1,12 @@
-"""Figures as a table in a text that is kept with the code."""
+"""Writes metrics as a table into a text that is kept with the code."""
 
 from collections.abc import Iterator, Sequence
 
+from service.blind.calibration import calibration_curve
 from service.blind.confusion import confusion
-from service.blind.page import Scored
-from service.blind.probability import calibration_curve
+from service.blind.metrics import Metric
 from service.blind.records import CaseRecord
-from service.blind.scores import Figure
+from service.blind.scored_set import ScoredSet
 from service.blind.words import answered, asked_for, interval, limit, millimetres, shown
 from service.diagnosis.words import spoken
 from service.report.words import NONE
@@ -15,8 +15,8 @@ from storage.errors import InputError
 BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 
 
-def filled(text: str, scored: Scored) -> str:
-    """`text` with the figures between its two marks, in place of what stood there.
+def filled(text: str, scored: ScoredSet) -> str:
+    """Return `text` with the metrics between its two marks, in place of what stood there.
 
     Raises
     ------
@@ -32,8 +32,8 @@ def filled(text: str, scored: Scored) -> str:
     return f"{before}{BEGIN}\n{table(scored)}\n{END}{after}"
 
 
-def table(scored: Scored) -> str:
-    """The figures in Markdown, those with a target first, and what lies behind them."""
+def table(scored: ScoredSet) -> str:
+    """Write the metrics in Markdown, those with a target first, and what lies behind them."""
     seals = scored.seals
     lines = [
         f"{len(scored.records)} cases of the set {scored.name}. Manifest `{seals['manifest']}`, "
@@ -43,28 +43,28 @@ def table(scored: Scored) -> str:
     if seals["declared"]:
         lines += [f"The diagnosis is not the one that was sealed: {seals['declared']}", ""]
     lines += ["| figure | value | 95 % interval | cases | target | |", "|---|---|---|---|---|---|"]
-    lines += [_row(f) for f in sorted(scored.figures, key=lambda f: f.target is None)]
+    lines += [_row(f) for f in scored.targets_first]
     if scored.floor_mm is not None:
         lines += ["", f"Floor: {scored.floor_mm:.3f} mm of true gap in the median control."]
     lines += ["", "| what was true | what was said first, right answers in bold |", "|---|---|"]
     lines += _confusions(scored.records)
     lines += ["", "| probability stated | statements | came true |", "|---|---|---|"]
     lines += _calibration(scored.records)
-    lines += ["", "| wrong answer to | said | true gap, mm | evidence of a gap |",
-              "|---|---|---|---|"]  # fmt: skip
+    lines += ["", "| wrong answer to | said | true gap, mm | evidence of a gap |"]
+    lines += ["|---|---|---|---|"]
     return "\n".join([*lines, *_failures(scored.records)])
 
 
 def _confusions(records: Sequence[CaseRecord]) -> Iterator[str]:
-    found = confusion(records)
-    for row, (name, counts) in enumerate(zip(found.rows, found.counts, strict=True)):
-        said = [
-            f"**{words}**" if (row, column) in found.right else words
-            for column, (what, count) in enumerate(zip(found.columns, counts, strict=True))
+    table = confusion(records)
+    for row, (name, counts) in enumerate(zip(table.rows, table.counts, strict=True)):
+        answers = [
+            f"**{words}**" if (row, column) in table.right else words
+            for column, (what, count) in enumerate(zip(table.columns, counts, strict=True))
             if count
             for words in (f"{spoken(what)} {count}",)
         ]
-        yield f"| {' + '.join(map(spoken, name.split(' + ')))} | {', '.join(said)} |"
+        yield f"| {' + '.join(map(spoken, name.split(' + ')))} | {', '.join(answers)} |"
 
 
 def _calibration(records: Sequence[CaseRecord]) -> Iterator[str]:
@@ -83,9 +83,9 @@ def _failures(records: Sequence[CaseRecord]) -> list[str]:
     ]
 
 
-def _row(figure: Figure) -> str:
-    found = figure.estimate
-    met = {None: "", True: "met", False: "not met"}[figure.met]
-    value = shown(found.value, figure.unit)
-    cells = [figure.title, value, interval(figure), str(found.count), limit(figure), met]
+def _row(metric: Metric) -> str:
+    estimate = metric.estimate
+    met = {None: "", True: "met", False: "not met"}[metric.met]
+    value = shown(estimate.value, metric.unit)
+    cells = [metric.title, value, interval(metric), str(estimate.count), limit(metric), met]
     return f"| {' | '.join(cells)} |"

@@ -1,15 +1,15 @@
-"""The page of a scored set: one file, which needs no other."""
+"""Writes the page of a scored set: one file, which needs no other."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from service.blind import figures as charts
+from service.blind import charts
+from service.blind.calibration import calibration_curve
 from service.blind.confusion import confusion
-from service.blind.probability import calibration_curve
+from service.blind.metrics import Metric
 from service.blind.records import CaseRecord
-from service.blind.scores import Figure
+from service.blind.scored_set import ScoredSet
 from service.blind.statistics import Estimate
 from service.blind.truth import GROUPS
 from service.blind.words import answered, asked_for, interval, limit, millimetres, shown
@@ -17,89 +17,69 @@ from service.report.pictures import Picture, picture
 from service.report.template import filled
 from service.versions import palpate_version
 
-Json = dict[str, Any]
 Pairs = list[tuple[float, float]]
 
 
-@dataclass(frozen=True)
-class Scored:
-    """A set with its figures.
-
-    Parameters
-    ----------
-    name : str
-    records : sequence of CaseRecord
-    figures : sequence of Figure
-    floor_mm : float or None
-    seals : dict
-        Hashes of ``manifest`` and ``answers``, the ``diagnosis`` that answered, why it is
-        not the sealed one (``declared``), and which scans it saw (``directions``).
-    """
-
-    name: str
-    records: Sequence[CaseRecord]
-    figures: Sequence[Figure]
-    floor_mm: float | None
-    seals: Json
-
-
-def render(scored: Scored) -> str:
-    """The page as text; an equal score gives the same bytes."""
+def render(scored: ScoredSet) -> str:
+    """Return the page as text; an equal score gives the same bytes."""
     return filled("blind.html.j2", context(scored), Path(__file__).parent)
 
 
-def context(scored: Scored) -> Json:
-    """All values of the template."""
-    records, figures = scored.records, scored.figures
-    judged = [f for f in figures if f.met is not None]
+def context(scored: ScoredSet) -> dict[str, Any]:
+    """Return all values of the template."""
+    records, metrics = scored.records, scored.metrics
+    judged = [f for f in metrics if f.met is not None]
     met = sum(1 for f in judged if f.met)
     return {
         "name": scored.name,
         "verdict": f"{met} of {len(judged)} targets are met on {len(records)} cases.",
         "lead": _lead(scored),
-        "tiles": _tiles(figures),
+        "tiles": _tiles(metrics),
         "declared": scored.seals["declared"],
-        "judged": [_row(f) for f in figures if f.target is not None],
-        "others": [_row(f) for f in figures if f.target is None],
+        "judged": [_row(f) for f in metrics if f.target is not None],
+        "others": [_row(f) for f in metrics if f.target is None],
         "confusion": _confusion_picture(records),
         "calibration": _calibration_picture(records),
         "shrinkage": _shrinkage_picture(records),
         "gaps": _gap_picture(records, scored.floor_mm),
-        "groups": [(title, sum(r.group == group for r in records))
-                   for group, title in GROUPS.items()],
+        "groups": [
+            (title, sum(r.group == group for r in records)) for group, title in GROUPS.items()
+        ],
         "failures": [_case(r) for r in records if not r.right],
         "cases": [_case(r) for r in records if r.right],
         "seals": scored.seals,
         "closing": f"Made by Palpate {palpate_version()}.",
-    }  # fmt: skip
+    }
 
 
-def _lead(scored: Scored) -> str:
+def _lead(scored: ScoredSet) -> str:
     floor = scored.floor_mm
-    said = (
+    floor_text = (
         f"Without noise, the calibrated model of the median control still misses {floor:.2f} mm: "
         "the floor. A gap counts as visible from 1.5 floors on. "
         if floor is not None
         else ""
     )
-    seen = "" if scored.seals["directions"] == "all" else "Only scans pressed along y were shown. "
+    shown_scans = (
+        "" if scored.seals["directions"] == "all" else "Only scans pressed along y were shown. "
+    )
     return (
         "Bodies made by another solver, with causes known only to whoever made them, were sealed "
-        f"before they were diagnosed. {seen}{said}Intervals hold with 95 %."
+        f"before they were diagnosed. {shown_scans}{floor_text}Intervals hold with 95 %."
     )
 
 
-def _tiles(figures: Sequence[Figure]) -> list[tuple[str, str, str]]:
-    wanted = {
+def _tiles(metrics: Sequence[Metric]) -> list[tuple[str, str, str]]:
+    titles = {
         "false_alarms": "False alarms",
         "named_right": "Named effects that act",
-        "first_visible": "Visible effects found",
+        "first_visible": "Visible effects table",
         "covered": "In the 90 % set",
     }
-    by_key = {f.key: f for f in figures}
+    by_key = {f.key: f for f in metrics}
     return [
         (title, shown(by_key[key].estimate.value, by_key[key].unit), _of(by_key[key].estimate))
-        for key, title in wanted.items()
+        for key, title in titles.items()
     ]
 
 
@@ -107,18 +87,18 @@ def _of(estimate: Estimate) -> str:
     return f"of {estimate.count}" if estimate.count else "no case"
 
 
-def _row(figure: Figure) -> Json:
+def _row(metric: Metric) -> dict[str, Any]:
     return {
-        "title": figure.title,
-        "value": shown(figure.estimate.value, figure.unit),
-        "interval": interval(figure),
-        "count": figure.estimate.count,
-        "target": limit(figure),
-        "met": figure.met,
+        "title": metric.title,
+        "value": shown(metric.estimate.value, metric.unit),
+        "interval": interval(metric),
+        "count": metric.estimate.count,
+        "target": limit(metric),
+        "met": metric.met,
     }
 
 
-def _case(record: CaseRecord) -> Json:
+def _case(record: CaseRecord) -> dict[str, Any]:
     return {
         "id": record.name,
         "truth": asked_for(record),
@@ -132,34 +112,34 @@ def _case(record: CaseRecord) -> Json:
 
 
 def _confusion_picture(records: Sequence[CaseRecord]) -> Picture:
-    found = confusion(records)
+    table = confusion(records)
     right = sum(r.right for r in records)
     return picture(
-        charts.heat_map(found),
-        f"Answers to {len(records)} cases of {len(found.rows)} kinds; {right} are right.",
+        charts.heat_map(table),
+        f"Answers to {len(records)} cases of {len(table.rows)} kinds; {right} are right.",
         "Rows: what is true. Columns: what was said first. A frame stands around right answers.",
     )
 
 
 def _calibration_picture(records: Sequence[CaseRecord]) -> Picture:
     bins = calibration_curve(records)
-    said = "; ".join(
+    shares = "; ".join(
         f"{b.low:.1f} to {b.high:.1f}: {shown(b.came_true.value, 'share')} of {b.came_true.count}"
         for b in bins
         if b.came_true.count
     )
     return picture(
         charts.curve(bins),
-        f"Share of statements that was true by probability. {said}.",
+        f"Share of statements that was true by probability. {shares}.",
         "Each dot: the statements of a tenth of the scale, with their number.",
     )
 
 
 def _shrinkage_picture(records: Sequence[CaseRecord]) -> Picture:
-    held = _pairs(records, lambda r: r.held_out_share, lambda r: r.true_share)
+    held_out = _pairs(records, lambda r: r.held_out_share, lambda r: r.true_share)
     inside = _pairs(records, lambda r: r.claimed_share, lambda r: r.true_share)
     return picture(
-        charts.shrinkage(held, inside),
+        charts.shrinkage(held_out, inside),
         f"Claimed over true shrinkage of {len(inside)} cases.",
         "By how much the square of the gap shrinks when the accused effects are added.",
     )

@@ -1,4 +1,4 @@
-"""How far a set is: a bar on a terminal, a line now and then elsewhere."""
+"""Shows how far a set is: a bar on a terminal, a line now and then elsewhere."""
 
 import time
 
@@ -43,7 +43,7 @@ class SetProgress:
             self._bar.stop()
 
     def __call__(self, note: str = "") -> None:
-        """One case more; a note is a line of its own."""
+        """Count one case more; a note is a line of its own."""
         self.done += 1
         if self._bar is not None:
             self._bar.update(self._task, completed=self.done)

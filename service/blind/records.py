@@ -1,4 +1,4 @@
-"""A case with its truth and its answer: all that a score asks for."""
+"""Holds a case with its truth and its answer: all that a score asks for."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -91,49 +91,49 @@ class CaseRecord:
 
     @property
     def silent(self) -> bool:
-        """Whether nothing is to be found: the model lacks nothing that data could show."""
+        """Return whether nothing is to be found: the model lacks nothing that data could show."""
         return self.group in ("control", "absorbed")
 
     @property
     def named(self) -> bool:
-        """Whether the answer is one effect, or two that act together, without a doubt."""
+        """Return whether the answer is one effect, or two that act together, without a doubt."""
         return self.answer == "effect"
 
     @property
     def first(self) -> str | None:
-        """The effect accused before all others."""
+        """Return the effect accused before all others."""
         return self.primary[0] if self.primary else None
 
     @property
     def right_family(self) -> bool:
-        """Whether the effect accused first is of a true family."""
+        """Return whether the effect accused first is of a true family."""
         return bool(self.primary_families) and self.primary_families[0] in self.families
 
     @property
     def right_first(self) -> bool:
-        """Whether the effect accused first acts; or is a relative of one out of the catalogue."""
+        """Return whether the effect accused first acts, or is a relative of one that does."""
         return self.right_family if self.group == "relative" else self.first in self.effects
 
     @property
     def strictly_right(self) -> bool:
-        """Whether somebody is accused, and nobody who does not act."""
+        """Return whether somebody is accused, and nobody who does not act."""
         return bool(self.primary) and set(self.primary) <= set(self.effects)
 
     @property
     def covered(self) -> bool:
-        """Whether the 90 % set holds a true cause: no gap, an effect that acts, or none."""
+        """Return whether the 90 % set holds a true cause: no gap, an effect that acts, or none."""
         return bool(set(self.set90) & set(self.true_causes))
 
     @property
     def true_causes(self) -> tuple[str, ...]:
-        """What a perfect diagnosis would be sure of."""
+        """Return what a perfect diagnosis would be sure of."""
         if self.silent:
             return (NO_GAP,)
         return self.effects or ((NONE_OF_THESE,) if self.group == "unlike" else ())
 
     @property
     def right(self) -> bool:
-        """Whether the answer is the one that this group of cases asks for."""
+        """Return whether the answer is the one that this group of cases asks for."""
         if self.silent:
             return self.answer == NO_GAP
         if self.group == "unlike":
@@ -142,7 +142,7 @@ class CaseRecord:
 
     @property
     def true_share(self) -> float | None:
-        """By how much the effects accused truly shrink the gap's square."""
+        """Return by how much the effects accused truly shrink the gap's square."""
         before, after = self.true_before_mm, self.true_after_mm
         if after is None or not before:
             return None

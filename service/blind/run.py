@@ -9,22 +9,20 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from service.blind.alone import diagnose_alone
 from service.blind.answers import seal_answers, write_answer, write_failure
-from service.blind.frozen import differences, frozen
 from service.blind.seal import file_hash, read_json
+from service.blind.sealed_settings import differences, frozen
 from service.blind.sets import BlindSet, Directions, check_cases, read_manifest
-from service.diagnosis.run import ask, finished, run
+from service.blind.single_process import diagnose_alone
+from service.diagnosis.run import finished, request_for, run
 from service.dispatch import Dispatcher, Ending
 from service.errors import ClusterError, TaskError
 from storage.atomic import explained
 from storage.errors import InputError, StoreError
 from storage.stores import open_store
-from workers.casebook import Request
+from workers.tasks.diagnosis_store import DiagnosisRequest
 
-Json = dict[str, Any]
 Tell = Callable[[str], object]
 Y_AXIS = [0, 1, 0]
 
@@ -78,7 +76,7 @@ def unanswered(asked: Answering) -> list[str]:
         )
     names = sorted(manifest["cases"])
     answered = [n for n in names if blind.answer(n, asked.directions).is_file()]
-    others = [n for n in answered if _code(asked, n) != now["code"]]
+    others = [n for n in answered if _code(asked, n) != now.code]
     if others:
         raise InputError(
             f"{blind.answers(asked.directions)} has answers of other code: {', '.join(others)}. "
@@ -111,7 +109,7 @@ def answer(asked: Answering, names: Sequence[str], dispatcher: Dispatcher, tell:
     rest = len(chosen) % workers
     together = rest if 2 * rest < workers else 0
     whole, last = chosen[: len(chosen) - together], chosen[len(chosen) - together :]
-    code = frozen(asked.nodes)["code"]
+    code = frozen(asked.nodes).code
     for name, request, failed in _whole(asked, whole, dispatcher):
         _keep(asked, name, request, failed, code)
         tell(failed)
@@ -134,8 +132,8 @@ def seal(asked: Answering) -> str | None:
     return seal_answers(asked.blind, asked.directions, sorted(manifest["cases"]), now, reason)
 
 
-def request_of(asked: Answering, name: str) -> Request:
-    """What is asked of the diagnosis: the folder of a case, or of its scans along y.
+def request_of(asked: Answering, name: str) -> DiagnosisRequest:
+    """Return what is asked of the diagnosis: the folder of a case, or of its scans along y.
 
     Raises
     ------
@@ -147,7 +145,7 @@ def request_of(asked: Answering, name: str) -> Request:
     folder = asked.blind.case(name)
     if asked.directions == "y":
         folder = along_y(folder, open_store(asked.store).root / "along-y" / name)
-    return ask(folder, asked.store, asked.nodes)
+    return request_for(folder, asked.store, asked.nodes)
 
 
 def along_y(case: Path, copy: Path) -> Path:
@@ -176,12 +174,12 @@ def along_y(case: Path, copy: Path) -> Path:
 
 def _whole(
     asked: Answering, names: Sequence[str], dispatcher: Dispatcher
-) -> Iterator[tuple[str, Request | None, str]]:
-    """Cases in order of arrival: the name, what was asked, and why it failed if it did."""
-    requests: dict[str, Request] = {}
+) -> Iterator[tuple[str, DiagnosisRequest | None, str]]:
+    """Return cases in order of arrival: the name, what was asked, and why it failed if it did."""
+    requests: dict[str, DiagnosisRequest] = {}
     refused: dict[str, str] = {}
 
-    def asks() -> Iterator[tuple[str, tuple[Request]]]:
+    def calls() -> Iterator[tuple[str, tuple[DiagnosisRequest]]]:
         for name in names:
             try:
                 requests[name] = request_of(asked, name)
@@ -190,7 +188,7 @@ def _whole(
                 continue
             yield name, (requests[name],)
 
-    for ending in dispatcher.run(diagnose_alone, asks()):
+    for ending in dispatcher.run(diagnose_alone, calls()):
         yield ending.key, requests.pop(ending.key), _reason(ending)
     for name, why in refused.items():
         yield name, None, why
@@ -202,14 +200,16 @@ def _reason(ending: Ending) -> str:
             f"The case {ending.key} was lost: {ending.reason}. Give the workers more memory, or "
             "start fewer with --workers; the same command goes on."
         )
-    return ending.reason if ending.value is None else ""
+    return ending.reason if ending.kind != "returned" else ""
 
 
-def _one(asked: Answering, name: str, dispatcher: Dispatcher) -> tuple[Request | None, str]:
+def _one(
+    asked: Answering, name: str, dispatcher: Dispatcher
+) -> tuple[DiagnosisRequest | None, str]:
     """Diagnose with all workers: what was asked, and why it failed if it did."""
     try:
         request = request_of(asked, name)
-        run(request, dispatcher, lambda *_: None)
+        run(request, dispatcher)
     except (InputError, TaskError) as error:
         return None, _sentence(error)
     return request, ""
@@ -219,14 +219,16 @@ def _sentence(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-def _keep(asked: Answering, name: str, request: Request | None, failed: str, code: str) -> None:
+def _keep(
+    asked: Answering, name: str, request: DiagnosisRequest | None, failed: str, code: str
+) -> None:
     if failed or request is None:
         write_failure(asked.blind, name, asked.directions, failed, code)
         return
     found = finished(request)
     if found is None:
         raise StoreError(
-            f"The case {name} is diagnosed, but {request['store']} does not hold it. Give a "
+            f"The case {name} is diagnosed, but {request.store} does not hold it. Give a "
             "--store that workers and driver share."
         )
     write_answer(asked.blind, name, asked.directions, request, found, code)

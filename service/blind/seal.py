@@ -1,4 +1,4 @@
-"""Hashes that anybody can check with ``sha256sum``.
+"""Computes hashes that anybody can check with ``sha256sum``.
 
 ::
 
@@ -13,6 +13,7 @@ are few enough to be tried one by one.
 import hashlib
 import json
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +21,16 @@ from storage.atomic import write_file
 from storage.errors import InputError
 from storage.plain import to_plain
 
-Json = dict[str, Any]
 SALT_BYTES = 32
 
 
 def new_salt() -> str:
-    """A salt in hexadecimal digits."""
+    """Draw a salt in hexadecimal digits."""
     return secrets.token_hex(SALT_BYTES)
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits.
+    """Return the SHA-256 of a file in hexadecimal digits.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def file_hash(path: Path) -> str:
 
 
 def folder_hash(folder: Path) -> str:
-    """SHA-256 over names and content of the files in a folder; hidden ones do not count.
+    """Return the SHA-256 over names and content of the files in a folder; hidden ones do not count.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def folder_hash(folder: Path) -> str:
 
 
 def salted_hash(salt: str, folder: Path) -> str:
-    """The hash under which a truth is sealed.
+    """Return the hash under which a truth is sealed.
 
     Parameters
     ----------
@@ -75,14 +75,14 @@ def salted_hash(salt: str, folder: Path) -> str:
     return hashlib.sha256(bytes.fromhex(salt) + content).hexdigest()
 
 
-def write_json(path: Path, record: Json) -> str:
-    """Write a record with sorted keys; the hash of the file."""
+def write_json(path: Path, record: Mapping[str, Any]) -> str:
+    """Write a record with sorted keys and return the hash of the file."""
     text = json.dumps(to_plain(record), indent=1, sort_keys=True, allow_nan=False)
     write_file(path, text.encode() + b"\n")
     return file_hash(path)
 
 
-def read_json(path: Path) -> Json:
+def read_json(path: Path) -> dict[str, Any]:
     """Read a record.
 
     Raises

@@ -1,4 +1,4 @@
-"""A blind set on disk, and whether it still is what was sealed.
+"""Finds a blind set on disk, and checks that it still is what was sealed.
 
 ::
 
@@ -16,18 +16,61 @@ in ``answers-y`` and ``answers-y.json``.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict, cast
 
 from service.blind.seal import file_hash, folder_hash, read_json, salted_hash
 from storage.errors import InputError
 
-Json = dict[str, Any]
 Directions = Literal["all", "y"]
+
+
+class CaseHashes(TypedDict):
+    """Hashes of the folder of a case, and of its truth with its salt."""
+
+    case: str
+    truth: str
+
+
+class Manifest(TypedDict):
+    """What is sealed when a set is made: every case, and the diagnosis as it stood."""
+
+    cases: dict[str, CaseHashes]
+    diagnosis: dict[str, Any]
+
+
+class AnswerHashes(TypedDict):
+    """Hashes of what was said of a case; ``npz`` is None where the diagnosis failed."""
+
+    json: str
+    npz: str | None
+
+
+class SealedAnswers(TypedDict):
+    """What is sealed when a set is answered.
+
+    ``manifest`` is the hash of the set, ``diagnosis`` the one that answered, ``declared`` says
+    why it is not the one of the manifest.
+    """
+
+    manifest: str
+    directions: Directions
+    answers: dict[str, AnswerHashes]
+    diagnosis: dict[str, Any]
+    declared: str | None
+
+
+class PlannedCase(TypedDict):
+    """A case that is to be made: its name, seed and kind, and the salt of its truth."""
+
+    id: str
+    seed: int
+    kind: str
+    salt: str
 
 
 @dataclass(frozen=True)
 class BlindSet:
-    """Every path of a set, spelled once.
+    """Paths of a set.
 
     Parameters
     ----------
@@ -38,58 +81,58 @@ class BlindSet:
 
     @property
     def manifest(self) -> Path:
-        """What was sealed."""
+        """Return the file of what was sealed."""
         return self.root / "manifest.json"
 
     @property
     def cases(self) -> Path:
-        """One folder for each case."""
+        """Return the folder that holds a folder for each case."""
         return self.root / "cases"
 
     def case(self, name: str) -> Path:
-        """The folder of one case."""
+        """Return the folder of one case."""
         return self.cases / name
 
     def answers(self, directions: Directions) -> Path:
-        """The folder of answers."""
+        """Return the folder of answers."""
         return self.root / _suffixed("answers", directions)
 
     def answer(self, name: str, directions: Directions) -> Path:
-        """What was said of one case."""
+        """Return the file of what was said of one case."""
         return self.answers(directions) / f"{name}.json"
 
     def points(self, name: str, directions: Directions) -> Path:
-        """Where the points of one case went."""
+        """Return the file of where the points of one case went."""
         return self.answers(directions) / f"{name}.npz"
 
     def sealed_answers(self, directions: Directions) -> Path:
-        """Hashes of all answers."""
+        """Return the file of the hashes of all answers."""
         return self.root / f"{_suffixed('answers', directions)}.json"
 
     def truth_beside(self) -> Path:
-        """Where truths lie unless somebody says otherwise."""
+        """Return where truths lie unless somebody says otherwise."""
         root = self.root.absolute()
         return root.with_name(f"{root.name}-truth")
 
 
 @dataclass(frozen=True)
 class Truths:
-    """Every path of the truths, which no diagnosis is told."""
+    """Paths of the truths, which no diagnosis is given."""
 
     root: Path
 
     @property
     def plan(self) -> Path:
-        """Seeds, kinds and salts."""
+        """Return the file of seeds, kinds and salts."""
         return self.root / "plan.json"
 
     def of(self, name: str) -> Path:
-        """The folder of one truth."""
+        """Return the folder of one truth."""
         return self.root / name
 
 
-def read_manifest(blind: BlindSet) -> Json:
-    """What was sealed.
+def read_manifest(blind: BlindSet) -> Manifest:
+    """Read what was sealed when the set was made.
 
     Raises
     ------
@@ -104,10 +147,10 @@ def read_manifest(blind: BlindSet) -> Json:
     record = read_json(blind.manifest)
     if not isinstance(record.get("cases"), dict) or not isinstance(record.get("diagnosis"), dict):
         raise InputError(f"{blind.manifest} is no manifest: expected `cases` and `diagnosis`.")
-    return record
+    return cast(Manifest, record)
 
 
-def check_cases(blind: BlindSet, manifest: Json) -> None:
+def check_cases(blind: BlindSet, manifest: Manifest) -> None:
     """Compare every case with the manifest.
 
     Raises
@@ -121,15 +164,15 @@ def check_cases(blind: BlindSet, manifest: Json) -> None:
     same = sorted(there & sealed.keys())
     changed = [name for name in same if folder_hash(blind.case(name)) != sealed[name]["case"]]
     what = {"missing": missing, "added": added, "changed": changed}
-    found = "; ".join(f"{word}: {', '.join(names)}" for word, names in what.items() if names)
-    if found:
+    differences = "; ".join(f"{word}: {', '.join(names)}" for word, names in what.items() if names)
+    if differences:
         raise InputError(
-            f"{blind.cases} is not what {blind.manifest.name} seals ({found}). Restore it, or "
-            "make a new set."
+            f"{blind.cases} is not what {blind.manifest.name} seals ({differences}). Restore it, "
+            "or make a new set."
         )
 
 
-def check_truths(truths: Truths, manifest: Json) -> None:
+def check_truths(truths: Truths, manifest: Manifest) -> None:
     """Compare every truth and its salt with the manifest.
 
     Raises
@@ -151,8 +194,8 @@ def check_truths(truths: Truths, manifest: Json) -> None:
         )
 
 
-def check_answers(blind: BlindSet, directions: Directions) -> Json:
-    """The record of the sealed answers, compared with manifest and answers.
+def check_answers(blind: BlindSet, directions: Directions) -> SealedAnswers:
+    """Read the sealed answers and compare them with manifest and answers.
 
     Raises
     ------
@@ -165,7 +208,7 @@ def check_answers(blind: BlindSet, directions: Directions) -> Json:
             f"{blind.root} has no {path.name}: not all cases are answered. Go on with "
             f"`palpate blind run {blind.root} --directions {directions}`."
         )
-    record = read_json(path)
+    record = cast(SealedAnswers, read_json(path))
     if record["manifest"] != file_hash(blind.manifest):
         raise InputError(f"{path} answers another manifest than {blind.manifest}.")
     wrong = [
@@ -181,8 +224,8 @@ def check_answers(blind: BlindSet, directions: Directions) -> Json:
     return record
 
 
-def answer_hashes(blind: BlindSet, name: str, directions: Directions) -> Json:
-    """Hashes of what was said of a case; ``npz`` is None where the diagnosis failed."""
+def answer_hashes(blind: BlindSet, name: str, directions: Directions) -> AnswerHashes:
+    """Hash what was said of a case."""
     points = blind.points(name, directions)
     return {
         "json": file_hash(blind.answer(name, directions)),

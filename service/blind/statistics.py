@@ -1,4 +1,4 @@
-"""Shares and means with their intervals."""
+"""Computes shares and means with their intervals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,14 +26,14 @@ NOTHING = Estimate(None, None, None, 0)
 
 
 def share(right: Sequence[bool]) -> Estimate:
-    """How many of some cases, with Wilson's interval at 95 %.
+    """Return the share of true values, with Wilson's interval at 95 %.
 
     Source: E. B. Wilson, J. Am. Stat. Assoc. 22 (1927) 209.
 
     Examples
     --------
-    >>> found = share([True] * 10)
-    >>> found.value, round(found.low, 3), found.high
+    >>> estimate = share([True] * 10)
+    >>> estimate.value, round(estimate.low, 3), estimate.high
     (1.0, 0.722, 1.0)
     """
     n = len(right)
@@ -49,7 +49,7 @@ def share(right: Sequence[bool]) -> Estimate:
 
 
 def mean(values: Sequence[float]) -> Estimate:
-    """The mean, with the interval of the bootstrap over cases."""
+    """Return the mean, with the interval of the bootstrap over cases."""
     if not values:
         return NOTHING
     drawn = np.asarray(values)[_draws(len(values))].mean(axis=1)
@@ -57,7 +57,7 @@ def mean(values: Sequence[float]) -> Estimate:
 
 
 def median(values: Sequence[float]) -> Estimate:
-    """The median, with the interval of the bootstrap over cases."""
+    """Return the median, with the interval of the bootstrap over cases."""
     if not values:
         return NOTHING
     drawn = np.median(np.asarray(values)[_draws(len(values))], axis=1)
@@ -65,7 +65,7 @@ def median(values: Sequence[float]) -> Estimate:
 
 
 def correlation(x: Sequence[float], y: Sequence[float]) -> Estimate:
-    """Pearson's, with the interval of the bootstrap; nothing of fewer than three cases."""
+    """Return Pearson's correlation with its bootstrap interval; None of fewer than three cases."""
     n = len(x)
     if n < 3:
         return Estimate(None, None, None, n)
@@ -79,7 +79,7 @@ def correlation(x: Sequence[float], y: Sequence[float]) -> Estimate:
 
 
 def _pearson(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of rows; NaN where one does not vary."""
+    """Return Pearson's correlation of each row; NaN where one does not vary."""
     a = a - a.mean(axis=1, keepdims=True)
     b = b - b.mean(axis=1, keepdims=True)
     size = np.sqrt((a**2).sum(1) * (b**2).sum(1))

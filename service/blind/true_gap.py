@@ -1,4 +1,4 @@
-"""The gap between a fitted model and the truth, without noise.
+"""Computes the gap between a fitted model and the truth, without noise.
 
 A diagnosis moves points that it took from a noisy scan, so they lie a little off the true
 interfaces, on which the truth is known. Displacement is continuous across them: it is
@@ -32,7 +32,7 @@ class TrueGap:
 def true_gap(
     points: FloatArray, moved: FloatArray, normals: FloatArray, truth: Moved, known: FloatArray
 ) -> TrueGap:
-    """How far a model's interfaces are from the true ones.
+    """Return how far a model's interfaces are from the true ones.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def true_gap(
 
 
 def material_points(points: FloatArray, truth: Moved) -> FloatArray:
-    """Where material points near the interfaces truly went, in mm.
+    """Return where material points near the interfaces truly went, in mm.
 
     Parameters
     ----------

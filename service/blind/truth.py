@@ -1,4 +1,4 @@
-"""What is true of a case: the cause that it was made with, and where its points went."""
+"""Reads the truth of a case: the cause that it was made with, and where its points went."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 from service.blind.seal import read_json
 from storage.errors import InputError
 from storage.values import FloatArray, IntArray
-from workers.effects.plate_force import PLATE_FORCE
+from workers.mechanics.effects.plate_force import PLATE_FORCE
 from workers.spec import validated
 
 Group = Literal["control", "absorbed", "single", "pair", "unlike", "relative"]
@@ -61,17 +61,17 @@ class Truth(_Record):
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Effects of the catalogue that act."""
+        """Return the effects of the catalogue that act."""
         return tuple(c.effect for c in self.causes if c.effect is not None)
 
     @property
     def families(self) -> tuple[str, ...]:
-        """Families of all causes, of those that have one."""
+        """Return the families of all causes that have one."""
         return tuple(c.family for c in self.causes if c.family is not None)
 
     @property
     def group(self) -> Group:
-        """What the case asks of a diagnosis."""
+        """Return what the case asks of a diagnosis."""
         if not self.causes:
             return "control"
         if len(self.effects) < len(self.causes):
@@ -101,7 +101,7 @@ class Moved:
 
 
 def read_truth(folder: Path) -> Truth:
-    """The causes of a case.
+    """Read the causes of a case.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def read_truth(folder: Path) -> Truth:
 
 
 def read_moved(folder: Path) -> Moved:
-    """Where the points of a case went.
+    """Read where the points of a case went.
 
     Raises
     ------

@@ -1,13 +1,13 @@
-"""Figures, truths and answers as a reader wants them."""
+"""Writes metrics, truths and answers as a reader wants them."""
 
+from service.blind.metrics import Metric, Unit
 from service.blind.records import CaseRecord
-from service.blind.scores import Figure, Unit
 from service.diagnosis.words import NOT_EFFECTS, likely, signed, spoken, together
 from service.report.words import NONE
 
 
 def shown(value: float | None, unit: Unit) -> str:
-    """A value with its unit.
+    """Write a value with its unit.
 
     Examples
     --------
@@ -21,37 +21,37 @@ def shown(value: float | None, unit: Unit) -> str:
     return f"{value:.3f} mm" if unit == "mm" else signed(value, 2)
 
 
-def limit(figure: Figure) -> str:
-    """A target in words.
+def limit(metric: Metric) -> str:
+    """Write a target in words.
 
     Examples
     --------
-    >>> from service.blind.scores import Target
+    >>> from service.blind.metrics import Target
     >>> from service.blind.statistics import NOTHING
-    >>> limit(Figure("k", "t", NOTHING, "share", Target(0.9, True), None))
+    >>> limit(Metric("k", "t", NOTHING, "share", Target(0.9, True), None))
     'at least 90 %'
     """
-    if figure.target is None:
+    if metric.target is None:
         return ""
-    word = "at least" if figure.target.at_least else "at most"
-    return f"{word} {shown(figure.target.value, figure.unit)}"
+    word = "at least" if metric.target.at_least else "at most"
+    return f"{word} {shown(metric.target.value, metric.unit)}"
 
 
-def interval(figure: Figure) -> str:
-    """The interval of a figure; empty where there is none."""
-    found = figure.estimate
-    if found.low is None or found.high is None or found.low >= found.high:
+def interval(metric: Metric) -> str:
+    """Write the interval of a metric; nothing where there is none."""
+    estimate = metric.estimate
+    if estimate.low is None or estimate.high is None or estimate.low >= estimate.high:
         return ""
-    return f"{shown(found.low, figure.unit)} to {shown(found.high, figure.unit)}"
+    return f"{shown(estimate.low, metric.unit)} to {shown(estimate.high, metric.unit)}"
 
 
 def asked_for(record: CaseRecord) -> str:
-    """What is true of a case."""
+    """Write what is true of a case."""
     return together(record.effects) if record.effects else spoken(record.kind)
 
 
 def answered(record: CaseRecord) -> str:
-    """What was said of a case."""
+    """Write what was said of a case."""
     if record.answer == "failed":
         return "failed"
     if not record.primary:
@@ -64,5 +64,5 @@ def answered(record: CaseRecord) -> str:
 
 
 def millimetres(value: float | None) -> str:
-    """A gap without its interval."""
+    """Write a gap without its interval."""
     return NONE if value is None else f"{value:.2f}"

@@ -1,1 +1,1 @@
-"""One command, one file. They import what they need when they are called: help stays quick."""
+"""Holds one command a file. Each imports what it needs when it is called: help stays quick."""

@@ -1,4 +1,4 @@
-"""`palpate bench`: how long each stage takes on this machine."""
+"""`palpate bench` measures how long each stage takes on this machine."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -42,7 +42,7 @@ def bench(
 
 
 def line(row: "Row") -> str:
-    """One row of the table."""
+    """Write one row of the table."""
     size = row.size if row.nodes is None else f"{row.size} ({row.nodes})"
     small = row.seconds < 1e-3
     time = f"{row.seconds * 1e6:10.2f} us" if small else f"{row.seconds:10.4f} s "
@@ -52,7 +52,7 @@ def line(row: "Row") -> str:
 
 
 def numbers(text: str, option: str, kind: type[Number]) -> list[Number]:
-    """``1,0.5`` as positive numbers.
+    """Parse ``1,0.5`` as positive numbers.
 
     Raises
     ------
@@ -60,9 +60,9 @@ def numbers(text: str, option: str, kind: type[Number]) -> list[Number]:
         If it does not read so.
     """
     try:
-        found = [kind(part) for part in text.split(",")]
+        values = [kind(part) for part in text.split(",")]
     except ValueError:
-        found = []
-    if not found or any(not 0 < number < float("inf") for number in found):
+        values = []
+    if not values or any(not 0 < number < float("inf") for number in values):
         raise InputError(f"{option} {text}: expected positive numbers such as 5000,20000.")
-    return found
+    return values

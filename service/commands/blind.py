@@ -1,4 +1,4 @@
-"""`palpate blind`: cases with a sealed truth, diagnosed, then opened and scored."""
+"""`palpate blind` makes cases with a sealed truth, has them diagnosed, then scores them."""
 
 from collections.abc import Callable
 from enum import StrEnum
@@ -21,8 +21,8 @@ from storage.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from service.blind.page import Scored
-    from service.blind.scores import Figure
+    from service.blind.metrics import Metric
+    from service.blind.scored_set import ScoredSet
     from service.dispatch import Dispatcher
 
 NODES = 5000
@@ -57,8 +57,9 @@ def make(
     cases: Annotated[int, typer.Option(min=1, help="How many.")] = 60,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Of all cases. Default: one that nobody knows.",
-                     show_default=False),
+        typer.Option(
+            min=0, help="Of all cases. Default: one that nobody knows.", show_default=False
+        ),
     ] = None,
     one_direction: Annotated[
         bool, typer.Option("--one-direction", help="Press all bodies along y only.")
@@ -70,32 +71,32 @@ def make(
     nodes: Annotated[int, typer.Option(min=200, help="Of the diagnosis that is sealed.")] = NODES,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
-) -> None:  # fmt: skip
+) -> None:
     """Draw cases, write them without their truths, and seal both.
 
     Ctrl-C stops it at any time; the same command continues it.
     """
-    from service.blind.make import Asked, plan, seal, unmade
-    from service.blind.make import make as make_cases
-    from service.blind.making import make_case
+    from service.blind.make_case import make_case
+    from service.blind.make_set import SetRequest, plan, seal, unmade
+    from service.blind.make_set import make as make_cases
     from service.blind.progress import SetProgress
     from service.blind.sets import BlindSet, Truths
-    from workers.blind.draw import CONTROL, KINDS
+    from workers.blind.random_case import CONTROL, KINDS
 
     blind = BlindSet(folder)
     truths = Truths(truth or blind.truth_beside())
     _refuse_nested(folder, truths.root)
-    asked = Asked(cases, seed, one_direction, nodes, controls)
-    entries = plan(blind, truths, asked, {CONTROL: 1.0} if controls else KINDS)
+    request = SetRequest(cases, seed, one_direction, nodes, controls)
+    entries = plan(blind, truths, request, {CONTROL: 1.0} if controls else KINDS)
     waiting = unmade(blind, truths, entries)
 
     def work(dispatcher: "Dispatcher", console: "Console") -> None:
-        with SetProgress(console, "made", len(entries) - len(waiting), len(entries)) as told:
-            make_cases(blind, truths, waiting, asked, dispatcher, told, make_case)
+        with SetProgress(console, "made", len(entries) - len(waiting), len(entries)) as tell:
+            make_cases(blind, truths, waiting, request, dispatcher, tell, make_case)
 
     if waiting:
         _with_workers(work, scheduler, workers)
-    sealed = seal(blind, truths, entries, asked)
+    sealed = seal(blind, truths, entries, request)
     typer.echo(f"{len(entries)} cases in {folder}, their truths in {truths.root}")
     typer.echo(f"manifest: sha256 {sealed}")
 
@@ -114,10 +115,13 @@ def run(
     store: StoreOption = None,
     declare: Annotated[
         str | None,
-        typer.Option(metavar="REASON", help="Why the diagnosis is not the one that was sealed.",
-                     show_default=False),
+        typer.Option(
+            metavar="REASON",
+            help="Why the diagnosis is not the one that was sealed.",
+            show_default=False,
+        ),
     ] = None,
-) -> None:  # fmt: skip
+) -> None:
     """Diagnose every case of a set, and seal the answers when all are there.
 
     Ctrl-C stops it at any time; the same command continues it.
@@ -126,21 +130,21 @@ def run(
     from service.blind.run import Answering, answer, seal, unanswered
     from service.blind.sets import BlindSet, read_manifest
 
-    asked = Answering(
+    answering = Answering(
         BlindSet(folder), store or RUNS / "store", directions.value, nodes, limit, declare
     )
-    waiting = unanswered(asked)
-    of = len(read_manifest(asked.blind)["cases"])
+    waiting = unanswered(answering)
+    of = len(read_manifest(answering.blind)["cases"])
 
     def work(dispatcher: "Dispatcher", console: "Console") -> None:
-        with SetProgress(console, "answered", of - len(waiting), of) as told:
-            answer(asked, waiting, dispatcher, told)
+        with SetProgress(console, "answered", of - len(waiting), of) as tell:
+            answer(answering, waiting, dispatcher, tell)
 
     if waiting:
         _with_workers(work, scheduler, workers)
-    sealed = seal(asked)
+    sealed = seal(answering)
     if sealed is None:
-        left = len(unanswered(asked))
+        left = len(unanswered(answering))
         typer.echo(f"{of - left} of {of} cases are answered; the same command goes on.")
         return
     typer.echo(f"answers: sha256 {sealed}")
@@ -157,13 +161,12 @@ def score(
     ] = None,
     into: Annotated[
         Path | None,
-        typer.Option(help="Put the figures into this text, between its marks.",
-                     show_default=False),
+        typer.Option(help="Put the figures into this text, between its marks.", show_default=False),
     ] = None,
     as_json: JsonOption = False,
-) -> None:  # fmt: skip
+) -> None:
     """Open the truths of a set whose answers are sealed, and score the answers."""
-    from service.blind.score import record, score_set
+    from service.blind.score_set import record, score_set
     from service.blind.sets import BlindSet, Truths
 
     blind = BlindSet(folder)
@@ -215,14 +218,14 @@ def _directions(which: Which) -> str:
     return "" if which is Which.all else f" --directions {which.value}"
 
 
-def _write(page: Path, scored: "Scored") -> None:
+def _write(page: Path, scored: "ScoredSet") -> None:
     from service.blind.page import render
     from storage.atomic import write_file
 
     write_file(page, render(scored).encode())
 
 
-def _put_into(text: Path, scored: "Scored") -> None:
+def _put_into(text: Path, scored: "ScoredSet") -> None:
     from service.blind.markdown import filled
     from storage.atomic import write_file
 
@@ -231,24 +234,24 @@ def _put_into(text: Path, scored: "Scored") -> None:
     write_file(text, filled(text.read_text(encoding="utf-8"), scored).encode())
 
 
-def _print(scored: "Scored", console: Any) -> None:
-    """All figures on a console, those with a target first."""
+def _print(scored: "ScoredSet", console: Any) -> None:
+    """Print all metrics on a console, those with a target first."""
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("figure", "value", "95 %", "cases", "target", ""):
         table.add_column(heading, justify="right" if heading in ("value", "cases") else "left")
-    for figure in sorted(scored.figures, key=lambda f: f.target is None):
-        table.add_row(*_cells(figure))
+    for metric in scored.targets_first:
+        table.add_row(*_cells(metric))
     console.print(table)
     if scored.floor_mm is not None:
         console.print(f"Floor: {scored.floor_mm:.3f} mm of true gap in the median control.")
 
 
-def _cells(figure: "Figure") -> tuple[str, ...]:
+def _cells(metric: "Metric") -> tuple[str, ...]:
     from service.blind.words import interval, limit, shown
 
-    met = {None: "", True: "met", False: "not met"}[figure.met]
-    found = figure.estimate
-    value = shown(found.value, figure.unit)
-    return figure.title, value, interval(figure), str(found.count), limit(figure), met
+    met = {None: "", True: "met", False: "not met"}[metric.met]
+    estimate = metric.estimate
+    value = shown(estimate.value, metric.unit)
+    return metric.title, value, interval(metric), str(estimate.count), limit(metric), met

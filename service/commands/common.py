@@ -1,4 +1,4 @@
-"""What commands share: options, and how results are written."""
+"""Defines what commands share: options, and how results are written."""
 
 import json
 from pathlib import Path
@@ -41,14 +41,14 @@ StudyArgument = Annotated[
 
 
 def print_json(value: Any) -> None:
-    """One record, readable by people as well; infinities as the texts "-inf" and "inf"."""
+    """Print one record, readable by people as well; infinities as the texts "-inf" and "inf"."""
     from storage.plain import to_plain
 
     typer.echo(json.dumps(to_plain(value), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def find_study(given: Path | None) -> Path:
-    """The folder of a study from what a user types.
+    """Find the folder of a study from what a user types.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def find_study(given: Path | None) -> Path:
 
 
 def load_spec(given: Path) -> "StudySpec":
-    """The study in a file, or in a study's folder.
+    """Read the study in a file, or in a study's folder.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def load_spec(given: Path) -> "StudySpec":
 
 
 def constants_option(spec: "StudySpec", given: list[str]) -> dict[str, float]:
-    """``E_fat_kpa=12`` as inside names and units, for one simulation.
+    """Convert ``E_fat_kpa=12`` to inside names and units, for one simulation.
 
     Raises
     ------
@@ -114,10 +114,10 @@ def _latest() -> Path:
 
 
 def _studies() -> list[Path]:
-    """Folders with a journal, the one written last at the end."""
+    """Return the folders with a journal, the one written last at the end."""
     from storage.layout import StudyLayout
 
     if not RUNS.is_dir():
         return []
-    found = [folder for folder in RUNS.iterdir() if StudyLayout(folder).journal.is_file()]
-    return sorted(found, key=lambda folder: StudyLayout(folder).journal.stat().st_mtime)
+    folders = [folder for folder in RUNS.iterdir() if StudyLayout(folder).journal.is_file()]
+    return sorted(folders, key=lambda folder: StudyLayout(folder).journal.stat().st_mtime)

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,13 +14,16 @@ from service.commands.common import (
     WorkersOption,
     print_json,
 )
+from service.commands.echo import folder_name, print_understood
 from service.commands.interrupts import interrupted, stop_requests
 
 if TYPE_CHECKING:
-    from service.diagnosis.run import Found
-    from workers.casebook import Request
+    from rich.console import Console
 
-Json = dict[str, Any]
+    from service.diagnosis.run import FinishedDiagnosis
+    from workers.diagnosis.summary import Summary
+    from workers.tasks.diagnosis_store import DiagnosisRequest
+
 # Effects in the table: the most probable ones.
 SHOWN = 6
 
@@ -30,8 +33,8 @@ def diagnose(
         Path,
         typer.Argument(
             metavar="SOURCE",
-            help="A folder with case.json and its scans, a study that has run, or the file of a "
-            "bench experiment.",
+            help="A case (case.yaml, case.json or the folder with it), a study that has run, or "
+            "the file of a bench experiment.",
         ),
     ],
     out: Annotated[
@@ -60,38 +63,39 @@ def diagnose(
 
     Ctrl-C stops it at any time; the same command continues it.
     """
-    from service.diagnosis.run import ask
+    from service.diagnosis.run import request_for
     from storage.errors import InputError
-    from workers.sources import open_source
+    from storage.typed_json import to_json
+    from workers.tasks.sources import is_plannable, open_source
 
-    if plan and source.is_file():
+    if plan and source.is_file() and not is_plannable(source):
         raise InputError(
             f"{source} is a bench experiment, and --plan knows further scans only. Leave it out."
         )
-    open_source(source).check()
-    request = ask(source, store or RUNS / "store", nodes)
+    opened = open_source(source)
+    opened.check()
+    print_understood(source)
+    request = request_for(opened, store or RUNS / "store", nodes)
     with stop_requests() as requests:
-        found = _found(request, workers, scheduler, requests)
-        if found is not None and _to_be_planned(found, source, plan):
-            found = _with_plan(found, request, workers, scheduler, requests)
-    if found is None:
+        diagnosis = _diagnosed(request, workers, scheduler, requests)
+        if diagnosis is not None and _to_be_planned(diagnosis.summary, source, plan):
+            diagnosis = _with_plan(diagnosis, source, request, workers, scheduler, requests)
+    if diagnosis is None:
         raise interrupted()
-    page = _write(
-        found, out or RUNS / (source.stem if source.is_file() else source.absolute().name)
-    )
+    page = _write(diagnosis, out or RUNS / folder_name(source))
     if as_json:
-        print_json(found.summary)
+        print_json(to_json(diagnosis.summary))
         return
     from rich.console import Console
 
-    print_verdict(found.summary, Console(highlight=False))
+    print_verdict(diagnosis.summary, Console(highlight=False))
     typer.echo(f"page: {page}")
 
 
-def _found(
-    request: "Request", workers: int | None, scheduler: str | None, requests: list[int]
-) -> "Found | None":
-    """The diagnosis; None if somebody asked to stop."""
+def _diagnosed(
+    request: "DiagnosisRequest", workers: int | None, scheduler: str | None, requests: list[int]
+) -> "FinishedDiagnosis | None":
+    """Return the diagnosis; None if somebody asked to stop."""
     from rich.console import Console
 
     from service.cluster import open_cluster
@@ -100,72 +104,77 @@ def _found(
     from service.dispatch import Dispatcher
     from service.errors import Interrupted
 
-    done = finished(request)
-    if done is not None:
+    stored = finished(request)
+    if stored is not None:
         typer.echo("The store holds this diagnosis: nothing to compute.", err=True)
-        return done
+        return stored
     try:
         if requests:
             return None
         with open_cluster(scheduler, workers) as cluster:
             dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
-            with DiagnosisProgress(Console(stderr=True, highlight=False)) as tell:
-                return run(request, dispatcher, tell)
+            with DiagnosisProgress(Console(stderr=True, highlight=False)) as progress:
+                return run(request, dispatcher, progress)
     except (Interrupted, KeyboardInterrupt):
         return None
 
 
-def _to_be_planned(found: "Found", source: Path, wanted: bool | None) -> bool:
-    """Whether more measurements are to be tried; for a bench experiment there are none."""
+def _to_be_planned(summary: "Summary", source: Path, wanted: bool | None) -> bool:
+    """Return whether more measurements are to be tried; a bench experiment has none."""
     from service.diagnosis.advice import undecided
+    from workers.tasks.sources import is_plannable
 
-    return (undecided(found.summary) and source.is_dir()) if wanted is None else wanted
+    return (undecided(summary) and is_plannable(source)) if wanted is None else wanted
 
 
 def _with_plan(
-    found: "Found",
-    request: "Request",
+    diagnosis: "FinishedDiagnosis",
+    source: Path,
+    request: "DiagnosisRequest",
     workers: int | None,
     scheduler: str | None,
     requests: list[int],
-) -> "Found | None":
-    """The diagnosis with what else could be measured; None if somebody asked to stop."""
+) -> "FinishedDiagnosis | None":
+    """Add what else could be measured; None if somebody asked to stop."""
     from dataclasses import replace
 
     from service.commands.planning import planned
     from service.diagnosis.advice import next_acquisitions
-    from service.diagnosis.foresee import NODES, ask_plan
+    from service.diagnosis.planning import NODES, request_plan
     from storage.errors import PalpateError
 
-    nodes = min(NODES, request["nodes"])
+    nodes = min(NODES, request.nodes)
     try:
-        asked = ask_plan(Path(request["source"]), Path(request["store"]), nodes)
-        plan = planned(asked, workers, scheduler, requests)
+        plan = planned(
+            request_plan(source, Path(request.store), nodes), workers, scheduler, requests
+        )
     except PalpateError as error:
         typer.echo(f"No further measurement could be tried. {error}", err=True)
-        return found
+        return diagnosis
     if plan is None:
         return None
-    summary = found.summary | {"next_acquisitions": next_acquisitions(found.summary, plan)}
-    return replace(found, summary=summary)
+    options = next_acquisitions(diagnosis.summary, plan)
+    return replace(diagnosis, summary=replace(diagnosis.summary, next_acquisitions=options))
 
 
-def _write(found: "Found", folder: Path) -> Path:
+def _write(diagnosis: "FinishedDiagnosis", folder: Path) -> Path:
     from service.report.diagnosis_page import render
     from storage.atomic import explained, write_file
     from storage.plain import to_plain
+    from storage.typed_json import to_json
 
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(to_plain(found.summary), indent=2, ensure_ascii=False, allow_nan=False)
+    plain = to_plain(to_json(diagnosis.summary))
+    text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)
     write_file(folder / "diagnosis.json", text.encode() + b"\n")
     page = folder / "diagnosis.html"
-    write_file(page, render(found).encode())
+    write_file(page, render(diagnosis).encode())
     return page
 
 
-def print_verdict(summary: Json, console: Any) -> None:
-    """A sentence, and the most probable causes, on a console."""
+def print_verdict(summary: "Summary", console: "Console") -> None:
+    """Print a sentence, and the most probable causes."""
     from rich.table import Table
 
     from service.diagnosis.advice import worth
@@ -178,21 +187,20 @@ def print_verdict(summary: Json, console: Any) -> None:
     table.add_column("probability", justify="right")
     table.add_column("magnitude")
     table.add_column("absorbed", justify="right")
-    for name in ("no-gap", "none-of-these"):
-        probability = summary[f"{name.replace('-', '_')}_probability"]
-        table.add_row(spoken(name), likely(probability), "", "")
-    hidden = set(summary["absorbed"])
-    ranked = sorted(summary["effects"], key=lambda e: -e["probability"])
-    for e in [e for e in ranked if e["name"] not in hidden][:SHOWN]:
-        magnitude = measured(e["magnitude"], e["sd"], e["unit"])
-        share = f"{100 * e['absorbed_share']:.0f} %"
-        table.add_row(spoken(e["name"]), likely(e["probability"]), magnitude, share)
+    table.add_row(spoken("no-gap"), likely(summary.no_gap_probability), "", "")
+    table.add_row(spoken("none-of-these"), likely(summary.none_of_these_probability), "", "")
+    ranked = sorted(summary.effects, key=lambda e: -e.probability)
+    for e in [e for e in ranked if e.name not in summary.absorbed][:SHOWN]:
+        magnitude = measured(e.magnitude, e.sd, e.unit)
+        share = f"{100 * e.absorbed_share:.0f} %"
+        table.add_row(spoken(e.name), likely(e.probability), magnitude, share)
     console.print(table)
-    if hidden:
-        names = ", ".join(spoken(name) for name in summary["absorbed"])
-        console.print(f"Hidden in the constants, neither accused nor acquitted: {names}.",
-                      soft_wrap=True)  # fmt: skip
-    for option in summary.get("next_acquisitions", []):
-        console.print(f"Next, {option['name']}: {worth(option)}.", soft_wrap=True)
+    if summary.absorbed:
+        names = ", ".join(spoken(name) for name in summary.absorbed)
+        console.print(
+            f"Hidden in the constants, neither accused nor acquitted: {names}.", soft_wrap=True
+        )
+    for option in summary.next_acquisitions or ():
+        console.print(f"Next, {option.name}: {worth(option)}.", soft_wrap=True)
     for line in experiment_lines(summary):
         console.print(line, soft_wrap=True)

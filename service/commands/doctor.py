@@ -1,10 +1,13 @@
-"""`palpate doctor`: whether everything is ready."""
+"""`palpate doctor` says whether everything is ready."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.commands.common import RUNS, JsonOption, StoreOption, print_json
+
+if TYPE_CHECKING:
+    from service.doctor import Examination
 
 
 def doctor(
@@ -21,30 +24,31 @@ def doctor(
 
     place = str((store or RUNS / "store").absolute())
     with open_cluster(scheduler, None if scheduler else 1) as cluster:
-        found = examine(cluster, place)
+        examination = examine(cluster, place)
     if as_json:
-        print_json(found)
+        print_json(examination.as_dict())
     else:
-        _print(found)
-    if found["problems"]:
+        _print(examination)
+    if examination.problems:
         raise typer.Exit(2)
 
 
-def _print(found: dict[str, Any]) -> None:
-    for role, told in found["processes"].items():
-        memory = told["memory_bytes"] / 1024**3
+def _print(examination: "Examination") -> None:
+    for role, facts in examination.processes.items():
+        memory = facts["memory_bytes"] / 1024**3
         typer.echo(
-            f"{role}: palpate {told['versions']['palpate']} ({told['code']}) on {told['host']}, "
-            f"Python {told['versions']['python']}, {told['cores']} cores, {memory:.1f} GiB"
+            f"{role}: palpate {facts['versions']['palpate']} ({facts['code']}) on "
+            f"{facts['host']}, Python {facts['versions']['python']}, {facts['cores']} cores, "
+            f"{memory:.1f} GiB"
         )
         if role == "client":
-            for name, folder in told["packages"].items():
+            for name, folder in facts["packages"].items():
                 typer.echo(f"  {name:<10}{folder}")
-    if found["store"]:
-        free = found["store"]["free_bytes"] / 1024**3
-        typer.echo(f"store: {found['store']['root']}, {free:.0f} GiB free")
-    if found["dashboard"]:
-        typer.echo(f"dashboard: {found['dashboard']}")
-    for problem in found["problems"]:
+    if examination.store is not None:
+        free = examination.store["free_bytes"] / 1024**3
+        typer.echo(f"store: {examination.store['root']}, {free:.0f} GiB free")
+    if examination.dashboard:
+        typer.echo(f"dashboard: {examination.dashboard}")
+    for problem in examination.problems:
         typer.echo(f"problem: {problem}", err=True)
-    typer.echo("not ready" if found["problems"] else "all is well")
+    typer.echo("not ready" if examination.problems else "all is well")

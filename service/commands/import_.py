@@ -1,12 +1,15 @@
-"""`palpate import`: an image into the store, under a name."""
+"""`palpate import` reads an image into the store, under a name."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.commands.common import RUNS, JsonOption, StoreOption, print_json
 from storage.errors import InputError
+
+if TYPE_CHECKING:
+    from storage.stores import Store
 
 
 def import_image(
@@ -30,34 +33,53 @@ def import_image(
     """Read a labelled image, name its tissues and keep it in the store."""
     from storage.digest import array_digest, digest
     from storage.stores import open_store
-    from storage.volumes import list_volumes, save_volume, volume_meta
-    from workers import pipeline
-    from workers.images.labels import summarise
-    from workers.spec import ImageSpec, validated
+    from storage.volumes import save_volume
+    from workers.body.images.labels import summarise
+    from workers.organs.registry import organ_named
+    from workers.spec import validated
 
+    breast = organ_named("breast")
     spec = validated(
-        ImageSpec,
-        {"labels": parse_labels(labels), "spacing_mm": spacing_mm, "axes": axes},
+        breast.target_spec,
+        {
+            "volume": str(path),
+            "labels": parse_labels(labels),
+            "spacing_mm": spacing_mm,
+            "axes": axes,
+        },
         "The image's description",
     )
-    volume = pipeline.image(path, spec)
-    house = open_store(store or RUNS / "store")
-    made = digest(
+    volume = breast.make_body(spec)
+    opened = open_store(store or RUNS / "store")
+    digest_of_image = digest(
         "import", name, array_digest(volume.values), list(volume.spacing_mm), list(volume.origin_mm)
     )
-    for other in list_volumes(house):
-        if other != made and volume_meta(house, other).get("name") == name:
-            raise InputError(f"The store has another volume named {name}: choose another name.")
-    save_volume(house, made, volume, meta={"kind": "image", "name": name, "file": path.name})
-    found = {"name": name, "volume": made, "store": str(house), **summarise(volume, named=True)}
+    _refuse_taken_name(opened, name, digest_of_image)
+    save_volume(
+        opened, digest_of_image, volume, meta={"kind": "image", "name": name, "file": path.name}
+    )
+    record = {
+        "name": name,
+        "volume": digest_of_image,
+        "store": str(opened),
+        **summarise(volume, named=True),
+    }
     if as_json:
-        print_json(found)
+        print_json(record)
     else:
-        typer.echo(f"{name} is in {house} as {made}. In a study: volume: {name}")
+        typer.echo(f"{name} is in {opened} as {digest_of_image}. In a study: volume: {name}")
+
+
+def _refuse_taken_name(store: "Store", name: str, digest: str) -> None:
+    from storage.volumes import list_volumes, volume_meta
+
+    for other in list_volumes(store):
+        if other != digest and volume_meta(store, other).get("name") == name:
+            raise InputError(f"The store has another volume named {name}: choose another name.")
 
 
 def parse_labels(text: str | None) -> dict[int, str] | None:
-    """``0=air,1=fat`` as a mapping.
+    """Parse ``0=air,1=fat`` as a mapping.
 
     Raises
     ------
@@ -66,12 +88,12 @@ def parse_labels(text: str | None) -> dict[int, str] | None:
     """
     if text is None:
         return None
-    found: dict[int, str] = {}
+    tissues: dict[int, str] = {}
     for part in text.split(","):
         number, equals, tissue = part.partition("=")
         if not (equals and number.strip().isdecimal() and tissue.strip()):
             raise InputError(f"--labels {text}: expected such as 0=air,1=fat,2=glandular.")
-        if int(number) in found:
+        if int(number) in tissues:
             raise InputError(f"--labels {text}: {int(number)} stands twice.")
-        found[int(number)] = tissue.strip()
-    return found
+        tissues[int(number)] = tissue.strip()
+    return tissues

@@ -1,4 +1,4 @@
-"""How a command is told to stop."""
+"""Lets a command be stopped by Ctrl-C, and continued."""
 
 import signal
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""`palpate mesh`: the tetrahedra of a study's body."""
+"""`palpate mesh` makes the tetrahedra of a study's body."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,26 +22,27 @@ def mesh(
 ) -> None:
     """Mesh the body of a study, and say what the mesh is like."""
     from service.export import MESH_SUFFIXES, check_suffix, export_stored_mesh
+    from storage.meshes import load_mesh
     from storage.stores import open_store
-    from workers.library import Library
-    from workers.mesh.quality import summarise
-    from workers.tasks import prepare_case
+    from workers.body.mesh.hierarchy import from_arrays
+    from workers.body.mesh.quality import summarise
+    from workers.tasks.evaluation import prepare_case
 
     check_suffix(out, MESH_SUFFIXES)
     case = load_spec(study).case.model_dump(mode="json")
     if nodes is not None or element_size_mm is not None:
         case["mesh"] = {"nodes": nodes, "element_size_mm": element_size_mm}
-    house = open_store(store or RUNS / "store")
-    prepared = prepare_case(case, str(house))
-    finest = Library(house).hierarchy(prepared["mesh"]).finest.mesh
-    found: dict[str, Any] = {**prepared, "quality": summarise(finest)}
+    opened = open_store(store or RUNS / "store")
+    prepared = prepare_case(case, str(opened))
+    finest = from_arrays(load_mesh(opened, prepared["mesh"])[0]).finest.mesh
+    record: dict[str, Any] = {**prepared, "quality": summarise(finest)}
     if out is not None:
-        export_stored_mesh(out, house, prepared["mesh"])
+        export_stored_mesh(out, opened, prepared["mesh"])
     if as_json:
-        print_json(found)
+        print_json(record)
         return
     facts = prepared["facts"]
     typer.echo(
         f"{prepared['mesh']}: {facts['nodes']} nodes, {facts['tets']} tetrahedra of "
-        f"{facts['element_size_mm']:.3g} mm, {facts['volume_ml']:.0f} ml, in {house}"
+        f"{facts['element_size_mm']:.3g} mm, {facts['volume_ml']:.0f} ml, in {opened}"
     )

@@ -1,7 +1,8 @@
-"""`palpate new`: a commented study file to start from."""
+"""`palpate new` writes a commented file to start from: a study, a diagnosis, an experiment."""
 
 from enum import StrEnum
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -10,20 +11,35 @@ from storage.errors import InputError
 
 
 class Kind(StrEnum):
-    """What a study is about."""
+    """What the file is about."""
 
     BREAST = "breast"
     BREAST_IMAGES = "breast-images"
+    CORNEA = "cornea"
+    DIAGNOSIS = "diagnosis"
+    EXPERIMENT = "experiment"
+
+    @property
+    def command(self) -> str:
+        """Return the command that takes the file."""
+        return "diagnose" if self in (Kind.DIAGNOSIS, Kind.EXPERIMENT) else "run"
 
 
 def new(
-    kind: Annotated[Kind, typer.Argument(help="A virtual breast, or two images of a breast.")],
-    name: Annotated[str, typer.Argument(help="Of the study; its file becomes NAME.yaml.")],
+    kind: Annotated[
+        Kind,
+        typer.Argument(
+            help="A study of a virtual breast or cornea, or of two images; the diagnosis of a "
+            "breast in scans; a bench experiment."
+        ),
+    ],
+    name: Annotated[str, typer.Argument(help="The file becomes NAME.yaml.")],
     out: Annotated[Path | None, typer.Option(help="Another file to write.")] = None,
 ) -> None:
-    """Write a commented study file."""
+    """Write a commented study file, diagnosis or experiment."""
     from service.spec import Name
     from service.templates import template
+    from storage.atomic import write_file
     from workers.spec import Door, validated
 
     class Wanted(Door):
@@ -35,5 +51,5 @@ def new(
         raise InputError(f"{path} is there already: choose another name, or give --out FILE.")
     if not path.parent.is_dir():
         raise InputError(f"The folder {path.parent} does not exist: make it first.")
-    path.write_text(template(kind.value, name), encoding="utf-8")
-    typer.echo(f"Wrote {path}. Edit it, then: palpate run {path}")
+    write_file(path, template(kind.value, name).encode())
+    typer.echo(f"Wrote {path}. Edit it, then: palpate {kind.command} {quote(str(path))}")

@@ -1,4 +1,4 @@
-"""`palpate parameters`: what a study file may hold or search."""
+"""`palpate parameters` lists what a study file may hold or search."""
 
 from typing import Annotated, Any
 
@@ -8,16 +8,19 @@ from service.commands.common import JsonOption, print_json
 
 
 def parameters(
+    organ: Annotated[str, typer.Option(help="Whose: breast or cornea.")] = "breast",
     effects: Annotated[
         bool, typer.Option("--effects", help="Only effects, with what each one means.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List constants and effects of the breast by the names they have in a study file."""
-    from workers.effects.catalogue import BREAST_EFFECTS, NOT_SIMULATED
-    from workers.parameters import BREAST
+    """List constants and effects of an organ by the names they have in a study file."""
+    from workers.organs.registry import organ_named
 
-    constants = [] if effects else [_parameter(p) for p in BREAST]
+    about = organ_named(organ)
+    of_effects = {name for e in about.effects for name in e.names}
+    named = [p for p in about.parameters if p.name not in of_effects]
+    constants = [] if effects else [_parameter(p) for p in named]
     causes: list[dict[str, Any]] = [
         {
             "effect": e.name,
@@ -27,9 +30,9 @@ def parameters(
             "parameters": [_parameter(p) for p in e.parameters],
             "references": list(e.references),
         }
-        for e in BREAST_EFFECTS
+        for e in about.effects
     ]
-    missing = [{"effect": name, "why": why} for name, why in NOT_SIMULATED]
+    missing = [{"effect": name, "why": why} for name, why in about.not_simulated]
     if as_json:
         print_json({"constants": constants, "effects": causes, "not_simulated": missing})
         return

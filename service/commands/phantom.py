@@ -1,4 +1,4 @@
-"""`palpate phantom`: a virtual breast."""
+"""`palpate phantom` makes a virtual breast."""
 
 from pathlib import Path
 from typing import Annotated
@@ -24,29 +24,32 @@ def phantom(
     """Generate a virtual breast and keep it in the store."""
     from service.export import VOLUME_SUFFIXES, check_suffix, export_volume
     from storage.stores import open_store
-    from workers.images.labels import summarise
-    from workers.library import Library
-    from workers.spec import ReferenceSpec, validated
+    from workers.body.images.labels import summarise
+    from workers.organs.registry import organ_named
+    from workers.spec import validated
+    from workers.tasks.body_store import BodyStore
 
     check_suffix(out, VOLUME_SUFFIXES)
-    wanted = {
+    options = {
         "preset": preset,
         "spacing_mm": spacing_mm,
         "glandular_fraction": glandular_fraction,
         "seed": seed,
     }
-    asked = {name: value for name, value in wanted.items() if value is not None}
-    spec = validated(ReferenceSpec, {"phantom": asked}, "The phantom")
-    library = Library(open_store(store or RUNS / "store"))
-    name = library.reference(spec)
-    volume = library.volume(name)
+    settings = {name: value for name, value in options.items() if value is not None}
+    breast = organ_named("breast")
+    case = validated(breast.case_spec, {"reference": {"phantom": settings}}, "The phantom")
+    bodies = BodyStore(open_store(store or RUNS / "store"), breast)
+    name = bodies.bring_body(case.reference)
+    volume = bodies.body(name)
     if out is not None:
         export_volume(out, volume)
-    found = {"volume": name, "store": str(library.store), **summarise(volume, named=True)}
+    summary = summarise(volume, named=True)
+    record = {"volume": name, "store": str(bodies.store), **summary}
     if as_json:
-        print_json(found)
+        print_json(record)
         return
     shape = " x ".join(str(n) for n in volume.shape_xyz)
-    typer.echo(f"{name}: {shape} voxels of {volume.spacing_mm[0]:g} mm, in {library.store}")
-    for label in found["labels"].values():
+    typer.echo(f"{name}: {shape} voxels of {volume.spacing_mm[0]:g} mm, in {bodies.store}")
+    for label in summary["labels"].values():
         typer.echo(f"  {label.get('tissue', '?'):<12}{label['ml']:10.1f} ml")

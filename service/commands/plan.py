@@ -1,7 +1,7 @@
 """`palpate plan`: what an acquisition can tell, before it is made."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,13 +13,14 @@ from service.commands.common import (
     WorkersOption,
     print_json,
 )
+from service.commands.echo import folder_name, print_understood
 from service.commands.interrupts import interrupted, stop_requests
 from service.commands.planning import planned
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-Json = dict[str, Any]
+    from workers.diagnosis.planning.summary import PlanSummary
 
 
 def plan(
@@ -27,7 +28,7 @@ def plan(
         Path,
         typer.Argument(
             metavar="CASE_OR_STUDY",
-            help="A folder with case.json and its reference scan, or a study that has run.",
+            help="A case (case.yaml, case.json or the folder with it), or a study that has run.",
         ),
     ],
     out: Annotated[
@@ -44,35 +45,37 @@ def plan(
 
     Loaded scans need not exist: only the reference scan is read.
     """
-    from service.diagnosis.foresee import ask_plan
+    from service.diagnosis.planning import request_plan
+    from storage.typed_json import to_json
 
-    request = ask_plan(source, store or RUNS / "store", nodes)
+    print_understood(source)
+    request = request_plan(source, store or RUNS / "store", nodes)
     with stop_requests() as requests:
-        found = planned(request, workers, scheduler, requests)
-    if found is None:
+        summary = planned(request, workers, scheduler, requests)
+    if summary is None:
         raise interrupted()
-    page = _write(found, out or RUNS / source.absolute().name / "plan.html")
+    page = _write(summary, out or RUNS / folder_name(source) / "plan.html")
     if as_json:
-        print_json(found)
+        print_json(to_json(summary))
         return
     from rich.console import Console
 
-    print_plan(found, Console(highlight=False))
+    print_plan(summary, Console(highlight=False))
     typer.echo(f"page: {page}")
 
 
-def _write(found: Json, page: Path) -> Path:
+def _write(summary: "PlanSummary", page: Path) -> Path:
     from service.report.plan_page import render
     from storage.atomic import explained, write_file
 
     with explained(page.parent):
         page.parent.mkdir(parents=True, exist_ok=True)
-    write_file(page, render(found).encode())
+    write_file(page, render(summary).encode())
     return page
 
 
-def print_plan(found: Json, console: "Console") -> None:
-    """What can be told and what would tell more, on a console."""
+def print_plan(summary: "PlanSummary", console: "Console") -> None:
+    """Print what can be told and what would tell more."""
     from rich.table import Table
 
     from service.diagnosis.plan_words import (
@@ -87,29 +90,29 @@ def print_plan(found: Json, console: "Console") -> None:
     )
     from service.diagnosis.words import spoken
 
-    console.print(headline(found), soft_wrap=True)
+    console.print(headline(summary), soft_wrap=True)
     table = Table(box=None, padding=(0, 2, 0, 0))
     for title in ("effect", "found from", "plausible", "absorbed", "most alike", ""):
         table.add_column(title, justify="right" if title == "absorbed" else "left")
-    for e in found["effects"]:
+    for e in summary.effects:
         table.add_row(
-            spoken(e["name"]),
-            amounts(e["parameters"], "minimum"),
-            amounts(e["parameters"], "plausible"),
-            f"{100 * e['absorbed_share']:.0f} %",
+            spoken(e.name),
+            amounts(e.parameters, "minimum"),
+            amounts(e.parameters, "plausible"),
+            f"{100 * e.absorbed_share:.0f} %",
             nearest(e),
-            "" if e["seen"] else WHY[e["why_not"]],
+            "" if e.seen else WHY[e.why_not],
         )
     console.print(table)
-    for text in (silence(found), confusions(found), drift(found)):
+    for text in (silence(summary), confusions(summary), drift(summary)):
         if text:
             console.print(text, soft_wrap=True)
     further = Table(box=None, padding=(0, 2, 0, 0))
     for title in ("what else could be measured", "found from", "gain"):
         further.add_column(title)
-    for a in found["acquisitions"]:
-        further.add_row(a["name"], f"x {a['minimum_ratio']:.2f}", gain(a))
+    for a in summary.acquisitions:
+        further.add_row(a.name, f"x {a.minimum_ratio:.2f}", gain(a))
     console.print(further)
-    if found["not_simulated"]:
-        names = ", ".join(found["not_simulated"])
+    if summary.not_simulated:
+        names = ", ".join(summary.not_simulated)
         console.print(f"The model does not converge at {names}.", soft_wrap=True)

@@ -1,76 +1,68 @@
-"""`palpate report`: what a study has found."""
+"""`palpate report` prints what a study has found, and writes its page."""
 
-from importlib.util import find_spec
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from service.commands.common import JsonOption, StudyArgument, find_study, print_json
 
-Json = dict[str, Any]
+if TYPE_CHECKING:
+    from service.results import StudyResults
 
 
 def report(study: StudyArgument = None, as_json: JsonOption = False) -> None:
     """Print what was found, and write the page report.html into the study's folder."""
     from service.results import study_results
+    from service.results_json import study_json
 
     folder = find_study(study)
-    found = study_results(folder)
+    results = study_results(folder)
     if as_json:
-        print_json(found)
+        print_json(study_json(results))
         return
     from rich.console import Console
 
-    print_report(found, Console(highlight=False))
-    page = _write_page(folder)
-    typer.echo(f"page: {page}" if page else "page: this installation writes none")
+    from service.report.study_page import write_report
+
+    print_report(results, Console(highlight=False))
+    typer.echo(f"page: {write_report(folder)}")
 
 
-def _write_page(folder: Path) -> Path | None:
-    if find_spec("service.report.html") is None:
-        return None
-    from service.report.html import write_report
-
-    return Path(write_report(folder))
-
-
-def print_report(found: Json, console: Any) -> None:
-    """Estimates, score, what was spent, on a console."""
-    from service.commands.status import score_text
+def print_report(results: "StudyResults", console: Any) -> None:
+    """Print estimates, scores and what was spent on a console."""
+    from service.commands.status import counts_text, score_text
     from service.progress import clock
 
-    console.print(_estimates(found))
-    if found["best"] is not None:
-        console.print(f"candidate {found['best']['candidate']}: {score_text(found['score'])}")
-    for label, score in found["per_label"].items():
-        before = found["per_label_before"].get(label)
+    console.print(_estimates(results))
+    if results.best is not None and results.best.score is not None:
+        console.print(f"candidate {results.best.candidate}: {score_text(results.best.score)}")
+    for label, score in results.best_scores.items():
+        before = results.undeformed_scores.get(label)
         start = (
             f" (undeformed: JC {before['jc']:.4f}, MHD {before['mhd_mm']:.4g} mm)" if before else ""
         )
         console.print(f"  {label}: {score_text(score)}{start}")
-    counts = found["evaluations"]
-    console.print(", ".join(f"{number} {what}" for what, number in counts.items()))
-    console.print(f"{found['state']}" + (f": {found['stopped']}" if found["stopped"] else ""))
-    total = sum(stage["total"] for stage in found["stages"].values())
-    stages = ", ".join(f"{name} {clock(s['total'])}" for name, s in found["stages"].items())
-    console.print(f"{clock(found['seconds'])} in all; workers {clock(total)}: {stages or 'none'}")
+    console.print(counts_text(results))
+    console.print(results.state + (f": {results.stop_reason}" if results.stop_reason else ""))
+    total_s = sum(time.total_s for time in results.stages.values())
+    stages = ", ".join(f"{name} {clock(time.total_s)}" for name, time in results.stages.items())
+    console.print(f"{clock(results.wall_s)} in all; workers {clock(total_s)}: {stages or 'none'}")
 
 
-def _estimates(found: Json) -> Any:
+def _estimates(results: "StudyResults") -> Any:
     from rich.table import Table
 
-    table = Table(title=found["study"], box=None, header_style="dim")
+    table = Table(title=results.name, box=None, header_style="dim")
     for heading in ("parameter", "estimate", "target", "error", "searched"):
         table.add_column(heading, justify="left" if heading == "parameter" else "right")
-    for name, row in found["estimates"].items():
-        unit = f" {row['unit']}".rstrip()
-        error = row["relative_error"]
+    for name, e in results.estimates.items():
+        unit = f" {e.unit}".rstrip()
+        error = e.relative_error
         table.add_row(
             name,
-            "-" if row["estimate"] is None else f"{row['estimate']:.4g}{unit}",
-            "-" if row["target"] is None else f"{row['target']:.4g}{unit}",
+            "-" if e.estimate is None else f"{e.estimate:.4g}{unit}",
+            "-" if e.target is None else f"{e.target:.4g}{unit}",
             "-" if error is None else f"{100 * error:.2g} %",
-            f"{row['bounds'][0]:g} to {row['bounds'][1]:g}",
+            f"{e.lower:g} to {e.upper:g}",
         )
     return table

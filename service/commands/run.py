@@ -1,4 +1,4 @@
-"""`palpate run`: start a study, or go on with it."""
+"""`palpate run` starts a study, or continues it."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -44,42 +44,40 @@ def run(
 
     Ctrl-C stops it at any time; the same command continues it.
     """
-    with stop_requests() as requests:
-        code = _run(study, folder, workers, scheduler, store, accept_new_code, as_json, requests)
-    if code == INTERRUPTED:
-        again = f"palpate run {study}" + (f" --study {folder}" if folder else "")
-        typer.echo(f"Interrupted; what is finished is kept. To continue: {again}", err=True)
-        raise typer.Exit(code)
+    with stop_requests() as requests:  # before the imports, which take a while
+        from rich.console import Console
+
+        from service.progress import progress_observer
+        from service.study import Study
+
+        spec = load_spec(study)
+        home = folder or (study if study.is_dir() else RUNS / spec.name)
+        progress = progress_observer(Console(stderr=as_json, highlight=False))
+        opened = Study(spec, home, store, observers=[progress], accept_new_code=accept_new_code)
+        if opened.ended:
+            typer.echo(f"{home} is complete: nothing to run.", err=True)
+        else:
+            with progress:
+                completed = _completed(opened, scheduler, workers, requests)
+            if not completed:
+                again = f"palpate run {study}" + (f" --study {folder}" if folder else "")
+                typer.echo(f"Interrupted; what is finished is kept. To continue: {again}", err=True)
+                raise typer.Exit(INTERRUPTED)
+    _print(home, as_json)
 
 
-def _run(
-    study: Path, folder: Path | None, workers: int | None, scheduler: str | None,
-    store: Path | None, accept_new_code: bool, as_json: bool, requests: list[int],
-) -> int:  # fmt: skip
+def _print(home: Path, as_json: bool) -> None:
     from rich.console import Console
 
-    from service.progress import progress_observer
+    from service.commands.report import print_report
     from service.results import study_results
-    from service.study import Study
+    from service.results_json import study_json
 
-    spec = load_spec(study)
-    home = folder or (study if study.is_dir() else RUNS / spec.name)
-    progress = progress_observer(Console(stderr=as_json, highlight=False))
-    made = Study(spec, home, store, observers=[progress], accept_new_code=accept_new_code)
-    if made.ended:
-        typer.echo(f"{home} is complete: nothing to run.", err=True)
-    else:
-        with progress:
-            if not _completed(made, scheduler, workers, requests):
-                return INTERRUPTED
-    found = study_results(home)
+    results = study_results(home)
     if as_json:
-        print_json(found)
+        print_json(study_json(results))
     else:
-        from service.commands.report import print_report
-
-        print_report(found, Console(highlight=False))
-    return 0
+        print_report(results, Console(highlight=False))
 
 
 def _completed(

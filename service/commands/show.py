@@ -1,4 +1,4 @@
-"""`palpate show`: one candidate."""
+"""`palpate show` prints one candidate."""
 
 from typing import Annotated, Any
 
@@ -15,25 +15,26 @@ def show(
 ) -> None:
     """Show genes, score and ending of a candidate; of a failed one, why."""
     from service.results import candidate_results
+    from service.results_json import candidate_json
 
     if candidate != "best" and not candidate.isdecimal():
         raise InputError(f"{candidate!r} is no candidate: give its number, or best.")
     number = None if candidate == "best" else int(candidate)
-    found = candidate_results(find_study(study), number)
+    record = candidate_json(candidate_results(find_study(study), number))
     if as_json:
-        print_json(found)
+        print_json(record)
         return
-    traceback = found.pop("traceback", "")
-    for line in _lines(found):
+    traceback = record.pop("traceback", "")
+    for line in _lines(record):
         typer.echo(line)
     if traceback:
         typer.echo(f"\n{traceback.rstrip()}")
 
 
-def _lines(found: dict[str, Any], indent: str = "") -> list[str]:
-    """Aligned ``name  value`` lines; records within are indented below their name."""
+def _lines(record: dict[str, Any], indent: str = "") -> list[str]:
+    """Write aligned ``name  value`` lines; records within are indented below their name."""
     lines = []
-    for name, value in found.items():
+    for name, value in record.items():
         if isinstance(value, dict) and value:
             lines += [f"{indent}{name}", *_lines(value, indent + "  ")]
         elif value not in ("", None, {}):

@@ -1,7 +1,8 @@
-"""`palpate simulate`: one compression, outside of any search."""
+"""`palpate simulate` computes one compression, outside of any search."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +14,9 @@ from service.commands.common import (
     load_spec,
     print_json,
 )
+
+if TYPE_CHECKING:
+    from storage.task_records import EvaluationResult
 
 
 def simulate(
@@ -39,31 +43,37 @@ def simulate(
     from storage.fields import load_field
     from storage.stores import open_store
     from storage.volumes import load_volume
-    from workers.tasks import prepare_case, simulate_once
+    from workers.tasks.evaluation import prepare_case, simulate_once
 
     check_suffix(out, MESH_SUFFIXES + VOLUME_SUFFIXES)
     spec = load_spec(study)
     case = spec.case.model_dump(mode="json")
     stated = constants_option(spec, constants or [])
-    house = open_store(store or RUNS / "store")
-    made = simulate_once(case, stated, str(house))
-    if out is not None and made["status"] == "done":
+    opened = open_store(store or RUNS / "store")
+    result = simulate_once(case, stated, str(opened))
+    volume = result.get("volume")
+    if out is not None and volume is not None:
         if out.suffix.lower() in VOLUME_SUFFIXES:
-            export_volume(out, load_volume(house, made["volume"]))
+            export_volume(out, load_volume(opened, volume))
         else:
-            mesh = prepare_case(case, str(house))["mesh"]
-            export_stored_mesh(out, house, mesh, load_field(house, made["digest"]))
+            mesh = prepare_case(case, str(opened))["mesh"]
+            export_stored_mesh(out, opened, mesh, load_field(opened, result["digest"]))
     if as_json:
-        print_json(made)
+        print_json(result)
     else:
-        _print(made)
+        _print(result)
 
 
-def _print(made: dict[str, Any]) -> None:
-    typer.echo(f"{made['status']}" + (f": {made['reason']}" if made["reason"] else ""))
-    for title in ("constants", "outcome", "seconds"):
+def _print(result: "EvaluationResult") -> None:
+    typer.echo(result["status"] + (f": {result['reason']}" if result["reason"] else ""))
+    tables: dict[str, Mapping[str, object]] = {
+        "constants": result["constants"],
+        "outcome": result["outcome"],
+        "seconds": result["seconds"],
+    }
+    for title, values in tables.items():
         typer.echo(title)
-        for name, value in made[title].items():
-            shown = f"{value:.6g}" if isinstance(value, float) else value
+        for name, value in values.items():
+            text = f"{value:.6g}" if isinstance(value, float) else value
             unit = " MPa" if title == "constants" and name != "nu" else ""
-            typer.echo(f"  {name:<24}{shown}{unit}")
+            typer.echo(f"  {name:<24}{text}{unit}")

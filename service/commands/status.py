@@ -1,12 +1,15 @@
-"""`palpate status`: how far a study is, and what failed."""
+"""`palpate status` says how far a study is, and what failed."""
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.commands.common import JsonOption, StudyArgument, find_study, print_json
 
-Json = dict[str, Any]
+if TYPE_CHECKING:
+    from service.results import StudyResults
+    from storage.records import EvaluationRecord
+    from storage.task_records import Scores
 
 
 def status(
@@ -16,53 +19,65 @@ def status(
 ) -> None:
     """Say how far a study is; it may be running meanwhile."""
     from service.results import study_results
+    from service.results_json import study_json
 
-    found = study_results(find_study(study))
+    results = study_results(find_study(study))
     if as_json:
-        print_json(found)
+        print_json(study_json(results))
         return
     from rich.console import Console
 
     console = Console(highlight=False)
-    console.print(_table(found))
-    _print_failures(console, found["failures"], failures)
+    console.print(_table(results))
+    _print_failures(console, results.failures, failures)
 
 
-def _table(found: Json) -> Any:
+def _table(results: "StudyResults") -> Any:
     from rich.table import Table
 
     from service.progress import clock
 
-    config = found["config"]["search"]
-    generations = found["generations"]
-    complete = sum(row["complete"] for row in generations)
-    table = Table(title=f"{found['study']} ({found['folder']})", show_header=False, box=None)
-    rows = [("state", found["state"] + (f": {found['stopped']}" if found["stopped"] else ""))]
-    now = "" if complete == len(generations) else "; {ended} of {asked} candidates of the next"
-    text = f"{complete} of {config['generations']} complete" + now.format(**generations[-1])
-    rows.append(("generations", text))
-    counts = found["evaluations"]
-    rows.append(("evaluations", ", ".join(f"{n} {what}" for what, n in counts.items())))
-    best, score = found["best"], found["score"]
-    if best is not None:
-        rows.append(("best", f"candidate {best['candidate']}: " + score_text(score)))
-        genes = ", ".join(f"{name} {value:.4g}" for name, value in best["genes"].items())
+    title = f"{results.name} ({results.folder})"
+    table = Table(title=title, show_header=False, box=None)
+    state = results.state + (f": {results.stop_reason}" if results.stop_reason else "")
+    rows = [
+        ("state", state),
+        ("generations", _generations_text(results)),
+        ("evaluations", counts_text(results)),
+    ]
+    if results.best is not None and results.best.score is not None:
+        candidate, score = results.best.candidate, results.best.score
+        rows.append(("best", f"candidate {candidate}: {score_text(score)}"))
+        genes = ", ".join(f"{name} {value:.4g}" for name, value in results.best.genes.items())
         rows.append(("", genes))
-    rows.append(("time", f"{clock(found['seconds'])} in {found['sessions']} runs"))
+    rows.append(("time", f"{clock(results.wall_s)} in {results.sessions} runs"))
     for heading, value in rows:
         table.add_row(heading, value)
     return table
 
 
-def score_text(score: Json) -> str:
-    """A score for a reader; parts that are infinite are texts already."""
-    parts = {"GSF": ("gsf", ".5g", ""), "JC": ("jc", ".4f", ""), "MHD": ("mhd_mm", ".4g", " mm")}
-    return ", ".join(
-        f"{name} {format(float(score[key]), how)}{unit}" for name, (key, how, unit) in parts.items()
-    )
+def _generations_text(results: "StudyResults") -> str:
+    complete = len(results.complete_generations)
+    text = f"{complete} of {results.spec.search.generations} complete"
+    last = results.generations[-1]
+    if last.scores is None:
+        text += f"; {last.ended} of {last.evaluations} candidates of the next"
+    return text
 
 
-def _print_failures(console: Any, failures: list[Json], most: int) -> None:
+def counts_text(results: "StudyResults") -> str:
+    """Write how many evaluations ended in which way."""
+    from dataclasses import asdict
+
+    return ", ".join(f"{number} {status}" for status, number in asdict(results.counts).items())
+
+
+def score_text(score: "Scores") -> str:
+    """Write a score for a reader."""
+    return f"GSF {score['gsf']:.5g}, JC {score['jc']:.4f}, MHD {score['mhd_mm']:.4g} mm"
+
+
+def _print_failures(console: Any, failures: "tuple[EvaluationRecord, ...]", most: int) -> None:
     if not failures or most <= 0:
         return
     from rich.table import Table
@@ -70,10 +85,10 @@ def _print_failures(console: Any, failures: list[Json], most: int) -> None:
     table = Table(title="failures", box=None, header_style="dim")
     for heading in ("candidate", "generation", "status", "reason"):
         table.add_column(heading)
-    for row in failures[-most:]:
-        reason = str(row["reason"]).splitlines()[0]
-        table.add_row(str(row["candidate"]), str(row["generation"]), row["status"], reason)
+    for record in failures[-most:]:
+        reason = record.reason.splitlines()[0]
+        table.add_row(str(record.candidate), str(record.generation), str(record.status), reason)
     console.print(table)
     if len(failures) > most:
         console.print(f"the last {most} of {len(failures)}; see all with --failures")
-    console.print(f"details: palpate show {failures[-1]['candidate']}")
+    console.print(f"details: palpate show {failures[-1].candidate}")

@@ -1,12 +1,17 @@
 """A plan in words for somebody who is to make the scans."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Literal
 
 from service.diagnosis.words import listed, spoken, together
 from service.report.words import NONE, number
+from workers.diagnosis.planning.summary import (
+    FurtherMeasurement,
+    ParameterPlan,
+    PlannedEffect,
+    PlanSummary,
+)
 
-Json = Mapping[str, Any]
 DIGITS = 2
 WHY = {
     "hidden": "hides in the constants",
@@ -15,94 +20,96 @@ WHY = {
 }
 
 
-def headline(plan: Json) -> str:
-    """What the scans that are meant can tell, in two sentences."""
-    scans = plan["scans"]
-    seen = len(plan["effects"]) - len(plan["silent"])
+def headline(plan: PlanSummary) -> str:
+    """Return what the planned scans can tell, in two sentences."""
+    scans = plan.scans
+    seen = len(plan.effects) - len(plan.silent)
     ones = "One scan" if len(scans) == 1 else f"{len(scans)} scans"
     return (
-        f"{ones} ({listed(scans)}) can find {seen} of {len(plan['effects'])} effects at their "
-        f"plausible size and tell {plan['told_apart']} of {plan['pairs']} pairs of them apart. "
+        f"{ones} ({listed(scans)}) can find {seen} of {len(plan.effects)} effects at their "
+        f"plausible size and tell {plan.told_apart} of {plan.pairs} pairs of them apart. "
         f"{_best(plan)}"
     ).rstrip()
 
 
-def silence(plan: Json) -> str:
-    """Which effects can be neither accused nor acquitted; empty if all can."""
+def silence(plan: PlanSummary) -> str:
+    """Return which effects can be neither accused nor acquitted; empty if all can."""
     parts = []
     for why, words in (("hidden", "hidden in the constants"), ("weak", "too weak")):
-        names = [e["name"] for e in plan["effects"] if e["why_not"] == why]
+        names = [e.name for e in plan.effects if e.why_not == why]
         if names:
             parts.append(f"{together(names)} ({words})")
     return f"Neither accused nor acquitted: {'; '.join(parts)}." if parts else ""
 
 
-def confusions(plan: Json) -> str:
-    """Pairs that are seen and stay undecided; empty if there are none."""
+def confusions(plan: PlanSummary) -> str:
+    """Return pairs that are seen and stay undecided; empty if there are none."""
     pairs = [
-        f"{' or '.join(map(spoken, p['effects']))} ({p['log_evidence']:.1f})"
-        for p in plan["confusable"]
+        f"{' or '.join(map(spoken, p.effects))} ({p.log_evidence:.1f})" for p in plan.confusable
     ]
     if not pairs:
         return ""
     return f"Not told apart, with the log evidence that is expected: {'; '.join(pairs)}."
 
 
-def drift(plan: Json) -> str:
-    """Effects whose numbers mean nothing, and what to do; empty if there are none."""
-    if not plan["loose"]:
+def drift(plan: PlanSummary) -> str:
+    """Return effects whose numbers mean nothing, and what to do; empty if there are none."""
+    if not plan.loose:
         return ""
     return (
-        f"Nothing holds the body sideways: {together(plan['loose'])} would push it away, and their "
+        f"Nothing holds the body sideways: {together(plan.loose)} would push it away, and their "
         "numbers mean little. Let the chest wall hold it: springs kx and ky in case.json, or "
         "wall_hold_x_kpa_per_mm and wall_hold_y_kpa_per_mm under case.constants of a study."
     )
 
 
-def amounts(parameters: Sequence[Json], key: str) -> str:
-    """A magnitude of all parameters of an effect, from the least to the largest by unit.
+def amounts(parameters: Sequence[ParameterPlan], which: Literal["minimum", "plausible"]) -> str:
+    """Write a magnitude of all parameters of an effect, from the least to the largest by unit.
 
     Examples
     --------
-    >>> amounts([{"unit": "deg", "minimum": 1.04}, {"unit": "deg", "minimum": 0.13}], "minimum")
+    >>> tilts = [ParameterPlan("a", "deg", 1.04, 2.0), ParameterPlan("b", "deg", 0.13, 2.0)]
+    >>> amounts(tilts, "minimum")
     '0.13 to 1 deg'
-    >>> amounts([{"unit": "", "minimum": None}], "minimum")
+    >>> amounts([ParameterPlan("a", "", None, 2.0)], "minimum")
     '–'
     """
-    said = []
-    for unit in dict.fromkeys(p["unit"] for p in parameters):
-        values = sorted(p[key] for p in parameters if p["unit"] == unit and p[key] is not None)
+    words = []
+    for unit in dict.fromkeys(p.unit for p in parameters):
+        own = [p for p in parameters if p.unit == unit]
+        known = [p.minimum if which == "minimum" else p.plausible for p in own]
+        values = sorted(value for value in known if value is not None)
         if values:
             ends = dict.fromkeys(number(v, DIGITS) for v in (values[0], values[-1]))
-            said.append(f"{' to '.join(ends)} {unit}".rstrip())
-    return ", ".join(said) or NONE
+            words.append(f"{' to '.join(ends)} {unit}".rstrip())
+    return ", ".join(words) or NONE
 
 
-def nearest(effect: Json) -> str:
-    """The effect that looks most alike, and the cosine."""
-    if effect["nearest"] is None:
+def nearest(effect: PlannedEffect) -> str:
+    """Return the effect that looks most alike, and the cosine."""
+    if effect.nearest is None:
         return NONE
-    return f"{spoken(effect['nearest'])} {effect['cosine']:.2f}"
+    return f"{spoken(effect.nearest)} {effect.cosine:.2f}"
 
 
-def gain(acquisition: Json) -> str:
-    """What a further measurement adds, in a phrase."""
+def gain(acquisition: FurtherMeasurement) -> str:
+    """Return what a further measurement adds, in a phrase."""
     said = []
-    more = acquisition["more_told_apart"]
+    more = acquisition.more_told_apart
     if more > 0:
         said.append(f"{more} more {'pair' if more == 1 else 'pairs'} told apart")
-    if acquisition["reveals"]:
-        said.append(f"shows {together(acquisition['reveals'])}")
-    if acquisition["separates"]:
-        pairs = ["{} from {}".format(*map(spoken, pair)) for pair in acquisition["separates"]]
+    if acquisition.reveals:
+        said.append(f"shows {together(acquisition.reveals)}")
+    if acquisition.separates:
+        pairs = ["{} from {}".format(*map(spoken, pair)) for pair in acquisition.separates]
         said.append(f"separates {listed(pairs)}")
     return "; ".join(said) or "nothing more told apart"
 
 
-def _best(plan: Json) -> str:
-    if not plan["acquisitions"]:
+def _best(plan: PlanSummary) -> str:
+    if not plan.acquisitions:
         return ""
-    first = plan["acquisitions"][0]
-    if first["more_told_apart"] <= 0:
+    first = plan.acquisitions[0]
+    if first.more_told_apart <= 0:
         return "No further measurement that was tried would tell more pairs apart."
-    return f"Most would be gained by {first['name']}: {gain(first)}."
+    return f"Most would be gained by {first.name}: {gain(first)}."

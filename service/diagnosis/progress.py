@@ -1,13 +1,14 @@
 """Says on standard error how far a diagnosis is: one line for what takes long."""
 
 import time
-from typing import Any
 
 from rich.console import Console
 from rich.status import Status
 
+from service.diagnosis.run import Step
 from service.progress import clock
 from service.report.words import number
+from workers.tasks.diagnosis_store import CalibrationRecord, JointFitRecord
 
 LINE_EVERY_S = 10.0
 _PHASES = {
@@ -42,8 +43,9 @@ class DiagnosisProgress:
         if self._status is not None:
             self._status.stop()
 
-    def __call__(self, phase: str, done: int, of: int, told: dict[str, Any]) -> None:
-        """Tell a step; see `service.diagnosis.run.Tell`."""
+    def __call__(self, step: Step) -> None:
+        """Say how far it is."""
+        phase, done, of, record = step.phase, step.done, step.of, step.record
         if self._status is not None:
             self._status.update(f"{_PHASES[phase]}: {done} of {of}")
         now = time.monotonic()
@@ -51,10 +53,10 @@ class DiagnosisProgress:
             return
         if done == 0:
             self._line(_PHASES[phase] + (f" ({of})" if of > 1 else ""))
-        elif phase == "calibration":
-            self._line(_calibrated(told))
-        elif phase == "refits":
-            self._line(f"{done} of {of} refits: {_refitted(told)}")
+        elif isinstance(record, CalibrationRecord):
+            self._line(_calibrated(record))
+        elif isinstance(record, JointFitRecord):
+            self._line(f"{done} of {of} refits: {_fitted(step.task, record)}")
         elif done == of or now - self._last >= LINE_EVERY_S:
             self._line(f"{done} of {of} effects and scans")
 
@@ -64,14 +66,13 @@ class DiagnosisProgress:
         self.console.print(f"[{spent}] {text}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _calibrated(told: dict[str, Any]) -> str:
-    constants = ", ".join(f"{n} {number(v)} kPa" for n, v in told["constants_kpa"].items())
-    return f"calibrated at {told['points']} points: {constants}"
+def _calibrated(record: CalibrationRecord) -> str:
+    constants = ", ".join(f"{n} {number(v)} kPa" for n, v in record.constants_kpa.items())
+    return f"calibrated at {record.points} points: {constants}"
 
 
-def _refitted(told: dict[str, Any]) -> str:
-    names = told["asked"]
-    if not told["found"]:
-        return f"{names} could not be simulated"
-    ending = "" if told["converged"] else ", not converged"
-    return f"{names}, {told['iterations']} iterations{ending}"
+def _fitted(effects: str, record: JointFitRecord) -> str:
+    if not record.simulated:
+        return f"{effects} could not be simulated"
+    ending = "" if record.converged else ", not converged"
+    return f"{effects}, {record.iterations} iterations{ending}"

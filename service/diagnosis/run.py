@@ -1,4 +1,4 @@
-"""The course of a diagnosis: calibrate, look at every effect, refit until nothing is wanted.
+"""A diagnosis from its source to its outcome: which tasks are sent, until nothing is wanted.
 
 Every step is a task that leaves its result in the store under the digest of all that
 it depends on. Running a diagnosis and going on with an interrupted one are the same.
@@ -9,28 +9,63 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
-from service.dispatch import Asks, Ending, Task
-from service.errors import ClusterError, TaskError
+from service.dispatch import Ending, Task, TaskCalls, value_of
+from service.errors import TaskError
 from storage.arrays import Arrays
-from storage.errors import PalpateError
-from storage.stores import open_store
-from workers import examine
-from workers.casebook import Casebook, Request, named
-from workers.cases.build import NODES, POINT_SPACING_MM
-from workers.effects.friction import FRICTION
-from workers.effects.inclusion import INCLUSION
-from workers.sources import open_source
+from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.source import Source
+from workers.diagnosis.summary import Summary
+from workers.mechanics.effects.inclusion import INCLUSION
+from workers.mechanics.effects.plate_friction import FRICTION
+from workers.tasks.diagnosis import (
+    analyse_effect,
+    build_problem,
+    calibrate_nominal,
+    fit_effects,
+    weigh_hypotheses,
+)
+from workers.tasks.diagnosis_store import (
+    CalibrationRecord,
+    DiagnosisRequest,
+    DiagnosisStore,
+    JointFitRecord,
+    Outcome,
+    named,
+)
+from workers.tasks.sources import add_source, open_source
+from workers.tasks.task_store import TaskStore
 
-Json = dict[str, Any]
-# With more loaded scans than these, points are sparser: about as many residuals in all.
-SCANS = 2
 # What takes longest comes first, so that nobody waits for it at the end.
 LONG = {FRICTION.name, INCLUSION.name}
-Tell = Callable[[str, int, int, Json], None]
-"""Told of each step: the phase, how many of its tasks are done and how many there are, and
-what the last one said (empty when the phase begins)."""
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Step:
+    """How far a diagnosis is.
+
+    Parameters
+    ----------
+    phase : {"calibration", "effects", "weighing", "refits"}
+    done, of : int
+        Tasks of the phase that have ended, and all of them; none when it begins.
+    task : str
+        What the last one was about: "plate_tilt with friction". Empty when the phase begins.
+    record : object
+        What it returned.
+    """
+
+    phase: str
+    done: int
+    of: int
+    task: str = ""
+    record: CalibrationRecord | JointFitRecord | object = None
+
+
+Observer = Callable[[Step], object]
 
 
 class Workers(Protocol):
@@ -40,48 +75,48 @@ class Workers(Protocol):
     def threads(self) -> int:
         """Tasks that can run at once."""
 
-    def run(self, task: Task, asks: Asks) -> Iterator[Ending]:
+    def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Run a task for each key and its arguments."""
 
-    def meanwhile(self, task: Task, asks: Asks) -> AbstractContextManager[None]:
+    def meanwhile(self, task: Task, calls: TaskCalls) -> AbstractContextManager[None]:
         """Run tasks beside others, for which nobody waits."""
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """A finished diagnosis.
+class FinishedDiagnosis:
+    """A diagnosis that has ended.
 
     Parameters
     ----------
-    summary : dict
-        See `workers.diagnosis.summary.summary`.
+    summary : Summary
     maps : dict of str to ndarray
         ``points`` (k, 3) in mm; ``interface`` (k,), 0 for the outline; ``before``,
         ``noise`` (standard deviation) and, where an effect is accused, ``after``: residuals
         in mm, shape (scans, k).
-    scans : list of str
+    scans : sequence of str
         Names of the loaded scans.
     """
 
-    summary: Json
+    summary: Summary
     maps: Arrays
-    scans: list[str]
+    scans: tuple[str, ...]
 
 
-def ask(
-    path: Path,
+def request_for(
+    source: Path | Source,
     store: Path,
-    nodes: int = NODES,
+    nodes: int = SETTINGS.mesh.nodes,
     spacing_mm: float | None = None,
     effects: Iterable[str] | None = None,
-) -> Request:
-    """What is asked of the workers; makes the store.
+) -> DiagnosisRequest:
+    """Bring what is diagnosed into the store, and return what is asked of the workers.
 
     Parameters
     ----------
-    path : Path
-        Of what is diagnosed, see `workers.sources.open_source`.
+    source : Path or Source
+        What is diagnosed, or where it lies; see `workers.tasks.sources.open_source`.
     store : Path
+        Made where it is missing.
     nodes : int
         Of the mesh.
     spacing_mm : float, optional
@@ -96,98 +131,95 @@ def ask(
     StoreError
         If the store cannot be used.
     """
-    path = path.expanduser().absolute()
-    source = open_source(path)
-    known = [e.name for e in source.effects]
+    if isinstance(source, Path):
+        source = open_source(source.expanduser().absolute())
     if spacing_mm is None:
-        spacing_mm = POINT_SPACING_MM * math.sqrt(max(1.0, len(source.scans) / SCANS))
-    request: Request = {
-        "store": str(open_store(store).root),
-        "source": str(path),
-        "nodes": nodes,
-        "spacing_mm": spacing_mm,
-        "effects": known if effects is None else list(effects),
-        "name": "",
-    }
-    return named(request)
+        points = SETTINGS.points
+        sparser = math.sqrt(max(1.0, len(source.scans) / points.scans_at_that_spacing))
+        spacing_mm = points.spacing_mm * sparser
+    known = [e.name for e in source.effects]
+    suspected = tuple(known if effects is None else effects)
+    parts = TaskStore(store)
+    return named(
+        DiagnosisRequest(
+            str(parts.store.root), add_source(source, parts), nodes, spacing_mm, suspected
+        )
+    )
 
 
-def finished(request: Request) -> Found | None:
-    """The diagnosis if the store has it."""
-    book = Casebook(request)
-    if not book.has("verdict"):
+def finished(request: DiagnosisRequest) -> FinishedDiagnosis | None:
+    """Return the diagnosis if the store has it."""
+    part = DiagnosisStore(request).outcome
+    if not part.is_finished:
         return None
-    maps, summary = book.load("verdict")
-    return Found(summary, maps, list(book.source.scans))
+    outcome, maps = part.load(Outcome)
+    return FinishedDiagnosis(outcome.summary, maps, outcome.scans)
 
 
-def run(request: Request, workers: Workers, tell: Tell) -> Found:
+def run(
+    request: DiagnosisRequest, workers: Workers, observe: Observer = lambda step: None
+) -> FinishedDiagnosis:
     """Diagnose a case, from wherever it stands.
+
+    Parameters
+    ----------
+    request : DiagnosisRequest
+    workers : Workers
+    observe : callable
+        Called with each `Step`.
 
     Raises
     ------
     InputError
         If the nominal model cannot be simulated.
     StoreError
-        If a worker cannot use the store, or sees another case or version.
+        If a worker cannot use the store, or runs another version.
     ClusterError, TaskError
         If the workers cannot do the work; what is finished is kept.
     Interrupted
         If the dispatcher is told to stop.
     """
-    one = _Run(request, workers, tell)
-    others = max(0, workers.threads - 1) if not Casebook(request).has("calibration") else 0
-    with workers.meanwhile(examine.build_case, [(n, (request,)) for n in range(others)]):
-        calibrated = one.phase("calibration", examine.calibrate_case, [()])[0]
-    scans = range(calibrated["scans"])
-    effects = sorted(request["effects"], key=lambda name: name not in LONG)
-    one.phase("effects", examine.print_effect, [(e, s) for e in effects for s in scans])
-    while True:
-        told = one.phase("weighing", examine.weigh_case, [()])[0]
-        if not told["wanted"]:
-            break
-        wanted = sorted(told["wanted"], key=LONG.isdisjoint)
-        one.phase("refits", examine.refit_effects, [(names,) for names in wanted])
-    found = finished(request)
-    if found is None:
+    phases = _Phases(request, workers, observe)
+    calibrated = DiagnosisStore(request).calibration.is_finished
+    idle = 0 if calibrated else max(0, workers.threads - 1)
+    with workers.meanwhile(build_problem, [(n, (request,)) for n in range(idle)]):
+        (calibration,) = phases.run("calibration", calibrate_nominal, [()])
+    effects = sorted(request.effects, key=lambda name: name not in LONG)
+    numbers = range(calibration.scans)
+    phases.run("effects", analyse_effect, [(e, number) for e in effects for number in numbers])
+    while wanted := phases.run("weighing", weigh_hypotheses, [()])[0].wanted:
+        longest_first = sorted(wanted, key=LONG.isdisjoint)
+        phases.run("refits", fit_effects, [(names,) for names in longest_first])
+    diagnosis = finished(request)
+    if diagnosis is None:
         raise TaskError(
-            f"The diagnosis has ended, but {request['store']} does not hold it. Give a --store "
+            f"The diagnosis has ended, but {request.store} does not hold it. Give a --store "
             "that workers and driver share."
         )
-    return found
+    return diagnosis
 
 
-class _Run:
-    """Sends the tasks of one diagnosis."""
+class _Phases:
+    """Sends the tasks of one diagnosis, phase after phase."""
 
-    def __init__(self, request: Request, workers: Workers, tell: Tell) -> None:
-        self.request, self.workers, self.tell = request, workers, tell
+    def __init__(self, request: DiagnosisRequest, workers: Workers, observe: Observer) -> None:
+        self.request, self.workers, self.observe = request, workers, observe
 
-    def phase(self, name: str, task: Any, asked: list[tuple[Any, ...]]) -> list[Json]:
-        """Run a task for each of `asked`; what they tell, in order of arrival."""
-        self.tell(name, 0, len(asked), {})
-        told: list[Json] = []
-        asks = [(_named(which), (self.request, *which)) for which in asked]
-        for ending in self.workers.run(task, asks):
-            told.append(_value(name, ending))
-            self.tell(name, len(told), len(asked), {"asked": ending.key} | told[-1])
-        return told
-
-
-def _named(which: tuple[Any, ...]) -> str:
-    """A task as a reader calls it: "plate_tilt with friction"."""
-    return ", ".join(" with ".join(w) if isinstance(w, list) else str(w) for w in which)
+    def run(self, phase: str, task: Callable[..., R], arguments: list[tuple[Any, ...]]) -> list[R]:
+        """Run a task for each of `arguments`; its records in order of arrival."""
+        of = len(arguments)
+        self.observe(Step(phase, 0, of))
+        calls = [(_about(one), (self.request, *one)) for one in arguments]
+        records: list[R] = []
+        for ending in self.workers.run(task, calls):
+            record: R = value_of(ending, f"{phase} {ending.key}".strip())
+            records.append(record)
+            self.observe(Step(phase, len(records), of, ending.key, record))
+        return records
 
 
-def _value(phase: str, ending: Ending) -> Json:
-    if ending.value is not None:
-        return ending.value
-    if isinstance(ending.error, PalpateError):
-        raise ending.error
-    what = f"{phase} {ending.key}".strip()
-    if ending.kind == "lost":
-        raise ClusterError(
-            f"The diagnosis lost a task ({what}): {ending.reason}. Give the workers more memory, "
-            "or start fewer with --workers, and run it again: what is finished is kept."
-        )
-    raise TaskError(f"The diagnosis failed ({what}): {ending.reason}.\n{ending.traceback}")
+def _about(arguments: tuple[Any, ...]) -> str:
+    """Name a task as a reader does: "plate_tilt with friction"."""
+    return ", ".join(
+        " with ".join(one) if isinstance(one, tuple) else str(one) for one in arguments
+    )

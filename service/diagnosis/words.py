@@ -1,12 +1,11 @@
 """The verdict in words for somebody who knows the images and not the statistics."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Protocol
 
 from service.report.words import MINUS, NONE, number
-
-Json = Mapping[str, Any]
+from workers.diagnosis.summary import GapEstimate, GapSummary, Summary
 
 MOST_DIGITS = 4
 # A gap that would be printed as zero.
@@ -17,7 +16,7 @@ NOT_EFFECTS = {"no-gap": "no gap", "none-of-these": "none of these"}
 
 
 def spoken(name: str) -> str:
-    """An effect, or "no-gap" and "none-of-these", as a reader calls it.
+    """Return an effect, or "no-gap" and "none-of-these", as a reader calls it.
 
     Examples
     --------
@@ -28,7 +27,7 @@ def spoken(name: str) -> str:
 
 
 def together(names: Sequence[str]) -> str:
-    """Several effects in a sentence.
+    """Return several effects in a sentence.
 
     Examples
     --------
@@ -39,7 +38,7 @@ def together(names: Sequence[str]) -> str:
 
 
 def listed(items: Sequence[str]) -> str:
-    """Items with commas, and an "and" before the last.
+    """Return items with commas, and an "and" before the last.
 
     Examples
     --------
@@ -50,7 +49,7 @@ def listed(items: Sequence[str]) -> str:
 
 
 def likely(probability: float) -> str:
-    """A probability; ends are not rounded to certainty.
+    """Return a probability; ends are not rounded to certainty.
 
     Examples
     --------
@@ -63,7 +62,7 @@ def likely(probability: float) -> str:
 
 
 def measured(value: float | None, sd: float | None, unit: str) -> str:
-    """A magnitude with its standard deviation.
+    """Return a magnitude with its standard deviation.
 
     Examples
     --------
@@ -79,7 +78,7 @@ def measured(value: float | None, sd: float | None, unit: str) -> str:
 
 
 def signed(value: float, digits: int, plus: str = "") -> str:
-    """A number with a real minus, and none before a zero; `plus` is "+" to have that too.
+    """Return a number with a real minus, and none before a zero; `plus` is "+" to have that too.
 
     Examples
     --------
@@ -91,40 +90,55 @@ def signed(value: float, digits: int, plus: str = "") -> str:
     return text.replace("-", MINUS)
 
 
-def millimetres(gap: Json | None) -> str:
-    """A gap with its interval.
+class Interval(Protocol):
+    """A length with its interval, in mm."""
+
+    @property
+    def gap_mm(self) -> float:
+        """In the middle."""
+
+    @property
+    def low_mm(self) -> float:
+        """Lower end."""
+
+    @property
+    def high_mm(self) -> float:
+        """Upper end."""
+
+
+def millimetres(gap: Interval | None) -> str:
+    """Write a gap with its interval.
 
     Examples
     --------
-    >>> millimetres({"gap_mm": 0.2684, "low_mm": 0.2256, "high_mm": 0.305})
+    >>> millimetres(GapEstimate(0.2684, 0.2256, 0.305, 0.44, 8))
     '0.27 mm (0.23 to 0.30)'
     """
     if gap is None:
         return NONE
-    return f"{gap['gap_mm']:.2f} mm ({gap['low_mm']:.2f} to {gap['high_mm']:.2f})"
+    return f"{gap.gap_mm:.2f} mm ({gap.low_mm:.2f} to {gap.high_mm:.2f})"
 
 
-def sentence(summary: Json) -> str:
-    """The verdict in a sentence or two."""
-    gap = summary["gap_mm"]
-    before = millimetres(gap["before"])
-    names = summary["primary"]
-    if summary["verdict"] == "no-gap":
-        most = gap["before"]["high_mm"]
+def sentence(summary: Summary) -> str:
+    """Say the verdict in a sentence or two."""
+    gap = summary.gap_mm
+    names = summary.primary
+    if summary.verdict == "no-gap":
+        most = gap.before.high_mm
         return (
             "Model and data agree: what is left between them is no more than noise. A gap larger "
             f"than {max(most, LEAST_MM):.2f} mm is unlikely."
         )
-    differ = f"Model and data differ by {before} beyond the noise"
-    if gap["before"]["gap_mm"] < NOTHING_MM:
+    differ = f"Model and data differ by {millimetres(gap.before)} beyond the noise"
+    if gap.before.gap_mm < NOTHING_MM:
         differ = "Model and data differ by less than the noise, but not at random"
-    if summary["verdict"] == "none-of-these":
+    if summary.verdict == "none-of-these":
         return (
             f"{differ}, and no effect of the catalogue explains it: the cause is something that "
             "is not listed."
         )
-    if summary["verdict"] == "cannot-be-told-apart":
-        choice = [name for name in summary["set90"] if name not in NOT_EFFECTS]
+    if summary.verdict == "cannot-be-told-apart":
+        choice = [name for name in summary.set90 if name not in NOT_EFFECTS]
         return (
             f"{differ}. These scans cannot tell which of {together(choice)} is the cause; "
             f"{together(names)} comes first. {_left(gap)}"
@@ -132,27 +146,26 @@ def sentence(summary: Json) -> str:
     return f"{differ}. The cause is {_cause(summary)}. {_left(gap)}".rstrip()
 
 
-def _cause(summary: Json) -> str:
-    return listed([_magnitude(summary, name) for name in summary["primary"]])
+def _cause(summary: Summary) -> str:
+    return listed([_magnitude(summary, name) for name in summary.primary])
 
 
-def _magnitude(summary: Json, name: str) -> str:
-    found = next(e for e in summary["effects"] if e["name"] == name)
-    how_much = measured(found["magnitude"], found["sd"], found["unit"])
-    return f"{spoken(name)} ({how_much}, probability {likely(found['probability'])})"
+def _magnitude(summary: Summary, name: str) -> str:
+    effect = summary.effect(name)
+    how_much = measured(effect.magnitude, effect.sd, effect.unit)
+    return f"{spoken(name)} ({how_much}, probability {likely(effect.probability)})"
 
 
-def _left(gap: Json) -> str:
-    """What the effect leaves, judged where it was not fitted if there is such a scan."""
-    held = gap.get("held_out_after")
-    if held is not None:
-        before = gap["held_out_before"]["gap_mm"]
+def _left(gap: GapSummary) -> str:
+    """Say what the effect leaves, judged where it was not fitted if there is such a scan."""
+    if gap.held_out_after is not None and gap.held_out_before is not None:
+        before = gap.held_out_before.gap_mm
         of = f" of {before:.2f} mm" if before >= NOTHING_MM else ""
-        return f"On scans that it was not fitted to, it leaves {_rest(held)}{of}."
-    return "" if gap["after"] is None else f"It leaves {_rest(gap['after'])}."
+        return f"On scans that it was not fitted to, it leaves {_rest(gap.held_out_after)}{of}."
+    return "" if gap.after is None else f"It leaves {_rest(gap.after)}."
 
 
-def _rest(gap: Json) -> str:
-    if gap["gap_mm"] < NOTHING_MM:
-        return f"nothing that stands out of the noise (at most {gap['high_mm']:.2f} mm)"
+def _rest(gap: GapEstimate) -> str:
+    if gap.gap_mm < NOTHING_MM:
+        return f"nothing that stands out of the noise (at most {gap.high_mm:.2f} mm)"
     return millimetres(gap)

@@ -1,1 +1,1 @@
-"""One self-contained page about a study."""
+"""Writes self-contained pages about studies, diagnoses and plans."""

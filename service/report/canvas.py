@@ -1,4 +1,4 @@
-"""Figures without global state: no pyplot, no display, the same bytes every time.
+"""Makes figures without global state: no pyplot, no display, the same bytes every time.
 
 Text stays text, in the fonts of the page, so a figure is sharp at any size.
 """
@@ -32,7 +32,7 @@ _FONT_LIST = re.compile(r"'DejaVu Sans'(?:, (?:'[^']*'|[\w-]+))*")
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """An empty figure on white."""
+    """Return an empty figure on white."""
     made = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
     FigureCanvasSVG(made)
     return made
@@ -52,20 +52,25 @@ def calm(axes: Axes, *, grid: str = "y") -> Axes:
 
 
 def legend(axes: Axes, **options: Any) -> None:
-    """A legend without a frame, above the axes."""
+    """Draw a legend without a frame, above the axes."""
     place: dict[str, Any] = {
         "loc": "lower left",
         "bbox_to_anchor": (0.0, 1.0),
         "ncols": 4,
     } | options
     axes.legend(
-        frameon=False, fontsize=SMALL_PT, labelcolor=SOFT_INK, borderaxespad=0.2,
-        handletextpad=0.5, columnspacing=1.4, **place,
-    )  # fmt: skip
+        frameon=False,
+        fontsize=SMALL_PT,
+        labelcolor=SOFT_INK,
+        borderaxespad=0.2,
+        handletextpad=0.5,
+        columnspacing=1.4,
+        **place,
+    )
 
 
 def svg(drawn: Figure) -> str:
-    """The figure as text, the same for the same figure."""
+    """Return the figure as text, the same for the same figure."""
     buffer = io.StringIO()
     with _lock, mpl.rc_context(_WRITING):
         drawn.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
@@ -76,12 +81,12 @@ def svg(drawn: Figure) -> str:
 
 
 def data_uri(drawn: Figure) -> str:
-    """The figure as the address of an image, for a page that needs no other file."""
+    """Return the figure as the address of an image, for a page that needs no other file."""
     return "data:image/svg+xml;base64," + base64.b64encode(svg(drawn).encode()).decode()
 
 
 def limits(values: Sequence[float], margin: float = 0.06) -> tuple[float, float]:
-    """An interval around finite values, with room at both ends."""
+    """Return an interval around finite values, with room at both ends."""
     low, high = min(values), max(values)
     room = margin * (high - low) or max(1.0, abs(high)) * margin
     return low - room, high + room

@@ -1,15 +1,14 @@
 """What the page says of a bench experiment: its markers, what hides, states to come."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from service.diagnosis.words import measured, signed, spoken
 from service.report.words import NONE, number
+from workers.diagnosis.summary import PredictedPoint, Summary, Triple
 
-Json = Mapping[str, Any]
 # Axes by how far a point has moved are told to a hundredth of a millimetre.
 DIGITS = 2
 # A standard deviation below this is printed as this.
@@ -57,70 +56,72 @@ class ExpectedRow:
     moved: tuple[str, str, str]
 
 
-def markers(told: Json) -> list[MarkerRow]:
-    """A row for each marker of each state."""
+def markers(summary: Summary) -> list[MarkerRow]:
+    """Return a row for each marker of each state."""
     return [
         MarkerRow(
-            state["state"], point["name"], _triple(point["displacement_mm"]),
-            _triple(point["before_mm"]), _triple(point["after_mm"]),
+            state.state,
+            point.name,
+            _triple(point.displacement_mm),
+            _triple(point.before_mm),
+            _triple(point.after_mm),
         )
-        for state in told.get("markers", ())
-        for point in state["points"]
-    ]  # fmt: skip
-
-
-def states(told: Json) -> list[StateRow]:
-    """A row for each state."""
-    return [
-        StateRow(
-            state["state"],
-            _rms(state["points"], "before_mm"),
-            _rms(state["points"], "after_mm"),
-            NONE if state["repeats_mm"] is None else f"{state['repeats_mm']:.2f}",
-        )
-        for state in told.get("markers", ())
+        for state in summary.markers or ()
+        for point in state.points
     ]
 
 
-def hidden(told: Json) -> list[HiddenRow]:
-    """A row for each constant that an effect which cannot be seen would change."""
+def states(summary: Summary) -> list[StateRow]:
+    """Return a row for each state."""
+    return [
+        StateRow(
+            state.state,
+            _rms([point.before_mm for point in state.points]),
+            _rms([point.after_mm for point in state.points]),
+            NONE if state.repeats_mm is None else f"{state.repeats_mm:.2f}",
+        )
+        for state in summary.markers or ()
+    ]
+
+
+def hidden(summary: Summary) -> list[HiddenRow]:
+    """Return a row for each constant that an effect which cannot be seen would change."""
     return [
         HiddenRow(
-            spoken(one["name"]),
-            ", ".join(
-                f"{name.replace('_', ' ')} {number(v, 2)}" for name, v in one["size"].items()
-            ),
+            spoken(one.name),
+            ", ".join(f"{name.replace('_', ' ')} {number(v, 2)}" for name, v in one.size.items()),
             name,
             f"{kpa['without']:.0f}",
             f"{kpa['with']:.0f}",
         )
-        for one in told.get("hidden", ())
-        for name, kpa in one["constants_kpa"].items()
+        for one in summary.hidden or ()
+        for name, kpa in one.constants_kpa.items()
     ]
 
 
-def expected(told: Json) -> list[ExpectedRow]:
-    """A row for each marker of each state to come."""
+def expected(summary: Summary) -> list[ExpectedRow]:
+    """Return a row for each marker of each state to come."""
     return [
-        ExpectedRow(state["state"], point["name"], _deviating(point))
-        for state in told.get("predictions", ())
-        for point in state["points"]
+        ExpectedRow(state.state, point.name, _deviating(point))
+        for state in summary.predictions or ()
+        for point in state.points
     ]
 
 
-def _triple(values: list[float] | None) -> str:
+def _triple(values: Triple | None) -> str:
     return NONE if values is None else ", ".join(signed(v, DIGITS) for v in values)
 
 
-def _deviating(point: Json) -> tuple[str, str, str]:
+def _deviating(point: PredictedPoint) -> tuple[str, str, str]:
     x, y, z = (
         measured(value, max(sd, LEAST_MM), "")
-        for value, sd in zip(point["displacement_mm"], point["sd_mm"], strict=True)
+        for value, sd in zip(point.displacement_mm, point.sd_mm, strict=True)
     )
     return x, y, z
 
 
-def _rms(points: list[Json], key: str) -> str:
-    if any(point[key] is None for point in points):
+def _rms(residuals: Sequence[Triple | None]) -> str:
+    known = [triple for triple in residuals if triple is not None]
+    if len(known) < len(residuals):
         return NONE
-    return f"{np.sqrt(np.mean([np.square(point[key]) for point in points])):.2f}"
+    return f"{np.sqrt(np.mean(np.square(known))):.2f}"

@@ -32,7 +32,7 @@ POINT = 11.0
 
 
 def range_mm(before: FloatArray, noise: FloatArray) -> float:
-    """End of the colour scale: what 98 % of the significant residuals keep below."""
+    """Return end of the colour scale: what 98 % of the significant residuals keep below."""
     loud = np.abs(before)[np.abs(before) >= SIGNIFICANT * noise]
     return max(SMALLEST_RANGE_MM, float(np.quantile(loud, 0.98)) if loud.size else 0.0)
 
@@ -52,7 +52,7 @@ def residual_map(
     noise: FloatArray,
     most_mm: float,
 ) -> Figure:
-    """Signed residuals of one interface in one scan.
+    """Return signed residuals of one interface in one scan.
 
     Parameters
     ----------
@@ -98,11 +98,20 @@ def _scatter(
 ) -> None:
     calm(axes, grid="")
     loud = np.abs(residual) >= SIGNIFICANT * noise
-    axes.scatter(across[~loud], up[~loud], s=0.6 * POINT, color=FAINT, linewidths=0,
-                 rasterized=True)  # fmt: skip
+    axes.scatter(
+        across[~loud], up[~loud], s=0.6 * POINT, color=FAINT, linewidths=0, rasterized=True
+    )
     order = np.flatnonzero(loud)[np.argsort(np.abs(residual[loud]), kind="stable")]
-    axes.scatter(across[order], up[order], s=POINT, c=residual[order], cmap=SIGNED, norm=scale,
-                 linewidths=0, rasterized=True)  # fmt: skip
+    axes.scatter(
+        across[order],
+        up[order],
+        s=POINT,
+        c=residual[order],
+        cmap=SIGNED,
+        norm=scale,
+        linewidths=0,
+        rasterized=True,
+    )
     axes.set_aspect("equal")
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_locator(MaxNLocator(4))

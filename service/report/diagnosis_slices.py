@@ -31,7 +31,7 @@ SMALLEST_SCORE = 4.0
 
 
 def overlays(observed: Volume, predicted: Mapping[str, Volume], middle: Triple) -> Figure:
-    """What the model has too much and too little, in three sections of one scan.
+    """Return what the model has too much and too little, in three sections of one scan.
 
     Parameters
     ----------
@@ -49,8 +49,9 @@ def overlays(observed: Volume, predicted: Mapping[str, Volume], middle: Triple) 
     for line, (view, seen), box in zip(grid, cuts, frames, strict=True):
         for axes, volume in zip(line, predicted.values(), strict=True):
             model = section(volume, view, middle[view.normal])
-            axes.imshow(compared(seen, model), origin="lower", extent=seen.extent_mm,
-                        interpolation="none")  # fmt: skip
+            axes.imshow(
+                compared(seen, model), origin="lower", extent=seen.extent_mm, interpolation="none"
+            )
             for tissue_set in (_body(seen), _gland(seen)):
                 _contour(axes, seen, tissue_set, 0.4)
             _dress(axes, view, box, middle)
@@ -69,7 +70,7 @@ def overlay_legend() -> list[tuple[str, str]]:
 
 
 def compared(seen: Section, model: Section) -> NDArray[np.float64]:
-    """Colours of a section, shape (rows, columns, 3).
+    """Return colours of a section, shape (rows, columns, 3).
 
     Too much of the body or of its glandular tissue is vermilion, too little blue. The
     sections must have one box.
@@ -88,7 +89,7 @@ def compared(seen: Section, model: Section) -> NDArray[np.float64]:
 def cause_sections(
     maps: Mapping[str, Volume], body: Volume, at: Triple, reached_by_noise: float
 ) -> Figure:
-    """Scores of "locally stiffer" in three sections, a column for each map.
+    """Return scores of "locally stiffer" in three sections, a column for each map.
 
     Parameters
     ----------
@@ -115,8 +116,7 @@ def cause_sections(
             axes.plot(at[view.across], at[view.up], marker="+", color=INK, markersize=7)
             _dress(axes, view, box, at)
     _head(grid[0], maps)
-    bar = drawn.colorbar(ScalarMappable(scale, CAUSES), ax=grid, aspect=32, pad=0.01,
-                         panchor=False)  # fmt: skip
+    bar = drawn.colorbar(ScalarMappable(scale, CAUSES), ax=grid, aspect=32, pad=0.01, panchor=False)
     bar.set_label(
         "score: softer (−) or stiffer (+) tissue explains it", fontsize=SMALL_PT, color=INK
     )
@@ -128,7 +128,7 @@ def cause_sections(
 
 
 def _scored(plane: NDArray[np.float32], scale: Normalize) -> NDArray[np.float64]:
-    """Colours of scores: grey where they are small, nearly white where nothing is known."""
+    """Return colours of scores: grey where they are small, nearly white where nothing is known."""
     pixels = np.asarray(CAUSES(scale(np.nan_to_num(plane))))[..., :3]
     pixels[np.abs(np.nan_to_num(plane)) < SIGNIFICANT] = to_rgb(QUIET)
     pixels[np.isnan(plane)] = to_rgb(UNSEEN)
@@ -138,7 +138,7 @@ def _scored(plane: NDArray[np.float32], scale: Normalize) -> NDArray[np.float64]
 def _plane(
     scores: Volume, view: View, at_mm: float
 ) -> tuple[NDArray[np.float32], tuple[float, float, float, float]]:
-    """The plane of a map nearest to a place, and its edges."""
+    """Return the plane of a map nearest to a place, and its edges."""
     nearest = round((at_mm - scores.origin_mm[view.normal]) / scores.spacing_mm[view.normal])
     axis = 2 - view.normal
     plane = np.take(scores.values, min(max(nearest, 0), scores.values.shape[axis] - 1), axis=axis)
@@ -153,7 +153,7 @@ def _plane(
 def _grid(
     frames: Sequence[tuple[float, float, float, float]], columns: int, beside_in: float
 ) -> tuple[Figure, NDArray[np.object_]]:
-    """A figure with a row for each frame; one scale for all, as large as the page allows."""
+    """Return a figure with a row for each frame; one scale for all, as large as the page allows."""
     widest = max(right - left for left, right, _, _ in frames)
     heights = [top - bottom for _, _, bottom, top in frames]
     room = (WIDTH_IN - beside_in) / columns - LABELS_IN[0]
@@ -177,10 +177,17 @@ def _dress(axes: Axes, view: View, box: tuple[float, float, float, float], at: T
 
 
 def _head(line: Sequence[Axes], titles: Iterable[str]) -> None:
-    """Titles of the columns, above those of their first sections."""
+    """Return titles of the columns, above those of their first sections."""
     for axes, title in zip(line, titles, strict=True):
-        axes.annotate(title, (0, 1), (0, 17), xycoords="axes fraction", color=INK,
-                      textcoords="offset points", fontsize=TEXT_PT)  # fmt: skip
+        axes.annotate(
+            title,
+            (0, 1),
+            (0, 17),
+            xycoords="axes fraction",
+            color=INK,
+            textcoords="offset points",
+            fontsize=TEXT_PT,
+        )
 
 
 def _contour(axes: Axes, shown: Section, inside: NDArray[np.bool_], width: float) -> None:
@@ -188,9 +195,14 @@ def _contour(axes: Axes, shown: Section, inside: NDArray[np.bool_], width: float
         return
     (dx, dy), (x, y) = shown.spacing_mm, shown.origin_mm
     rows, columns = inside.shape
-    drawn = axes.contour(x + dx * np.arange(columns), y + dy * np.arange(rows),
-                         inside.astype(float), [0.5], colors=[SOFT_INK],
-                         linewidths=width)  # fmt: skip
+    drawn = axes.contour(
+        x + dx * np.arange(columns),
+        y + dy * np.arange(rows),
+        inside.astype(float),
+        [0.5],
+        colors=[SOFT_INK],
+        linewidths=width,
+    )
     drawn.set_rasterized(True)
 
 

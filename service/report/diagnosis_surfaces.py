@@ -65,7 +65,7 @@ class Painted:
 
 
 def surface_map(painted: Sequence[Painted], most_mm: float) -> Figure:
-    """Every interface from two sides, a row for each kind of residual.
+    """Return every interface from two sides, a row for each kind of residual.
 
     Parameters
     ----------
@@ -90,8 +90,9 @@ def surface_map(painted: Sequence[Painted], most_mm: float) -> Figure:
             if one is painted[0]:
                 _triad(axes, one.vertices, axes_of_view)
         line[0].set_title(title, fontsize=TEXT_PT, color=INK, loc="left")
-    bar = drawn.colorbar(ScalarMappable(scale, SIGNED), ax=grid, aspect=30, pad=0.01, extend="both",
-                         panchor=False)  # fmt: skip
+    bar = drawn.colorbar(
+        ScalarMappable(scale, SIGNED), ax=grid, aspect=30, pad=0.01, extend="both", panchor=False
+    )
     bar.set_label("model outside (+) or inside (−), mm", fontsize=SMALL_PT, color=INK)
     bar.ax.tick_params(labelsize=SMALL_PT, colors=SOFT_INK)
     bar.outline.set_visible(False)
@@ -99,7 +100,7 @@ def surface_map(painted: Sequence[Painted], most_mm: float) -> Figure:
 
 
 def basis(towards_viewer: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Unit vectors to the right, upwards and towards the viewer; the nipple points upwards."""
+    """Return unit vectors to the right, up and to the viewer; the nipple points upwards."""
     near = towards_viewer / np.linalg.norm(towards_viewer)
     across = np.cross([0.0, 0.0, 1.0], near)
     across /= np.linalg.norm(across)
@@ -140,10 +141,14 @@ def _solid(
     flat = np.stack([corners @ across, corners @ up], axis=-1)
     axes.add_collection(
         PolyCollection(
-            list(flat[order]), facecolors=shaded[order], edgecolors=shaded[order],
-            linewidths=0.25, antialiaseds=False, rasterized=True,
+            list(flat[order]),
+            facecolors=shaded[order],
+            edgecolors=shaded[order],
+            linewidths=0.25,
+            antialiaseds=False,
+            rasterized=True,
         )
-    )  # fmt: skip
+    )
     low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
     axes.set(
         xlim=(low[0] - 2, high[0] + 2), ylim=(low[1] - 2, high[1] + 2), aspect="equal", anchor="S"
@@ -159,7 +164,7 @@ def _span(vertices: FloatArray, across: FloatArray, up: FloatArray) -> NDArray[n
 def _triad(
     axes: Axes, vertices: FloatArray, axes_of_view: tuple[FloatArray, FloatArray, FloatArray]
 ) -> None:
-    """The three axes of space, in the corner that a long body leaves."""
+    """Return the three axes of space, in the corner that a long body leaves."""
     across, up, _ = axes_of_view
     length = AXIS * float(np.ptp(vertices, axis=0).max())
     directions = length * np.stack([np.eye(3) @ across, np.eye(3) @ up], axis=1)

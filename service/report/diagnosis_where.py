@@ -14,16 +14,16 @@ from service.report.pictures import Picture, picture
 from service.report.slices import middle_mm
 from storage.arrays import Arrays
 from storage.values import FloatArray, Tissue, Triple, Volume
-from workers.diagnosis.summary import INTERFACES
+from workers.diagnosis.acquisition import INTERFACES
+from workers.diagnosis.summary import CauseMapSummary
 
-Json = dict[str, Any]
 # Fewer points of an interface make no map.
 FEW_POINTS = 5
 PARTS = ("vertices", "triangles")
 
 
 def maps(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Picture]:
-    """Signed residuals of every scan, all in one colour scale.
+    """Return signed residuals of every scan, all in one colour scale.
 
     On surfaces, averaged around each point, where the store has these; else as points seen
     from three sides.
@@ -33,7 +33,7 @@ def maps(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Picture]
     most = range_mm(found[value], found[spread])
     for scan, name in enumerate(scans):
         painted = []
-        for one, interface in enumerate(INTERFACES):
+        for one, interface in enumerate(one.name for one in INTERFACES):
             own = found["interface"] == one
             if own.sum() < FEW_POINTS:
                 continue
@@ -57,12 +57,12 @@ def maps(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Picture]
 
 
 def on_surfaces(found: Arrays) -> bool:
-    """Whether the store has the shapes of the interfaces and residuals averaged on them."""
-    return "local_before" in found and f"shape_{INTERFACES[0]}_vertices" in found
+    """Return whether the store has the shapes of the interfaces and residuals averaged on them."""
+    return "local_before" in found and f"shape_{INTERFACES[0].name}_vertices" in found
 
 
 def sections(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Picture]:
-    """Observed and predicted bodies of every scan that the store has."""
+    """Return observed and predicted bodies of every scan that the store has."""
     for scan, name in enumerate(scans):
         if f"labels_{scan}" not in found:
             continue
@@ -79,35 +79,36 @@ def sections(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Pict
         )
 
 
-def cause_picture(found: Arrays, told: Json | None, accused: str) -> Picture | None:
-    """The map of causes; None if there is none."""
+def cause_picture(found: Arrays, told: CauseMapSummary | None, accused: str) -> Picture | None:
+    """Return the map of causes; None if there is none."""
     if told is None or "cause_before" not in found:
         return None
-    before = told["before"]
+    before = told.before
     body = _volume(found["labels_rest"], found["labels_rest_frame"])
     keys = {key: found[f"cause_{key}"] for key in ("before", "after") if f"cause_{key}" in found}
     shown = {
         title: _volume(keys[key], found["cause_frame"]) for key, title in titled(keys, accused)
     }
-    at: Triple = (before["x_mm"], before["y_mm"], before["z_mm"])
-    drawn = cause_sections(shown, body, at, before["reached_by_noise"])
+    at: Triple = (before.x_mm, before.y_mm, before.z_mm)
+    drawn = cause_sections(shown, body, at, before.reached_by_noise)
     return _captioned(drawn, "Map of causes", cause_words(told))
 
 
-def cause_words(told: Json) -> str:
-    """Where the map is loudest, and whether that is more than noise."""
-    before = told["before"]
-    way = "stiffer" if before["score"] > 0 else "softer"
-    noise = before["reached_by_noise"]
-    place = ", ".join(f"{axis} = {signed(before[f'{axis}_mm'], 0)}" for axis in "xyz")
+def cause_words(told: CauseMapSummary) -> str:
+    """Return where the map is loudest, and whether that is more than noise."""
+    before = told.before
+    way = "stiffer" if before.score > 0 else "softer"
+    noise = before.reached_by_noise
+    at = {"x": before.x_mm, "y": before.y_mm, "z": before.z_mm}
+    place = ", ".join(f"{axis} = {signed(value, 0)}" for axis, value in at.items())
     verdict = (
         "more than noise alone reaches anywhere in the body"
-        if abs(before["score"]) > noise
+        if abs(before.score) > noise
         else "no more than noise alone reaches somewhere in the body"
     )
     return (
         f"{way} tissue at {place} mm (the cross) would explain most. Its score of "
-        f"{signed(before['score'], 1)} is {verdict} (±{noise:.1f} in 5 of 100 cases, the strokes "
+        f"{signed(before.score, 1)} is {verdict} (±{noise:.1f} in 5 of 100 cases, the strokes "
         "in the scale)"
     )
 
@@ -117,7 +118,7 @@ def _beyond(said: str) -> str:
 
 
 def _loud(rows: Mapping[str, FloatArray], noise: FloatArray) -> str:
-    """Share of the points that noise alone rarely puts so far."""
+    """Return share of the points that noise alone rarely puts so far."""
     shares = {title: (np.abs(r) >= SIGNIFICANT * noise).mean() for title, r in rows.items()}
     return ", ".join(f"{100 * share:.0f} % ({title})" for title, share in shares.items())
 

@@ -1,4 +1,4 @@
-"""Colours that stay apart for readers who see fewer of them.
+"""Defines colours that stay apart for readers who see fewer of them.
 
 Charts take the blue, orange and greys of Okabe and Ito (2008). Tissues differ in
 lightness as well as in hue, so that a page printed in grey can still be read.
@@ -57,7 +57,7 @@ STAGES = ("#0072b2", "#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#8a94a1")
 
 
 def lookup(colours: dict[Tissue, str] | dict[Difference, str]) -> NDArray[np.uint8]:
-    """A table of 256 RGB colours by label; labels without a colour are black.
+    """Return a table of 256 RGB colours by label; labels without a colour are black.
 
     Returns
     -------

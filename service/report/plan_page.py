@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from service.diagnosis.plan_words import (
     DIGITS,
@@ -22,8 +21,13 @@ from service.report.template import filled
 from service.report.words import NONE, number
 from service.versions import palpate_version
 from storage.plain import to_plain
-
-Json = dict[str, Any]
+from storage.typed_json import to_json
+from workers.diagnosis.planning.summary import (
+    FurtherMeasurement,
+    ParameterPlan,
+    PlannedEffect,
+    PlanSummary,
+)
 
 
 @dataclass(frozen=True)
@@ -52,102 +56,103 @@ class GainRow:
     silent: str
 
 
-def render(plan: Json) -> str:
-    """The page as text; an equal plan gives the same bytes."""
+def render(plan: PlanSummary) -> str:
+    """Return the page as text; an equal plan gives the same bytes."""
     return filled("plan.html.j2", context(plan))
 
 
-def context(plan: Json) -> Json:
-    """All values of the template."""
+def context(plan: PlanSummary) -> dict[str, object]:
+    """Return all values of the template."""
     return {
-        "name": plan["case"],
+        "name": plan.case,
         "headline": headline(plan),
         "lead": _lead(plan),
         "tiles": _tiles(plan),
         "notes": [
             text for text in (silence(plan), confusions(plan), drift(plan), *_lost(plan)) if text
         ],
-        "effects": [_effect(e) for e in plan["effects"]],
+        "effects": [_effect(e) for e in plan.effects],
         "alike_picture": picture(alikeness(plan), f"Cosines. {_alikes(plan)}."),
         "gain_picture": _gain_picture(plan),
-        "gains": [_gain(a) for a in plan["acquisitions"]],
-        "json": json.dumps(to_plain(plan), indent=2, ensure_ascii=False),
+        "gains": [_gain(a) for a in plan.acquisitions],
+        "json": json.dumps(to_plain(to_json(plan)), indent=2, ensure_ascii=False),
         "closing": f"Made by Palpate {palpate_version()}.",
     }
 
 
-def _lead(plan: Json) -> str:
+def _lead(plan: PlanSummary) -> str:
     return (
-        f"Foreseen at {plan['points']} points on the outline and on the boundary of the glandular "
-        f"tissue, each of which a segmentation draws with an error of {plan['noise_mm']:.2f} mm. "
+        f"Foreseen at {plan.points} points on the outline and on the boundary of the glandular "
+        f"tissue, each of which a segmentation draws with an error of {plan.noise_mm:.2f} mm. "
         "No loaded scan was looked at: the model says what every effect would do, and how much of "
         "it another choice of constants would hide."
     )
 
 
-def _tiles(plan: Json) -> list[tuple[str, str, str]]:
-    seen = len(plan["effects"]) - len(plan["silent"])
+def _tiles(plan: PlanSummary) -> list[tuple[str, str, str]]:
+    seen = len(plan.effects) - len(plan.silent)
     return [
-        ("Effects that can be found", str(seen), f"of {len(plan['effects'])}"),
-        ("Pairs told apart", str(plan["told_apart"]), f"of {plan['pairs']}"),
-        ("Points", str(plan["points"]), f"in {len(plan['scans'])} scans"),
-        ("Noise of a point", f"{plan['noise_mm']:.2f}", "mm"),
+        ("Effects that can be found", str(seen), f"of {len(plan.effects)}"),
+        ("Pairs told apart", str(plan.told_apart), f"of {plan.pairs}"),
+        ("Points", str(plan.points), f"in {len(plan.scans)} scans"),
+        ("Noise of a point", f"{plan.noise_mm:.2f}", "mm"),
     ]
 
 
-def _lost(plan: Json) -> Iterator[str]:
-    if plan["not_simulated"]:
-        yield f"The model does not converge at {', '.join(plan['not_simulated'])}."
-    if plan["without_columns"]:
+def _lost(plan: PlanSummary) -> Iterator[str]:
+    if plan.not_simulated:
+        yield f"The model does not converge at {', '.join(plan.not_simulated)}."
+    if plan.without_columns:
         yield (
             f"Left out, for they do not act here or cannot be simulated: "
-            f"{together(plan['without_columns'])}."
+            f"{together(plan.without_columns)}."
         )
 
 
-def _effect(e: Json) -> EffectRow:
+def _effect(e: PlannedEffect) -> EffectRow:
     return EffectRow(
-        spoken(e["name"]),
-        e["family"],
-        e["summary"],
+        spoken(e.name),
+        e.family,
+        e.summary,
         tuple(
-            (_parameter(p), _amount(p, "minimum"), _amount(p, "plausible")) for p in e["parameters"]
+            (_parameter(p), _amount(p.minimum, p.unit), _amount(p.plausible, p.unit))
+            for p in e.parameters
         ),
-        f"{100 * e['absorbed_share']:.0f} %",
-        number(e["log_evidence"], 3),
+        f"{100 * e.absorbed_share:.0f} %",
+        number(e.log_evidence, 3),
         nearest(e),
-        WHY[e["why_not"]],
-        e["seen"],
+        WHY[e.why_not],
+        e.seen,
     )
 
 
-def _gain(a: Json) -> GainRow:
+def _gain(a: FurtherMeasurement) -> GainRow:
     return GainRow(
-        a["name"],
-        str(a["told_apart"]),
-        f"× {a['minimum_ratio']:.2f}",
+        a.name,
+        str(a.told_apart),
+        f"× {a.minimum_ratio:.2f}",
         gain(a),
-        together(a["silent"]) if a["silent"] else NONE,
+        together(a.silent) if a.silent else NONE,
     )
 
 
-def _gain_picture(plan: Json) -> Picture | None:
-    found = plan["acquisitions"]
+def _gain_picture(plan: PlanSummary) -> Picture | None:
+    found = plan.acquisitions
     if not found:
         return None
-    said = "; ".join(f"{a['name']}: {a['told_apart']}" for a in found)
-    return picture(gains(plan["told_apart"], found, plan["pairs"]), f"Pairs told apart. {said}.")
+    said = "; ".join(f"{a.name}: {a.told_apart}" for a in found)
+    return picture(gains(plan.told_apart, found, plan.pairs), f"Pairs told apart. {said}.")
 
 
-def _alikes(plan: Json) -> str:
-    return "; ".join(f"{spoken(e['name'])}: {nearest(e)}" for e in plan["effects"])
+def _alikes(plan: PlanSummary) -> str:
+    return "; ".join(f"{spoken(e.name)}: {nearest(e)}" for e in plan.effects)
 
 
-def _amount(p: Json, key: str) -> str:
-    return NONE if p[key] is None else f"{number(p[key], DIGITS)} {p['unit']}".rstrip()
+def _amount(value: float | None, unit: str) -> str:
+    return NONE if value is None else f"{number(value, DIGITS)} {unit}".rstrip()
 
 
-def _parameter(p: Json) -> str:
-    """The name of a parameter without its unit."""
-    ending = f"_{p['unit'].lower().replace('/', '_per_')}" if p["unit"] else ""
-    return str(p["parameter"]).removesuffix(ending).replace("_", " ")
+def _parameter(p: ParameterPlan) -> str:
+    """Return the name of a parameter without its unit."""
+    ending = f"_{p.unit.lower().replace('/', '_per_')}" if p.unit else ""
+    return str(p.parameter).removesuffix(ending).replace("_", " ")

@@ -1,4 +1,4 @@
-"""Sections through volumes, and what two of them have in common.
+"""Cuts sections through volumes, and compares two of them.
 
 A section is what a reader sees: rows from bottom to top, columns from left to
 right, both in mm. Its plane is that of the voxels nearest to the point asked for;
@@ -65,14 +65,14 @@ class Section:
 
     @property
     def extent_mm(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom and top edge of the voxels."""
+        """Return the left, right, bottom and top edge of the voxels."""
         rows, columns = self.values.shape
         (dx, dy), (x, y) = self.spacing_mm, self.origin_mm
         return x - dx / 2, x + (columns - 0.5) * dx, y - dy / 2, y + (rows - 0.5) * dy
 
 
 def section(volume: Volume, view: View, at_mm: float) -> Section:
-    """The plane of `volume` nearest to `at_mm` along the normal of `view`."""
+    """Return the plane of `volume` nearest to `at_mm` along the normal of `view`."""
     nearest = round((at_mm - volume.origin_mm[view.normal]) / volume.spacing_mm[view.normal])
     array_axis = 2 - view.normal  # arrays are indexed [z, y, x]
     values = np.asarray(volume.values)
@@ -89,8 +89,8 @@ def section(volume: Volume, view: View, at_mm: float) -> Section:
     )
 
 
-def middle_mm(volume: Volume, tissues: Iterable[Tissue]) -> Triple:
-    """Centroid of tissues as (x, y, z); of the whole body if it has none of them.
+def middle_mm(volume: Volume, tissues: Iterable[int]) -> Triple:
+    """Return the centroid of tissues as (x, y, z); of the whole body if it has none of them.
 
     Raises
     ------
@@ -111,14 +111,14 @@ def middle_mm(volume: Volume, tissues: Iterable[Tissue]) -> Triple:
     return x, y, z
 
 
-def difference(target: Section, best: Section, tissues: Iterable[Tissue]) -> Section:
-    """Where tissues lie in the target, in the best candidate, and in both.
+def difference(target: Section, best: Section, tissues: Iterable[int]) -> Section:
+    """Mark where tissues lie in the target, in the best candidate, and in both.
 
     Parameters
     ----------
     target, best : Section
         On one lattice; their boxes may differ.
-    tissues : iterable of Tissue
+    tissues : iterable of int
         That are compared.
 
     Returns
@@ -137,7 +137,7 @@ def difference(target: Section, best: Section, tissues: Iterable[Tissue]) -> Sec
 
 
 def frame_mm(sections: Sequence[Section]) -> tuple[float, float, float, float]:
-    """Left, right, bottom and top of a frame around all bodies, with a little air."""
+    """Return left, right, bottom and top of a frame around all bodies, with a little air."""
     boxes = np.array([_body_mm(s) for s in sections])
     left, bottom = boxes[:, [0, 2]].min(axis=0)
     right, top = boxes[:, [1, 3]].max(axis=0)
@@ -160,12 +160,13 @@ def _body_mm(shown: Section) -> tuple[float, float, float, float]:
 
 
 def _on_one_box(sections: Sequence[Section]) -> tuple[list[Labels], tuple[float, float]]:
-    """Arrays of equal shape around all sections, and the centre of their first voxel."""
+    """Return arrays of equal shape around all sections, and the centre of their first voxel."""
     dx, dy = sections[0].spacing_mm
     x0 = min(s.origin_mm[0] for s in sections)
     y0 = min(s.origin_mm[1] for s in sections)
-    starts = [(round((s.origin_mm[1] - y0) / dy), round((s.origin_mm[0] - x0) / dx))
-              for s in sections]  # fmt: skip
+    starts = [
+        (round((s.origin_mm[1] - y0) / dy), round((s.origin_mm[0] - x0) / dx)) for s in sections
+    ]
     ends = [np.add(start, s.values.shape) for start, s in zip(starts, sections, strict=True)]
     rows, columns = np.max(ends, axis=0)
     boxed = []

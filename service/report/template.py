@@ -1,4 +1,4 @@
-"""A page from its template: one file, which needs no other."""
+"""Fills the template of a page: one file, which needs no other."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ HERE = Path(__file__).parent
 
 
 def filled(template: str, values: Mapping[str, Any], folder: Path = HERE) -> str:
-    """The page as text; equal values give the same bytes.
+    """Return the page as text; equal values give the same bytes.
 
     Parameters
     ----------

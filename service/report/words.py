@@ -1,8 +1,7 @@
-"""Numbers, names and findings as a reader wants them."""
+"""Writes numbers and names as a reader wants them."""
 
 import math
 import re
-from collections.abc import Mapping
 from typing import Any
 
 from markupsafe import Markup, escape
@@ -15,7 +14,7 @@ _GREEK = {"eta": "η", "nu": "ν", "E": "E"}
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number with so many significant digits, a real minus, and no trailing zeros.
+    """Write a number with so many significant digits, a real minus, and no trailing zeros.
 
     Examples
     --------
@@ -38,7 +37,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def count(value: int) -> str:
-    """A whole number, its thousands apart.
+    """Write a whole number, its thousands apart.
 
     Examples
     --------
@@ -49,7 +48,7 @@ def count(value: int) -> str:
 
 
 def percent(share: float | None, digits: int = 1) -> str:
-    """A signed relative error.
+    """Write a signed relative error.
 
     Examples
     --------
@@ -62,7 +61,7 @@ def percent(share: float | None, digits: int = 1) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time span.
+    """Write a time span.
 
     Examples
     --------
@@ -82,7 +81,7 @@ def duration(seconds: float) -> str:
 
 
 def bare(name: str, unit: str) -> str:
-    """The name of a parameter without the unit at its end.
+    """Return the name of a parameter without the unit at its end.
 
     Examples
     --------
@@ -94,7 +93,7 @@ def bare(name: str, unit: str) -> str:
 
 
 def label(name: str, unit: str) -> str:
-    """A parameter on an axis.
+    """Write a parameter for an axis.
 
     Examples
     --------
@@ -107,7 +106,7 @@ def label(name: str, unit: str) -> str:
 
 
 def symbol(name: str, unit: str = "") -> Markup:
-    """A parameter in running text.
+    """Write a parameter for running text.
 
     Examples
     --------
@@ -120,7 +119,7 @@ def symbol(name: str, unit: str = "") -> Markup:
 
 
 def powers(text: str) -> Markup:
-    """`number`'s powers of ten, raised.
+    """Raise the powers of ten that `number` writes.
 
     Examples
     --------
@@ -131,7 +130,7 @@ def powers(text: str) -> Markup:
 
 
 def joined(items: list[Any]) -> Markup:
-    """Items in a sentence: commas, and an "and" before the last."""
+    """Join items for a sentence: commas, and an "and" before the last."""
     parts = [escape(item) for item in items]
     if len(parts) < 2:
         return Markup("").join(parts)
@@ -139,27 +138,11 @@ def joined(items: list[Any]) -> Markup:
 
 
 def at_edge(estimate: float, bounds: tuple[float, float], share: float = 0.01) -> bool:
-    """Whether an estimate lies so near to a bound that the bound may have made it."""
+    """Return whether an estimate lies so near to a bound that the bound may have made it."""
     low, high = bounds
     return min(estimate - low, high - estimate) < share * (high - low)
 
 
 def signed_error(estimate: float | None, target: float | None) -> float | None:
-    """Estimate over target, less one; None where one is missing or the target is zero."""
+    """Return estimate over target, less one; None where one is missing or the target is zero."""
     return estimate / target - 1 if estimate is not None and target else None
-
-
-def verdict(estimates: Mapping[str, Mapping[str, Any]]) -> list[Markup]:
-    """What was found, one phrase for each parameter."""
-    phrases = []
-    for name, found in estimates.items():
-        if found["estimate"] is None:
-            continue
-        unit = found["unit"] or ""
-        value = f"{number(found['estimate'], 3)} {unit}".rstrip()
-        phrase = symbol(name, unit) + Markup(" <b>{}</b>").format(value)
-        error = signed_error(found["estimate"], found["target"])
-        if error is not None:
-            phrase += Markup(', <span class="off">{} from the target</span>').format(percent(error))
-        phrases.append(phrase)
-    return phrases

@@ -1,1 +1,1 @@
-"""Searches: pure functions from what was told to what to try next."""
+"""Searches by pure functions from the generations so far to the candidates to try next."""

@@ -1,4 +1,4 @@
-"""What a search is: a fold over the finished generations.
+"""Defines what a search is: a fold over the finished generations.
 
 ::
 
@@ -65,12 +65,12 @@ class Generation:
 
     @property
     def ranking(self) -> NDArray[np.intp]:
-        """Candidates from best to worst, shape (n,); ties stay in index order."""
+        """Return candidates from best to worst, shape (n,); ties stay in index order."""
         return np.argsort(self.scores, kind="stable")
 
     @property
     def best(self) -> int:
-        """Index of the best candidate."""
+        """Return the index of the best candidate."""
         return int(np.argmin(self.scores))
 
 
@@ -100,7 +100,7 @@ class Proposal:
 
     @property
     def to_evaluate(self) -> tuple[int, ...]:
-        """Indices of the candidates that need an evaluation."""
+        """Return the indices of the candidates that need an evaluation."""
         return tuple(index for index, origin in enumerate(self.carried) if origin is None)
 
     def complete(self, scores: Mapping[int, float], history: Sequence[Generation]) -> Generation:

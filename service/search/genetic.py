@@ -1,4 +1,4 @@
-"""The genetic search of the thesis, as MATLAB's ``ga`` would run it.
+"""Runs the genetic search of the thesis as MATLAB's ``ga`` would.
 
 One generation becomes the next::
 
@@ -86,23 +86,23 @@ class GeneticSettings:
 
     @property
     def crossover_children(self) -> int:
-        """Children of two parents in every generation but the first."""
+        """Return the number of children of two parents in every generation but the first."""
         # Halves are rounded up; round() would take them to the even neighbour.
         return math.floor(self.crossover_fraction * (self.population - self.elite) + 0.5)
 
     @property
     def mutation_children(self) -> int:
-        """Children of one parent in every generation but the first."""
+        """Return the number of children of one parent in every generation but the first."""
         return self.population - self.elite - self.crossover_children
 
     @property
     def parents(self) -> int:
-        """Parents selected for one generation."""
+        """Return the number of parents selected for one generation."""
         return 2 * self.crossover_children + self.mutation_children
 
     @property
     def most_evaluations(self) -> int:
-        """Evaluations if the search runs to its last generation."""
+        """Return the number of evaluations if the search runs to its last generation."""
         return self.population + (self.generations - 1) * (self.population - self.elite)
 
 
@@ -206,5 +206,5 @@ class GeneticSearch:
 
 
 def best_so_far(history: Sequence[Generation]) -> FloatArray:
-    """Best score up to each generation, shape (g,), never increasing."""
+    """Return the best score up to each generation, shape (g,), never increasing."""
     return np.minimum.accumulate([generation.scores.min() for generation in history])

@@ -1,4 +1,4 @@
-"""The operators of the genetic search, as functions of an explicit generator.
+"""Defines the operators of the genetic search, as functions of an explicit generator.
 
 What MATLAB's ``ga`` does with a bounded problem and its default options, written
 from its public description: rank scaling, stochastic uniform selection (Baker
@@ -184,7 +184,7 @@ class AdaptiveFeasible:
             )
 
     def step(self, bests: FloatArray) -> float:
-        """Step length after the best scores `bests`, shape (g,), never increasing."""
+        """Return the step length after the best scores `bests`, shape (g,), never increasing."""
         length = self.initial
         for before, after in itertools.pairwise(bests):
             if np.isposinf(before):
@@ -237,6 +237,6 @@ class Gaussian:
         return space.from_unit(reflect(space.to_unit(parents) + noise))
 
 
-#: What a study file may name.
+#: What a study file may name; see `service.spec.SearchSpec`.
 INITIAL: dict[str, Initial] = {"uniform": uniform_population, "latin-hypercube": latin_hypercube}
-MUTATIONS: dict[str, Mutation] = {"adaptive": AdaptiveFeasible(), "gaussian": Gaussian()}
+MUTATIONS: dict[str, Mutation] = {"adaptive-feasible": AdaptiveFeasible(), "gaussian": Gaussian()}

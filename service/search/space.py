@@ -1,4 +1,4 @@
-"""The box that is searched: names and bounds of the free parameters."""
+"""Defines the box that is searched: names and bounds of the free parameters."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -77,38 +77,34 @@ class Space:
 
     @property
     def dimension(self) -> int:
-        """Number of parameters."""
+        """Return the number of parameters."""
         return len(self.names)
 
     @property
     def span(self) -> FloatArray:
-        """Widths ``upper - lower``, shape (d,)."""
+        """Return the widths ``upper - lower``, shape (d,)."""
         return np.asarray(self.upper) - np.asarray(self.lower)
 
     def from_unit(self, unit: FloatArray) -> FloatArray:
-        """Genes (n, d) of points (n, d) in the unit cube; rounding cannot leave the box."""
+        """Map points (n, d) of the unit cube to genes (n, d); rounding cannot leave the box."""
         genes = np.asarray(self.lower) + unit * self.span
         return np.clip(genes, self.lower, self.upper)
 
     def to_unit(self, genes: FloatArray) -> FloatArray:
-        """Points (n, d) in the unit cube of genes (n, d)."""
+        """Map genes (n, d) to points (n, d) of the unit cube."""
         return np.asarray((genes - np.asarray(self.lower)) / self.span, dtype=np.float64)
 
-    def contains(self, genes: FloatArray) -> bool:
-        """Whether every gene (n, d) lies within its bounds."""
-        return bool(np.all((genes >= np.asarray(self.lower)) & (genes <= np.asarray(self.upper))))
-
     def as_dict(self, genes: FloatArray) -> dict[str, float]:
-        """One candidate's genes (d,) by name."""
+        """Return the genes (d,) of one candidate by name."""
         return {name: float(gene) for name, gene in zip(self.names, genes, strict=True)}
 
 
 def _refuse_duplicates(names: tuple[str, ...]) -> None:
-    seen: set[str] = set()
+    names_so_far: set[str] = set()
     for name in names:
-        if name in seen:
+        if name in names_so_far:
             raise InputError(f"The parameter {name} stands twice in the search. Remove one.")
-        seen.add(name)
+        names_so_far.add(name)
 
 
 def _check_bounds(name: str, low: float, high: float) -> None:

@@ -1,4 +1,4 @@
-"""When a search has stopped getting better.
+"""Decides when a search has stopped getting better.
 
 Both rules look at the best scores ``B`` of the last ``n`` steps from one
 generation to the next, which takes ``n + 1`` generations:
@@ -61,7 +61,7 @@ class Stall:
             )
 
     def reason(self, bests: FloatArray) -> str | None:
-        """Why to stop, or ``None`` to go on.
+        """Return why to stop, or None to go on.
 
         Parameters
         ----------

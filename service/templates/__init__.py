@@ -1,16 +1,16 @@
-"""Study files to start from, with a comment on every key."""
+"""Holds files to start from, with a comment on every key."""
 
 from importlib import resources
 
 
 def template(kind: str, name: str) -> str:
-    """The text of a study file.
+    """Return the text of a study, a diagnosis or an experiment.
 
     Parameters
     ----------
-    kind : {"breast", "breast-images"}
+    kind : {"breast", "breast-images", "cornea", "diagnosis", "experiment"}
     name : str
-        Of the study, put in place of NAME.
+        Stands in place of NAME.
     """
     text = resources.files(__name__).joinpath(f"{kind}.yaml").read_text(encoding="utf-8")
     return text.replace("NAME", name)

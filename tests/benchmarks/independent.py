@@ -29,14 +29,14 @@ from calculix import Answer, Body, Held, Material, available  # noqa: E402
 from calculix import solve as calculix  # noqa: E402
 
 from storage.values import Tissue  # noqa: E402
-from workers import pipeline  # noqa: E402
-from workers.fem.loads import DistanceControl, Wall  # noqa: E402
-from workers.fem.model import Model, prepare  # noqa: E402
-from workers.fem.outcome import Solution  # noqa: E402
-from workers.fem.problem import Constants, Problem  # noqa: E402
-from workers.fem.solve import solve  # noqa: E402
-from workers.mesh.hierarchy import MeshLevel  # noqa: E402
-from workers.spec import MeshSpec, ModelSpec, PhantomSpec  # noqa: E402
+from workers.body.mesh.hierarchy import MeshLevel  # noqa: E402
+from workers.mechanics.fem.loads import DistanceControl, Wall  # noqa: E402
+from workers.mechanics.fem.model import Model, prepare  # noqa: E402
+from workers.mechanics.fem.outcome import Solution  # noqa: E402
+from workers.mechanics.fem.problem import Constants, Problem  # noqa: E402
+from workers.mechanics.fem.solve import solve  # noqa: E402
+from workers.organs.breast.organ import ORGAN  # noqa: E402
+from workers.organs.breast.spec import BreastCase  # noqa: E402
 
 FAT, GLAND = Constants(0.010), Constants(0.040)
 LOWER_MM, UPPER_MM = -37.5, 37.5
@@ -64,8 +64,9 @@ class Case:
     """The breast at one mesh size."""
 
     def __init__(self, nodes: int) -> None:
-        labels = pipeline.phantom(PhantomSpec(spacing_mm=1.0))
-        hierarchy = pipeline.mesh(labels, MeshSpec(nodes=nodes), ModelSpec())
+        asked = {"reference": {"phantom": {"spacing_mm": 1.0}}, "mesh": {"nodes": nodes}}
+        case = BreastCase.model_validate(asked)
+        hierarchy = ORGAN.make_mesh(ORGAN.make_body(case.reference), case)
         self.level: MeshLevel = hierarchy.finest
         self.model: Model = prepare(hierarchy)
 

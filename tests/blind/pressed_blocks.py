@@ -5,9 +5,9 @@ from itertools import permutations
 import numpy as np
 
 from workers.blind.contact import Plate
-from workers.blind.element import FACE_WEIGHTS, QuadraticMesh, quadratic
+from workers.blind.element_energy import ElementMaterials
+from workers.blind.quadratic_element import FACE_WEIGHTS, QuadraticMesh, quadratic
 from workers.blind.system import System, Topology, Wall, topology_of
-from workers.blind.tissue import Matter
 
 Y_FRAME = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
@@ -34,11 +34,11 @@ def block(counts, sides):
     return quadratic(nodes, tets.astype(np.int32), 0.0)
 
 
-def matter(mesh: QuadraticMesh, mu=0.01, kappa=0.5, eta=0.0, fung=0.0, growth=1.0):
+def materials(mesh: QuadraticMesh, mu=0.01, kappa=0.5, eta=0.0, fung=0.0, growth=1.0):
     """The same everywhere, fibres along z."""
     shape = (len(mesh.cells), 4)
     fibre = np.tile([0.0, 0.0, 1.0], (*shape, 1))
-    return Matter(*(np.full(shape, v) for v in (mu, kappa, eta, fung, growth)), fibre)
+    return ElementMaterials(*(np.full(shape, v) for v in (mu, kappa, eta, fung, growth)), fibre)
 
 
 def plates(half, slopes=(0.0, 0.0), sag=0.0):

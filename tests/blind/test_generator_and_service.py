@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 
 from storage.values import Tissue
-from workers.blind.anatomy import body_of
-from workers.blind.draw import draw
+from workers.blind.load_stepping import IN_AXES, plate_starts, plates_of, solve_scene
 from workers.blind.material_points import GLANDULAR, points_on
+from workers.blind.meshed_body import body_of
+from workers.blind.random_case import draw
 from workers.blind.scene import NU, WALL_SPRING_KPA_PER_MM, Scene
-from workers.blind.solution import IN_AXES, plate_starts, plates_of, solve_scene
 from workers.blind.system import topology_of
-from workers.effects.fibre_rotation import FIBRE_ROTATION
-from workers.effects.plate_tilt import PLATE_TILT
-from workers.effects.stiffness_gradient import STIFFNESS_GRADIENT
-from workers.fem.contact import Gap, Pads, press, surfaces
-from workers.fem.fields import frame_of
-from workers.fem.loads import Device, ForceControl, Wall
-from workers.fem.model import prepare
-from workers.fem.problem import Constants, Problem
-from workers.fem.solve import solve
-from workers.mesh.hierarchy import build_hierarchy
-from workers.observation.locate import interpolation
+from workers.body.mesh.hierarchy import build_hierarchy
+from workers.comparison.observation.point_interpolation import interpolation
+from workers.mechanics.effects.fibre_rotation import FIBRE_ROTATION
+from workers.mechanics.effects.plate_tilt import PLATE_TILT
+from workers.mechanics.effects.stiffness_gradient import STIFFNESS_GRADIENT
+from workers.mechanics.fem.contact import ContactNodes, Gap, plate_contact, plate_surfaces
+from workers.mechanics.fem.fields import frame_of
+from workers.mechanics.fem.loads import Device, ForceControl, Wall
+from workers.mechanics.fem.model import prepare
+from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.fem.solve import solve
 
 
 @pytest.fixture(scope="module")
@@ -76,13 +76,14 @@ def test_a_tilt_leans_the_way_of_the_catalogue(truth, axis):
     load = ForceControl(1.0, *plate_starts(truth.anatomy, axis), device)
     problem = Problem({}, load)
     tilted = PLATE_TILT.apply(
-        problem, {"tilt_depth": 3.0, "tilt_across": -2.0},
+        problem,
+        {"tilt_depth": 3.0, "tilt_across": -2.0},
         frame_of(np.array([[0.0, 0, 0], [1, 1, 1]])),
-    )  # fmt: skip
-    upper = surfaces(tilted.load.device, Gap(load.lower_mm, load.upper_mm))[1]
+    )
+    upper = plate_surfaces(tilted.load.device, Gap(load.lower_mm, load.upper_mm))[1]
     points = np.random.default_rng(0).uniform(-40, 40, (50, 3))
-    pads = Pads(np.arange(50, dtype=np.int32), np.ones(50))
-    theirs = press(pads, points, upper).gap
+    nodes = ContactNodes(np.arange(50, dtype=np.int32), np.ones(50))
+    theirs = plate_contact(nodes, points, upper).gap
     s = (points - plate.pivot_mm) @ plate.frame[:2].T
     ours = plate.start_mm + s @ plate.slopes - points @ plate.frame[2]
     ours /= np.sqrt(1 + (plate.slopes**2).sum())
@@ -92,8 +93,9 @@ def test_a_tilt_leans_the_way_of_the_catalogue(truth, axis):
 
 def test_a_turn_and_a_gradient_go_the_way_of_the_catalogue(truth):
     body = truth.anatomy
-    nodes = np.array([np.subtract(body.centre_mm, body.half_mm),
-                      np.add(body.centre_mm, body.half_mm)])  # fmt: skip
+    nodes = np.array(
+        [np.subtract(body.centre_mm, body.half_mm), np.add(body.centre_mm, body.half_mm)]
+    )
     frame = frame_of(nodes)
     points = np.random.default_rng(2).uniform(*nodes, (40, 3))
     bare = Problem({}, ForceControl(1.0, -1.0, 1.0))
@@ -102,12 +104,13 @@ def test_a_turn_and_a_gradient_go_the_way_of_the_catalogue(truth):
     theirs = FIBRE_ROTATION.apply(
         bare, dict(zip(FIBRE_ROTATION.names, turns.tolist(), strict=True)), frame
     ).fibres.directions(points)
-    ours = fibres.put(Scene(body, truth.constants)).fibres(points)
+    ours = fibres.apply_to(Scene(body, truth.constants)).fibres(points)
     assert np.abs((ours * theirs).sum(axis=1)).min() > np.cos(np.radians(0.3))
     gradient = draw(1, "gradient").causes[0]
-    values = dict(zip(STIFFNESS_GRADIENT.names, (gradient.ln_x, gradient.ln_y, gradient.ln_z),
-                      strict=True))  # fmt: skip
+    values = dict(
+        zip(STIFFNESS_GRADIENT.names, (gradient.ln_x, gradient.ln_y, gradient.ln_z), strict=True)
+    )
     line = STIFFNESS_GRADIENT.apply(bare, values, frame).variations[0].log_factor(points)
-    curve = gradient.put(Scene(body, truth.constants)).ln_stiffness[0](points)
+    curve = gradient.apply_to(Scene(body, truth.constants)).ln_stiffness[0](points)
     assert np.corrcoef(line, curve)[0, 1] > 0.9
     assert 0.5 < np.abs(curve).max() / np.abs(line).max() < 2

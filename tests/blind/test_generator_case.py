@@ -7,16 +7,22 @@ import numpy as np
 import pytest
 
 from storage.values import Tissue, Volume
-from workers.blind.anatomy import body_of
-from workers.blind.draw import draw
 from workers.blind.fine_mesh import fine_mesh_of
 from workers.blind.material_points import locate, points_on
-from workers.blind.observe import Hand, deformed_labels, glandular_share, padded, segmented
-from workers.blind.write import write_case
-from workers.images.read import read_volume
-from workers.observation.distance import signed_distance
-from workers.observation.interface import GLANDULAR, OUTLINE
-from workers.observation.repeat import from_repeat
+from workers.blind.meshed_body import body_of
+from workers.blind.random_case import draw
+from workers.blind.segmented_scan import (
+    Segmenter,
+    deformed_labels,
+    glandular_share,
+    padded,
+    segmented,
+)
+from workers.blind.write_case import write_case
+from workers.body.images.read import read_volume
+from workers.comparison.observation.interface import GLANDULAR, OUTLINE
+from workers.comparison.observation.noise_estimation import from_repeat
+from workers.comparison.observation.signed_distance import signed_distance
 
 COARSE = {"corners": 700, "spacing_mm": 1.2}
 FILES = ["case.json", "deformed_y1.nrrd", "deformed_y2.nrrd", "reference.nrrd"]
@@ -115,10 +121,10 @@ def test_case_names_loads_axes_and_plates(folder):
 
 def test_noise_has_the_size_and_length_it_is_said_to_have(body):
     labels = padded(body.labels, 6.0)
-    hands = [segmented(labels, Hand(0.3), np.random.default_rng(s)) for s in (1, 2)]
-    found = from_repeat(*hands, spacing_mm=3.0, clear_mm=1.5)
-    assert found.sd_mm == pytest.approx(0.3, rel=0.12)
-    assert found.correlation_mm == pytest.approx(4.0, rel=0.2)
+    hands = [segmented(labels, Segmenter(0.3), np.random.default_rng(s)) for s in (1, 2)]
+    noise = from_repeat(*hands, spacing_mm=3.0, clear_mm=1.5)
+    assert noise.sd_mm == pytest.approx(0.3, rel=0.12)
+    assert noise.correlation_mm == pytest.approx(4.0, rel=0.2)
 
 
 def test_offsets_move_the_boundaries_by_what_they_say():
@@ -127,7 +133,7 @@ def test_offsets_move_the_boundaries_by_what_they_say():
     far = np.sqrt(axis[:, None, None] ** 2 + axis[:, None] ** 2 + axis**2)
     values = (far < 15).astype(np.uint8) + (far < 8)
     labels = Volume(values, (0.8,) * 3, (axis[0],) * 3)
-    drawn = segmented(labels, Hand(0.0, 0.5, -0.4), np.random.default_rng(0))
+    drawn = segmented(labels, Segmenter(0.0, 0.5, -0.4), np.random.default_rng(0))
 
     def radius(inside):
         return (3 * np.count_nonzero(inside) * 0.8**3 / (4 * np.pi)) ** (1 / 3)

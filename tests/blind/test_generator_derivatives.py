@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from pressed_blocks import block, matter, plates, wall
+from pressed_blocks import block, materials, plates, wall
 
-from workers.blind.sheet import sheet_of
+from workers.blind.element_energy import ElementMaterials
+from workers.blind.skin_membrane import sheet_of
 from workers.blind.system import State, System, topology_of
-from workers.blind.tissue import Matter
 
 STEP = 1e-5
 FORCE_N = 0.3
@@ -28,21 +28,23 @@ def random_matter(mesh):
     fibre = rng.standard_normal((*shape, 3))
     fibre /= np.linalg.norm(fibre, axis=2)[..., None]
     ranges = ((0.005, 0.02), (0.1, 0.5), (0.05, 0.1), (0.0, 4.0), (0.95, 1.05))
-    return Matter(*(rng.uniform(*r, shape) for r in ranges), fibre)
+    return ElementMaterials(*(rng.uniform(*r, shape) for r in ranges), fibre)
 
 
 def rubbed(system, state):
     """Friction that sticks at some points and slides at others."""
     system.renew_friction(state)
-    for grip in system.grips:
-        grip.origin[:] = 0.05 * np.random.default_rng(4).standard_normal(grip.origin.shape)
+    for friction_state in system.friction_states:
+        friction_state.origin[:] = 0.05 * np.random.default_rng(4).standard_normal(
+            friction_state.origin.shape
+        )
     return system
 
 
 def systems(mesh):
     top = topology_of(mesh)
     smooth = np.zeros(top.skin.areas.shape)
-    of, still = matter(mesh), np.zeros(3)
+    of, still = materials(mesh), np.zeros(3)
     flat, bent = plates(2.5), plates(2.6, slopes=(0.1, -0.07), sag=4.0)
     return {
         "tissue": System(top, random_matter(mesh), wall(top, 1e-3), plates(50.0), smooth, still),
@@ -50,10 +52,8 @@ def systems(mesh):
         "plates": System(top, of, wall(top, 1e-3), flat, smooth, still),
         "bent": System(top, of, wall(top, 1e-3), bent, smooth, still),
         "friction": System(top, of, wall(top, 1e-3), bent, smooth + 0.3, still),
-        "skin": System(
-            top, of, wall(top, 1e-3), plates(50.0), smooth, still, sheet_of(mesh, 0.5)
-        ),
-    }  # fmt: skip
+        "skin": System(top, of, wall(top, 1e-3), plates(50.0), smooth, still, sheet_of(mesh, 0.5)),
+    }
 
 
 def nudged(system, state, seed):

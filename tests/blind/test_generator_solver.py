@@ -3,17 +3,17 @@
 import felupe
 import numpy as np
 import pytest
-from pressed_blocks import block, matter, pressed
+from pressed_blocks import block, materials, pressed
 from scipy.optimize import fsolve, minimize
 from scipy.sparse import bmat, bsr_matrix
 from scipy.sparse.linalg import spsolve
 
 from workers.blind.contact import PENALTY_N_PER_MM3
-from workers.blind.linear import TwoLevel, conjugate, factored
+from workers.blind.element_energy import Cells, cells_of, energy
 from workers.blind.newton import Newton, interpolation_of
-from workers.blind.sheet import sheet_energy, sheet_of
+from workers.blind.skin_membrane import sheet_energy, sheet_of
 from workers.blind.system import DENSITY_T_PER_MM3, GRAVITY_MM_PER_S2, State
-from workers.blind.tissue import Cells, cells_of, energy
+from workers.blind.two_level_solver import TwoLevel, conjugate_gradients, factorised_coarse_tangent
 
 SIDES = np.array([24.0, 20.0, 16.0])
 
@@ -32,21 +32,24 @@ def density(stretches, mu, kappa, eta, fung):
     return 0.5 * (mu * fungs + kappa * (J - 1) ** 2 + eta * pull**2)
 
 
-@pytest.mark.parametrize("constants", [(0.01, 0.5, 0.0, 0.0), (0.004, 0.2, 0.08, 0.0),
-                                       (0.004, 0.2, 0.02, 6.0)])  # fmt: skip
+@pytest.mark.parametrize(
+    "constants", [(0.01, 0.5, 0.0, 0.0), (0.004, 0.2, 0.08, 0.0), (0.004, 0.2, 0.02, 6.0)]
+)
 def test_a_uniform_block_is_pressed_as_exactly_as_the_energy_says(constants):
     # Free sides and no friction: stretches are uniform and make the sides free of stress.
     mu, kappa, eta, fung = constants
     mesh = block((3, 2, 2), SIDES)
-    system = pressed(mesh, matter(mesh, mu, kappa, eta, fung), SIDES[1] / 2)
+    system = pressed(mesh, materials(mesh, mu, kappa, eta, fung), SIDES[1] / 2)
     state = at_rest(system, 1.2)
     pressure = 1.2 / (SIDES[0] * SIDES[2])
 
     def load(y):
         free = minimize(
-            lambda s: density([s[0], y, s[1]], *constants), [y**-0.5] * 2, method="Nelder-Mead",
+            lambda s: density([s[0], y, s[1]], *constants),
+            [y**-0.5] * 2,
+            method="Nelder-Mead",
             options={"xatol": 1e-10, "fatol": 1e-16},
-        ).x  # fmt: skip
+        ).x
         ends = [density([free[0], y + s, free[1]], *constants) for s in (1e-5, -1e-5)]
         return free, (ends[0] - ends[1]) / 2e-5
 
@@ -67,7 +70,7 @@ def test_a_uniform_block_is_pressed_as_exactly_as_the_energy_says(constants):
 
 def test_a_swollen_block_is_larger_and_free_of_stress():
     mesh = block((2, 2, 2), SIDES)
-    grown = matter(mesh, growth=1.02)
+    grown = materials(mesh, growth=1.02)
     u = 0.02 * mesh.nodes
     assert energy(cells_of(mesh), grown, u) == pytest.approx(0, abs=1e-12)
     assert energy(cells_of(mesh), grown, 0 * u) > 1e-2
@@ -96,7 +99,7 @@ def test_gradients_integrate_to_the_volume_of_a_deformed_body():
 
 def layered(mesh):
     """Stiffer above z = 8, where elements end."""
-    of = matter(mesh, 0.004, 0.2)
+    of = materials(mesh, 0.004, 0.2)
     high = mesh.nodes[mesh.cells[:, :4], 2].mean(axis=1) > 8
     of.mu[high] *= 4
     of.kappa[high] *= 4
@@ -105,9 +108,12 @@ def layered(mesh):
 
 def felupe_force(closed, counts):
     """Force of the layered block whose y faces come closer, by quadratic hexahedra."""
-    mesh = felupe.Cube(
-        a=(-12, -10, 0), b=(12, 10, 16), n=tuple(c + 1 for c in counts)
-    ).add_midpoints_edges().add_midpoints_faces().add_midpoints_volumes()  # fmt: skip
+    mesh = (
+        felupe.Cube(a=(-12, -10, 0), b=(12, 10, 16), n=tuple(c + 1 for c in counts))
+        .add_midpoints_edges()
+        .add_midpoints_faces()
+        .add_midpoints_volumes()
+    )
     mesh.update(cells=mesh.cells, cell_type="hexahedron27")
     region = felupe.RegionTriQuadraticHexahedron(mesh)
     field = felupe.FieldContainer([felupe.Field(region, dim=3)])
@@ -151,14 +157,14 @@ def test_friction_holds_up_to_its_coefficient_times_the_force():
     force, friction, spring = 1.0, 0.25, 0.002
     weight = 3 * 2 * friction * force
     gravity = weight / (DENSITY_T_PER_MM3 * GRAVITY_MM_PER_S2 * SIDES.prod())
-    of = matter(mesh, 2.0, 40.0)
+    of = materials(mesh, 2.0, 40.0)
     system = pressed(mesh, of, SIDES[1] / 2, spring, friction, (gravity, 0, 0))
     newton = Newton(system)
     state = State(np.zeros_like(mesh.nodes), 0.05)
     for _ in range(2):
         state, _ = newton.equilibrium(state, force, 1e-5)
         system.end_step(state)
-    held = -float((system.pull_of_springs(state.u) - system.weight)[:, 0].sum())
+    held = -float((system.spring_forces(state.u) - system.weight)[:, 0].sum())
     assert held == pytest.approx(2 * friction * force, rel=0.01)
 
 
@@ -172,13 +178,15 @@ def test_conjugate_gradients_solve_what_a_factorisation_solves():
     rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     interpolation = interpolation_of(system)
     inverses = np.linalg.inv(tangent.blocks[rows == columns])
-    factor = factored(top.coarsening, tangent.blocks, tangent.border, tangent.corner, interpolation)
+    factor = factorised_coarse_tangent(
+        top.coarsening, tangent.blocks, tangent.border, tangent.corner, interpolation
+    )
     cycle = TwoLevel(top.pattern, tangent.blocks, tangent.border, inverses, interpolation, factor)
-    found = conjugate(cycle, tangent.corner, force.u, force.travel, 1e-9)
+    solution = conjugate_gradients(cycle, tangent.corner, force.u, force.travel, 1e-9)
     inner = bsr_matrix((tangent.blocks, columns, starts))
     edge = tangent.border.reshape(-1, 1)
     whole = bmat([[inner, edge], [edge.T, [[tangent.corner]]]], format="csc")
     exact = spsolve(whole, -np.append(force.u.ravel(), force.travel))
-    assert np.abs(found.u.ravel() - exact[:-1]).max() < 1e-5 * np.abs(exact[:-1]).max()
-    assert found.travel == pytest.approx(exact[-1], rel=1e-6)
-    assert found.iterations < 60
+    assert np.abs(solution.u.ravel() - exact[:-1]).max() < 1e-5 * np.abs(exact[:-1]).max()
+    assert solution.travel == pytest.approx(exact[-1], rel=1e-6)
+    assert solution.iterations < 60

@@ -7,12 +7,13 @@ with the load of the state as a power that differs from mode to mode.
 
 from dataclasses import replace
 from functools import cache
+from itertools import combinations
 
 import numpy as np
 
 from workers.diagnosis.discrepancy import Discrepancy
-from workers.diagnosis.fingerprint import Fingerprint
-from workers.diagnosis.linear import Linearised, factored
+from workers.diagnosis.effect_sensitivity import EffectSensitivity
+from workers.diagnosis.linearisation import Linearised, factored
 
 HALF_AXES_MM = np.array([60.0, 40.0, 30.0])
 LOADS = np.array([0.6, 1.0])
@@ -64,12 +65,12 @@ def nominal_problem(k=60):
 
 
 def effect(name, columns, sd=1.0, one_sided=False, family=None):
-    """A fingerprint with one scale for all its parameters."""
+    """A sensitivity with one scale for all its parameters."""
     columns = np.asarray(columns, dtype=float)
     columns = columns[:, None] if columns.ndim == 1 else columns
     q = columns.shape[-1]
     sided = np.full(q, one_sided)
-    return Fingerprint(name, family or name, columns, np.full(q, float(sd)), sided)
+    return EffectSensitivity(name, family or name, columns, np.full(q, float(sd)), sided)
 
 
 @cache
@@ -91,14 +92,22 @@ def catalogue(k=60):
     )
 
 
-def families(fingerprints):
-    return {f.name: f.family for f in fingerprints}
+def families(sensitivities):
+    return {f.name: f.family for f in sensitivities}
 
 
 @cache
 def smooth_field(k=60):
     points, normals, states = layout(k)
     return Discrepancy(points, normals, states, nominal_problem(k).covariance_factor)
+
+
+def hypotheses_of(joint, partners=5):
+    """No effect, each effect, and the pairs of the `partners` best of them."""
+    singles = [joint.hypothesis((name,)) for name in joint.names]
+    best = sorted(singles, key=lambda h: h.best, reverse=True)[:partners]
+    pairs = [joint.hypothesis(pair) for pair in combinations([h.effects[0] for h in best], 2)]
+    return (joint.hypothesis(()), *singles, *pairs)
 
 
 def observed(problem, rng, signal=0.0):
@@ -108,11 +117,11 @@ def observed(problem, rng, signal=0.0):
     return replace(problem, residual=signal - problem.nominal @ parameters + noise)
 
 
-def signal_of(fingerprint, rng):
+def signal_of(sensitivity, rng):
     """What an effect with parameters from its prior adds to the residual."""
-    phi = fingerprint.prior_sd * rng.standard_normal(len(fingerprint.prior_sd))
-    phi = np.where(fingerprint.one_sided, np.abs(phi), phi)
-    return -fingerprint.places[rng.integers(len(fingerprint.places))] @ phi
+    phi = sensitivity.prior_sd * rng.standard_normal(len(sensitivity.prior_sd))
+    phi = np.where(sensitivity.one_sided, np.abs(phi), phi)
+    return -sensitivity.places[rng.integers(len(sensitivity.places))] @ phi
 
 
 def field_draw(k, rng):

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from workers.diagnosis.evidence import log_evidence
-from workers.diagnosis.orthant import log_orthant
+from workers.diagnosis.gaussian_orthant import log_orthant
 
 
 def moved(problem, step):

@@ -8,7 +8,8 @@ from linear_world import catalogue, layout, mode, nominal_problem, observed
 
 from storage.errors import InputError
 from workers.diagnosis import shrinkage as shrinkages
-from workers.diagnosis.gap import FLOOR_RANGE, LinearFit, gap, pooled
+from workers.diagnosis.gap import LinearFit, gap, pooled
+from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.shrinkage import shrinkage, unseen_shrinkage
 
 STATE = layout(60)[2]
@@ -31,9 +32,10 @@ def replicate(problem, truth, rng, train=None, judge=None):
 
 
 @pytest.mark.parametrize(
-    ("train", "judge"), [(None, None), (None, HIGH), (LOW, HIGH), (HIGH, LOW)],
+    ("train", "judge"),
+    [(None, None), (None, HIGH), (LOW, HIGH), (HIGH, LOW)],
     ids=["in-sample", "one state", "held-out high", "held-out low"],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("size", [0.0, 1.0])
 def test_excess_is_unbiased(train, judge, size):
     """Mean of the estimate minus the truth, within four standard errors."""
@@ -137,7 +139,7 @@ def test_floor_is_added_in_quadrature():
     fit = LinearFit(observed(nominal_problem(), np.random.default_rng(38), known_gap()))
     plain, raised = gap(fit), gap(fit, floor_mm=0.08)
     assert raised.gap_mm == pytest.approx(np.hypot(plain.gap_mm, 0.08))
-    least, most = FLOOR_RANGE
+    least, most = SETTINGS.gap.floor_range
     assert raised.low_mm == pytest.approx(np.hypot(plain.low_mm, least * 0.08))
     assert raised.high_mm == pytest.approx(np.hypot(plain.high_mm, most * 0.08))
 
@@ -227,7 +229,8 @@ def test_unseen_shrinkage_pools_what_single_states_say():
 def test_a_floor_that_is_not_known_exactly_widens_the_interval_of_the_share(monkeypatch):
     nominal, effect = both(np.random.default_rng(44))
     loose = shrinkage(nominal, effect, 7, floor_mm=0.15)
-    monkeypatch.setattr(shrinkages, "FLOOR_RANGE", (1.0, 1.0))
+    exact = replace(SETTINGS, gap=replace(SETTINGS.gap, floor_range=(1.0, 1.0)))
+    monkeypatch.setattr(shrinkages, "SETTINGS", exact)
     firm = shrinkage(nominal, effect, 7, floor_mm=0.15)
     assert loose.share == firm.share
     assert loose.low < firm.low

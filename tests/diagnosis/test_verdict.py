@@ -7,6 +7,7 @@ from linear_world import (
     effect,
     families,
     field_draw,
+    hypotheses_of,
     mode,
     nominal_problem,
     observed,
@@ -17,15 +18,14 @@ from linear_world import (
 from storage.errors import InputError
 from workers.diagnosis.evidence import log_evidence
 from workers.diagnosis.hypotheses import (
-    EXPLAINED,
-    FORM,
     Hypothesis,
     PriorOdds,
     probabilities,
     tempered,
 )
-from workers.diagnosis.joint import JointEvidence
-from workers.diagnosis.screen import screen
+from workers.diagnosis.joint_evidence import JointEvidence
+from workers.diagnosis.screening import screen
+from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.verdict import verdict
 
 FAMILIES = {"a": "boundary", "b": "boundary", "c": "loading", "d": "observation"}
@@ -110,8 +110,9 @@ def test_only_single_effects_are_tempered():
     best, other = Hypothesis(("a",), 100.0, -2.0), Hypothesis(("c",), 10.0, 50.0)
     found = tempered([nothing, best, other, pair])
     assert [found[i] for i in (0, 1, 3)] == [nothing, best, pair]
-    most = 110.0 * (1 / EXPLAINED - 1)
-    assert found[2].best == pytest.approx(100.0 - (90.0 - most) / (FORM * 200.0))
+    most = 110.0 * (1 / SETTINGS.verdict.explained_share - 1)
+    blunt = SETTINGS.verdict.form_uncertainty * 200.0
+    assert found[2].best == pytest.approx(100.0 - (90.0 - most) / blunt)
     assert found[2].discrepancy_gain == pytest.approx(most)
     assert tempered([nothing]) == [nothing]
     assert tempered([nothing, best, other, pair], form=0.0) == [nothing, best, other, pair]
@@ -207,10 +208,10 @@ def test_wrong_input_is_named():
 
 
 # The effects of these problems have just the form that is listed.
-def diagnose(problem, fingerprints, threshold=3.0, form=0.0):
-    joint = JointEvidence(problem, fingerprints, smooth_field())
-    hiding = {f.name for f in screen(problem, fingerprints) if f.hides}
-    return verdict(joint.hypotheses(), families(fingerprints), threshold, hiding, form=form)
+def diagnose(problem, sensitivities, threshold=3.0, form=0.0):
+    joint = JointEvidence(problem, sensitivities, smooth_field())
+    hiding = {f.name for f in screen(problem, sensitivities) if f.hides}
+    return verdict(hypotheses_of(joint), families(sensitivities), threshold, hiding, form=form)
 
 
 def test_joint_evidence_is_that_of_each_fit():
@@ -224,22 +225,22 @@ def test_joint_evidence_is_that_of_each_fit():
     assert joint.log_evidence(names)[0] == pytest.approx(log_evidence(pair, sided), abs=1e-8)
     expected = smooth_field().log_evidence(pair, sided) - log_evidence(pair, sided)
     assert joint.discrepancy_gain(names)[0] == pytest.approx(expected, abs=1e-8)
-    for finding in screen(problem, catalogue()):
-        gain = joint.log_evidence((finding.name,))[0] - joint.log_evidence(())[0]
-        assert gain == pytest.approx(finding.log_bayes_factor, abs=1e-8)
+    for result in screen(problem, catalogue()):
+        gain = joint.log_evidence((result.name,))[0] - joint.log_evidence(())[0]
+        assert gain == pytest.approx(result.log_bayes_factor, abs=1e-8)
 
 
 @pytest.mark.parametrize("index", range(6))
 def test_each_strong_effect_is_named(index):
-    fingerprint = catalogue()[index]
-    signal = -fingerprint.places[-1] @ (2.0 * fingerprint.prior_sd)
+    sensitivity = catalogue()[index]
+    signal = -sensitivity.places[-1] @ (2.0 * sensitivity.prior_sd)
     problem = observed(nominal_problem(), np.random.default_rng(52), signal)
     found = diagnose(problem, catalogue())
     assert found.kind == "effect"
-    assert found.primary == (fingerprint.name,)
-    said = diagnose(problem, catalogue(), form=FORM)
+    assert found.primary == (sensitivity.name,)
+    said = diagnose(problem, catalogue(), form=SETTINGS.verdict.form_uncertainty)
     assert said.kind in ("effect", "cannot-be-told-apart")
-    assert said.primary == (fingerprint.name,)
+    assert said.primary == (sensitivity.name,)
 
 
 def test_a_pair_is_found():
@@ -254,9 +255,9 @@ def test_a_twin_cannot_be_told_apart():
     """Two effects with almost the same columns."""
     tilt = catalogue()[1]
     other = tilt.columns[:, 0] + 0.03 * mode(60, (1, 1, 0), 2, 1.0)
-    fingerprints = (*catalogue(), effect("flex", other, 0.5, family="plate geometry"))
+    sensitivities = (*catalogue(), effect("flex", other, 0.5, family="plate geometry"))
     problem = observed(nominal_problem(), np.random.default_rng(54), -0.6 * tilt.columns[:, 0])
-    found = diagnose(problem, fingerprints)
+    found = diagnose(problem, sensitivities)
     assert found.kind == "cannot-be-told-apart"
     assert set(found.set90) == {"tilt", "flex"}
     assert found.family == "plate geometry"
@@ -286,19 +287,19 @@ def test_a_force_that_scales_like_a_nominal_parameter_hides():
 def drawn_cases():
     """Cases drawn from the prior odds: the effects that act, and the verdict."""
     rng = np.random.default_rng(57)
-    fingerprints = catalogue()[:5]
+    sensitivities = catalogue()[:5]
     labels = ["nothing", "field", "single", "single field", "pair", "pair field"]
     cases = []
     for kind in rng.choice(labels, size=300, p=[0.25, 0.15, 0.25, 0.20, 0.10, 0.05]):
         count = 2 if "pair" in kind else int("single" in kind)
         acting = rng.choice(5, size=count, replace=False)
-        signal = sum((signal_of(fingerprints[i], rng) for i in acting), np.zeros(120))
+        signal = sum((signal_of(sensitivities[i], rng) for i in acting), np.zeros(120))
         if "field" in kind:
             signal = signal + field_draw(60, rng)
         problem = observed(nominal_problem(), rng, signal)
-        joint = JointEvidence(problem, fingerprints, smooth_field())
-        found = verdict(joint.hypotheses(partners=5), families(fingerprints), 0.0, form=0.0)
-        cases.append((kind, [fingerprints[i].name for i in acting], found))
+        joint = JointEvidence(problem, sensitivities, smooth_field())
+        found = verdict(hypotheses_of(joint), families(sensitivities), 0.0, form=0.0)
+        cases.append((kind, [sensitivities[i].name for i in acting], found))
     return cases
 
 

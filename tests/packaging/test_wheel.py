@@ -1,4 +1,4 @@
-"""The wheel holds the three packages, all of them, and nothing else."""
+"""The wheel holds the four packages, all of them, and nothing else."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("service", "workers", "storage")
+PACKAGES = ("palpate", "service", "workers", "storage")
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def names(wheel: Path) -> list[PurePosixPath]:
         return [PurePosixPath(name) for name in archive.namelist()]
 
 
-def test_three_packages_and_their_metadata(wheel: Path, names: list[PurePosixPath]) -> None:
+def test_four_packages_and_their_metadata(wheel: Path, names: list[PurePosixPath]) -> None:
     assert wheel.name.startswith("palpate-")
     assert wheel.name.endswith("-py3-none-any.whl")
     tops = {name.parts[0] for name in names}
@@ -56,10 +56,16 @@ def test_every_module_is_in_it_and_no_rubbish(names: list[PurePosixPath]) -> Non
     assert not [name for name in names if {"tests", "examples", "runs"} & set(name.parts)]
 
 
+def test_the_tables_of_the_mammograms_are_in_it(names: list[PurePosixPath]) -> None:
+    here = {p.relative_to(ROOT).as_posix() for p in (ROOT / "workers").rglob("tables/*.csv")}
+    assert len(here) == 7
+    assert {name.as_posix() for name in names if name.suffix == ".csv"} == here
+
+
 def test_the_command_and_the_licence(wheel: Path, names: list[PurePosixPath]) -> None:
     (scripts,) = [name for name in names if name.name == "entry_points.txt"]
     with zipfile.ZipFile(wheel) as archive:
-        assert "palpate = service.cli:main" in archive.read(str(scripts)).decode()
+        assert "palpate = palpate.__main__:main" in archive.read(str(scripts)).decode()
     assert [name for name in names if name.parts[-2:] == ("licenses", "LICENSE")]
 
 
@@ -71,7 +77,7 @@ def test_the_packages_of_the_wheel_import_without_the_repository(
         archive.extractall(tmp_path)
     script = (
         "import importlib, sys; sys.path.insert(0, sys.argv[1])\n"
-        "for name in ('storage.values', 'workers', 'service.search.genetic'):\n"
+        "for name in ('storage.values', 'workers', 'service.search.genetic', 'palpate'):\n"
         "    print(importlib.import_module(name).__file__)\n"
     )
     done = subprocess.run(

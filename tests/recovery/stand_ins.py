@@ -1,6 +1,6 @@
 """Tasks with the manners of the real ones and an arithmetic that takes no time.
 
-They keep the contract of `workers.tasks`: idempotent, the record in the store
+They keep the contract of `workers.tasks.evaluation`: idempotent, the record in the store
 last, divergence an ordinary ending, everything a function of the request. Each
 execution leaves one line in `LOG`, written when the evaluation is finished.
 
@@ -16,10 +16,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from service.chronicle import Chronicle
 from service.dispatch import Ending
 from service.spec import StudySpec, parse_spec
 from service.study import Conclusion, Study, Tasks
+from service.study_log import StudyLog
 from storage.digest import digest
 from storage.errors import StoreError
 from storage.evaluations import load_evaluation, save_evaluation
@@ -104,7 +104,7 @@ def keep_volume(request: Record) -> str:
     return str(request["digest"])
 
 
-def compare(store: str, target: str, candidate: str, surface: str) -> Record:
+def compare(case: Record, store: str, target: str, candidate: str, score: Record) -> Record:
     return {}
 
 
@@ -119,13 +119,13 @@ class Inline:
     def call(self, task: Callable[..., Any], *arguments: Any) -> Any:
         return task(*arguments)
 
-    def all(self, task: Callable[..., Any], asks: Iterable[tuple[Any, tuple[Any, ...]]]) -> Any:
-        return [task(*arguments) for _, arguments in asks]
+    def all(self, task: Callable[..., Any], calls: Iterable[tuple[Any, tuple[Any, ...]]]) -> Any:
+        return [task(*arguments) for _, arguments in calls]
 
     def run(
-        self, task: Callable[..., Any], asks: Iterable[tuple[Any, tuple[Any, ...]]]
+        self, task: Callable[..., Any], calls: Iterable[tuple[Any, tuple[Any, ...]]]
     ) -> Iterator[Ending]:
-        for key, arguments in asks:
+        for key, arguments in calls:
             yield Ending(key, "returned", task(*arguments))
 
 
@@ -136,7 +136,7 @@ def run(folder: Path, dispatcher: Any, spec: StudySpec | None = None, **more: An
 
 def told(folder: Path) -> dict[int, tuple[Any, ...]]:
     """What the journal says of each candidate, to the last bit; not who computed it when."""
-    endings = Chronicle.read(StudyLayout(folder).journal).endings
+    endings = StudyLog.read(StudyLayout(folder).journal).endings
     return {
         c: (dict(r.genes), r.generation, r.digest, r.status, r.score, r.reason)
         for c, r in sorted(endings.items())

@@ -53,9 +53,13 @@ def test_a_run_on_an_existing_scheduler_and_one_interrupted_here_agree(place: Pa
     # The same study elsewhere, with its own workers and store, stopped by Ctrl-C on the way.
     options = ["run", "small.yaml", "--study", "again/small", "--workers", "2"]
     started = subprocess.Popen(
-        [*PALPATE, *options], cwd=place, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True, start_new_session=True,
-    )  # fmt: skip
+        [*PALPATE, *options],
+        cwd=place,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
     while len(told(place / "again" / "small")) < 3:
         assert started.poll() is None, started.communicate()
         time.sleep(0.05)

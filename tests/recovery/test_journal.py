@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+import threading
 
 import pytest
 
@@ -157,6 +158,39 @@ def test_the_lock_does_not_pass_to_a_program_that_outlives_the_study(path):
     finally:
         outlives.kill()
         outlives.wait()
+
+
+def test_a_process_between_fork_and_exec_does_not_keep_the_lock(path):
+    """A nanny starts a worker while the journal is closed: the new process has a copy still."""
+    code = """
+import os, signal, sys
+from storage.journal import Journal
+journal = Journal(sys.argv[1])
+child = os.fork()
+if child == 0:
+    signal.pause()
+try:
+    journal.close()
+    Journal(sys.argv[1]).close()
+    print("opened again")
+finally:
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+"""
+    ran = run(code, path)
+    assert ran.stdout == "opened again\n", ran.stderr
+
+
+def test_a_reader_that_asks_who_writes_does_not_turn_a_writer_away(written):
+    """`palpate status` holds a shared lock for an instant; a writer that comes then waits."""
+    with written.open("rb") as reader:
+        fcntl.flock(reader, fcntl.LOCK_SH)
+        leaves = threading.Timer(0.2, fcntl.flock, (reader, fcntl.LOCK_UN))
+        leaves.start()
+        with Journal(written) as journal:
+            journal.append(LAST)
+        leaves.join()
+    assert read(written) == [*RECORDS, LAST]
 
 
 def test_a_place_that_cannot_lock_is_an_error_with_its_reason(path, monkeypatch):

@@ -17,8 +17,12 @@ def test_drivers_come_and_go_beside_a_running_scheduler(tmp_path: Path) -> None:
         kill_and_finish(folder, ["--scheduler", address], killed_after=[2, 11, 23])
         doctor = subprocess.run(
             [sys.executable, "-m", "service", "doctor", "--scheduler", address, "--json"],
-            cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True,
-        )  # fmt: skip
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=True,
+        )
     assert told(folder) == told(tmp_path / "undisturbed" / "demo")
     # A worker outlives its driver and may finish what the next driver has asked for again:
     # at most what was under way, one evaluation on each worker for each kill.

@@ -24,13 +24,13 @@ from stand_ins import (
     told,
 )
 
-from service import folder as study_folder
-from service.chronicle import Chronicle
+from service import study_folder
 from service.cluster import open_cluster
 from service.dispatch import Dispatcher
 from service.errors import ClusterError, Interrupted
 from service.hooks import Observer
 from service.study import Study
+from service.study_log import StudyLog
 from storage import journal as storage_journal
 from storage.errors import InputError, JournalError, NewerSchemaError, StoreError
 from storage.layout import StudyLayout
@@ -115,7 +115,7 @@ def test_another_study_uses_what_is_in_the_store(folder: Path) -> None:
     run(other, Inline())
     assert executions(other) == ran
     assert told(other) == told(folder)
-    endings = Chronicle.read(journal_of(other)).endings.values()
+    endings = StudyLog.read(journal_of(other)).endings.values()
     assert all(record.reused for record in endings)
 
 
@@ -123,7 +123,7 @@ def test_another_study_uses_what_is_in_the_store(folder: Path) -> None:
 def test_volumes_are_kept_as_asked(folder: Path, keep: str) -> None:
     conclusion = run(folder, Inline(), small_spec(SPEC + f"keep: {keep}\n"))
     kept = set((folder.parent / "store" / KEPT).read_text().split())
-    endings = Chronicle.read(journal_of(folder)).endings
+    endings = StudyLog.read(journal_of(folder)).endings
     done = [r for _, r in sorted(endings.items()) if r.status is Status.DONE]
     assert conclusion.best is not None
     if keep == "best":
@@ -142,7 +142,7 @@ def test_volumes_are_kept_as_asked(folder: Path, keep: str) -> None:
 def test_a_crash_is_an_ending_with_its_traceback(client: Any, folder: Path) -> None:
     set_manners(folder.parent / "store", crash_above=0.017)
     conclusion = run(folder, Dispatcher(client))
-    endings = Chronicle.read(journal_of(folder)).endings.values()
+    endings = StudyLog.read(journal_of(folder)).endings.values()
     crashed = [r for r in endings if r.status is Status.CRASHED]
     assert crashed
     assert all(r.genes["E_fat_kpa"] > 17 for r in crashed)
@@ -164,8 +164,8 @@ def test_a_candidate_that_kills_its_workers_is_lost_and_the_study_goes_on(
     first = told(folder.parent.parent / "look" / "demo").values()
     highest, second = sorted((e[0]["E_fat_kpa"] / 1000 for e in first), reverse=True)[:2]
     set_manners(folder.parent / "store", die_above=(highest + second) / 2)
-    run(folder, Dispatcher(client, asks=2), spec)
-    lost = [r for r in Chronicle.read(journal_of(folder)).endings.values() if r.status == "lost"]
+    run(folder, Dispatcher(client, max_attempts=2), spec)
+    lost = [r for r in StudyLog.read(journal_of(folder)).endings.values() if r.status == "lost"]
     assert [record.attempts for record in lost] == [2]
     assert "worker died" in lost[0].reason
     assert len(told(folder)) == 12
@@ -176,7 +176,7 @@ def test_a_cluster_whose_workers_all_die_is_no_verdict(
 ) -> None:
     set_manners(folder.parent / "store", die_above=0.012)
     with pytest.raises(ClusterError, match="too little memory"):
-        run(folder, Dispatcher(client, asks=1))
+        run(folder, Dispatcher(client, max_attempts=1))
     assert all(ending[3] != Status.LOST for ending in told(folder).values())
     set_manners(folder.parent / "store")
     run(folder, Dispatcher(client))

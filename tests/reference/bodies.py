@@ -8,9 +8,9 @@ from blocks import cube, level_of
 from calculix import Material
 
 from storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
-from workers.fem.model import Model, prepare
-from workers.fem.problem import Constants
-from workers.mesh.hierarchy import Hierarchy
+from workers.body.mesh.hierarchy import Hierarchy
+from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.fem.problem import Constants
 
 SIDE_MM = 40.0
 
@@ -35,7 +35,7 @@ class Block:
 
     @property
     def constants(self) -> dict[Tissue, Constants]:
-        """For `workers.fem.problem.Problem`."""
+        """For `workers.mechanics.fem.problem.Problem`."""
         return {Tissue.FAT: self.fat, Tissue.GLANDULAR: self.gland}
 
     @property
@@ -53,7 +53,7 @@ class Block:
 
     @cached_property
     def model(self) -> Model:
-        """For `workers.fem.solve.solve`."""
+        """For `workers.mechanics.fem.solve.solve`."""
         tissue = np.where(self.inside, Tissue.GLANDULAR, Tissue.FAT)
         return prepare(Hierarchy((level_of(self.mesh, tissue),)))
 

@@ -11,12 +11,12 @@ from bodies import SIDE_MM, Block, block
 from calculix import Answer, Body, Held, Springs, available
 from calculix import solve as calculix
 
-from workers.fem.contact import PENALTY_N_PER_MM3
-from workers.fem.loads import DeadForce, DistanceControl, Hold, NoPlates, Pressure, Wall
-from workers.fem.outcome import Solution
-from workers.fem.problem import Problem
-from workers.fem.regions import Box
-from workers.fem.solve import solve
+from workers.mechanics.fem.contact import PENALTY_N_PER_MM3
+from workers.mechanics.fem.loads import DeadForce, DistanceControl, Hold, NoPlates, Pressure, Wall
+from workers.mechanics.fem.outcome import Solution
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.fem.regions import Box
+from workers.mechanics.fem.solve import solve
 
 pytestmark = pytest.mark.skipif(
     not available(), reason="CalculiX is not installed (Debian: apt install calculix-ccx)"

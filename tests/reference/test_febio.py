@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from storage.values import TetMesh, Tissue, Volume
-from workers.fem.loads import Device, DistanceControl, ForceControl, Hold, Plate
-from workers.fem.model import Model, prepare
-from workers.fem.problem import Constants, Problem
-from workers.fem.regions import Box
-from workers.fem.solve import solve
-from workers.mesh.hierarchy import Hierarchy, MeshLevel, build_hierarchy
-from workers.mesh.node_sets import boundary_triangles, split_boundary
-from workers.mesh.prolongation import prolongation
+from workers.body.mesh.boundary import boundary_triangles, split_boundary
+from workers.body.mesh.hierarchy import Hierarchy, MeshLevel, build_hierarchy
+from workers.body.mesh.prolongation import prolongation
+from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Hold, Plate
+from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.fem.regions import Box
+from workers.mechanics.fem.solve import solve
 
 CASES = Path(__file__).parents[3] / "shared" / "reference" / "febio"
 NEO_HOOKEAN = {

@@ -14,12 +14,12 @@ from bodies import half_ellipsoid
 from felupe_body import solve_tets
 
 from storage.values import Tissue
-from workers.fem.contact import PENALTY_N_PER_MM3
-from workers.fem.loads import DistanceControl, Wall
-from workers.fem.model import Model, prepare
-from workers.fem.problem import Constants, Problem
-from workers.fem.solve import solve
-from workers.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.mechanics.fem.contact import PENALTY_N_PER_MM3
+from workers.mechanics.fem.loads import DistanceControl, Wall
+from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.fem.solve import solve
 
 CONSTANTS = {Tissue.FAT: Constants(0.01), Tissue.GLANDULAR: Constants(0.04)}
 LOWER_MM, UPPER_MM = -22.0, 24.0

@@ -11,14 +11,14 @@ from blocks import cube, level_of
 from bodies import SIDE_MM, half_ellipsoid
 
 from storage.values import FloatArray, Tissue
-from workers.fem.loads import ForceControl, Hold, NoPlates, Wall
-from workers.fem.model import prepare
-from workers.fem.outcome import Solution
-from workers.fem.problem import Constants, Problem
-from workers.fem.regions import Box
-from workers.fem.solve import solve
-from workers.mesh.hierarchy import Hierarchy, build_hierarchy
-from workers.mesh.prolongation import prolongation
+from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.body.mesh.prolongation import prolongation
+from workers.mechanics.fem.loads import ForceControl, Hold, NoPlates, Wall
+from workers.mechanics.fem.model import prepare
+from workers.mechanics.fem.outcome import Solution
+from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.fem.regions import Box
+from workers.mechanics.fem.solve import solve
 
 TISSUE = Constants(0.1, 0.49)
 GRAVITY_G = (0.0, -60.0, 0.0)
@@ -28,7 +28,7 @@ NODES = (800, 2400, 7200, 21600)
 
 
 def order(size: FloatArray, error: FloatArray) -> float:
-    """Slope of log error over log size, by least squares."""
+    """ScanJacobian of log error over log size, by least squares."""
     return float(np.polyfit(np.log(size), np.log(error), 1)[0])
 
 

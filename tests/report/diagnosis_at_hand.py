@@ -4,10 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from service.diagnosis.run import Found
+from service.diagnosis.run import FinishedDiagnosis
+from storage.typed_json import from_json
+from workers.diagnosis.summary import Summary
 
 Json = dict[str, Any]
-SCANS = ["40 N", "80 N"]
+SCANS = ("40 N", "80 N")
 
 
 def gap(middle: float, low: float, high: float) -> Json:
@@ -37,27 +39,46 @@ def parameter(name: str, magnitude: float, sd: float, unit: str) -> Json:
 
 EFFECTS = [
     effect("plate_force", "loading", 0.0, 0.993, parameter("ln_force", 0.1, 0.14, "")),
-    effect("plate_flex", "plate geometry", 0.004, 0.05,
-           parameter("flex_depth_mm", 8.0, 1.04, "mm")),
     effect(
-        "plate_tilt", "plate geometry", 0.9956, 0.01,
+        "plate_flex", "plate geometry", 0.004, 0.05, parameter("flex_depth_mm", 8.0, 1.04, "mm")
+    ),
+    effect(
+        "plate_tilt",
+        "plate geometry",
+        0.9956,
+        0.01,
         parameter("tilt_depth_deg", 5.4838, 0.2712, "deg"),
         parameter("tilt_across_deg", -0.036, 0.12, "deg"),
     ),
-]  # fmt: skip
+]
 
 WHERE = [
-    {"scan": "40 N", "interface": "outline", "region": "all", "signed_mean_mm": -0.0004,
-     "significant": False} | gap(0.1, 0.0, 0.2),
-    {"scan": "80 N", "interface": "glandular", "region": "nipple third", "signed_mean_mm": -0.254,
-     "significant": True} | gap(0.612, 0.51, 0.7),
-]  # fmt: skip
+    {
+        "scan": "40 N",
+        "interface": "outline",
+        "region": "all",
+        "signed_mean_mm": -0.0004,
+        "significant": False,
+    }
+    | gap(0.1, 0.0, 0.2),
+    {
+        "scan": "80 N",
+        "interface": "glandular",
+        "region": "nipple third",
+        "signed_mean_mm": -0.254,
+        "significant": True,
+    }
+    | gap(0.612, 0.51, 0.7),
+]
 
 
 def summary(**changes: Any) -> Json:
     """A tilted plate."""
-    held = {"before": gap(0.314, 0.269, 0.353), "after": gap(0.0, 0.0, 0.154),
-            "share": {"share": 1.0, "low": 0.77, "high": 1.0}}  # fmt: skip
+    held = {
+        "before": gap(0.314, 0.269, 0.353),
+        "after": gap(0.0, 0.0, 0.154),
+        "share": {"share": 1.0, "low": 0.77, "high": 1.0},
+    }
     told = {
         "case": "by-hand",
         "verdict": "effect",
@@ -76,6 +97,7 @@ def summary(**changes: Any) -> Json:
             "after": gap(0.05, 0.0, 0.1206),
             "share": {"share": 0.97, "low": 0.76, "high": 1.0},
             "noise_floor": 0.4367,
+            "calibration_floor": 0.05,
             "held_out_before": held["before"],
             "held_out_after": held["after"],
             "held_out_share": held["share"],
@@ -88,29 +110,62 @@ def summary(**changes: Any) -> Json:
             "eta_kpa": {"before": 54.45, "after": 60.11},
         },
         "refits": [
-            {"effects": ["plate_flex"], "log_evidence_gain": 95.0, "field_gain": 1.69,
-             "converged": True, "values": {}},
-            {"effects": ["plate_tilt"], "log_evidence_gain": 127.24, "field_gain": -0.99,
-             "converged": True, "values": {}},
-            {"effects": ["plate_tilt", "plate_flex"], "log_evidence_gain": 124.4,
-             "field_gain": None, "converged": True, "values": {}},
+            {
+                "effects": ["plate_flex"],
+                "log_evidence_gain": 95.0,
+                "field_gain": 1.69,
+                "converged": True,
+                "values": {},
+            },
+            {
+                "effects": ["plate_tilt"],
+                "log_evidence_gain": 127.24,
+                "field_gain": -0.99,
+                "converged": True,
+                "values": {},
+            },
+            {
+                "effects": ["plate_tilt", "plate_flex"],
+                "log_evidence_gain": 124.4,
+                "field_gain": None,
+                "converged": True,
+                "values": {},
+            },
         ],
         "points": 4,
-    }  # fmt: skip
+    }
     return told | changes
 
 
 def nothing(kind: str, **changes: Any) -> Json:
     """A verdict that accuses no effect."""
-    alone = {"before": gap(0.03, 0.0, 0.11), "noise_floor": 0.4367, "after": None,
-             "held_out_before": None, "held_out_after": None}  # fmt: skip
+    alone = {
+        "before": gap(0.03, 0.0, 0.11),
+        "noise_floor": 0.4367,
+        "calibration_floor": 0.05,
+        "after": None,
+        "held_out_before": None,
+        "held_out_after": None,
+    }
     constants = {"E_fat_kpa": {"before": 10.0, "after": None}}
-    told = {"verdict": kind, "primary": [], "set90": [kind], "gap_mm": alone, "refits": [],
-            "constants": constants, "explained_share": None}  # fmt: skip
+    told = {
+        "verdict": kind,
+        "primary": [],
+        "set90": [kind],
+        "gap_mm": alone,
+        "refits": [],
+        "constants": constants,
+        "explained_share": None,
+    }
     return summary(**told | changes)
 
 
-def found(told: Json | None = None) -> Found:
+def typed(told: Json) -> Summary:
+    """A summary from what its JSON says."""
+    return from_json(Summary, told)
+
+
+def found(told: Json | None = None) -> FinishedDiagnosis:
     told = summary() if told is None else told
     rng = np.random.default_rng(3)
     maps = {
@@ -121,7 +176,7 @@ def found(told: Json | None = None) -> Found:
     }
     if told["primary"]:
         maps["after"] = rng.normal(0, 0.4, (2, 12))
-    return Found(told, maps, SCANS)
+    return FinishedDiagnosis(typed(told), maps, SCANS)
 
 
 VERDICTS = {
@@ -133,9 +188,14 @@ VERDICTS = {
     ),
     "one scan": summary(
         gap_mm={
-            "before": gap(0.3, 0.2, 0.4), "after": gap(0.1, 0.0, 0.2), "noise_floor": 0.44,
+            "before": gap(0.3, 0.2, 0.4),
+            "after": gap(0.1, 0.0, 0.2),
+            "noise_floor": 0.44,
+            "calibration_floor": 0.05,
             "share": {"share": 0.9, "low": 0.5, "high": 1.0},
-            "held_out_before": None, "held_out_after": None, "held_out": "one scan only",
+            "held_out_before": None,
+            "held_out_after": None,
+            "held_out": "one scan only",
         }
     ),
-}  # fmt: skip
+}

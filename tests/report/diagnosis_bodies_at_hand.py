@@ -3,15 +3,16 @@
 from typing import Any
 
 import numpy as np
-from diagnosis_at_hand import summary
+from diagnosis_at_hand import summary, typed
 
-from service.diagnosis.run import Found
+from service.diagnosis.run import FinishedDiagnosis
+from storage.typed_json import to_json
 from storage.values import FloatArray, Volume
-from workers.observation.interface import GLANDULAR, OUTLINE, interface_points
-from workers.pictures.cause_map import CauseMap
-from workers.pictures.drawings import bodies, cause_record, causes, overlap_rows
+from workers.comparison.observation.interface import GLANDULAR, OUTLINE, interface_points
+from workers.diagnosis.pictures.cause_map import CauseMap
+from workers.diagnosis.pictures.drawings import bodies, causes, loudest_place, overlap_rows
 
-SCANS = ["40 N", "40 N along x"]
+SCANS = ("40 N", "40 N along x")
 HALF_AXES_MM = np.array([24.0, 16.0, 14.0])
 # Of the egg between the plates.
 PRESSED_MM = (np.array([27.0, 12.0, 15.0]), np.array([18.0, 20.0, 15.0]))
@@ -29,7 +30,7 @@ def egg(half_axes_mm: FloatArray) -> Volume:
     return Volume(values, (1.5, 1.5, 1.5), (-30.0, -22.5, -18.0))
 
 
-def found(accused: bool = True, **changes: Any) -> Found:
+def found(accused: bool = True, **changes: Any) -> FinishedDiagnosis:
     """The egg; `changes` go into the summary."""
     reference = egg(HALF_AXES_MM)
     points = interface_points(reference, (OUTLINE, GLANDULAR), 5.0, 2.0)
@@ -37,10 +38,12 @@ def found(accused: bool = True, **changes: Any) -> Found:
     observed = [egg(half) for half in PRESSED_MM]
     predicted = {"before": [egg(half) for half in NOMINAL_MM]}
     along = points.points / HALF_AXES_MM
-    apart = np.stack([
-        ((nominal - pressed) * along * points.normals).sum(axis=1)
-        for nominal, pressed in zip(NOMINAL_MM, PRESSED_MM, strict=True)
-    ])  # fmt: skip
+    apart = np.stack(
+        [
+            ((nominal - pressed) * along * points.normals).sum(axis=1)
+            for nominal, pressed in zip(NOMINAL_MM, PRESSED_MM, strict=True)
+        ]
+    )
     maps = {
         "points": points.points,
         "interface": points.interface,
@@ -54,13 +57,18 @@ def found(accused: bool = True, **changes: Any) -> Found:
         maps |= {"after": 0 * apart, "local_after": 0 * apart}
         maps["local_after_sd"] = maps["local_before_sd"]
     places = np.array([LUMP_MM, (-8.0, 4.0, 2.0), (0.0, 0.0, 0.0)])
-    cause = CauseMap(places, np.array([6.2, -3.0, 1.0]), np.array([0.9, -0.4, 0.1]),
-                     np.full(3, 0.2), np.ones(3, bool), 3.3)  # fmt: skip
+    cause = CauseMap(
+        places,
+        np.array([6.2, -3.0, 1.0]),
+        np.array([0.9, -0.4, 0.1]),
+        np.full(3, 0.2),
+        np.ones(3, bool),
+        3.3,
+    )
     told = summary(**changes) if accused else summary(primary=[], **changes)
     residuals = {when: maps[when] for when in predicted}
-    told["overlap"] = overlap_rows(
-        SCANS, observed, predicted, residuals, maps["noise"], points.interface
-    )
-    told["cause_map"] = {"before": cause_record(cause)}
+    rows = overlap_rows(SCANS, observed, predicted, residuals, maps["noise"], points.interface)
+    told["overlap"] = to_json(rows)
+    told["cause_map"] = {"before": to_json(loudest_place(cause))}
     maps |= bodies(reference, observed, predicted) | causes({"before": cause}, reference)
-    return Found(told, maps, SCANS)
+    return FinishedDiagnosis(typed(told), maps, SCANS)

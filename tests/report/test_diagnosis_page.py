@@ -5,14 +5,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis_at_hand import VERDICTS, found, nothing, summary
+from diagnosis_at_hand import VERDICTS, found, nothing, summary, typed
 from pages import Page
 
 from service.diagnosis.words import sentence
 from service.report.diagnosis_figures import Cause, Evidence, Judged, evidence, gaps, probabilities
 from service.report.diagnosis_maps import FAINT, SIGNED, range_mm, residual_map
 from service.report.diagnosis_page import render
-from workers.effects.catalogue import NOT_SIMULATED
+from workers.mechanics.effects.breast_catalogue import NOT_SIMULATED
+
+
+def sentence_of(told: dict[str, Any]) -> str:
+    return sentence(typed(told))
 
 
 @pytest.fixture(scope="module")
@@ -47,24 +51,24 @@ def test_same_diagnosis_same_bytes(source: str) -> None:
 
 
 def test_the_verdict_says_cause_size_and_what_is_left_on_an_unseen_scan() -> None:
-    assert sentence(summary()) == (
+    assert sentence_of(summary()) == (
         "Model and data differ by 0.27 mm (0.23 to 0.31) beyond the noise. The cause is plate "
         "tilt (5.48 ± 0.27 deg, probability > 99 %). On scans that it was not fitted to, it "
         "leaves nothing that stands out of the noise (at most 0.15 mm) of 0.31 mm."
     )
-    assert sentence(VERDICTS["one scan"]).endswith("It leaves 0.10 mm (0.00 to 0.20).")
+    assert sentence_of(VERDICTS["one scan"]).endswith("It leaves 0.10 mm (0.00 to 0.20).")
 
 
 def test_a_pattern_without_size_is_not_called_a_gap_of_zero() -> None:
     gap = summary()["gap_mm"]
     gap["before"] = gap["held_out_before"] = gap["before"] | {"gap_mm": 0.0, "low_mm": 0.0}
-    said = sentence(summary(gap_mm=gap))
+    said = sentence_of(summary(gap_mm=gap))
     assert said.startswith("Model and data differ by less than the noise, but not at random.")
     assert said.endswith("leaves nothing that stands out of the noise (at most 0.15 mm).")
 
 
 def test_two_effects_at_once_are_both_named() -> None:
-    both = sentence(summary(primary=["plate_tilt", "plate_flex"]))
+    both = sentence_of(summary(primary=["plate_tilt", "plate_flex"]))
     assert "The cause is plate tilt (5.48 ± 0.27 deg, probability > 99 %) and plate flex (" in both
 
 
@@ -73,12 +77,14 @@ def test_two_effects_at_once_are_both_named() -> None:
     [
         ("no gap", "A gap larger than 0.11 mm is unlikely."),
         ("none of these", "no effect of the catalogue explains it"),
-        ("not told apart", "cannot tell which of plate tilt and plate flex is the cause; "
-                           "plate tilt comes first."),
+        (
+            "not told apart",
+            "cannot tell which of plate tilt and plate flex is the cause; plate tilt comes first.",
+        ),
     ],
-)  # fmt: skip
+)
 def test_other_verdicts(which: str, said: str) -> None:
-    assert said in sentence(VERDICTS[which])
+    assert said in sentence_of(VERDICTS[which])
 
 
 def test_effects_with_magnitudes_and_the_hidden_ones_last_and_grey(source: str, page: Page) -> None:
@@ -109,8 +115,12 @@ def test_constants_before_and_after(page: Page) -> None:
 def test_regions_without_a_significant_gap_are_grey(source: str, page: Page) -> None:
     assert page.row("40 N")[1:] == ["outline", "all", "0.10 mm (0.00 to 0.20)", "0.00", "8"]
     assert page.row("80 N")[1:] == [
-        "glandular", "nipple third", "0.61 mm (0.51 to 0.70)", "−0.25", "8",
-    ]  # fmt: skip
+        "glandular",
+        "nipple third",
+        "0.61 mm (0.51 to 0.70)",
+        "−0.25",
+        "8",
+    ]
     assert '<tr class="off"><td>40 N' in source
     assert "<tr><td>80 N" in source
 
@@ -144,9 +154,11 @@ def test_warnings() -> None:
 def test_a_map_for_each_scan_and_interface() -> None:
     captions = [image["alt"] for image in Page(render(found())).images if "scan at" in image["alt"]]
     assert [caption.split(":")[0] for caption in captions] == [
-        "Outline, scan at 40 N", "Glandular, scan at 40 N",
-        "Outline, scan at 80 N", "Glandular, scan at 80 N",
-    ]  # fmt: skip
+        "Outline, scan at 40 N",
+        "Glandular, scan at 40 N",
+        "Outline, scan at 80 N",
+        "Glandular, scan at 80 N",
+    ]
     # Twelve points, half of them on each interface; twice the noise is 0.8 mm.
     maps = found().maps
     loud = 100 * (abs(maps["before"][0, :6]) >= 0.8).mean()
@@ -154,8 +166,8 @@ def test_a_map_for_each_scan_and_interface() -> None:
 
 
 def test_bars_are_as_long_as_their_gaps() -> None:
-    gap = summary()["gap_mm"]
-    drawn = gaps([Judged("all", gap["before"], gap["after"])], 0.4367, "plate tilt")
+    gap = typed(summary()).gap_mm
+    drawn = gaps([Judged("all", gap.before, gap.after)], 0.4367, "plate tilt")
     axes = drawn.axes[0]
     assert [bar.get_width() for bar in axes.patches] == [0.2684, 0.05]
     spans = [line.get_xdata().tolist() for line in axes.lines[:2]]  # type: ignore[union-attr]
@@ -172,8 +184,11 @@ def test_evidence_stacks_the_field_only_where_it_helps() -> None:
     ]
     bars = evidence(rows, 2.8).axes[0].patches
     assert [(bar.get_x(), bar.get_width()) for bar in bars] == [  # type: ignore[attr-defined]
-        (0, 127.0), (0, 95.0), (95.0, 1.5), (0, -2.0),
-    ]  # fmt: skip
+        (0, 127.0),
+        (0, 95.0),
+        (95.0, 1.5),
+        (0, -2.0),
+    ]
 
 
 def test_causes_of_the_90_percent_set_have_their_colour() -> None:

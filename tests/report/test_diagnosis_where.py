@@ -1,5 +1,7 @@
 """The pictures of where model and scan differ: bodies drawn as they lie, colours as they mean."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from diagnosis_at_hand import found as without_bodies
@@ -9,7 +11,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_hex, to_rgb
 from pages import Page
 
-from service.diagnosis.run import Found
+from service.diagnosis.run import FinishedDiagnosis
 from service.report import diagnosis_tables as tables
 from service.report import diagnosis_where as where
 from service.report.diagnosis_maps import FAINT, SIGNED
@@ -36,12 +38,12 @@ from storage.values import Volume
 
 
 @pytest.fixture(scope="module")
-def whole() -> Found:
+def whole() -> FinishedDiagnosis:
     return found()
 
 
 @pytest.fixture(scope="module")
-def source(whole: Found) -> str:
+def source(whole: FinishedDiagnosis) -> str:
     return render(whole)
 
 
@@ -115,13 +117,17 @@ def test_what_is_nearer_to_the_viewer_is_drawn_later() -> None:
         np.testing.assert_array_equal(red > blue, [False, False, True, True])
 
 
-def test_the_same_scale_serves_all_scans_and_both_models(whole: Found, page: Page) -> None:
+def test_the_same_scale_serves_all_scans_and_both_models(
+    whole: FinishedDiagnosis, page: Page
+) -> None:
     maps = whole.maps
     loud = np.abs(maps["local_before"])[np.abs(maps["local_before"]) >= 0.2]
     assert np.quantile(loud, 0.98) > 0.5
     labels = [image for image in page.drawings() if "outside" in _text(image)]
-    ticks = [sorted(t for t in _text(image).split() if t.lstrip("−").replace(".", "").isdigit())
-             for image in labels]  # fmt: skip
+    ticks = [
+        sorted(t for t in _text(image).split() if t.lstrip("−").replace(".", "").isdigit())
+        for image in labels
+    ]
     assert len(ticks) == 2
     assert ticks[0] == ticks[1]
 
@@ -159,7 +165,7 @@ def test_a_model_that_is_too_long_is_vermilion_at_its_ends() -> None:
     assert VERMILION not in {to_hex(p) for p in transverse.images[0].get_array().reshape(-1, 3)}
 
 
-def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: Found) -> None:
+def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: FinishedDiagnosis) -> None:
     frame = whole.maps["cause_frame"]
     scores = Volume(whole.maps["cause_before"], tuple(frame[0]), tuple(frame[1]))
     drawn = cause_sections({"nominal model": scores}, egg(np.array([24.0, 16.0, 14.0])), LUMP_MM, 3)
@@ -177,28 +183,35 @@ def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: Found) -> None:
     assert green > red
 
 
-def test_words_of_the_map_say_whether_it_is_more_than_noise(whole: Found) -> None:
-    told = whole.summary["cause_map"]
+def test_words_of_the_map_say_whether_it_is_more_than_noise(whole: FinishedDiagnosis) -> None:
+    told = whole.summary.cause_map
+    assert told is not None
     assert where.cause_words(told).startswith(
         "stiffer tissue at x = 8, y = −4, z = 2 mm (the cross) would explain most. Its score of "
         "6.2 is more than noise alone reaches anywhere"
     )
-    quiet = {"before": told["before"] | {"score": -2.1}}
+    quiet = replace(told, before=replace(told.before, score=-2.1))
     assert "softer tissue" in where.cause_words(quiet)
     assert "Its score of −2.1 is no more than noise alone" in where.cause_words(quiet)
 
 
-def test_overlap_before_and_after_with_what_is_reachable(whole: Found, page: Page) -> None:
-    rows = tables.overlap(whole.summary["overlap"])
+def test_overlap_before_and_after_with_what_is_reachable(
+    whole: FinishedDiagnosis, page: Page
+) -> None:
+    told_rows = whole.summary.overlap
+    assert told_rows is not None
+    rows = tables.overlap(told_rows)
     assert [(r.scan, r.interface) for r in rows] == [
-        ("40 N", "outline"), ("40 N", "glandular"),
-        ("40 N along x", "outline"), ("40 N along x", "glandular"),
-    ]  # fmt: skip
-    told = whole.summary["overlap"][0]
-    assert rows[0].jc == (f"{told['before']['jc']:.3f}", "1.000")
+        ("40 N", "outline"),
+        ("40 N", "glandular"),
+        ("40 N along x", "outline"),
+        ("40 N along x", "glandular"),
+    ]
+    told = told_rows[0]
+    assert rows[0].jc == (f"{told.before.jc:.3f}", "1.000")
     assert rows[0].gsf[1] == "−∞"  # the same voxels
     shown = next(row for row in page.cells if row[:2] == ["40 N", "outline"] and "→" in row[2])
-    assert " ".join(shown[2].split()) == (f"{rows[0].jc[0]} → 1.000 ({told['reachable_jc']:.3f})")
+    assert " ".join(shown[2].split()) == (f"{rows[0].jc[0]} → 1.000 ({told.reachable_jc:.3f})")
 
 
 def test_percentiles_of_regions_are_shown_where_they_are_known() -> None:

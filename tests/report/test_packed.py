@@ -14,4 +14,4 @@ def test_template_and_style_go_into_the_wheel() -> None:
         for file in wheel.WheelBuilder(str(ROOT)).recurse_included_files()
     }
     folder = Path("service/report")
-    assert {folder / "report.html.j2", folder / "report.css", folder / "html.py"} <= packed
+    assert {folder / "study.html.j2", folder / "report.css", folder / "study_page.py"} <= packed

@@ -1,22 +1,24 @@
 """The page of evidence made by hand: well formed, self-contained, and it leaves nothing out."""
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
-from evidence_at_hand import BODIES, evidence, nothing_yet, perfect, record, results
 from pages import Page
+from study_data_at_hand import BODIES, nothing_yet, perfect, record, results, study_data
 
-from service.report.bodies import Bodies
-from service.report.evidence import Evidence
-from service.report.html import render
-from storage.plain import to_plain
+from service.report.study_bodies import Bodies
+from service.report.study_data import StudyData
+from service.report.study_page import render
+from service.results_json import study_json
 
-CASES = {"whole": evidence, "nothing yet": nothing_yet, "perfect": perfect}
+CASES = {"whole": study_data, "nothing yet": nothing_yet, "perfect": perfect}
 
 
 @pytest.fixture(scope="module")
 def source() -> str:
-    return render(evidence())
+    return render(study_data())
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +27,7 @@ def page(source: str) -> Page:
 
 
 @pytest.mark.parametrize("made", CASES.values(), ids=CASES)
-def test_a_page_is_well_formed_and_needs_no_other_file(made: "type[Evidence]") -> None:
+def test_a_page_is_well_formed_and_needs_no_other_file(made: Callable[[], StudyData]) -> None:
     source = render(made())
     page = Page(source)
     assert source.startswith("<!DOCTYPE html>")
@@ -42,7 +44,7 @@ def test_a_page_is_well_formed_and_needs_no_other_file(made: "type[Evidence]") -
 
 
 def test_same_evidence_same_bytes(source: str) -> None:
-    assert render(evidence()) == source
+    assert render(study_data()) == source
 
 
 def test_the_verdict_is_a_sentence_with_signed_errors(page: Page) -> None:
@@ -59,7 +61,7 @@ def test_parameters_with_bounds_target_and_unit(page: Page) -> None:
 
 def test_every_number_of_the_results_is_in_the_page(page: Page) -> None:
     begin = page.text.index('{ "study": "made-by-hand"')
-    assert json.JSONDecoder().raw_decode(page.text, begin)[0] == to_plain(results())
+    assert json.JSONDecoder().raw_decode(page.text, begin)[0] == study_json(results())
 
 
 def test_similarity_shows_where_the_fit_began(page: Page) -> None:
@@ -81,7 +83,7 @@ def test_failures_with_their_constants_and_reason_escaped(source: str, page: Pag
 
 def test_many_failures_are_folded() -> None:
     many = tuple(record(i, (5.5, 60.0), status="lost", reason="its worker died") for i in range(25))
-    page = Page(render(evidence(endings=many, best=None, bodies=Bodies())))
+    page = Page(render(study_data(endings=many, results=results(best=None), bodies=Bodies())))
     assert page.seen.count("details") == Page(render(nothing_yet())).seen.count("details") + 1
     assert "25 of 25 evaluations have no score" in page.text
 
@@ -91,20 +93,29 @@ def test_time_counts_and_throughput(page: Page) -> None:
     assert page.row("score") == ["score", "10 s", "2.5 s", "10.0 %"]
     for said in (
         "2 min 3 s of wall time",
-        "Evaluations done3", "Evaluations diverged1", "Evaluations crashed1", "Evaluations lost0",
+        "Evaluations done3",
+        "Evaluations diverged1",
+        "Evaluations crashed1",
+        "Evaluations lost0",
         "Of these taken from the store1",
         "Throughput1.95 evaluations per min",  # 4 of 5 computed in 123 s
         "Evaluations at once3",
-    ):  # fmt: skip
+    ):
         assert said in page.text, said
 
 
 def test_what_the_best_simulation_says(page: Page) -> None:
     for said in (
-        "Plate displacement37.66 mm", "Force on the plate40 N", "Contact area3051 mm²",
-        "Smallest volume ratio J0.7697", "relative1.4·10−10", "13 + 11", "13 + 1 391",
-        "Force of the chest wall−0.0021 N", "Stored energy471.1 mJ",
-    ):  # fmt: skip
+        "Plate displacement37.66 mm",
+        "Force on the plate40 N",
+        "Contact area3051 mm²",
+        "Smallest volume ratio J0.7697",
+        "relative1.4·10−10",
+        "13 + 11",
+        "13 + 1 391",
+        "Force of the chest wall−0.0021 N",
+        "Stored energy471.1 mJ",
+    ):
         assert said.replace(" ", "") in page.text.replace("\u202f", "").replace(" ", ""), said
 
 
@@ -128,23 +139,24 @@ def test_infinities_are_drawn_and_printed() -> None:
     [("running", "still running"), ("interrupted", "Running it again continues it")],
 )
 def test_an_unfinished_search_says_so(state: str, said: str) -> None:
-    unfinished = evidence(results=results(state=state, stopped=None), bodies=Bodies())
+    unfinished = study_data(results=results(state=state, stop_reason=None), bodies=Bodies())
     assert said in Page(render(unfinished)).text
 
 
 def test_an_estimate_at_its_bound_is_pointed_out() -> None:
-    found = results()
-    plain = evidence(results=found, bodies=Bodies())
+    plain = study_data(bodies=Bodies())
     assert "lies at the edge" not in Page(render(plain)).text
-    found["estimates"]["eta_fat"] |= {"estimate": 199.5}
-    assert "ηfat lies at the edge" in Page(render(plain)).text
+    estimates = dict(plain.results.estimates)
+    estimates["eta_fat"] = replace(estimates["eta_fat"], estimate=199.5)
+    at_edge = study_data(results=results(estimates=estimates), bodies=Bodies())
+    assert "ηfat lies at the edge" in Page(render(at_edge)).text
 
 
 @pytest.mark.parametrize("lost", ["reference", "target", "best"])
 def test_a_lost_volume_leaves_the_others(lost: str) -> None:
     kept = {name: getattr(BODIES, name) for name in ("reference", "target", "best")}
     bodies = Bodies(**(kept | {lost: None, "missing": (f"The {lost} is gone.",)}))
-    page = Page(render(evidence(bodies=bodies)))
+    page = Page(render(study_data(bodies=bodies)))
     assert f"The {lost} is gone." in page.text
     views = [drawing for drawing in page.drawings() if "mm" in "".join(drawing.itertext())]
     titles = {"reference": "Undeformed", "target": "Target", "best": "Best candidate"}

@@ -42,9 +42,13 @@ def one_voxel() -> Volume:
     ],
 )
 def test_a_voxel_lands_where_its_coordinates_say(
-    view: palette.IntEnum, at_mm: float, shape: tuple[int, int], row: int, column: int,
+    view: palette.IntEnum,
+    at_mm: float,
+    shape: tuple[int, int],
+    row: int,
+    column: int,
     extent: tuple[float, ...],
-) -> None:  # fmt: skip
+) -> None:
     cut = section(one_voxel(), view, at_mm)
     assert cut.values.shape == shape
     assert np.argwhere(cut.values).tolist() == [[row, column]]

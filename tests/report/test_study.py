@@ -11,13 +11,13 @@ import pytest
 from pages import Page
 
 from service.dispatch import Dispatcher, Ending
-from service.report.html import write_report
+from service.report.study_page import write_report
 from service.results import study_results
+from service.results_json import study_json
 from service.spec import parse_spec
 from service.study import Conclusion, Study
 from storage.errors import InputError
 from storage.stores import open_store
-from storage.volumes import remove_volume
 
 SPEC = """
 name: small
@@ -46,9 +46,9 @@ class Here(Dispatcher):
         return task(*arguments)
 
     def run(
-        self, task: Callable[..., Any], asks: Iterable[tuple[Any, tuple[Any, ...]]]
+        self, task: Callable[..., Any], calls: Iterable[tuple[Any, tuple[Any, ...]]]
     ) -> Iterator[Ending]:
-        for key, arguments in asks:
+        for key, arguments in calls:
             yield Ending(key, "returned", task(*arguments))
 
 
@@ -79,7 +79,7 @@ def test_the_report_of_a_study_shows_its_results(made: Made) -> None:
     assert [p.name for p in folder.glob(".tmp*")] == []
     page = Page(path.read_text())
     assert len(page.drawings()) == 1 + 3 + 1 + 2 + 1  # ranges, sections, search, scatter, stages
-    found = study_results(folder)
+    found = study_json(study_results(folder))
     shown = json.JSONDecoder().raw_decode(page.text, page.text.index('{ "study": "small"'))[0]
     assert shown == found
     best = conclusion.best
@@ -96,7 +96,7 @@ def test_the_best_volume_is_made_again_from_its_field(made: Made, tmp_path: Path
     folder = copied(made, tmp_path)
     whole = write_report(folder).read_bytes()
     assert made[1].best is not None
-    assert remove_volume(open_store(folder.parent / "store"), made[1].best.digest)
+    shutil.rmtree(open_store(folder.parent / "store").layout.volume(made[1].best.digest))
     assert write_report(folder).read_bytes() == whole
 
 
@@ -105,9 +105,10 @@ def test_a_store_that_moved_with_its_study_is_found(made: Made, tmp_path: Path) 
     moved = tmp_path / "elsewhere"
     folder.parent.rename(moved)
     assert "Best candidate" in "".join(
-        text for drawing in Page(write_report(moved / "small").read_text()).drawings()
+        text
+        for drawing in Page(write_report(moved / "small").read_text()).drawings()
         for text in drawing.itertext()
-    )  # fmt: skip
+    )
 
 
 def test_without_its_store_a_study_is_still_told(made: Made, tmp_path: Path) -> None:
@@ -122,7 +123,7 @@ def test_without_its_store_a_study_is_still_told(made: Made, tmp_path: Path) -> 
 def test_a_target_that_is_gone_is_said(made: Made, tmp_path: Path) -> None:
     folder = copied(made, tmp_path)
     target = study_target(folder)
-    assert remove_volume(open_store(folder.parent / "store"), target)
+    shutil.rmtree(open_store(folder.parent / "store").layout.volume(target))
     assert (
         "The volume of the target is no longer in the store"
         in Page(write_report(folder).read_text()).text
@@ -173,14 +174,30 @@ def test_a_browser_shows_every_picture(made: Made, tmp_path: Path, width_px: int
     source = write_report(made[0]).read_text()
     page = tmp_path / "page.html"
     page.write_text(source.replace("</body>", f"{CHECK}</body>"))
-    options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-               "--disable-background-networking", "--disable-component-update",
-               "--disable-sync"]  # fmt: skip
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-quic",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+    ]
     ran = subprocess.run(
-        [browser, *options, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom",
-         f"--window-size={width_px},1000", page.as_uri()],
-        capture_output=True, text=True, check=True, timeout=60,
-    )  # fmt: skip
+        [
+            browser,
+            *options,
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--dump-dom",
+            f"--window-size={width_px},1000",
+            page.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
     assert "<title>8 of 8 drawn, 0 px too wide</title>" in ran.stdout
 
 

@@ -7,6 +7,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from boxes import contains
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -87,7 +88,7 @@ def test_any_population_is_filled_within_bounds(
     search = GeneticSearch(BREAST, chosen, seed)
     while isinstance(proposal := search.propose(history), Proposal):
         assert proposal.genes.shape == (population, 4)
-        assert BREAST.contains(proposal.genes)
+        assert contains(BREAST, proposal.genes)
         bred = bool(history) and bool(np.isfinite(history[-1].scores).any())
         assert population - len(proposal.to_evaluate) == (elite if bred else 0)
         scores = rough(seed)(proposal.genes)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from boxes import contains
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -111,7 +112,7 @@ def test_genes_come_from_either_parent_with_even_odds() -> None:
 def test_initial_population_fills_the_box(name: str) -> None:
     genes = INITIAL[name](np.random.default_rng(2), 400, BOX)
     assert genes.shape == (400, 3)
-    assert BOX.contains(genes)
+    assert contains(BOX, genes)
     unit = BOX.to_unit(genes)
     # Mean and variance of a uniform variable: 1/2 and 1/12.
     assert unit.mean(axis=0) == pytest.approx(0.5, abs=5 * (1 / 12) ** 0.5 / 20)
@@ -152,7 +153,7 @@ def test_children_keep_the_bounds_even_from_a_corner(seed: int, name: str, age: 
     bests = np.minimum.accumulate(rng.standard_normal(age))
     children = MUTATIONS[name](rng, parents, BOX, Progress(age, 15, bests))
     assert children.shape == parents.shape
-    assert BOX.contains(children)
+    assert contains(BOX, children)
     assert not np.array_equal(children, parents)
 
 

@@ -9,35 +9,40 @@ from typing import Any
 import numpy as np
 from compressed_breast import CROSSWISE, PHANTOM, PRESSED, SCANS, TRUE_MPA, described, write_scan
 
-from service.blind.make import Asked, make, plan, seal, unmade
-from service.blind.making import publish
+from service.blind.make_case import publish
+from service.blind.make_set import SetRequest, make, plan, seal, unmade
 from service.blind.records import CaseRecord
 from service.blind.sets import BlindSet, Truths
-from service.dispatch import Asks, Ending, Task
-from workers.cases.build import INTERFACES, WALL_MARGIN_MM
-from workers.cases.case import ImagedCase
-from workers.effects.catalogue import with_effects
-from workers.fem.fields import frame_of
-from workers.fem.model import prepare
-from workers.fem.solve import solve
-from workers.imaging.warp import warp_labels
-from workers.mesh.hierarchy import build_hierarchy
-from workers.observation.interface import interface_points
-from workers.observation.locate import interpolation
-from workers.phantom.breast import generate_breast
+from service.dispatch import Ending, Task, TaskCalls
+from workers.body.mesh.hierarchy import build_hierarchy
+from workers.body.phantom.breast import generate_breast
+from workers.comparison.observation.interface import interface_points
+from workers.comparison.observation.point_interpolation import interpolation
+from workers.comparison.warp.warp_volume import warp_labels
+from workers.diagnosis.acquisition import INTERFACES
+from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.breast_catalogue import with_effects
+from workers.mechanics.fem.fields import frame_of
+from workers.mechanics.fem.model import prepare
+from workers.mechanics.fem.solve import solve
+from workers.organs.breast.case_files import read_case
 
 NODES, SPACING_MM = 600, 9.0
 SUSPECTS = ["plate_tilt", "segmentation_offset"]
 TILT_DEG = 8.0
-TILT = {"kind": "tilt", "effect": "plate_tilt", "family": "plate geometry",
-        "parameters": {"depth_deg": TILT_DEG, "across_deg": 0.0}}  # fmt: skip
+TILT = {
+    "kind": "tilt",
+    "effect": "plate_tilt",
+    "family": "plate geometry",
+    "parameters": {"depth_deg": TILT_DEG, "across_deg": 0.0},
+}
 CAUSES: dict[str, list[dict[str, Any]]] = {"control": [], "tilt": [TILT]}
 SHARES = {"control": 1.0, "tilt": 1.0}
 LOADS = (PRESSED[1], CROSSWISE)
 
 
 def small_case(seed: int, kind: str, one_direction: bool, case: str, truth: str) -> dict[str, Any]:
-    """In place of `service.blind.making.make_case`: a tilted plate, or nothing."""
+    """In place of `service.blind.make_case.make_case`: a tilted plate, or nothing."""
     loads = LOADS[:1] if one_direction else LOADS
     publish(Path(case), Path(truth), lambda *folders: write_small(kind, loads, *folders))
     return {"seconds": 0.0}
@@ -50,11 +55,11 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
     for file in (SCANS[0], *(load["file"] for load in loads)):
         write_scan(case / file, rest)
     (case / "case.json").write_text(json.dumps(described(loads) | {"id": case.name}))
-    imaged = ImagedCase(case)
+    imaged = read_case(case)
     hierarchy = build_hierarchy(imaged.reference, nodes=NODES)
     mesh, model = hierarchy.finest.mesh, prepare(hierarchy)
     frame = frame_of(model.finest.nodes)
-    points = interface_points(imaged.reference, INTERFACES, 3.0, WALL_MARGIN_MM)
+    points = interface_points(imaged.reference, INTERFACES, 3.0, SETTINGS.points.wall_margin_mm)
     at_points = interpolation(mesh, points.points)
     effects = {"tilt_depth": TILT_DEG} if kind == "tilt" else {}
     went = []
@@ -66,8 +71,12 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
         )
         went.append(at_points @ solution.displacement_mm)
     (truth / "truth.json").write_text(json.dumps({"kind": kind, "causes": CAUSES[kind]}))
-    np.savez(truth / "truth.npz", points=points.points, interface=points.interface,
-             displacement=np.stack(went))  # fmt: skip
+    np.savez(
+        truth / "truth.npz",
+        points=points.points,
+        interface=points.interface,
+        displacement=np.stack(went),
+    )
 
 
 class Inline:
@@ -77,8 +86,8 @@ class Inline:
         self.threads = threads
         self.asked: list[str] = []
 
-    def run(self, task: Task, asks: Asks) -> Iterator[Ending]:
-        for key, arguments in asks:
+    def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
+        for key, arguments in calls:
             self.asked.append(task.__name__)
             try:
                 yield Ending(key, "returned", task(*arguments))
@@ -86,14 +95,14 @@ class Inline:
                 yield Ending(key, "crashed", None, error, f"{type(error).__name__}: {error}")
 
     @contextmanager
-    def meanwhile(self, task: Task, asks: Asks) -> Iterator[None]:
-        self.asked += [task.__name__ for _ in asks]
+    def meanwhile(self, task: Task, calls: TaskCalls) -> Iterator[None]:
+        self.asked += [task.__name__ for _ in calls]
         yield
 
 
 def make_set(root: Path, cases: int = 2, task: Any = small_case, **more: Any) -> BlindSet:
     """A sealed set in `root`, its truths beside it."""
-    blind, asked = BlindSet(root), Asked(cases, 7, False, NODES)
+    blind, asked = BlindSet(root), SetRequest(cases, 7, False, NODES)
     truths = Truths(blind.truth_beside())
     entries = plan(blind, truths, asked, more.pop("shares", SHARES))
     waiting = unmade(blind, truths, entries)
@@ -115,7 +124,10 @@ def record(group: str = "single", **changes: Any) -> CaseRecord:
         "primary_families": ("plate geometry",),
         "set90": ("plate_tilt",),
         "probabilities": {
-            "no-gap": 0.0, "none-of-these": 0.0, "plate_tilt": 1.0, "plate_friction": 0.0,
+            "no-gap": 0.0,
+            "none-of-these": 0.0,
+            "plate_tilt": 1.0,
+            "plate_friction": 0.0,
         },
         "claimed_before_mm": 0.30,
         "claimed_after_mm": 0.10,
@@ -124,19 +136,31 @@ def record(group: str = "single", **changes: Any) -> CaseRecord:
         "claimed_share": 0.9,
         "held_out_share": 0.8,
         "catalogue": 2,
-    }  # fmt: skip
+    }
     return CaseRecord(**given | changes)
 
 
 def nothing(group: str = "control", **changes: Any) -> CaseRecord:
     """A case in which nothing is found."""
     given: dict[str, Any] = {
-        "kind": group, "effects": (), "families": (), "answer": "no-gap", "primary": (),
-        "primary_families": (), "set90": ("no-gap",), "claimed_before_mm": 0.05,
-        "claimed_after_mm": None, "true_before_mm": 0.10, "true_after_mm": None,
-        "claimed_share": None, "held_out_share": None,
+        "kind": group,
+        "effects": (),
+        "families": (),
+        "answer": "no-gap",
+        "primary": (),
+        "primary_families": (),
+        "set90": ("no-gap",),
+        "claimed_before_mm": 0.05,
+        "claimed_after_mm": None,
+        "true_before_mm": 0.10,
+        "true_after_mm": None,
+        "claimed_share": None,
+        "held_out_share": None,
         "probabilities": {
-            "no-gap": 1.0, "none-of-these": 0.0, "plate_tilt": 0.0, "plate_friction": 0.0,
+            "no-gap": 1.0,
+            "none-of-these": 0.0,
+            "plate_tilt": 0.0,
+            "plate_friction": 0.0,
         },
-    }  # fmt: skip
+    }
     return record(group, **given | changes)

@@ -9,29 +9,39 @@ import numpy as np
 
 from service.export import export_volume
 from storage.values import Tissue, Volume
-from workers.cases.case import ImagedCase
-from workers.effects.catalogue import with_effects
-from workers.fem.fields import frame_of
-from workers.fem.model import prepare
-from workers.fem.solve import solve
-from workers.imaging.warp import warp_labels
-from workers.mesh.hierarchy import build_hierarchy
-from workers.phantom.breast import BreastPhantom, generate_breast
+from workers.body.mesh.hierarchy import build_hierarchy
+from workers.body.phantom.breast import BreastPhantom, generate_breast
+from workers.comparison.warp.warp_volume import warp_labels
+from workers.mechanics.effects.breast_catalogue import with_effects
+from workers.mechanics.fem.fields import frame_of
+from workers.mechanics.fem.model import prepare
+from workers.mechanics.fem.solve import solve
+from workers.organs.breast.case_files import read_case
 
 TRUE_MPA = {"E_fat": 0.010, "E_gl": 0.032}
 FORCES_N = (8.0, 20.0)
 PHANTOM = BreastPhantom(
-    lower_mm=30.0, upper_mm=45.0, half_width_mm=28.0, depth_mm=32.0, spacing_mm=1.5,
-    glandular_fraction=0.3, skin_mm=0.0, ligament_mm=0.0, compartments=60,
-)  # fmt: skip
+    lower_mm=30.0,
+    upper_mm=45.0,
+    half_width_mm=28.0,
+    depth_mm=32.0,
+    spacing_mm=1.5,
+    glandular_fraction=0.3,
+    skin_mm=0.0,
+    ligament_mm=0.0,
+    compartments=60,
+)
 SCANS = ("rest.nrrd", "pressed_8N.nrrd", "pressed_20N.nrrd")
 PRESSED = tuple(
     {"file": file, "plate_force_N": force} for file, force in zip(SCANS[1:], FORCES_N, strict=True)
 )
 CROSSWISE = {
-    "file": "pressed_8N_x.nrrd", "plate_force_N": 8.0,
-    "compression_axis": [1, 0, 0], "lower_mm": -45, "upper_mm": 45,
-}  # fmt: skip
+    "file": "pressed_8N_x.nrrd",
+    "plate_force_N": 8.0,
+    "compression_axis": [1, 0, 0],
+    "lower_mm": -45,
+    "upper_mm": 45,
+}
 
 
 def described(pressed: Sequence[dict] = PRESSED) -> dict:
@@ -63,7 +73,7 @@ def write_case(
     for file in (SCANS[0], *(one["file"] for one in pressed)):
         write_scan(folder / file, rest)
     (folder / "case.json").write_text(json.dumps(described(pressed)))
-    case = ImagedCase(folder)
+    case = read_case(folder)
     hierarchy = build_hierarchy(case.reference, nodes=nodes)
     model = prepare(hierarchy)
     frame = frame_of(model.finest.nodes)
@@ -81,3 +91,11 @@ def write_scan(path: Path, labels: Volume) -> None:
     values = np.where(labels.values == Tissue.GLANDULAR, 2, (labels.values > 0).astype(np.uint8))
     path.unlink(missing_ok=True)
     export_volume(path, replace(labels, values=values.astype(np.uint8)))
+
+
+def loads_exchanged(folder: Path) -> None:
+    """Write the forces of both scans the wrong way round."""
+    said = json.loads((folder / "case.json").read_text())
+    first, second = said["scans"]["deformed"]
+    first["plate_force_N"], second["plate_force_N"] = 20.0, 8.0
+    (folder / "case.json").write_text(json.dumps(said))

@@ -25,12 +25,12 @@ def note(event: str, arguments: tuple[object, ...]) -> None:
 
 sys.addaudithook(note)
 
-from service.blind.alone import diagnose_alone  # noqa: E402
-from service.diagnosis.run import ask  # noqa: E402
+from service.blind.single_process import diagnose_alone  # noqa: E402
+from service.diagnosis.run import request_for  # noqa: E402
 
 if __name__ == "__main__":
     case, store, other = (Path(argument) for argument in sys.argv[1:])
-    diagnose_alone(ask(case, store, 600, 12.0, ["plate_tilt", "segmentation_offset"]))
+    diagnose_alone(request_for(case, store, 600, 12.0, ["plate_tilt", "segmentation_offset"]))
     before = list(OPENED)
     other.read_bytes()
     json.dump({"by_the_diagnosis": before, "by_us": OPENED[len(before) :]}, sys.stdout)

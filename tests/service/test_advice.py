@@ -1,50 +1,51 @@
 """What to measure next: ranked by hand, and from a small cluster by the command."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from compressed_breast import write_case
+from diagnosis_at_hand import summary, typed
+from plans_at_hand import option, plan_of
 
 from service.cli import main
 from service.diagnosis.advice import next_acquisitions, undecided, worth
 from storage.errors import InputError
+from storage.typed_json import from_json
+from workers.diagnosis.summary import NextAcquisition
 
 NODES = "600"
-TOLD = {
-    "verdict": "cannot-be-told-apart",
-    "set90": ["plate_tilt", "fibre_fan", "no-gap"],
-    "absorbed": ["plate_force"],
-}
-
-
-def option(name: str, **changes: Any) -> dict[str, Any]:
-    return {"name": name, "separates": [], "reveals": [], "minimum_ratio": 0.9} | changes
+TOLD = typed(
+    summary(
+        verdict="cannot-be-told-apart",
+        set90=["plate_tilt", "fibre_fan", "no-gap"],
+        absorbed=["plate_force"],
+    )
+)
 
 
 def test_what_decides_between_the_suspects_comes_first() -> None:
-    plan = {
-        "acquisitions": [
-            option("more of the same"),
-            option("shows the force", reveals=["plate_force", "creep"]),
-            option("others", separates=[["creep", "plate_tilt"]]),
-            option("decides", separates=[["creep", "plate_tilt"], ["fibre_fan", "plate_tilt"]]),
-            option("fifth"),
-        ]
-    }
+    plan = plan_of(
+        option("more of the same"),
+        option("shows the force", reveals=("plate_force", "creep")),
+        option("others", separates=(("creep", "plate_tilt"),)),
+        option("decides", separates=(("creep", "plate_tilt"), ("fibre_fan", "plate_tilt"))),
+        option("fifth"),
+    )
     found = next_acquisitions(TOLD, plan)
-    names = [a["name"] for a in found]
+    names = [a.name for a in found]
     assert names == ["decides", "shows the force", "more of the same", "others"]
-    assert found[0]["separates"] == [["fibre_fan", "plate_tilt"]]
-    assert found[1]["reveals"] == ["plate_force"]
+    assert found[0].separates == (("fibre_fan", "plate_tilt"),)
+    assert found[1].reveals == ("plate_force",)
     assert worth(found[0]) == (
         "tells fibre fan from plate tilt; the smallest magnitudes found become 0.90 times as large"
     )
     assert worth(found[1]).startswith("brings plate force to light")
     assert worth(found[2]) == "the smallest magnitudes found become 0.90 times as large"
     assert undecided(TOLD)
-    assert not undecided(TOLD | {"verdict": "effect"})
+    assert not undecided(replace(TOLD, verdict="effect"))
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +74,10 @@ def test_the_command_says_what_to_measure_next(
     assert all(f"<td>{o['name']}</td>" in page.replace("&#39;", "'") for o in options)
     assert (runs / "out" / "diagnosis.html").read_text() == page
     assert main([*command(runs), "--plan"]) == 0
-    assert f"Next, {options[0]['name']}: {worth(options[0])}." in capsys.readouterr().out
+    assert (
+        f"Next, {options[0]['name']}: {worth(from_json(NextAcquisition, options[0]))}."
+        in capsys.readouterr().out
+    )
 
 
 def test_without_a_plan_nothing_is_said_of_it(

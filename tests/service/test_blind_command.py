@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from service.blind import making
+from service.blind import make_case as making
 from service.cli import main
-from workers.blind.draw import draw
+from workers.blind.random_case import draw
 
 
 @pytest.mark.parametrize(("failures", "attempts"), [(0, 1), (2, 3)])

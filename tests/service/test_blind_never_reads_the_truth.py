@@ -34,9 +34,12 @@ def opened(
     store = tmp_path_factory.mktemp("store") / "store"
     command = [sys.executable, HERE / "open_files.py", case, store, truth / "truth.npz"]
     ran = subprocess.run(
-        [str(word) for word in command], capture_output=True, text=True, timeout=240,
+        [str(word) for word in command],
+        capture_output=True,
+        text=True,
+        timeout=240,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    )
     assert ran.returncode == 0, ran.stderr
     return {who: {Path(p) for p in paths} for who, paths in json.loads(ran.stdout).items()}
 
@@ -56,11 +59,16 @@ def test_the_list_would_show_it(folders: tuple[Path, Path], opened: dict[str, se
 
 
 def test_what_diagnoses_imports_nothing_that_makes_or_opens_cases() -> None:
-    lines = "import sys; import service.blind.alone, workers.examine; print(*sys.modules)"
+    modules = "service.blind.single_process, workers.tasks.diagnosis"
+    lines = f"import sys; import {modules}; print(*sys.modules)"
     ran = subprocess.run(
         [sys.executable, "-c", lines], capture_output=True, text=True, check=True, cwd=ROOT
     )
     imported = set(ran.stdout.split())
     assert "workers.diagnosis.diagnosis" in imported
     assert not [name for name in imported if name.split(".")[:2] == ["workers", "blind"]]
-    assert not imported & {"service.blind.making", "service.blind.truth", "service.blind.read"}
+    assert not imported & {
+        "service.blind.make_case",
+        "service.blind.truth",
+        "service.blind.read_records",
+    }

@@ -10,18 +10,24 @@ import pytest
 from blind_at_hand import nothing, record
 from pages import Page
 
-from service.blind.page import Scored, render
+from service.blind.metrics import floor_mm, metrics
+from service.blind.page import render
 from service.blind.records import CaseRecord
-from service.blind.scores import figures, floor_mm
+from service.blind.scored_set import ScoredSet
 from service.cli import main
 
 SEALS = {
-    "manifest": "a" * 64, "answers": "b" * 64, "declared": None, "directions": "all",
+    "manifest": "a" * 64,
+    "answers": "b" * 64,
+    "declared": None,
+    "directions": "all",
     "diagnosis": {"code": "0123456789abcdef", "commit": None},
-}  # fmt: skip
+}
 FRICTION: dict[str, Any] = {
-    "kind": "friction", "effects": ("plate_friction",), "families": ("boundary",),
-}  # fmt: skip
+    "kind": "friction",
+    "effects": ("plate_friction",),
+    "families": ("boundary",),
+}
 
 
 def cases() -> list[CaseRecord]:
@@ -29,21 +35,38 @@ def cases() -> list[CaseRecord]:
     sure = {"no-gap": 0.02, "none-of-these": 0.03, "plate_tilt": 0.93, "plate_friction": 0.35}
     return [
         nothing(name="a0", true_before_mm=0.10),
-        nothing("absorbed", name="a1", kind="plate_force", effects=("plate_force",),
-                families=("loading",)),
+        nothing(
+            "absorbed",
+            name="a1",
+            kind="plate_force",
+            effects=("plate_force",),
+            families=("loading",),
+        ),
         record(name="b0", probabilities=sure, held_out_share=-0.2),
-        record(name="b1", **FRICTION, answer="cannot-be-told-apart", probabilities=sure,
-               set90=("plate_tilt", "plate_friction")),
+        record(
+            name="b1",
+            **FRICTION,
+            answer="cannot-be-told-apart",
+            probabilities=sure,
+            set90=("plate_tilt", "plate_friction"),
+        ),
         record("pair", name="c0", kind="pair", effects=("plate_tilt", "plate_friction")),
         nothing("unlike", name="d0", kind="swelling", answer="none-of-these", true_before_mm=0.4),
         record("relative", name="e0", kind="bent_plate", effects=()),
-        CaseRecord("f0", "inclusion", "single", ("inclusion",), ("local stiffness",), "failed",
-                   reason="InputError: the scan <is> empty\nTraceback"),
-    ]  # fmt: skip
+        CaseRecord(
+            "f0",
+            "inclusion",
+            "single",
+            ("inclusion",),
+            ("local stiffness",),
+            "failed",
+            reason="InputError: the scan <is> empty\nTraceback",
+        ),
+    ]
 
 
-def scored(records: list[CaseRecord], **seals: Any) -> Scored:
-    return Scored("sealed-1", records, figures(records), floor_mm(records), SEALS | seals)
+def scored(records: list[CaseRecord], **seals: Any) -> ScoredSet:
+    return ScoredSet("sealed-1", records, metrics(records), floor_mm(records), SEALS | seals)
 
 
 @pytest.mark.parametrize(
@@ -64,9 +87,13 @@ def test_a_page_is_well_formed_and_needs_no_other_file(records: list[CaseRecord]
 def test_the_page_says_what_was_measured() -> None:
     page = Page(render(scored(cases(), declared="a finer mesh")))
     assert page.row("False alarms on controls and hidden effects") == [
-        "False alarms on controls and hidden effects", "0 %", "0 % to 66 %", "2", "at most 5 %",
+        "False alarms on controls and hidden effects",
+        "0 %",
+        "0 % to 66 %",
+        "2",
+        "at most 5 %",
         "met",
-    ]  # fmt: skip
+    ]
     assert page.row("One effect, visible: it comes first")[-1] == "not met"
     assert page.row("Baseline, chance: it comes first")[1] == "50 %"
     assert "The diagnosis that answered is not the one" in page.text
@@ -77,8 +104,9 @@ def test_the_page_says_what_was_measured() -> None:
 def test_the_page_lists_what_went_wrong() -> None:
     page = Page(render(scored(cases())))
     assert page.row("b1")[1:3] == [
-        "plate frictionone effect", "plate tilt (93 %), or plate friction",
-    ]  # fmt: skip
+        "plate frictionone effect",
+        "plate tilt (93 %), or plate friction",
+    ]
     assert page.row("f0")[2] == "failedInputError: the scan <is> empty"
     assert page.row("f0")[3:] == ["–", "–", "–"]
     wrong = page.text.index("Answers that are not right")
@@ -128,7 +156,7 @@ def test_mistakes_end_with_one_message(call: Call, arguments: list[str], said: s
 def test_score_prints_figures_and_writes_the_page(
     call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.blind.score.score_set", lambda *_: scored(cases()))
+    monkeypatch.setattr("service.blind.score_set.score_set", lambda *_: scored(cases()))
     code, out, _ = call("score", "set", "--page", "page.html")
     assert code == 0
     lines = [line.split() for line in out.splitlines()]

@@ -9,27 +9,29 @@ import numpy as np
 import pytest
 from blind_at_hand import NODES, SPACING_MM, SUSPECTS, TILT_DEG, Inline, make_set
 
-from service.blind.read import read_records
+from service.blind.read_records import read_records
 from service.blind.records import CaseRecord
 from service.blind.run import Answering, along_y, answer, request_of, seal, unanswered
-from service.blind.score import record, score_set
+from service.blind.score_set import record, score_set
 from service.blind.seal import file_hash, read_json
 from service.blind.sets import BlindSet, Truths, check_answers
-from service.diagnosis.run import ask, finished
+from service.diagnosis.run import finished, request_for
 from service.dispatch import Dispatcher
 from storage.errors import InputError
+from storage.plain import to_plain
+from storage.typed_json import to_json
 
 
 @pytest.fixture(scope="module", autouse=True)
 def few_suspects() -> Any:
     """Points far apart, and two effects."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("service.blind.run.ask", small_ask)
+        patch.setattr("service.blind.run.request_for", small_request)
         yield
 
 
-def small_ask(path: Path, store: Path, nodes: int) -> Any:
-    return ask(path, store, nodes, SPACING_MM, SUSPECTS)
+def small_request(path: Path, store: Path, nodes: int) -> Any:
+    return request_for(path, store, nodes, SPACING_MM, SUSPECTS)
 
 
 def run(asked: Answering, threads: int = 1) -> Inline:
@@ -92,7 +94,7 @@ def test_an_answer_is_what_the_store_holds(answered: Answering) -> None:
         found = finished(request_of(answered, case.name))
         assert found is not None
         said = read_json(blind.answer(case.name, "all"))
-        assert said["summary"] == json.loads(json.dumps(found.summary))
+        assert said["summary"] == json.loads(json.dumps(to_plain(to_json(found.summary))))
         with np.load(blind.points(case.name, "all")) as kept:
             for key in ("points", "moved_before", "normals_before"):
                 np.testing.assert_array_equal(kept[key], found.maps[key])
@@ -113,7 +115,7 @@ def test_few_cases_are_shared_out_among_many_workers(
     shutil.rmtree(copy.answers("all"))
     copy.sealed_answers("all").unlink()
     asked = Answering(copy, answered.store, "all", NODES, limit=1)
-    assert "weigh_case" in run(asked, threads=8).asked
+    assert "weigh_hypotheses" in run(asked, threads=8).asked
     assert len(unanswered(asked)) == 1
     assert seal(asked) is None
     assert "diagnose_alone" in run(asked, threads=1).asked
@@ -216,7 +218,7 @@ def test_a_case_that_cannot_be_diagnosed_is_answered_so(
     def refusing(path: Path, *more: Any) -> Any:
         if path.name == broken:
             raise InputError("the scan is empty")
-        return small_ask(path, *more)
+        return small_request(path, *more)
 
     def crashing(request: Any) -> Any:
         raise ZeroDivisionError("no such tissue")
@@ -224,7 +226,7 @@ def test_a_case_that_cannot_be_diagnosed_is_answered_so(
     broken, other = sorted(p.name for p in copy.cases.iterdir())
     shutil.rmtree(copy.answers("all"))
     copy.sealed_answers("all").unlink()
-    monkeypatch.setattr("service.blind.run.ask", refusing)
+    monkeypatch.setattr("service.blind.run.request_for", refusing)
     monkeypatch.setattr("service.blind.run.diagnose_alone", crashing)
     asked = Answering(copy, tmp_path / "store", "all", NODES)
     told: list[str] = []

@@ -8,34 +8,41 @@ import pytest
 from blind_at_hand import nothing, record
 
 from service.blind.baselines import closest, largest, raw_correlation
+from service.blind.calibration import brier, brier_of_base_rates, calibration_curve
 from service.blind.confusion import confusion
 from service.blind.magnitudes import IN_CATALOGUE, lump_apart_mm, magnitudes, true_values
-from service.blind.probability import brier, brier_of_base_rates, calibration_curve
+from service.blind.metrics import Metric, floor_mm, metrics, regrouped, strata, visible
 from service.blind.records import CaseRecord, Magnitude
-from service.blind.scores import Figure, figures, floor_mm, regrouped, strata, visible
 from service.blind.statistics import correlation, mean, median, share
 from service.blind.truth import Truth
-from workers.blind.draw import KINDS, draw
-from workers.effects.catalogue import BREAST_EFFECTS
+from workers.blind.random_case import KINDS, draw
+from workers.diagnosis.summary import EffectSummary, ParameterEstimate
+from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 
 
-def scored(*records: CaseRecord) -> dict[str, Figure]:
-    return {f.key: f for f in figures(records)}
+def scored(*records: CaseRecord) -> dict[str, Metric]:
+    return {f.key: f for f in metrics(records)}
 
 
-def value(found: dict[str, Figure], key: str) -> tuple[float | None, int]:
+def value(found: dict[str, Metric], key: str) -> tuple[float | None, int]:
     return found[key].estimate.value, found[key].estimate.count
 
 
 MISSED: dict[str, Any] = {
-    "answer": "no-gap", "primary": (), "primary_families": (), "set90": ("no-gap",),
-    "claimed_after_mm": None, "true_after_mm": None, "claimed_share": None,
+    "answer": "no-gap",
+    "primary": (),
+    "primary_families": (),
+    "set90": ("no-gap",),
+    "claimed_after_mm": None,
+    "true_after_mm": None,
+    "claimed_share": None,
     "held_out_share": None,
-}  # fmt: skip
+}
 WRONG: dict[str, Any] = {
-    "primary": ("plate_friction",), "primary_families": ("boundary",),
+    "primary": ("plate_friction",),
+    "primary_families": ("boundary",),
     "set90": ("plate_friction", "plate_tilt"),
-}  # fmt: skip
+}
 
 
 # Intervals
@@ -89,7 +96,7 @@ def test_a_hidden_effect_that_leaves_a_gap_is_to_be_named() -> None:
     groups = [r.group for r in regrouped([*controls, faint, unknown, named])]
     assert groups == ["control", "absorbed", "absorbed", "single"]
     assert [r.group for r in regrouped([faint, named])] == ["absorbed", "absorbed"]
-    found = {f.key: f for f in figures(regrouped([*controls, faint, unknown, named]))}
+    found = {f.key: f for f in metrics(regrouped([*controls, faint, unknown, named]))}
     assert value(found, "false_alarms") == (0.0, 3)
     assert value(found, "first_visible") == (1.0, 1)
 
@@ -132,9 +139,14 @@ def test_out_of_the_catalogue() -> None:
     relative = record("relative", kind="bent_plate", effects=())
     strange = record("relative", kind="bent_plate", effects=(), **WRONG)
     found = scored(
-        nothing(), unlike("none-of-these", 0.3), unlike("effect", 0.3), unlike("no-gap", 0.1),
-        relative, relative, strange,
-    )  # fmt: skip
+        nothing(),
+        unlike("none-of-these", 0.3),
+        unlike("effect", 0.3),
+        unlike("no-gap", 0.1),
+        relative,
+        relative,
+        strange,
+    )
     assert value(found, "unlike_visible") == (0.5, 2)
     assert value(found, "unlike") == (1 / 3, 3)
     assert value(found, "relatives") == (2 / 3, 3)
@@ -154,10 +166,22 @@ def test_pairs() -> None:
 
 def test_gaps_and_shrinkage() -> None:
     # True shrinkage 1 - 0.1^2 / 0.2^2 = 0.75 and 1 - 0.3^2 / 0.4^2 = 0.4375.
-    a = record(true_before_mm=0.2, true_after_mm=0.1, claimed_before_mm=0.23,
-               claimed_after_mm=0.1, claimed_share=0.95, held_out_share=0.70)  # fmt: skip
-    b = record(true_before_mm=0.4, true_after_mm=0.3, claimed_before_mm=0.35,
-               claimed_after_mm=0.2, claimed_share=0.6, held_out_share=0.5)  # fmt: skip
+    a = record(
+        true_before_mm=0.2,
+        true_after_mm=0.1,
+        claimed_before_mm=0.23,
+        claimed_after_mm=0.1,
+        claimed_share=0.95,
+        held_out_share=0.70,
+    )
+    b = record(
+        true_before_mm=0.4,
+        true_after_mm=0.3,
+        claimed_before_mm=0.35,
+        claimed_after_mm=0.2,
+        claimed_share=0.6,
+        held_out_share=0.5,
+    )
     found = scored(a, b, record(**MISSED, true_before_mm=0.3, claimed_before_mm=0.3))
     assert value(found, "gap_error") == (pytest.approx(0.08 / 3), 3)
     assert value(found, "gap_error_part") == (pytest.approx((0.15 + 0.125) / 3), 3)
@@ -240,8 +264,11 @@ def test_the_brier_score() -> None:
 
 
 def test_the_calibration_curve() -> None:
-    cases = [record(probabilities={"plate_tilt": 0.75}), record(probabilities={"no-gap": 0.71}),
-             record(probabilities={"plate_tilt": 1.0, "no-gap": 0.0})]  # fmt: skip
+    cases = [
+        record(probabilities={"plate_tilt": 0.75}),
+        record(probabilities={"no-gap": 0.71}),
+        record(probabilities={"plate_tilt": 1.0, "no-gap": 0.0}),
+    ]
     bins = calibration_curve(cases)
     assert [b.came_true.count for b in bins] == [1, 0, 0, 0, 0, 0, 0, 2, 0, 1]
     assert bins[7].said == pytest.approx(0.73)
@@ -277,9 +304,14 @@ def test_the_raw_correlation_is_the_largest_cosine_at_any_place() -> None:
 
 
 GROUP_OF = {
-    "control": "control", "pair": "pair", "plate_force": "absorbed", "swelling": "unlike",
-    "adhesion": "relative", "bent_plate": "relative", "ligament": "relative",
-}  # fmt: skip
+    "control": "control",
+    "pair": "pair",
+    "plate_force": "absorbed",
+    "swelling": "unlike",
+    "adhesion": "relative",
+    "bent_plate": "relative",
+    "ligament": "relative",
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -297,14 +329,32 @@ def test_every_kind_speaks_the_words_of_the_catalogue(kind: str) -> None:
             assert (cause.effect in IN_CATALOGUE) == (cause.effect != "plate_force")
 
 
-def said(name: str, **sizes: float) -> dict[str, Any]:
-    rows = [{"parameter": n, "magnitude": m, "sd": 0.1} for n, m in sizes.items()]
-    return {name: {"refitted": True, "parameters": rows}}
+def said(name: str, **sizes: float) -> dict[str, EffectSummary]:
+    rows = tuple(ParameterEstimate(n, m, 0.1, "") for n, m in sizes.items())
+    lead = rows[0]
+    effect = EffectSummary(
+        name=name,
+        family="",
+        summary="",
+        probability=1.0,
+        magnitude=lead.magnitude,
+        sd=lead.sd,
+        unit=lead.unit,
+        parameters=rows,
+        log_bayes_factor=0.0,
+        absorbed_share=0.0,
+        refitted=True,
+    )
+    return {name: effect}
 
 
 def test_fibres_are_compared_as_turns() -> None:
-    turned = {"kind": "fibres", "effect": "fibre_rotation", "family": "global material",
-              "parameters": {"turn_deg": 20.0, "azimuth_deg": 150.0, "fan_deg": 3.0}}  # fmt: skip
+    turned = {
+        "kind": "fibres",
+        "effect": "fibre_rotation",
+        "family": "global material",
+        "parameters": {"turn_deg": 20.0, "azimuth_deg": 150.0, "fan_deg": 3.0},
+    }
     truth = Truth.model_validate({"kind": "fibres", "causes": [turned]})
     found = magnitudes(truth, said("fibre_rotation", fibre_turn_x_deg=-17.0, fibre_turn_y_deg=9.0))
     assert [m.true for m in found] == pytest.approx([-10 * sqrt(3), 10])
@@ -317,6 +367,6 @@ def test_a_lump_is_looked_for_from_the_middle_of_the_body() -> None:
     at = truth.causes[0].parameters["centre_mm"]
     off = {f"inclusion_{axis}_mm": at[n] - 10.0 for n, axis in enumerate("xyz")}
     found = said("inclusion", **off)
-    assert lump_apart_mm(truth, found, [10.0, 10.0, 13.0]) == pytest.approx(3.0)
+    assert lump_apart_mm(truth, found, (10.0, 10.0, 13.0)) == pytest.approx(3.0)
     assert lump_apart_mm(truth, found, None) is None
-    assert lump_apart_mm(truth, {}, [0.0, 0.0, 0.0]) is None
+    assert lump_apart_mm(truth, {}, (0.0, 0.0, 0.0)) is None

@@ -5,20 +5,24 @@ import json
 import shutil
 import subprocess
 from collections import Counter
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from blind_at_hand import Inline, make_set
 
-from service.blind.frozen import differences, frozen
-from service.blind.make import Asked, plan, shared_out, unmade
-from service.blind.making import publish
+from service.blind.make_case import publish
+from service.blind.make_set import SetRequest, plan, shared_out, unmade
 from service.blind.seal import file_hash, folder_hash, read_json, salted_hash, write_json
+from service.blind.sealed_settings import differences, frozen
 from service.blind.sets import BlindSet, Truths, check_cases, check_truths, read_manifest
 from service.errors import TaskError
+from storage.digest import digest
 from storage.errors import InputError
-from workers.effects.catalogue import BREAST_EFFECTS
+from storage.typed_json import to_json
+from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 
 SHARES = {"control": 2.0, "tilt": 1.0, "friction": 1.0}
 
@@ -87,7 +91,7 @@ def test_equal_seeds_draw_equal_cases_under_other_names(tmp_path: Path) -> None:
 
 def test_what_is_made_is_not_made_again(blind: BlindSet, truths: Truths) -> None:
     sealed = file_hash(blind.manifest)
-    again = Asked(8, None, False, 600)
+    again = SetRequest(8, None, False, 600)
     entries = plan(blind, truths, again, SHARES)
     assert unmade(blind, truths, entries) == []
     blind.manifest.unlink()
@@ -101,12 +105,16 @@ def test_what_is_made_is_not_made_again(blind: BlindSet, truths: Truths) -> None
 
 
 def test_another_set_in_the_same_place_is_refused(blind: BlindSet, truths: Truths) -> None:
-    for asked in (Asked(9, 7, False, 600), Asked(8, 8, False, 600), Asked(8, 7, True, 600),
-                  Asked(8, 7, False, 600, True)):  # fmt: skip
+    for asked in (
+        SetRequest(9, 7, False, 600),
+        SetRequest(8, 8, False, 600),
+        SetRequest(8, 7, True, 600),
+        SetRequest(8, 7, False, 600, True),
+    ):
         with pytest.raises(InputError, match="plans another set"):
             plan(blind, truths, asked, SHARES)
     with pytest.raises(InputError, match="is sealed, and its truths are not in"):
-        plan(blind, Truths(truths.root / "elsewhere"), Asked(8, 7, False, 600), SHARES)
+        plan(blind, Truths(truths.root / "elsewhere"), SetRequest(8, 7, False, 600), SHARES)
 
 
 def test_a_case_that_cannot_be_made_is_no_case(tmp_path: Path) -> None:
@@ -155,12 +163,22 @@ def test_shares_come_as_near_as_whole_numbers_can() -> None:
     assert Counter(shared_out(shares, 1)) == {"d": 1}
 
 
-def test_what_changed_since_the_seal_is_said() -> None:
-    sealed = frozen(5000)
+def test_what_changed_since_the_seal_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    sealed = to_json(frozen(5000))
     assert differences(sealed, frozen(5000)) == []
     assert differences(sealed, frozen(6000)) == ["mesh"]
     assert differences(sealed | {"code": "other"}, frozen(5000)) == ["code"]
     assert sealed["settings"]["effects"][0]["prior_sd"]
+    louder = replace(SETTINGS, alarm=replace(SETTINGS.alarm, least_one_direction=5.0))
+    monkeypatch.setattr("service.blind.sealed_settings.SETTINGS", louder)
+    assert differences(sealed, frozen(5000)) == ["alarm"]
+
+
+def test_the_seal_holds_every_setting() -> None:
+    sealed = frozen(SETTINGS.mesh.nodes)
+    held = {name: sealed.settings[name] for name in asdict(SETTINGS)}
+    assert held == asdict(SETTINGS)
+    assert sealed.settings_digest == digest(sealed.settings)
 
 
 def test_the_dispatcher_at_hand_runs_every_task() -> None:

@@ -30,8 +30,9 @@ def pressed(x: FloatArray) -> FloatArray:
 def normals_after(x: FloatArray, normals: FloatArray) -> FloatArray:
     """Unit normals of the pressed surface, by Nanson: the inverse transpose of the gradient."""
     step = 1e-5
-    F = np.stack([(pressed(x + step * e) - pressed(x - step * e)) / (2 * step) for e in np.eye(3)],
-                 axis=2)  # fmt: skip
+    F = np.stack(
+        [(pressed(x + step * e) - pressed(x - step * e)) / (2 * step) for e in np.eye(3)], axis=2
+    )
     np.testing.assert_allclose(np.linalg.det(F), 1.0, rtol=1e-8)
     out = np.einsum("kji,kj->ki", np.linalg.inv(F), normals)
     return out / np.linalg.norm(out, axis=1, keepdims=True)
@@ -96,10 +97,12 @@ def test_a_model_that_is_off_by_a_known_field_has_that_gap(
     rng = np.random.default_rng(3)
     amiss = 0.25 * np.sin(points[:, 0] / 15)
     slip = np.cross(after, rng.normal(size=after.shape))  # along the surface: no gap
-    moved = np.stack([
-        pressed(points) + (amiss[:, None] * after + slip),
-        points + 0.7 * normals,
-    ])  # fmt: skip
+    moved = np.stack(
+        [
+            pressed(points) + (amiss[:, None] * after + slip),
+            points + 0.7 * normals,
+        ]
+    )
     known = np.stack([np.zeros(len(points)), np.full(len(points), 0.2)])
     found = true_gap(points, moved, np.stack([after, normals]), truth, known)
     expected = np.sqrt(np.mean(amiss**2))

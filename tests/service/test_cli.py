@@ -15,7 +15,7 @@ from stand_ins import SPEC, Inline, run
 from service.cli import main
 from storage.layout import StudyLayout
 from storage.values import Volume
-from workers.images.read import read_volume
+from workers.body.images.read import read_volume
 
 Call = Callable[..., tuple[int, str, str]]
 

@@ -8,11 +8,12 @@ import pytest
 from compressed_breast import CROSSWISE, PRESSED, TRUE_MPA, described, write_case
 
 from storage.errors import InputError
-from workers.cases.build import build_subject
-from workers.cases.case import ImagedCase, extent_mm
-from workers.cases.checks import check_case
-from workers.diagnosis.calibrate import calibrate
+from workers.diagnosis.calibration import calibrate
 from workers.diagnosis.diagnosis import directions_of
+from workers.organs.breast.case_checks import check_case
+from workers.organs.breast.case_files import read_case
+from workers.organs.breast.case_source import ScannedCaseSource
+from workers.organs.breast.scanned_case import extent_mm
 
 NODES, SPACING_MM = 1600, 8.0
 
@@ -25,16 +26,16 @@ def both_ways(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_scan_pressed_along_x_is_fitted_with_one_along_y(both_ways: Path) -> None:
-    case = ImagedCase(both_ways)
+    case = read_case(both_ways)
     check_case(case)
     assert case.names == ["20 N", "8 N along x"]
-    subject, fit = calibrate(build_subject(case, NODES, SPACING_MM))
-    assert [s.problem(fit.values()).load.device.axis[0] for s in subject.scans] == [0.0, 1.0]
-    assert directions_of(subject) == 2
-    assert directions_of(replace(subject, scans=subject.scans[:1])) == 1
+    inverse, fit = calibrate(ScannedCaseSource(case).inverse_problem(NODES, SPACING_MM))
+    assert [s.problem(fit.values()).load.device.axis[0] for s in inverse.scans] == [0.0, 1.0]
+    assert directions_of(inverse) == 2
+    assert directions_of(replace(inverse, scans=inverse.scans[:1])) == 1
     for name, true in TRUE_MPA.items():
         assert fit.values()[name] == pytest.approx(true, rel=0.12)
-    for scan in fit.views:
+    for scan in fit.predictions:
         assert scan.residual.std() < 0.3
 
 
@@ -42,15 +43,15 @@ def test_plates_at_a_distance_tell_the_ratio_of_stiffness(both_ways: Path, tmp_p
     (tmp_path / "case").mkdir()
     for file in both_ways.glob("*.nrrd"):
         (tmp_path / "case" / file.name).symlink_to(file)
-    case = ImagedCase(both_ways)
+    case = read_case(both_ways)
     low, high = extent_mm(case.deformed[0], (0.0, 1.0, 0.0))
     said = described([{"file": PRESSED[1]["file"], "plate_distance_mm": high - low}])
     said["nominal"] |= {"unknown_constants": ["E_gl"], "held_kPa": {"E_fat": 10.0}}
     (tmp_path / "case" / "case.json").write_text(json.dumps(said))
-    case = ImagedCase(tmp_path / "case")
+    case = read_case(tmp_path / "case")
     assert case.names == [f"{high - low:g} mm"]
     check_case(case)
-    _, fit = calibrate(build_subject(case, NODES, SPACING_MM))
+    _, fit = calibrate(ScannedCaseSource(case).inverse_problem(NODES, SPACING_MM))
     assert fit.values()["E_gl"] / 0.010 == pytest.approx(3.2, rel=0.1)
 
 
@@ -68,7 +69,7 @@ def test_a_load_that_makes_no_sense_is_refused(
     said = described([{"file": "pressed.nrrd"} | load])
     (tmp_path / "case.json").write_text(json.dumps(said))
     with pytest.raises(InputError, match=complaint):
-        ImagedCase(tmp_path)
+        read_case(tmp_path)
 
 
 def test_a_constant_without_a_value_is_refused(both_ways: Path, tmp_path: Path) -> None:
@@ -78,4 +79,4 @@ def test_a_constant_without_a_value_is_refused(both_ways: Path, tmp_path: Path) 
     said["nominal"]["unknown_constants"] = ["E_gl"]
     (tmp_path / "case.json").write_text(json.dumps(said))
     with pytest.raises(InputError, match="no value of E_fat"):
-        _ = ImagedCase(tmp_path).free
+        _ = read_case(tmp_path).free

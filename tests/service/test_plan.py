@@ -1,17 +1,23 @@
 """`palpate plan`: a case without loaded scans on a small cluster, its record, words and page."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from meant_case import at_force, write_meant
 from pages import Page
+from plans_at_hand import plan_of
 
 from service.cli import main
 from service.diagnosis import plan_words as words
+from service.diagnosis.planning import request_plan
 from service.report.plan_page import render
-from workers.planning.summary import CLEAR
+from storage.typed_json import to_json
+from workers.diagnosis.planning.summary import ConfusablePair, PlannedEffect, PlanSummary
+from workers.diagnosis.settings import SETTINGS
+from workers.tasks.planning import stored_plan
 
 Json = dict[str, Any]
 
@@ -25,23 +31,26 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def record(runs: Path) -> Json:
+def planned(runs: Path) -> PlanSummary:
     """The plan, computed once by one worker process."""
     out = str(runs / "page.html")
     command = ["plan", str(runs / "meant"), "--nodes", "600", "--workers", "1", "--out", out]
     assert main([*command, "--store", str(runs / "store"), "--json"]) == 0
     stored = list((runs / "store" / "fields").iterdir())
-    assert len(stored) == 6  # five loads and the summary
+    assert len(stored) == 7  # the source, five loads and the summary
     return _again(runs)
 
 
-def _again(runs: Path) -> Json:
-    from service.diagnosis.foresee import ask_plan
-    from workers.foresee import stored_plan
-
-    found = stored_plan(ask_plan(runs / "meant", runs / "store", 600))
+def _again(runs: Path) -> PlanSummary:
+    found = stored_plan(request_plan(runs / "meant", runs / "store", 600))
     assert found is not None
     return found
+
+
+@pytest.fixture(scope="module")
+def record(planned: PlanSummary) -> Json:
+    """The same as JSON."""
+    return dict(to_json(planned))
 
 
 def test_the_record_says_what_can_be_told(record: Json) -> None:
@@ -52,7 +61,7 @@ def test_the_record_says_what_can_be_told(record: Json) -> None:
     assert record["pairs"] == len(names) * (len(names) - 1) // 2
     seen = sum(e["seen"] for e in record["effects"])
     assert record["told_apart"] + len(record["confusable"]) == seen * (seen - 1) // 2
-    assert all(pair["log_evidence"] < CLEAR for pair in record["confusable"])
+    assert all(pair["log_evidence"] < SETTINGS.plan.clear for pair in record["confusable"])
     assert all(row[i] == 1.0 for i, row in enumerate(record["cosines"]))
     force = next(e for e in record["effects"] if e["name"] == "plate_force")
     assert force["absorbed_share"] > 0.95
@@ -81,9 +90,12 @@ def test_a_stored_plan_needs_no_cluster(
 
 
 def test_the_console_names_effects_and_measurements(
-    runs: Path, record: Json, no_cluster: None, monkeypatch: pytest.MonkeyPatch,
+    runs: Path,
+    record: Json,
+    no_cluster: None,
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     where = ["--store", str(runs / "store"), "--out", str(runs / "page.html")]
     assert main(["plan", str(runs / "meant"), "--nodes", "600", *where]) == 0
@@ -95,9 +107,9 @@ def test_the_console_names_effects_and_measurements(
     assert f"page: {runs / 'page.html'}" in said
 
 
-def test_the_page_shows_all_of_it(record: Json) -> None:
-    page = Page(render(record))
-    assert words.headline(record) in page.text
+def test_the_page_shows_all_of_it(planned: PlanSummary, record: Json) -> None:
+    page = Page(render(planned))
+    assert words.headline(planned) in page.text
     for effect in record["effects"]:
         row = next(r for r in page.cells if r and r[0].startswith(effect["name"].replace("_", " ")))
         assert f"{100 * effect['absorbed_share']:.0f} %" in row
@@ -105,7 +117,7 @@ def test_the_page_shows_all_of_it(record: Json) -> None:
         assert page.row(acquisition["name"])[1] == str(acquisition["told_apart"])
     assert len(page.drawings()) == 2
     assert not [a for a in page.addresses if not a.startswith("data:")]
-    assert render(record) == render(record)
+    assert render(planned) == render(planned)
 
 
 def test_nothing_to_plan_is_said(
@@ -116,15 +128,20 @@ def test_nothing_to_plan_is_said(
 
 
 def test_words_for_what_is_silent_and_alike() -> None:
-    told = {
-        "effects": [
-            {"name": "plate_force", "why_not": "hidden"}, {"name": "creep", "why_not": "weak"},
-            {"name": "plate_tilt", "why_not": ""},
-        ],
-        "confusable": [{"effects": ["plate_tilt", "plate_flex"], "log_evidence": 1.234}],
-    }  # fmt: skip
+    def effect(name: str, why_not: Any) -> PlannedEffect:
+        return PlannedEffect(name, "", "", (), 0.5, None, 0.0, 1.0, not why_not, why_not)
+
+    told = replace(
+        plan_of(),
+        effects=(
+            effect("plate_force", "hidden"),
+            effect("creep", "weak"),
+            effect("plate_tilt", ""),
+        ),
+        confusable=(ConfusablePair(("plate_tilt", "plate_flex"), 1.234),),
+    )
     assert words.silence(told) == (
         "Neither accused nor acquitted: plate force (hidden in the constants); creep (too weak)."
     )
     assert words.confusions(told).endswith("plate tilt or plate flex (1.2).")
-    assert words.silence({"effects": told["effects"][2:]}) == ""
+    assert words.silence(replace(told, effects=told.effects[2:])) == ""

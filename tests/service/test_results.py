@@ -7,16 +7,27 @@ from pathlib import Path
 import pytest
 from stand_ins import SPEC, Inline, executions, run, small_spec
 
-from service.chronicle import Chronicle
 from service.results import candidate_results, is_running, study_results
+from service.results_json import candidate_json, study_json
 from service.study import Study
+from service.study_log import StudyLog
 from storage.errors import InputError
 from storage.layout import StudyLayout
 
 KEYS = {
-    "study", "estimates", "score", "evaluations", "seconds", "stopped", "generations",
-    "per_label", "per_label_before", "stages", "versions", "config",
-}  # fmt: skip
+    "study",
+    "estimates",
+    "score",
+    "evaluations",
+    "seconds",
+    "stopped",
+    "generations",
+    "per_label",
+    "per_label_before",
+    "stages",
+    "versions",
+    "config",
+}
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_report_has_what_is_promised(folder: Path) -> None:
-    found = study_results(folder)
+    found = study_json(study_results(folder))
     assert set(found) >= KEYS
     json.dumps(found, allow_nan=False)
     assert found["study"] == "demo"
@@ -39,8 +50,8 @@ def test_a_report_has_what_is_promised(folder: Path) -> None:
 
 
 def test_estimates_are_the_best_candidate_against_the_hidden_constants(folder: Path) -> None:
-    found = study_results(folder)
-    endings = Chronicle.read(StudyLayout(folder).journal).endings.values()
+    found = study_json(study_results(folder))
+    endings = StudyLog.read(StudyLayout(folder).journal).endings.values()
     best = min((r for r in endings if r.score), key=lambda r: r.score["gsf"] if r.score else 0)
     row = found["estimates"]["E_glandular"]
     assert row["estimate"] == best.genes["E_glandular_kpa"]
@@ -52,7 +63,7 @@ def test_estimates_are_the_best_candidate_against_the_hidden_constants(folder: P
 
 
 def test_counts_and_stages_add_up(folder: Path) -> None:
-    found = study_results(folder)
+    found = study_json(study_results(folder))
     counts = found["evaluations"]
     assert sum(counts[s] for s in ("done", "diverged", "crashed", "lost")) == 12 + 4 * 10
     computed = len(executions(folder))
@@ -63,7 +74,7 @@ def test_counts_and_stages_add_up(folder: Path) -> None:
 
 
 def test_the_best_of_the_generations_never_gets_worse(folder: Path) -> None:
-    rows = study_results(folder)["generations"]
+    rows = study_json(study_results(folder))["generations"]
     assert [row["number"] for row in rows] == [0, 1, 2, 3, 4]
     bests = [row["best"] for row in rows]
     assert bests == sorted(bests, reverse=True)
@@ -76,13 +87,13 @@ def test_a_study_that_has_only_begun_can_be_read(tmp_path: Path) -> None:
     with study.folder.open() as journal:
         study.folder.begin(journal)
         assert is_running(folder)
-        found = study_results(folder)
+        found = study_json(study_results(folder))
     assert found["state"] == "running"
     assert found["stopped"] is None
     assert found["score"]["gsf"] is None
     assert found["estimates"]["E_fat"]["estimate"] is None
     assert found["generations"] == [{"number": 0, "asked": 12, "ended": 0, "complete": False}]
-    assert study_results(folder)["state"] == "interrupted"
+    assert study_json(study_results(folder))["state"] == "interrupted"
 
 
 def test_a_perfect_score_is_a_text(tmp_path: Path) -> None:
@@ -94,8 +105,8 @@ def test_a_perfect_score_is_a_text(tmp_path: Path) -> None:
     told = next(line for line in lines if line.get("candidate") == 3)
     told["score"]["gsf"] = "-inf"
     journal.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    assert Chronicle.read(journal).endings[3].score["gsf"] == -math.inf  # type: ignore[index]
-    found = study_results(folder)
+    assert StudyLog.read(journal).endings[3].score["gsf"] == -math.inf  # type: ignore[index]
+    found = study_json(study_results(folder))
     assert found["score"]["gsf"] == "-inf"
     assert found["best"]["candidate"] == 3
     assert found["generations"][0]["best"] == "-inf"
@@ -103,14 +114,14 @@ def test_a_perfect_score_is_a_text(tmp_path: Path) -> None:
 
 
 def test_an_elite_shows_the_ending_that_it_was_carried_over_from(folder: Path) -> None:
-    elite = candidate_results(folder, 12)
-    origin = candidate_results(folder, elite["evaluated_as"])
+    elite = candidate_json(candidate_results(folder, 12))
+    origin = candidate_json(candidate_results(folder, elite["evaluated_as"]))
     assert elite["generation"] == 1
     assert origin["generation"] == 0
     assert elite["genes"] == origin["genes"]
     assert elite["score"] == origin["score"]
-    best = candidate_results(folder, None)
-    assert best["candidate"] == study_results(folder)["best"]["candidate"]
+    best = candidate_json(candidate_results(folder, None))
+    assert best["candidate"] == study_json(study_results(folder))["best"]["candidate"]
 
 
 def test_unknown_candidates_and_studies_are_refused(folder: Path, tmp_path: Path) -> None:
@@ -120,3 +131,69 @@ def test_unknown_candidates_and_studies_are_refused(folder: Path, tmp_path: Path
         study_results(tmp_path)
     with pytest.raises(InputError, match="does not exist"):
         study_results(tmp_path / "nothing")
+
+
+SCORE_KEYS = ["jc", "mhd_mm", "mhd_voxels", "gsf"]
+EVALUATION_KEYS = ["candidate", "generation", "status", "reason", "genes", "score", "digest"]
+STUDY_KEYS: dict[str, list[str] | None] = {
+    "study": None,
+    "state": None,
+    "stopped": None,
+    "estimates": ["E_fat", "E_glandular"],
+    "score": SCORE_KEYS,
+    "best": EVALUATION_KEYS,
+    "evaluations": ["done", "diverged", "crashed", "lost", "reused"],
+    "generations": None,
+    "failures": None,
+    "per_label_before": [],
+    "per_label": [],
+    "seconds": None,
+    "stages": ["solve"],
+    "facts": ["tissue_ml"],
+    "target_kind": None,
+    "sessions": None,
+    "versions": None,
+    "store": None,
+    "folder": None,
+    "config": ["name", "case", "target", "score", "search", "seed", "keep"],
+}
+ESTIMATE_KEYS = ["gene", "estimate", "target", "relative_error", "unit", "bounds"]
+GENERATION_KEYS = ["number", "asked", "ended", "complete"]
+SCORED_KEYS = ["best", "mean", "best_candidate", "best_genes", "failed"]
+CANDIDATE_KEYS = ["study", "candidate", "generation", "evaluated_as", "genes", "status"]
+ENDED_KEYS = [
+    "score",
+    "reason",
+    "traceback",
+    "outcome",
+    "seconds",
+    "worker",
+    "attempts",
+    "reused",
+    "digest",
+]
+
+
+def test_the_keys_of_the_json_stay_as_scripts_know_them(folder: Path) -> None:
+    record = study_json(study_results(folder))
+    assert list(record) == list(STUDY_KEYS)
+    for key, expected in STUDY_KEYS.items():
+        assert expected is None or list(record[key]) == expected, key
+    assert all(list(row) == ESTIMATE_KEYS for row in record["estimates"].values())
+    assert all(list(row) == GENERATION_KEYS + SCORED_KEYS for row in record["generations"])
+    assert all(list(row) == EVALUATION_KEYS for row in record["failures"])
+    assert list(record["failures"][0]["genes"]) == ["E_fat_kpa", "E_glandular_kpa"]
+    assert list(record["stages"]["solve"]) == ["total", "mean", "count"]
+    ended = candidate_json(candidate_results(folder, 3))
+    assert list(ended) == CANDIDATE_KEYS + ENDED_KEYS
+    assert list(ended["score"]) == SCORE_KEYS
+
+
+def test_a_candidate_without_an_ending_is_waiting(tmp_path: Path) -> None:
+    folder = tmp_path / "demo"
+    study = Study(small_spec(), folder)
+    with study.folder.open() as journal:
+        study.folder.begin(journal)
+    record = candidate_json(candidate_results(folder, 3))
+    assert list(record) == CANDIDATE_KEYS
+    assert record["status"] == "waiting"

@@ -3,10 +3,12 @@
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from service.spec import StudySpec, differences, parse_spec, read_spec
 from service.templates import template
 from storage.errors import InputError
+from workers.spec import explain
 
 SPEC = """
 name: demo
@@ -119,3 +121,12 @@ def test_templates_are_studies_with_the_values_that_they_call_default(kind: str)
     )
     assert spec.score == parsed(SPEC).score
     assert spec.case.model == parsed(SPEC).case.model
+
+
+def test_bounds_are_checked_at_the_door() -> None:
+    data = parsed(SPEC).as_dict()
+    good = StudySpec.model_validate(data | {"search": {"parameters": {"E_fat_kpa": [5, 20]}}})
+    assert good.search.parameters == {"E_fat_kpa": (5, 20)}
+    with pytest.raises(ValidationError) as error:
+        StudySpec.model_validate(data | {"search": {"parameters": {"E_fat_kpa": [20, 5]}}})
+    assert "Write [5, 20]" in explain(error.value)

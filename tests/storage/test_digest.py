@@ -16,11 +16,14 @@ from storage.errors import InputError
 CASE = {"E_fat": 0.1 + 0.2, "nodes": 2000, "labels": {10: "fat", 9: "é"}, "a": [1, None, True]}
 
 PLAIN = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
     | st.text(),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
     max_leaves=12,
-)  # fmt: skip
+)
 
 
 def test_sixteen_hexadecimal_digits():

@@ -1,1 +1,1 @@
-"""Cases whose truth is known: another solver, other forms of every effect, sealed noise."""
+"""Make cases whose truth is known: another solver, other forms of every effect, sealed noise."""

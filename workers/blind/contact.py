@@ -1,4 +1,4 @@
-r"""Two rigid plates against the points of the skin, with Coulomb's friction.
+r"""Press two rigid plates against the points of the skin, with Coulomb's friction.
 
 A plate is a height h over the plane normal to the axis of compression d,
 
@@ -18,15 +18,15 @@ import numpy as np
 from numba import njit
 
 from storage.values import FloatArray, IntArray
-from workers.blind.element import FACE_WEIGHTS, QuadraticMesh, face_areas, face_shapes
-from workers.blind.tissue import COMPILE
+from workers.blind.quadratic_element import FACE_WEIGHTS, QuadraticMesh, face_areas, face_shapes
+from workers.compile_flags import CONTRACTED
 
 PENALTY_N_PER_MM3 = 1.0
 SLIP_N_PER_MM3 = 0.3
 
 
 class Plate(NamedTuple):
-    """One plate.
+    """Describe one plate.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Plate(NamedTuple):
 
 
 class Skin(NamedTuple):
-    """Points of the free surface that may touch.
+    """Hold the points of the free surface that may touch.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ class Skin(NamedTuple):
     friction: FloatArray
 
 
-class Grip(NamedTuple):
-    """What friction remembers, for the points of one plate.
+class FrictionState(NamedTuple):
+    """Hold what friction remembers, for the points of one plate.
 
     Parameters
     ----------
@@ -91,29 +91,39 @@ class Grip(NamedTuple):
 
 
 def skin_of(mesh: QuadraticMesh) -> Skin:
-    """The free surface, without friction."""
+    """Return the points of the free surface of a mesh, without friction."""
     shapes = face_shapes()
     areas = face_areas(mesh, mesh.skin)[:, None] * FACE_WEIGHTS
     places = np.einsum("qa,kai->kqi", shapes, mesh.nodes[mesh.skin])
     return Skin(np.ascontiguousarray(mesh.skin), shapes, areas, places, np.zeros_like(areas))
 
 
-def loose(skin: Skin) -> Grip:
-    """Friction before anything has touched."""
-    return Grip(np.zeros((*skin.areas.shape, 2)), np.zeros(skin.areas.shape))
+def no_friction_yet(skin: Skin) -> FrictionState:
+    """Return the state of friction before anything has touched."""
+    return FrictionState(np.zeros((*skin.areas.shape, 2)), np.zeros(skin.areas.shape))
 
 
-@njit(**COMPILE)
-def _displacement(skin, f, q, u, out):  # type: ignore[no-untyped-def]
+@njit(**CONTRACTED)
+def _displacement(skin: Skin, f: int, q: int, u: FloatArray, out: FloatArray) -> None:
     for i in range(3):
         out[i] = 0.0
         for a in range(6):
             out[i] += skin.shapes[q, a] * u[skin.faces[f, a], i]
 
 
-@njit(**COMPILE)
-def _gap(plate, x, t, slope):  # type: ignore[no-untyped-def]
-    """Gap at x; `slope` gets its gradient. Also the second derivative of h by s1, scaled."""
+@njit(**CONTRACTED)
+def _place(
+    skin: Skin, f: int, q: int, u: FloatArray, displacement: FloatArray, x: FloatArray
+) -> None:
+    """Fill the displacement of a point and its deformed position x, both (3,)."""
+    _displacement(skin, f, q, u, displacement)
+    for i in range(3):
+        x[i] = skin.places[f, q, i] + displacement[i]
+
+
+@njit(**CONTRACTED)
+def _gap(plate: Plate, x: FloatArray, t: float, slope: FloatArray) -> tuple[float, float]:
+    """Return the gap at x and the scaled second derivative of h by s1; fill its slope."""
     s1, s2, along = 0.0, 0.0, 0.0
     for i in range(3):
         s1 += plate.frame[0, i] * (x[i] - plate.pivot_mm[i])
@@ -133,29 +143,37 @@ def _gap(plate, x, t, slope):  # type: ignore[no-untyped-def]
     return c * (plate.start_mm + h - moved - along), bend
 
 
-@njit(**COMPILE)
-def _drag(plate, grip, friction, f, q, d, s):  # type: ignore[no-untyped-def]
-    """Elastic slip into `s` (2,); returns its length and the traction that it can reach."""
+@njit(**CONTRACTED)
+def _elastic_slip(
+    plate: Plate,
+    friction_state: FrictionState,
+    friction: FloatArray,
+    f: int,
+    q: int,
+    d: FloatArray,
+    s: FloatArray,
+) -> tuple[float, float]:
+    """Fill the elastic slip `s` (2,); return its length and the traction that it can reach."""
     for k in range(2):
-        s[k] = -grip.origin[f, q, k]
+        s[k] = -friction_state.origin[f, q, k]
         for i in range(3):
             s[k] += plate.frame[k, i] * d[i]
-    return np.sqrt(s[0] ** 2 + s[1] ** 2), friction[f, q] * grip.pressure[f, q]
+    return np.sqrt(s[0] ** 2 + s[1] ** 2), friction[f, q] * friction_state.pressure[f, q]
 
 
-@njit(**COMPILE)
-def contact_energy(skin, plate, grip, u, t):  # type: ignore[no-untyped-def]
-    """Energy of the penalty and of the held friction, in mJ."""
+@njit(**CONTRACTED)
+def contact_energy(
+    skin: Skin, plate: Plate, friction_state: FrictionState, u: FloatArray, t: float
+) -> float:
+    """Return the energy of the penalty and of the held friction, in mJ."""
     d, x, slope, s = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
     total = 0.0
     for f in range(skin.areas.shape[0]):
         for q in range(6):
-            _displacement(skin, f, q, u, d)
-            for i in range(3):
-                x[i] = skin.places[f, q, i] + d[i]
+            _place(skin, f, q, u, d, x)
             gap, _ = _gap(plate, x, t, slope)
             density = 0.5 * PENALTY_N_PER_MM3 * min(gap, 0.0) ** 2
-            length, limit = _drag(plate, grip, skin.friction, f, q, d, s)
+            length, limit = _elastic_slip(plate, friction_state, skin.friction, f, q, d, s)
             if limit > 0:
                 if SLIP_N_PER_MM3 * length <= limit:
                     density += 0.5 * SLIP_N_PER_MM3 * length**2
@@ -165,8 +183,19 @@ def contact_energy(skin, plate, grip, u, t):  # type: ignore[no-untyped-def]
     return total
 
 
-@njit(**COMPILE)
-def add_contact(skin, plate, grip, u, t, slots, exact, force, border, blocks):  # type: ignore[no-untyped-def]
+@njit(**CONTRACTED)
+def add_contact(
+    skin: Skin,
+    plate: Plate,
+    friction_state: FrictionState,
+    u: FloatArray,
+    t: float,
+    slots: IntArray,
+    exact: bool,
+    force: FloatArray,
+    border: FloatArray,
+    blocks: FloatArray,
+) -> tuple[float, float]:
     """Add the derivatives by nodes and travel.
 
     `force` (n, 3) gets the first, `blocks` (b, 3, 3) the second and `border` (n, 3) the
@@ -178,11 +207,9 @@ def add_contact(skin, plate, grip, u, t, slots, exact, force, border, blocks):  
     closing, stiffness = 0.0, 0.0
     for f in range(skin.areas.shape[0]):
         for q in range(6):
-            _displacement(skin, f, q, u, d)
-            for i in range(3):
-                x[i] = skin.places[f, q, i] + d[i]
+            _place(skin, f, q, u, d, x)
             gap, bend = _gap(plate, x, t, slope)
-            length, limit = _drag(plate, grip, skin.friction, f, q, d, s)
+            length, limit = _elastic_slip(plate, friction_state, skin.friction, f, q, d, s)
             if gap >= 0 and not limit > 0:
                 continue
             area = skin.areas[f, q]
@@ -211,9 +238,13 @@ def add_contact(skin, plate, grip, u, t, slots, exact, force, border, blocks):  
                             if exact and not sticks:
                                 for e in range(2):
                                     H[i, j] -= (
-                                        secant * s[c] * s[e] / length**2
-                                        * plate.frame[c, i] * plate.frame[e, j]
-                                    )  # fmt: skip
+                                        secant
+                                        * s[c]
+                                        * s[e]
+                                        / length**2
+                                        * plate.frame[c, i]
+                                        * plate.frame[e, j]
+                                    )
             for a in range(6):
                 n, weight = skin.faces[f, a], skin.shapes[q, a]
                 for i in range(3):
@@ -227,28 +258,30 @@ def add_contact(skin, plate, grip, u, t, slots, exact, force, border, blocks):  
     return closing, stiffness
 
 
-@njit(**COMPILE)
-def renew_pressure(skin, plate, grip, u, t):  # type: ignore[no-untyped-def]
+@njit(**CONTRACTED)
+def renew_pressure(
+    skin: Skin, plate: Plate, friction_state: FrictionState, u: FloatArray, t: float
+) -> None:
     """Let friction be limited by the pressure that the plate has now."""
     d, x, slope = np.empty(3), np.empty(3), np.empty(3)
     for f in range(skin.areas.shape[0]):
         for q in range(6):
-            _displacement(skin, f, q, u, d)
-            for i in range(3):
-                x[i] = skin.places[f, q, i] + d[i]
+            _place(skin, f, q, u, d, x)
             gap, _ = _gap(plate, x, t, slope)
-            grip.pressure[f, q] = -PENALTY_N_PER_MM3 * min(gap, 0.0)
+            friction_state.pressure[f, q] = -PENALTY_N_PER_MM3 * min(gap, 0.0)
 
 
-@njit(**COMPILE)
-def slide(skin, plate, grip, u):  # type: ignore[no-untyped-def]
-    """End a load step: what slid, or does not touch, is dragged from a new origin."""
+@njit(**CONTRACTED)
+def update_friction_origin(
+    skin: Skin, plate: Plate, friction_state: FrictionState, u: FloatArray
+) -> None:
+    """End a load step: drag what slid, or does not touch, from a new origin."""
     d, s = np.empty(3), np.empty(2)
     for f in range(skin.areas.shape[0]):
         for q in range(6):
             _displacement(skin, f, q, u, d)
-            length, limit = _drag(plate, grip, skin.friction, f, q, d, s)
+            length, limit = _elastic_slip(plate, friction_state, skin.friction, f, q, d, s)
             reach = limit / SLIP_N_PER_MM3
             if length > reach:
                 for k in range(2):
-                    grip.origin[f, q, k] += s[k] * (1 - reach / length)
+                    friction_state.origin[f, q, k] += s[k] * (1 - reach / length)

@@ -1,4 +1,4 @@
-"""A quadratic body as many small linear tetrahedra, whose faces follow its curves."""
+"""Cut a quadratic body into many small linear tetrahedra, whose faces follow its curves."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from storage.values import FloatArray, IntArray, TetMesh
-from workers.blind.element import EDGES, QuadraticMesh
+from workers.blind.quadratic_element import EDGES, QuadraticMesh
 
 HALVINGS = 2  # of every edge
 SAME_MM = 1e-6  # nodes nearer to each other than this are one
@@ -14,7 +14,7 @@ SAME_MM = 1e-6  # nodes nearer to each other than this are one
 
 @dataclass(frozen=True, eq=False)
 class FineMesh:
-    """Linear tetrahedra and the matrix from values of the quadratic nodes to theirs."""
+    """Hold linear tetrahedra and the matrix from values of the quadratic nodes to theirs."""
 
     mesh: TetMesh
     interpolation: csr_matrix
@@ -23,8 +23,9 @@ class FineMesh:
 def fine_mesh_of(mesh: QuadraticMesh) -> FineMesh:
     """Cut every element into eight, and each of them again."""
     places, tets = _cut(HALVINGS)
-    shapes = np.hstack([places * (2 * places - 1),
-                        4 * places[:, EDGES[:, 0]] * places[:, EDGES[:, 1]]])  # fmt: skip
+    shapes = np.hstack(
+        [places * (2 * places - 1), 4 * places[:, EDGES[:, 0]] * places[:, EDGES[:, 1]]]
+    )
     points = np.einsum("la,mai->mli", places, mesh.nodes[mesh.cells[:, :4]]).reshape(-1, 3)
     key = np.rint(points / SAME_MM).astype(np.int64)
     _, first, owner = np.unique(key, axis=0, return_index=True, return_inverse=True)
@@ -38,7 +39,7 @@ def fine_mesh_of(mesh: QuadraticMesh) -> FineMesh:
 
 
 def _cut(halvings: int) -> tuple[FloatArray, IntArray]:
-    """Barycentric coordinates of the nodes in an element, and its parts."""
+    """Return the barycentric coordinates of the nodes in an element, and its parts."""
     # Four at the corners; the octahedron that is left is cut along the line from 4 to 9.
     parts = np.array([
         [0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3],

@@ -1,4 +1,4 @@
-"""Points on the true interfaces of a body, and where they go."""
+"""Put points on the true interfaces of a body, and follow them."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from storage.values import FloatArray, IntArray, Tissue, Volume
-from workers.blind.element import EDGES, FACE_EDGES, QuadraticMesh, face_areas
+from workers.blind.quadratic_element import EDGES, FACE_EDGES, QuadraticMesh, face_areas
 
 OUTLINE, GLANDULAR = 0, 1
 WALL_MARGIN_MM = 4.0
@@ -17,7 +17,7 @@ NEAREST = 40  # elements tried for each point
 
 @dataclass(frozen=True, eq=False)
 class MaterialPoints:
-    """k points that move with the tissue.
+    """Hold k points that move with the tissue.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class MaterialPoints:
     weights: FloatArray
 
     def moved(self, displacement_mm: FloatArray) -> FloatArray:
-        """Displacement (k, 3) from that of the nodes (n, 3)."""
+        """Return the displacement (k, 3) from that of the nodes (n, 3)."""
         return np.asarray(np.einsum("ka,kai->ki", self.weights, displacement_mm[self.nodes]))
 
 
@@ -57,10 +57,12 @@ def points_on(mesh: QuadraticMesh, labels: Volume, count: int, seed: int) -> Mat
     outline = _on_outline(mesh, count, rng)
     gland = _on_gland(mesh, labels, count, rng)
     parts = [p for p in (outline, gland) if len(p.points)]
-    return MaterialPoints(*(
-        np.concatenate([getattr(p, name) for p in parts])
-        for name in ("points", "interface", "nodes", "weights")
-    ))  # fmt: skip
+    return MaterialPoints(
+        *(
+            np.concatenate([getattr(p, name) for p in parts])
+            for name in ("points", "interface", "nodes", "weights")
+        )
+    )
 
 
 def _on_outline(mesh: QuadraticMesh, count: int, rng: np.random.Generator) -> MaterialPoints:
@@ -96,7 +98,7 @@ def _on_gland(
 
 
 def locate(mesh: QuadraticMesh, points: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Element of each point (k, 3), -1 outside of all, and barycentric coordinates (k, 4)."""
+    """Find the element of each point (k, 3), -1 outside, and barycentric coordinates (k, 4)."""
     corners = mesh.nodes[mesh.cells[:, :4]]
     edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     inverse = np.linalg.inv(edges)

@@ -1,4 +1,4 @@
-"""Equilibrium by Newton's method with a line search on the energy."""
+"""Find equilibria by Newton's method with a line search on the energy."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,29 +7,34 @@ import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix
 
 from storage.errors import PalpateError
-from workers.blind.linear import Solved, TwoLevel, conjugate, factored
 from workers.blind.system import State, System, Tangent
+from workers.blind.two_level_solver import (
+    LinearSolution,
+    TwoLevel,
+    conjugate_gradients,
+    factorised_coarse_tangent,
+)
 
-FINE = 2e-5  # of the plate's force, that may be out of balance
-NEAR = 0.02  # of the force; from there on friction has its exact tangent
-MOST = 120
-SLACK = 1e-9  # of the energy, that rounding may add
+FORCE_TOLERANCE = 2e-5  # of the plate's force, that may be out of balance
+EXACT_FRICTION_BELOW = 0.02  # of the force; from there on friction has its exact tangent
+MAX_STEPS = 120
+ENERGY_SLACK = 1e-9  # of the energy, that rounding may add
 
 
 class NoEquilibriumError(PalpateError):
-    """Newton's method came to no end."""
+    """Say that Newton's method found no equilibrium."""
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
-    """Newton steps and iterations of conjugate gradients."""
+class SolverEffort:
+    """Count Newton steps and iterations of conjugate gradients."""
 
     steps: int
     iterations: int
 
 
 def interpolation_of(system: System) -> csc_matrix:
-    """From corners to all nodes, (n, c)."""
+    """Return the matrix from corners to all nodes, (n, c)."""
     ends = system.topology.mesh.ends
     rows = np.repeat(np.arange(len(ends)), 2)
     shape = (len(ends), system.topology.mesh.corners)
@@ -37,7 +42,7 @@ def interpolation_of(system: System) -> csc_matrix:
 
 
 class Newton:
-    """Keeps the coarse factor from one equilibrium to the next.
+    """Find equilibria, keeping the coarse factor from one to the next.
 
     Parameters
     ----------
@@ -54,9 +59,9 @@ class Newton:
         self._last = 0
 
     def equilibrium(
-        self, state: State, force_n: float, tolerance: float = FINE
-    ) -> tuple[State, Effort]:
-        """The state of rest under a force, from a state near it.
+        self, state: State, force_n: float, tolerance: float = FORCE_TOLERANCE
+    ) -> tuple[State, SolverEffort]:
+        """Find the state of rest under a force, from a state near it.
 
         Parameters
         ----------
@@ -78,13 +83,13 @@ class Newton:
         system = self.system
         total = 0
         before = np.inf
-        for step in range(MOST):
-            if system.rubs:
+        for step in range(MAX_STEPS):
+            if system.has_friction:
                 system.renew_friction(state)
-            force, tangent = system.linearised(state, force_n, exact=before < NEAR)
+            force, tangent = system.linearised(state, force_n, exact=before < EXACT_FRICTION_BELOW)
             size = float(np.sqrt((force.u**2).sum() + force.travel**2)) / force_n
             if size < tolerance:
-                return state, Effort(step, total)
+                return state, SolverEffort(step, total)
             forcing = min(0.1, max(0.003, 0.5 * (size / before) if np.isfinite(before) else 0.1))
             before = size
             solved = self._solve(force, tangent, forcing)
@@ -102,36 +107,36 @@ class Newton:
             f"after {step + 1} steps."
         )
 
-    def _solve(self, force: State, tangent: Tangent, tolerance: float) -> Solved:
+    def _solve(self, force: State, tangent: Tangent, tolerance: float) -> LinearSolution:
         top = self.system.topology
         inverses = np.linalg.inv(tangent.blocks[self._diagonal])
         if self._factor is None or self._last > 1.3 * self._fresh + 5:
-            self._factor = factored(
+            self._factor = factorised_coarse_tangent(
                 top.coarsening, tangent.blocks, tangent.border, tangent.corner, self.interpolation
             )
             self._fresh = 0
         cycle = TwoLevel(
             top.pattern, tangent.blocks, tangent.border, inverses, self.interpolation, self._factor
         )
-        solved = conjugate(cycle, tangent.corner, force.u, force.travel, tolerance)
+        solved = conjugate_gradients(cycle, tangent.corner, force.u, force.travel, tolerance)
         self._last = solved.iterations
         self._fresh = self._fresh or solved.iterations
         return solved
 
     def _downhill(self, force: State, tangent: Tangent) -> State:
-        """A step down the slope, scaled by the stiffness of each node."""
+        """Return a step down the slope, scaled by the stiffness of each node."""
         stiffness = np.abs(tangent.blocks[self._diagonal]).sum(axis=2)
         return State(-force.u / stiffness, -force.travel / max(tangent.corner, 1.0))
 
     def _searched(self, state: State, step: State, force: State, force_n: float) -> State | None:
-        """The first of ever shorter steps that lowers the energy enough (Armijo)."""
+        """Return the first of ever shorter steps that lowers the energy enough (Armijo)."""
         energy = self.system.energy(state, force_n)
         slope = float((force.u * step.u).sum()) + force.travel * step.travel
         fraction = 1.0
         for _ in range(25):
             trial = state.plus(step, fraction)
-            found = self.system.energy(trial, force_n)
-            if found <= energy + 1e-4 * fraction * slope + SLACK * abs(energy):
+            trial_energy = self.system.energy(trial, force_n)
+            if trial_energy <= energy + 1e-4 * fraction * slope + ENERGY_SLACK * abs(energy):
                 return trial
             fraction *= 0.5
         return None

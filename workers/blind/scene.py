@@ -1,4 +1,4 @@
-"""The nominal physics of a breast between plates, and where reality may differ from them.
+"""Describe the nominal physics of a breast between plates, and where reality may differ.
 
 Distances are in mm; stiffness goes by factors and lengths, so nothing here has a unit of
 stress but the wall's springs.
@@ -20,7 +20,7 @@ NU = 0.49
 
 @dataclass(frozen=True, slots=True)
 class Anatomy:
-    """Size and inside of a breast: two half ellipsoids on the chest wall.
+    """Give size and inside of a breast: two half ellipsoids on the chest wall.
 
     Parameters
     ----------
@@ -42,20 +42,20 @@ class Anatomy:
 
     @property
     def centre_mm(self) -> Triple:
-        """Middle of the box around the body."""
+        """Return the middle of the box around the body."""
         return (self.upper_mm - self.lower_mm) / 2, 0.0, self.depth_mm / 2
 
     @property
     def half_mm(self) -> Triple:
-        """Half sides of that box."""
+        """Return half the sides of that box."""
         return (self.upper_mm + self.lower_mm) / 2, self.half_width_mm, self.depth_mm / 2
 
     def normalised(self, points: FloatArray) -> FloatArray:
-        """Points (k, 3) with -1 and 1 on the faces of the box."""
+        """Scale points (k, 3) to -1 and 1 on the faces of the box."""
         return np.asarray((points - self.centre_mm) / np.asarray(self.half_mm))
 
     def depth_inside(self, points: FloatArray) -> FloatArray:
-        """How far points (k, 3) lie inside the ellipsoids, in mm, roughly."""
+        """Return how far points (k, 3) lie inside the ellipsoids, in mm, roughly."""
         along = np.where(points[:, 0] < 0, self.lower_mm, self.upper_mm)
         axes = np.column_stack(
             [along, np.full((len(points), 2), (self.half_width_mm, self.depth_mm))]
@@ -66,7 +66,7 @@ class Anatomy:
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """What a diagnosis does not know, in kPa."""
+    """Hold what a diagnosis does not know, in kPa."""
 
     E_fat_kpa: float
     E_gl_kpa: float
@@ -75,7 +75,7 @@ class Constants:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """All that a solution depends on; without changes, the nominal physics.
+    """Hold all that a solution depends on; without changes, the nominal physics.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which blocks a tangent has, and the coarse blocks that each of them adds to."""
+"""Find which blocks a tangent has, and the coarse blocks that each of them adds to."""
 
 from typing import NamedTuple
 
@@ -6,20 +6,20 @@ import numpy as np
 from numba import njit
 from scipy.sparse import csr_matrix
 
-from storage.values import IntArray
-from workers.blind.element import QuadraticMesh
-from workers.blind.tissue import COMPILE
+from storage.values import FloatArray, IntArray
+from workers.blind.quadratic_element import QuadraticMesh
+from workers.compile_flags import CONTRACTED
 
 
 class Pattern(NamedTuple):
-    """Blocks of 3 x 3 in compressed rows: starts (n + 1,), columns (b,), sorted."""
+    """Hold blocks of 3 x 3 in compressed rows: starts (n + 1,), columns (b,), sorted."""
 
     starts: IntArray
     columns: IntArray
 
 
 def pattern_of(cells: IntArray, count: int) -> Pattern:
-    """Blocks that elements with these nodes fill.
+    """Find the blocks that elements with these nodes fill.
 
     Parameters
     ----------
@@ -36,8 +36,8 @@ def pattern_of(cells: IntArray, count: int) -> Pattern:
     return Pattern(joined.indptr.astype(np.int32), joined.indices.astype(np.int32))
 
 
-@njit(**COMPILE)
-def _slot(starts, columns, row, column):  # type: ignore[no-untyped-def]
+@njit(**CONTRACTED)
+def _slot(starts: IntArray, columns: IntArray, row: int, column: int) -> int:
     low, high = starts[row], starts[row + 1]
     while low < high:
         middle = (low + high) // 2
@@ -48,9 +48,9 @@ def _slot(starts, columns, row, column):  # type: ignore[no-untyped-def]
     return low
 
 
-@njit(**COMPILE)
-def slots_of(cells, starts, columns):  # type: ignore[no-untyped-def]
-    """Number of the block of every pair of nodes of every element, (m, a, a) int32."""
+@njit(**CONTRACTED)
+def slots_of(cells: IntArray, starts: IntArray, columns: IntArray) -> IntArray:
+    """Return the number of the block of every pair of nodes of every element, (m, a, a) int32."""
     m, a = cells.shape
     out = np.empty((m, a, a), np.int32)
     for e in range(m):
@@ -61,7 +61,7 @@ def slots_of(cells, starts, columns):  # type: ignore[no-untyped-def]
 
 
 class Coarsening(NamedTuple):
-    """The blocks of the corners, and where the blocks of all nodes go.
+    """Hold the blocks of the corners, and where the blocks of all nodes go.
 
     Parameters
     ----------
@@ -77,14 +77,14 @@ class Coarsening(NamedTuple):
 
 
 def coarsening_of(mesh: QuadraticMesh, pattern: Pattern) -> Coarsening:
-    """From the blocks of ten-node elements to those of their corners."""
+    """Find how the blocks of ten-node elements add to those of their corners."""
     coarse = pattern_of(mesh.cells[:, :4], mesh.corners)
     rows = np.repeat(np.arange(len(mesh.nodes), dtype=np.int32), np.diff(pattern.starts))
     return Coarsening(coarse, _targets(*coarse, mesh.ends[rows], mesh.ends[pattern.columns]))
 
 
-@njit(**COMPILE)
-def _targets(starts, columns, rows, others):  # type: ignore[no-untyped-def]
+@njit(**CONTRACTED)
+def _targets(starts: IntArray, columns: IntArray, rows: IntArray, others: IntArray) -> IntArray:
     out = np.empty((len(rows), 4), np.int32)
     for b in range(len(rows)):
         for k in range(4):
@@ -92,9 +92,9 @@ def _targets(starts, columns, rows, others):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(**COMPILE)
-def coarsened(targets, fine, out):  # type: ignore[no-untyped-def]
-    """Galerkin's product with the interpolation from the corners, into `out` (c, 3, 3)."""
+@njit(**CONTRACTED)
+def coarsened(targets: IntArray, fine: FloatArray, out: FloatArray) -> None:
+    """Fill Galerkin's product with the interpolation from the corners, `out` (c, 3, 3)."""
     out[:] = 0.0
     for b in range(len(targets)):
         for k in range(4):

@@ -1,4 +1,4 @@
-"""All that acts on a body between plates: energy, out-of-balance force, tangent."""
+"""Sum all that acts on a body between plates: energy, out-of-balance force, tangent."""
 
 from dataclasses import dataclass
 
@@ -8,11 +8,18 @@ from numpy.typing import NDArray
 from storage.values import FloatArray, IntArray
 from workers.blind import contact
 from workers.blind.contact import Plate, Skin
-from workers.blind.element import FACE_WEIGHTS, QuadraticMesh, face_areas, face_shapes
-from workers.blind.linear import product
-from workers.blind.sheet import Sheet, add_sheet, sheet_energy
+from workers.blind.element_energy import (
+    Cells,
+    ElementMaterials,
+    add_forces,
+    add_tangent,
+    cells_of,
+    energy,
+)
+from workers.blind.quadratic_element import FACE_WEIGHTS, QuadraticMesh, face_areas, face_shapes
+from workers.blind.skin_membrane import Sheet, add_sheet, sheet_energy
 from workers.blind.sparsity import Coarsening, Pattern, coarsening_of, pattern_of, slots_of
-from workers.blind.tissue import Cells, Matter, add_forces, add_tangent, cells_of, energy
+from workers.blind.two_level_solver import block_product
 
 DENSITY_T_PER_MM3 = 1.0e-9
 GRAVITY_MM_PER_S2 = 9810.0
@@ -20,7 +27,7 @@ GRAVITY_MM_PER_S2 = 9810.0
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """What a mesh alone decides."""
+    """Hold what a mesh alone decides."""
 
     mesh: QuadraticMesh
     cells: Cells
@@ -47,7 +54,7 @@ def topology_of(mesh: QuadraticMesh) -> Topology:
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """How the chest wall holds the body.
+    """Describe how the chest wall holds the body.
 
     Parameters
     ----------
@@ -63,19 +70,19 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Displacement (n, 3) in mm and how far the plates have closed, in mm."""
+    """Hold displacement (n, 3) in mm and how far the plates have closed, in mm."""
 
     u: FloatArray
     travel: float
 
     def plus(self, step: "State", fraction: float = 1.0) -> "State":
-        """Moved on by part of a step."""
+        """Return the state moved on by part of a step."""
         return State(self.u + fraction * step.u, self.travel + fraction * step.travel)
 
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """Blocks (b, 3, 3), the mixed derivative by the travel (n, 3) and the second one by it."""
+    """Hold blocks (b, 3, 3), the mixed derivative by the travel (n, 3) and the second one by it."""
 
     blocks: FloatArray
     border: FloatArray
@@ -83,12 +90,12 @@ class Tangent:
 
 
 class System:
-    """A body, what it is made of and what acts on it; friction remembers its path.
+    """Combine a body, its materials and what acts on it; friction remembers its path.
 
     Parameters
     ----------
     topology : Topology
-    matter : Matter
+    materials : Matter
     wall : Wall
     plates : tuple of Plate
         Lower and upper.
@@ -101,15 +108,24 @@ class System:
     """
 
     def __init__(
-        self, topology: Topology, matter: Matter, wall: Wall, plates: tuple[Plate, Plate],
-        friction: FloatArray, gravity_g: FloatArray, sheet: Sheet | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        topology: Topology,
+        materials: ElementMaterials,
+        wall: Wall,
+        plates: tuple[Plate, Plate],
+        friction: FloatArray,
+        gravity_g: FloatArray,
+        sheet: Sheet | None = None,
+    ) -> None:
         self.topology = topology
-        self.matter = matter
+        self.materials = materials
         self.plates = plates
         self.sheet = sheet
         self.skin = topology.skin._replace(friction=friction)
-        self.grips = (contact.loose(self.skin), contact.loose(self.skin))
+        self.friction_states = (
+            contact.no_friction_yet(self.skin),
+            contact.no_friction_yet(self.skin),
+        )
         self.weight = _weight(topology, gravity_g)
         self.springs = _spring_blocks(topology, wall)
         self.free = np.ones(topology.mesh.nodes.shape, np.bool_)
@@ -117,39 +133,39 @@ class System:
             self.free[np.unique(topology.mesh.wall), 2] = False
 
     @property
-    def rubs(self) -> bool:
-        """Whether there is any friction."""
+    def has_friction(self) -> bool:
+        """Say whether there is any friction."""
         return bool(self.skin.friction.any())
 
     def energy(self, state: State, force_n: float) -> float:
-        """Potential energy in mJ under the force that closes the plates."""
+        """Return the potential energy in mJ under the force that closes the plates."""
         u, t = state.u, state.travel
-        total = energy(self.topology.cells, self.matter, u) - force_n * t
-        total += 0.5 * float((u * self.pull_of_springs(u)).sum()) - float((u * self.weight).sum())
+        total = energy(self.topology.cells, self.materials, u) - force_n * t
+        total += 0.5 * float((u * self.spring_forces(u)).sum()) - float((u * self.weight).sum())
         if self.sheet is not None:
             total += sheet_energy(self.sheet, u)
-        for plate, grip in zip(self.plates, self.grips, strict=True):
-            total += contact.contact_energy(self.skin, plate, grip, u, t)
+        for plate, friction_state in zip(self.plates, self.friction_states, strict=True):
+            total += contact.contact_energy(self.skin, plate, friction_state, u, t)
         return float(total)
 
     def linearised(self, state: State, force_n: float, exact: bool = True) -> tuple[State, Tangent]:
-        """Out-of-balance force, zero where nothing is free, and tangent.
+        """Return the out-of-balance force, zero where nothing is free, and the tangent.
 
         Without `exact` friction has a stiffness above its tangent: far from the end it
         leads there in longer steps.
         """
         top, u, t = self.topology, state.u, state.travel
-        force = self.pull_of_springs(u) - self.weight
-        add_forces(top.cells, self.matter, u, force)
+        force = self.spring_forces(u) - self.weight
+        add_forces(top.cells, self.materials, u, force)
         blocks = self.springs.copy()
-        add_tangent(top.cells, self.matter, u, top.slots, blocks)
+        add_tangent(top.cells, self.materials, u, top.slots, blocks)
         if self.sheet is not None:
             add_sheet(self.sheet, u, top.face_slots, force, blocks)
         border = np.zeros_like(u)
         closing, corner = -force_n, 0.0
-        for plate, grip in zip(self.plates, self.grips, strict=True):
+        for plate, friction_state in zip(self.plates, self.friction_states, strict=True):
             on_travel, stiff = contact.add_contact(
-                self.skin, plate, grip, u, t, top.face_slots, exact, force, border, blocks
+                self.skin, plate, friction_state, u, t, top.face_slots, exact, force, border, blocks
             )
             closing += on_travel
             corner += stiff
@@ -160,19 +176,19 @@ class System:
 
     def renew_friction(self, state: State) -> None:
         """Limit friction by the pressure of this state."""
-        for plate, grip in zip(self.plates, self.grips, strict=True):
-            contact.renew_pressure(self.skin, plate, grip, state.u, state.travel)
+        for plate, friction_state in zip(self.plates, self.friction_states, strict=True):
+            contact.renew_pressure(self.skin, plate, friction_state, state.u, state.travel)
 
     def end_step(self, state: State) -> None:
         """Let friction remember this state."""
-        for plate, grip in zip(self.plates, self.grips, strict=True):
-            contact.slide(self.skin, plate, grip, state.u)
+        for plate, friction_state in zip(self.plates, self.friction_states, strict=True):
+            contact.update_friction_origin(self.skin, plate, friction_state, state.u)
 
-    def pull_of_springs(self, u: FloatArray) -> FloatArray:
-        """Force of the nodes on the springs of the wall, (n, 3) in N."""
+    def spring_forces(self, u: FloatArray) -> FloatArray:
+        """Return the force of the nodes on the springs of the wall, (n, 3) in N."""
         starts, columns = self.topology.pattern
         out = np.empty_like(u)
-        product(starts, columns, self.springs, u, out)
+        block_product(starts, columns, self.springs, u, out)
         return out
 
     def _hold(self, blocks: FloatArray) -> None:
@@ -184,7 +200,7 @@ class System:
 
 
 def _weight(top: Topology, gravity_g: FloatArray) -> FloatArray:
-    """Consistent nodal forces of gravity: integrals of N are -V/20 and V/5."""
+    """Return consistent nodal forces of gravity: integrals of N are -V/20 and V/5."""
     parts = np.repeat([-0.05, 0.2], [4, 6])
     shares = np.bincount(
         top.cells.nodes.ravel(), np.outer(top.cells.volumes, parts).ravel(), len(top.mesh.nodes)
@@ -193,7 +209,7 @@ def _weight(top: Topology, gravity_g: FloatArray) -> FloatArray:
 
 
 def _spring_blocks(top: Topology, wall: Wall) -> FloatArray:
-    """Springs per area of the wall, as blocks of the tangent."""
+    """Return the springs per area of the wall, as blocks of the tangent."""
     blocks = np.zeros((len(top.pattern.columns), 3, 3))
     faces: IntArray = top.mesh.wall
     if not len(faces):

@@ -11,17 +11,15 @@ from scipy.linalg import svd, svdvals
 from scipy.special import ndtri
 
 from storage.values import FloatArray
-from workers.diagnosis.fingerprint import Fingerprint
-from workers.diagnosis.linear import Linearised
+from workers.diagnosis.effect_sensitivity import EffectSensitivity
+from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.settings import SETTINGS
 
-NONCENTRALITY = float((ndtri(0.995) + ndtri(0.8)) ** 2)
+NONCENTRALITY = float(
+    (ndtri(1 - SETTINGS.detectability.significance / 2) + ndtri(SETTINGS.detectability.power)) ** 2
+)
 """11.7: a two-sided test at 1 % finds what is this strong in 80 % of cases."""
 
-HIDDEN = 0.95
-"""Absorbed share above which little of an effect is left to see: only of a strong one."""
-
-SUNK = 0.975
-"""Absorbed share above which nothing is: a sixth of its size, no more than models err."""
 
 INVISIBLE = 1e-6  # of an effect: what the projection leaves is then rounding
 
@@ -33,7 +31,7 @@ def absorbed_share(problem: Linearised, whitened: FloatArray) -> float:
     ----------
     problem : Linearised
     whitened : ndarray, shape (m, q)
-        See `Fingerprint.whitened`.
+        See `EffectSensitivity.whitened`.
 
     Returns
     -------
@@ -45,7 +43,7 @@ def absorbed_share(problem: Linearised, whitened: FloatArray) -> float:
 
 
 def hides(problem: Linearised, whitened: FloatArray) -> bool:
-    """Whether the nominal parameters take all of an effect, or what they leave is too weak.
+    """Return whether the nominal parameters take all of an effect, or what they leave is too weak.
 
     Weak is what the test of `NONCENTRALITY` would miss at a prior standard deviation, on
     average over the parameters.
@@ -54,15 +52,17 @@ def hides(problem: Linearised, whitened: FloatArray) -> bool:
     ----------
     problem : Linearised
     whitened : ndarray, shape (m, q)
-        See `Fingerprint.whitened`.
+        See `EffectSensitivity.whitened`.
     """
     share = absorbed_share(problem, whitened)
     left = float((problem.project(whitened) ** 2).sum()) / whitened.shape[1]
-    return share > SUNK or (share > HIDDEN and left < NONCENTRALITY)
+    return share > SETTINGS.detectability.sunk_share or (
+        share > SETTINGS.detectability.hidden_share and left < NONCENTRALITY
+    )
 
 
-def minimum_detectable(problem: Linearised, fingerprint: Fingerprint) -> FloatArray:
-    """Magnitude found with 80 % power at a false alarm rate of 1 %, each parameter alone.
+def minimum_detectable(problem: Linearised, sensitivity: EffectSensitivity) -> FloatArray:
+    """Return magnitudes found with 80 % power at 1 % false alarms, each parameter alone.
 
     ``sqrt(11.7 / B'PB)``, in the units of the parameters.
 
@@ -72,15 +72,15 @@ def minimum_detectable(problem: Linearised, fingerprint: Fingerprint) -> FloatAr
         Median over the places; inf where nothing is visible.
     """
     information = np.array(
-        [(B * problem.project(B)).sum(axis=0) for B in fingerprint.whitened(problem)]
+        [(B * problem.project(B)).sum(axis=0) for B in sensitivity.whitened(problem)]
     )
     with np.errstate(divide="ignore"):
         scaled = np.sqrt(NONCENTRALITY / np.maximum(information, 0.0))
-    return np.median(scaled, axis=0) * fingerprint.prior_sd
+    return np.median(scaled, axis=0) * sensitivity.prior_sd
 
 
-def confusion(problem: Linearised, fingerprints: Sequence[Fingerprint]) -> FloatArray:
-    """How alike the visible parts of two effects can look.
+def confusion(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) -> FloatArray:
+    """Return how alike the visible parts of two effects can look.
 
     The largest canonical correlation, the cosine of the smallest principal angle
     (A. Bjorck and G. H. Golub, Math. Comput. 27 (1973) 579), of the projected columns;
@@ -92,7 +92,7 @@ def confusion(problem: Linearised, fingerprints: Sequence[Fingerprint]) -> Float
         0 to 1, symmetric, with a diagonal of 1.
     """
     bases = [
-        [_basis(problem, B) for B in fingerprint.whitened(problem)] for fingerprint in fingerprints
+        [_basis(problem, B) for B in sensitivity.whitened(problem)] for sensitivity in sensitivities
     ]
     cosines = np.eye(len(bases))
     for i, first in enumerate(bases):
@@ -102,7 +102,7 @@ def confusion(problem: Linearised, fingerprints: Sequence[Fingerprint]) -> Float
 
 
 def _basis(problem: Linearised, whitened: FloatArray) -> FloatArray:
-    """Orthonormal basis of what is visible, shape (m, rank)."""
+    """Return an orthonormal basis of what is visible, shape (m, rank)."""
     u, s, _ = svd(problem.project(whitened), full_matrices=False)
     return np.asarray(u[:, s > INVISIBLE * np.linalg.norm(whitened)])
 

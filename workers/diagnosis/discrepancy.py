@@ -26,9 +26,8 @@ from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
 from workers.diagnosis.evidence import Quadratic, log_marginal
 from workers.diagnosis.gap import LinearFit
-from workers.diagnosis.linear import Linearised
-
-TOLERANCE = 1e-7  # variance that the low rank may miss at a point, of a field of unit amplitude
+from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.settings import SETTINGS
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +48,9 @@ class SmoothField:
         If a number is out of range.
     """
 
-    amplitudes_mm: tuple[float, ...] = (0.1, 0.3, 0.8)
-    lengths_mm: tuple[float, ...] = (8.0, 16.0, 30.0)
-    state_correlation: float = 0.8
+    amplitudes_mm: tuple[float, ...] = SETTINGS.smooth_field.amplitudes_mm
+    lengths_mm: tuple[float, ...] = SETTINGS.smooth_field.lengths_mm
+    state_correlation: float = SETTINGS.smooth_field.state_correlation
 
     def __post_init__(self) -> None:
         scales = self.amplitudes_mm + self.lengths_mm
@@ -65,7 +64,7 @@ class SmoothField:
     def covariance(
         self, points: FloatArray, normals: FloatArray, states: IntArray, length_mm: float
     ) -> FloatArray:
-        """Of a field of unit amplitude at all residuals, shape (m, m)."""
+        """Return that of a field of unit amplitude at all residuals, shape (m, m)."""
         scaled = points / length_mm
         squares = (scaled**2).sum(axis=1)
         distance = np.maximum(squares[:, None] + squares - 2.0 * scaled @ scaled.T, 0.0)
@@ -125,7 +124,7 @@ class Discrepancy:
         states: IntArray,
         covariance_factor: FloatArray,
         prior: SmoothField | None = None,
-        tolerance: float = TOLERANCE,
+        tolerance: float = SETTINGS.smooth_field.rank_tolerance,
     ) -> None:
         m = len(covariance_factor)
         shapes = points.shape, normals.shape, states.shape
@@ -147,7 +146,7 @@ class Discrepancy:
             self._factors.append([_shifted(gram, a) for a in self.prior.amplitudes_mm])
 
     def quadratics(self, columns: FloatArray, residuals: FloatArray) -> list[Quadratic]:
-        """The misfit with the field in the noise, for each length and amplitude.
+        """Return the misfit with the field in the noise, for each length and amplitude.
 
         Parameters
         ----------
@@ -166,9 +165,11 @@ class Discrepancy:
         gradient, curvature = columns.T @ residuals, columns.T @ columns
         found = []
         for W, factors in zip(self._bases, self._factors, strict=True):
-            seen = W.T @ np.hstack([columns, residuals])
+            projected = W.T @ np.hstack([columns, residuals])
             for amplitude, factor in zip(self.prior.amplitudes_mm, factors, strict=True):
-                part = amplitude * solve_triangular(factor, seen, lower=True, check_finite=False)
+                part = amplitude * solve_triangular(
+                    factor, projected, lower=True, check_finite=False
+                )
                 A, rho = part[:, :p], part[:, p:]
                 found.append(
                     Quadratic(
@@ -181,7 +182,7 @@ class Discrepancy:
         return found
 
     def log_evidences(self, at: Linearised, one_sided: BoolArray | None = None) -> FloatArray:
-        """Log evidence of a fit with the field added, shape (lengths, amplitudes).
+        """Return log evidence of a fit with the field added, shape (lengths, amplitudes).
 
         On the scale of `workers.diagnosis.evidence.log_evidence`.
 
@@ -208,12 +209,12 @@ class Discrepancy:
         return np.reshape(found, (len(self.prior.lengths_mm), len(self.prior.amplitudes_mm)))
 
     def log_evidence(self, at: Linearised, one_sided: BoolArray | None = None) -> float:
-        """The average over lengths and amplitudes; see `log_evidences`."""
+        """Return the average over lengths and amplitudes; see `log_evidences`."""
         found = self.log_evidences(at, one_sided)
         return float(logsumexp(found) - np.log(found.size))
 
     def ceiling(self, at: Linearised) -> Ceiling:
-        """What the field of the largest evidence explains beyond the parameters of a fit.
+        """Return what the field of the largest evidence explains beyond the parameters of a fit.
 
         Both gaps are those of `workers.diagnosis.gap`: freed of the noise and of what
         fitting took of it.
@@ -232,7 +233,7 @@ class Discrepancy:
 
 
 def _pivoted(covariance: FloatArray, tolerance: float) -> FloatArray:
-    """A factor U with ``U U'`` equal to the covariance but for a small diagonal, (m, rank)."""
+    """Return U, (m, rank), with ``U U'`` equal to the covariance but for a small diagonal."""
     factor, pivots, rank, _ = dpstrf(covariance, tol=tolerance, lower=1)
     U = np.empty((len(covariance), rank))
     U[pivots - 1] = np.tril(factor[:, :rank])
@@ -240,5 +241,5 @@ def _pivoted(covariance: FloatArray, tolerance: float) -> FloatArray:
 
 
 def _shifted(gram: FloatArray, amplitude: float) -> FloatArray:
-    """Lower Cholesky factor of ``I + a^2 gram``."""
+    """Return the lower Cholesky factor of ``I + a^2 gram``."""
     return np.asarray(cholesky(np.eye(len(gram)) + amplitude**2 * gram, lower=True))

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from storage.values import BoolArray, FloatArray, IntArray
-from workers.diagnosis.linear import Linearised
-from workers.diagnosis.orthant import log_orthant
+from workers.diagnosis.gaussian_orthant import log_orthant
+from workers.diagnosis.linearisation import Linearised
 
 
 class Quadratic(NamedTuple):
@@ -45,7 +45,7 @@ class Quadratic(NamedTuple):
     log_determinant: float = 0.0
 
     def of(self, which: IntArray) -> "Quadratic":
-        """With only some of the parameters free."""
+        """Return the same with only some of the parameters free."""
         return self._replace(
             gradient=self.gradient[which], curvature=self.curvature[np.ix_(which, which)]
         )
@@ -59,13 +59,13 @@ class Posterior(NamedTuple):
 
 
 def quadratic(at: Linearised) -> Quadratic:
-    """The misfit of one fit with the noise as it is."""
+    """Return the misfit of one fit with the noise as it is."""
     A, rho = at.scaled_nominal, at.whitened_residual[:, None]
     return Quadratic((rho**2).sum(axis=0), A.T @ rho, A.T @ A)
 
 
 def posterior(q: Quadratic, offset: FloatArray) -> Posterior:
-    """Where the parameters lie from their prior means.
+    """Return where the parameters lie from their prior means.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def posterior(q: Quadratic, offset: FloatArray) -> Posterior:
 
 
 def log_marginal(q: Quadratic, offset: FloatArray, one_sided: BoolArray) -> FloatArray:
-    """Log evidence of n vectors of residuals.
+    """Return the log evidence of n vectors of residuals.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def log_marginal(q: Quadratic, offset: FloatArray, one_sided: BoolArray) -> Floa
 
 
 def log_evidence(at: Linearised, one_sided: BoolArray | None = None) -> float:
-    """Laplace's log evidence of a refit.
+    """Return Laplace's log evidence of a refit.
 
     Parameters
     ----------

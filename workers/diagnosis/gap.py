@@ -26,12 +26,8 @@ from scipy.special import ndtri
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray
-from workers.diagnosis.linear import Linearised, factored
-
-LEVEL = 0.9
-# The floor is not known exactly: what the right model missed of 98 blind bodies lies between
-# these parts of it in nine out of ten.
-FLOOR_RANGE = (0.75, 1.5)
+from workers.diagnosis.linearisation import Linearised, factored
+from workers.diagnosis.settings import SETTINGS
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,15 +104,18 @@ class LinearFit:
             self._fit_to(train)
 
     def _fit_to(self, train: BoolArray) -> None:
-        """The step is ``-(gain r + bias)``, in prior standard deviations."""
+        """Fit to some residuals; the step is ``-(gain r + bias)``, in prior standard deviations."""
         problem = self.problem
         L = problem.covariance_factor
         if not train.all():
             L = factored(problem.covariance[np.ix_(train, train)])
         part = Linearised(
-            problem.residual[train], problem.nominal[train],
-            problem.nominal_sd, problem.nominal_offset, L,
-        )  # fmt: skip
+            problem.residual[train],
+            problem.nominal[train],
+            problem.nominal_sd,
+            problem.nominal_offset,
+            L,
+        )
         A = part.scaled_nominal
         H = np.eye(A.shape[1]) + A.T @ A
         weighted = solve_triangular(L, A, lower=True, trans="T", check_finite=False)
@@ -134,7 +133,7 @@ class LinearFit:
         return self.after(self.problem.residual[:, None])[:, 0]
 
     def after(self, residuals: FloatArray) -> FloatArray:
-        """What the fit makes of other residuals: (m, n) in, (judged, n) out."""
+        """Return what the fit makes of other residuals: (m, n) in, (judged, n) out."""
         steps = self._gain @ residuals + self._bias[:, None]
         return np.asarray(residuals[self.judge] - self._columns[self.judge] @ steps)
 
@@ -177,9 +176,12 @@ class LinearFit:
 
 
 def gap(
-    fit: LinearFit, rows: BoolArray | None = None, floor_mm: float = 0.0, level: float = LEVEL
+    fit: LinearFit,
+    rows: BoolArray | None = None,
+    floor_mm: float = 0.0,
+    level: float = SETTINGS.gap.level,
 ) -> Gap:
-    """Gap of a fit over some of its residuals.
+    """Return the gap of a fit over some of its residuals.
 
     Parameters
     ----------
@@ -189,7 +191,7 @@ def gap(
     floor_mm : float
         Gap that the calibrated model shows on images of its own for reasons that are not in
         the linearised noise, such as another mesh; added in quadrature, and to the ends of
-        the interval as much of it as `FLOOR_RANGE` says.
+        the interval as much of it as `floor_range` of the settings says.
     level : float
         Of the interval, 0 to 1.
 
@@ -215,7 +217,7 @@ def gap(
 
 
 def pooled(parts: Sequence[Gap], floor_mm: float = 0.0) -> Gap:
-    """One gap of several, each with its part of the points; they may come from different fits.
+    """Return one gap of several, each with its part of the points, maybe of different fits.
 
     Their errors are taken for one and the same: all share the reference scan.
     """
@@ -230,12 +232,12 @@ def pooled(parts: Sequence[Gap], floor_mm: float = 0.0) -> Gap:
 
 
 def raised(found: Gap, by_mm2: float, floor_mm: float = 0.0) -> Gap:
-    """The same gap where less noise is taken off its square."""
+    """Return the same gap where less noise is taken off its square."""
     return _gap(found.excess_mm2 + by_mm2, found.reach_mm2, found.noise_mm, found.points, floor_mm)
 
 
 def _gap(excess: float, reach: float, noise_mm: float, points: int, floor_mm: float) -> Gap:
-    least, most = FLOOR_RANGE
+    least, most = SETTINGS.gap.floor_range
     ends = (excess, 1.0), (excess - reach, least), (excess + reach, most)
     middle, low, high = (
         float(np.sqrt(max(0.0, value) + (part * floor_mm) ** 2)) for value, part in ends
@@ -244,7 +246,7 @@ def _gap(excess: float, reach: float, noise_mm: float, points: int, floor_mm: fl
 
 
 def _sd_of_mean_square(r: FloatArray, D: FloatArray) -> float:
-    """Of ``r'r / n``; the unknown ``m'Dm`` is estimated from ``E r'Dr = m'Dm + tr D^2``."""
+    """Return that of ``r'r / n``; unknown ``m'Dm`` follows from ``E r'Dr = m'Dm + tr D^2``."""
     spread = float((D**2).sum())
     systematic = max(0.0, float(r @ D @ r) - spread)
     return float(np.sqrt(2.0 * spread + 4.0 * systematic)) / len(r)

@@ -15,13 +15,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from storage.errors import InputError
-
-# By this part of what the best effect gains, the evidence of effects is uncertain: theirs is
-# not quite the form of the real ones.
-FORM = 0.04
-# Of what an effect and a field on top of it explain, the least part of an effect that acts. A
-# field that explains more does not mend its form, but is something else.
-EXPLAINED = 0.7
+from workers.diagnosis.settings import SETTINGS
 
 Case = tuple[tuple[str, ...], bool]
 """The effects, and whether there is a smooth field too."""
@@ -76,19 +70,19 @@ class PriorOdds:
         If one is not positive.
     """
 
-    nothing: float = 0.25
-    field: float = 0.15
-    single: float = 0.25
-    single_and_field: float = 0.20
-    pair: float = 0.10
-    pair_and_field: float = 0.05
+    nothing: float = SETTINGS.prior_odds.nothing
+    field: float = SETTINGS.prior_odds.field
+    single: float = SETTINGS.prior_odds.single
+    single_and_field: float = SETTINGS.prior_odds.single_and_field
+    pair: float = SETTINGS.prior_odds.pair
+    pair_and_field: float = SETTINGS.prior_odds.pair_and_field
 
     def __post_init__(self) -> None:
         if not min(astuple(self)) > 0:
             raise InputError(f"Prior odds must be > 0, found {astuple(self)}.")
 
     def log_prior(self, case: Case, catalogue: int) -> float:
-        """Of one hypothesis, up to a constant, where `catalogue` effects are listed."""
+        """Return that of one hypothesis, up to a constant, of a catalogue of so many effects."""
         effects, field = case
         kinds = (
             (self.nothing, self.field),
@@ -98,14 +92,17 @@ class PriorOdds:
         return float(np.log(kinds[len(effects)][field] / comb(catalogue, len(effects))))
 
 
-def tempered(hypotheses: Sequence[Hypothesis], form: float = FORM) -> list[Hypothesis]:
-    """Single effects, compared no more sharply than their forms are known.
+def tempered(
+    hypotheses: Sequence[Hypothesis], form: float = SETTINGS.verdict.form_uncertainty
+) -> list[Hypothesis]:
+    """Return single effects, compared no more sharply than their forms are known.
 
     The likelihood of a model that is only nearly right is raised to a power below one
     (P. Gruenwald and T. van Ommen, Bayesian Anal. 12 (2017) 1069). Of two effects that explain
     hundreds of nats, one does not win by six. A field on top of an effect counts as far as the
-    effect still explains `EXPLAINED` of both: where a gap is large, the field would else
-    bring effects that do nothing close to the best one. Pairs, the smooth field and no gap stay.
+    effect still explains `explained_share` of the settings of both: where a gap is large, the
+    field would else bring effects that do nothing close to the best one. Pairs, the smooth field
+    and no gap stay.
 
     Parameters
     ----------
@@ -133,18 +130,18 @@ def tempered(hypotheses: Sequence[Hypothesis], form: float = FORM) -> list[Hypot
 
 
 def _mended(h: Hypothesis, nothing: Hypothesis) -> Hypothesis:
-    """With no more of a field than mends its form."""
+    """Return a hypothesis with no more of a field than mends its form."""
     if h.discrepancy_gain is None:
         return h
     own = max(0.0, h.log_evidence - nothing.log_evidence)
-    most = own * (1.0 / EXPLAINED - 1.0)
+    most = own * (1.0 / SETTINGS.verdict.explained_share - 1.0)
     return replace(h, discrepancy_gain=min(h.discrepancy_gain, most))
 
 
 def probabilities(
     hypotheses: Sequence[Hypothesis], catalogue: int, odds: PriorOdds | None = None
 ) -> dict[Case, float]:
-    """Posterior probability of each hypothesis, with and without the field.
+    """Return posterior probability of each hypothesis, with and without the field.
 
     Parameters
     ----------
@@ -173,7 +170,7 @@ def probabilities(
 
 
 def alarm(hypotheses: Sequence[Hypothesis]) -> float:
-    """Log evidence of the best alternative with one effect at most, against no gap.
+    """Return log evidence of the best alternative with one effect at most, against no gap.
 
     Pairs are left out: null replicates need not try them all, and two effects that no single
     one and no field can stand for are not seen.

@@ -23,10 +23,9 @@ from scipy.special import ndtri
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
-from workers.diagnosis.gap import FLOOR_RANGE, LEVEL, Gap, LinearFit, gap, pooled, raised
-from workers.diagnosis.linear import Linearised
-
-DRAWS = 400
+from workers.diagnosis.gap import Gap, LinearFit, gap, pooled, raised
+from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.settings import SETTINGS
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +56,8 @@ def shrinkage(
     train: BoolArray | None = None,
     judge: BoolArray | None = None,
     floor_mm: float = 0.0,
-    draws: int = DRAWS,
-    level: float = LEVEL,
+    draws: int = SETTINGS.gap.draws,
+    level: float = SETTINGS.gap.level,
 ) -> Shrinkage:
     """Compare the fit of the nominal parameters with one that has the effect too.
 
@@ -100,8 +99,8 @@ def unseen_shrinkage(
     states: IntArray,
     seed: int,
     floor_mm: float = 0.0,
-    draws: int = DRAWS,
-    level: float = LEVEL,
+    draws: int = SETTINGS.gap.draws,
+    level: float = SETTINGS.gap.level,
 ) -> Shrinkage:
     """Compare fits that never saw what they are judged by; see `shrinkage`.
 
@@ -119,10 +118,12 @@ def unseen_shrinkage(
     if len(every) < 2:
         raise InputError("To leave a state out, there must be two or more; found one.")
     pairs = [
-        (LinearFit(nominal, states != one, states == one),
-         LinearFit(effect, states != one, states == one))
+        (
+            LinearFit(nominal, states != one, states == one),
+            LinearFit(effect, states != one, states == one),
+        )
         for one in every
-    ]  # fmt: skip
+    ]
     return _compared(nominal, effect, pairs, seed, floor_mm, draws, level)
 
 
@@ -135,10 +136,11 @@ def _compared(
     draws: int,
     level: float,
 ) -> Shrinkage:
-    """Of fits without and with the effect, each judged by its part of the residuals."""
+    """Compare fits without and with the effect, each judged by its part of the residuals."""
     without, along = zip(*pairs, strict=True)
-    before, after = (pooled([gap(f, level=level) for f in fits], floor_mm)
-                     for fits in (without, along))  # fmt: skip
+    before, after = (
+        pooled([gap(f, level=level) for f in fits], floor_mm) for fits in (without, along)
+    )
     missing = max(0.0, -after.excess_mm2)
     before, after = (raised(one, missing, floor_mm) for one in (before, after))
     share = float(
@@ -158,7 +160,7 @@ def _compared(
 
 
 def _without_noise(nominal: Linearised, effect: Linearised) -> tuple[FloatArray, FloatArray]:
-    """Residuals of both models on an image without noise, as far as the data know.
+    """Return residuals of both models on an image without noise, as far as the data know.
 
     What the effect leaves is noise but for a part of the size of the gap that is left.
     """
@@ -170,7 +172,7 @@ def _without_noise(nominal: Linearised, effect: Linearised) -> tuple[FloatArray,
 
 
 def _excess(fits: Sequence[LinearFit], mean: FloatArray, noise: FloatArray) -> FloatArray:
-    """Of every draw, over all that is judged."""
+    """Return that of every draw, over all that is judged."""
     sums = [
         (fit.after(mean[:, None] + noise) ** 2).sum(axis=0) - fit.noise_mm2.sum() for fit in fits
     ]
@@ -178,8 +180,8 @@ def _excess(fits: Sequence[LinearFit], mean: FloatArray, noise: FloatArray) -> F
 
 
 def _parts_of_floor(rng: np.random.Generator, draws: int) -> FloatArray:
-    """Log-normal, nine in ten within `FLOOR_RANGE`."""
-    ends = np.log(FLOOR_RANGE)
+    """Draw parts of the floor: log-normal, nine in ten within their range."""
+    ends = np.log(SETTINGS.gap.floor_range)
     return np.asarray(np.exp(rng.normal(ends.mean(), np.ptp(ends) / 2 / ndtri(0.95), draws)))
 
 

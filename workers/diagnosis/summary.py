@@ -1,227 +1,349 @@
-"""A diagnosis as plain numbers: what `palpate diagnose --json` prints."""
+"""The schema of a diagnosis in plain numbers: what `palpate diagnose --json` prints.
 
-from typing import Any
+Frozen dataclasses, read by the report, the commands and the blind scores. `storage.typed_json`
+writes them and reads them again. Lengths are in mm, constants in kPa; parameters of effects have
+their unit beside them.
+"""
 
-import numpy as np
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-from storage.values import BoolArray, FloatArray
-from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.gap import Gap, LinearFit, gap
-from workers.diagnosis.linear import Linearised
-from workers.diagnosis.shrinkage import shrinkage, unseen_shrinkage
-from workers.diagnosis.subject import Subject
-from workers.effects.base import Effect, one_sided
-from workers.effects.inclusion import INCLUSION
+from workers.diagnosis.verdict import Kind
 
-Json = dict[str, Any]
-INTERFACES = ("outline", "glandular")
-SEED = 0
-# Gap that a mesh from a noisy segmentation opens, in standard deviations of the noise.
-DRAWN_NOISES = 0.17
-# A region is significant if its interval does not reach down to this, in mm.
-NOTHING_MM = 1e-9
+Triple = tuple[float, float, float]
 
 
-def summary(found: Diagnosis, effects: list[Effect], case: str) -> Json:
-    """The contract of the command.
+@dataclass(frozen=True, slots=True)
+class GapEstimate:
+    """A root mean square distance between model and scan, freed of noise, with its interval.
+
+    `noise_mm` is the noise of the observation of one point, `points` the number of residuals.
+    """
+
+    gap_mm: float
+    low_mm: float
+    high_mm: float
+    noise_mm: float
+    points: int
+
+
+@dataclass(frozen=True, slots=True)
+class ShareEstimate:
+    """By how much effects shrink the square of the gap, with its interval; nan without a gap."""
+
+    share: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class GapShrinkage:
+    """The gap without and with the accused effects."""
+
+    before: GapEstimate
+    after: GapEstimate
+    share: ShareEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class GapSummary:
+    """The gap of all scans, as fitted and where each scan is judged by a fit to the others.
 
     Parameters
     ----------
-    found : Diagnosis
-    effects : list of Effect
-        The catalogue.
+    before : GapEstimate
+        Of the nominal model.
+    noise_floor : float
+        Noise of the observation of one point, in mm.
+    calibration_floor : float
+        What even the right model misses, in mm.
+    after : GapEstimate or None
+        With the accused effects; None if there are none, as for all that follows.
+    held_out_before, held_out_after : GapEstimate or None
+        None for one scan too.
+    share, held_out_share : ShareEstimate, optional
+    held_out : str, optional
+        How scans were held out, in words.
+    held_out_each : mapping of str to GapShrinkage, optional
+        By the name of the scan.
+    """
+
+    before: GapEstimate
+    noise_floor: float
+    calibration_floor: float
+    after: GapEstimate | None
+    held_out_before: GapEstimate | None
+    held_out_after: GapEstimate | None
+    share: ShareEstimate | None = None
+    held_out_share: ShareEstimate | None = None
+    held_out: str | None = None
+    held_out_each: Mapping[str, GapShrinkage] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RegionGap:
+    """The gap of the nominal model in a part of an interface in one scan.
+
+    `signed_mean_mm` is positive where the model lies outside; `p50_mm` and `p95_mm` are
+    quantiles of the distance without its sign.
+    """
+
+    scan: str
+    interface: str
+    region: str
+    gap_mm: float
+    low_mm: float
+    high_mm: float
+    noise_mm: float
+    points: int
+    signed_mean_mm: float
+    significant: bool
+    p50_mm: float | None = None
+    p95_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterEstimate:
+    """A parameter of an effect, with its standard deviation, in its unit."""
+
+    parameter: str
+    magnitude: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class EffectSummary:
+    """What is known of one effect.
+
+    Parameters
+    ----------
+    name, family, summary : str
+    probability : float
+        That it acts, alone or with another.
+    magnitude, sd, unit
+        Of the parameter that stands out most.
+    parameters : tuple of ParameterEstimate
+    log_bayes_factor : float
+        Of the screening, in nats.
+    absorbed_share : float
+        What the constants hide of it, 0 to 1.
+    refitted : bool
+        Whether it was fitted together with the constants.
+    """
+
+    name: str
+    family: str
+    summary: str
+    probability: float
+    magnitude: float
+    sd: float
+    unit: str
+    parameters: tuple[ParameterEstimate, ...]
+    log_bayes_factor: float
+    absorbed_share: float
+    refitted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantEstimate:
+    """A constant in kPa, of the nominal model and with the accused effects if there are any."""
+
+    before: float
+    after: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class JointFitSummary:
+    """What the joint fit of some effects has gained over the nominal model, in nats.
+
+    `field_gain` is what a smooth field gains on top of it; `values` are all parameters, inside
+    names and units.
+    """
+
+    effects: tuple[str, ...]
+    log_evidence_gain: float
+    field_gain: float | None
+    converged: bool
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class OverlapFigures:
+    """How far a predicted and an observed body overlap; see `Score` and `Distances`."""
+
+    jc: float
+    dice: float
+    mhd_mm: float
+    mhd_voxels: float
+    gsf: float
+    p50_mm: float
+    p95_mm: float
+    signed_mean_mm: float
+    points: int
+
+
+@dataclass(frozen=True, slots=True)
+class OverlapRow:
+    """Overlap inside one interface of one scan, and what noise alone leaves of the Jaccard."""
+
+    scan: str
+    interface: str
+    reachable_jc: float
+    before: OverlapFigures
+    after: OverlapFigures | None
+
+
+@dataclass(frozen=True, slots=True)
+class LoudestPlace:
+    """The place at which a lump would explain most; see `workers.diagnosis.pictures.cause_map`."""
+
+    score: float
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    ln_ratio: float
+    ln_ratio_sd: float
+    reached_by_noise: float
+    places: int
+    places_seen: int
+
+
+@dataclass(frozen=True, slots=True)
+class CauseMapSummary:
+    """The loudest place of the residuals before, and after where effects are accused."""
+
+    before: LoudestPlace
+    after: LoudestPlace | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerResidual:
+    """What a point of a specimen has done, along x, y and z of the body.
+
+    `before_mm` and `after_mm` are what the models leave of it.
+    """
+
+    name: str
+    displacement_mm: Triple
+    before_mm: Triple
+    after_mm: Triple | None
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerState:
+    """All points of one state; `repeats_mm` is how far two recordings differ, None for one."""
+
+    state: str
+    repeats_mm: float | None
+    points: tuple[MarkerResidual, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ConfoundedEffect:
+    """The constants in kPa, ``without`` and ``with`` an effect of that size that they hide."""
+
+    name: str
+    size: Mapping[str, float]
+    constants_kpa: Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedPoint:
+    """Where a point is expected to go, along x, y and z of the body, and how surely."""
+
+    name: str
+    displacement_mm: Triple
+    sd_mm: Triple
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedState:
+    """All points of a state that was not measured."""
+
+    state: str
+    points: tuple[PredictedPoint, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class NextAcquisition:
+    """A further measurement: pairs of suspects that it separates, hidden effects that it reveals.
+
+    `minimum_ratio` is what becomes of the smallest magnitudes that are found.
+    """
+
+    name: str
+    separates: tuple[tuple[str, ...], ...]
+    reveals: tuple[str, ...]
+    minimum_ratio: float
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """A diagnosis in plain numbers.
+
+    Parameters
+    ----------
     case : str
-        Its name.
+    verdict : {"no-gap", "effect", "cannot-be-told-apart", "none-of-these"}
+    primary : tuple of str
+        The accused effects; see `workers.diagnosis.verdict.Verdict`.
+    effects : tuple of EffectSummary
+        Of all effects that act and could be simulated, in the order of the catalogue.
+    set90 : tuple of str
+    families : mapping of str to float
+    absorbed : tuple of str
+        Effects that the constants hide.
+    no_gap_probability, none_of_these_probability : float
+    alarm, threshold : float
+        In nats.
+    explained_share : float or None
+    gap_mm : GapSummary
+    where : tuple of RegionGap
+    constants : mapping of str to ConstantEstimate
+        By their names at the door, such as ``E_fat_kpa``.
+    refits : tuple of JointFitSummary
+    points : int
+        On the interfaces.
+    overlap, cause_map : optional
+        Of a body that was scanned.
+    markers, hidden, predictions : optional
+        Of a bench experiment.
+    next_acquisitions : optional
+        If further measurements were planned.
     """
-    said, seen = found.verdict, found.look
-    return {
-        "case": case,
-        "verdict": said.kind,
-        "primary": list(said.primary),
-        "effects": [_effect(found, e) for e in effects if e.name in seen.prints],
-        "set90": list(said.set90),
-        "families": said.families,
-        "absorbed": list(said.hidden),
-        "no_gap_probability": said.no_gap,
-        "none_of_these_probability": said.none_of_these,
-        "alarm": said.alarm,
-        "threshold": said.threshold,
-        "explained_share": said.explained_share,
-        "gap_mm": _gap_mm(found),
-        "where": _where(found),
-        "constants": _constants(found),
-        "refits": [_refit(found, names) for names in found.refits],
-        "points": len(seen.subject.points),
-    }
 
+    case: str
+    verdict: Kind
+    primary: tuple[str, ...]
+    effects: tuple[EffectSummary, ...]
+    set90: tuple[str, ...]
+    families: Mapping[str, float]
+    absorbed: tuple[str, ...]
+    no_gap_probability: float
+    none_of_these_probability: float
+    alarm: float
+    threshold: float
+    explained_share: float | None
+    gap_mm: GapSummary
+    where: tuple[RegionGap, ...]
+    constants: Mapping[str, ConstantEstimate]
+    refits: tuple[JointFitSummary, ...]
+    points: int
+    overlap: tuple[OverlapRow, ...] | None = None
+    cause_map: CauseMapSummary | None = None
+    markers: tuple[MarkerState, ...] | None = None
+    hidden: tuple[ConfoundedEffect, ...] | None = None
+    predictions: tuple[PredictedState, ...] | None = None
+    next_acquisitions: tuple[NextAcquisition, ...] | None = None
 
-def _effect(found: Diagnosis, effect: Effect) -> Json:
-    finding = found.look.by_name[effect.name]
-    best = found.best
-    names = best.names if best is not None and effect.name in best.names else (effect.name,)
-    refit = found.refits.get(names)
-    magnitudes: list[Json] = []
-    for i, parameter in enumerate(effect.parameters):
-        if refit is not None:
-            at = refit.fit.unknowns.names.index(parameter.name)
-            value, sd = float(refit.fit.z[at]), float(_sds(found, names)[at])
-        elif i < len(finding.estimate):
-            value, sd = float(finding.estimate[i]), float(finding.estimate_sd[i])
-            if one_sided(parameter):
-                value = max(value, effect.neutral[parameter.name])
-        else:
-            continue
-        unit = parameter.unit
-        magnitudes.append(
-            {
-                "parameter": parameter.door_name,
-                "magnitude": unit.to_door(value),
-                "sd": unit.to_door(sd),
-                "unit": unit.symbol,
-            }
-        )
-    lead = magnitudes[0] if effect is INCLUSION else max(magnitudes, key=_standing_out)
-    return {
-        "name": effect.name,
-        "family": effect.family,
-        "summary": effect.summary,
-        "probability": found.verdict.probabilities.get(effect.name, 0.0),
-        "magnitude": lead["magnitude"],
-        "sd": lead["sd"],
-        "unit": lead["unit"],
-        "parameters": magnitudes,
-        "log_bayes_factor": finding.log_bayes_factor,
-        "absorbed_share": finding.absorbed,
-        "refitted": refit is not None,
-    }
+    def effect(self, name: str) -> EffectSummary:
+        """Return what is known of one effect.
 
-
-def _standing_out(parameter: Json) -> float:
-    return abs(float(parameter["magnitude"])) / max(float(parameter["sd"]), 1e-12)
-
-
-def _sds(found: Diagnosis, names: tuple[str, ...]) -> FloatArray:
-    refit = found.refits[names]
-    at = refit.fit.linearised(found.look.subject)
-    A = at.scaled_nominal
-    spread = np.sqrt(np.diag(np.linalg.inv(np.eye(A.shape[1]) + A.T @ A)))
-    return np.asarray(spread * at.nominal_sd)
-
-
-def _gap_mm(found: Diagnosis) -> Json:
-    subject, nominal = found.look.subject, found.look.linear
-    floor_mm = _floor_mm(subject, nominal)
-    before = gap(LinearFit(nominal), floor_mm=floor_mm)
-    out: Json = {
-        "before": _as_json(before),
-        "noise_floor": before.noise_mm,
-        "calibration_floor": floor_mm,
-    }
-    refit = found.best
-    if refit is None:
-        return out | {"after": None, "held_out_before": None, "held_out_after": None}
-    with_effect = refit.fit.linearised(subject)
-    inside = shrinkage(nominal, with_effect, SEED, floor_mm=floor_mm)
-    out |= {
-        "before": _as_json(inside.before),
-        "after": _as_json(inside.after),
-        "share": _share(inside),
-    }
-    held = _held_out(subject, nominal, with_effect, floor_mm)
-    return out | held
-
-
-def _floor_mm(subject: Subject, nominal: Linearised) -> float:
-    """What even the right model misses; without it, gaps near zero come out too small.
-
-    The noise that was fitted; what the mesh leaves, as large as what a finer one has taken
-    off; and that the body is meshed as it was segmented.
-    """
-    mesh = float(np.sqrt((subject.bias**2).mean()))
-    drawn = DRAWN_NOISES * subject.noise.reference_sd_mm
-    return float(np.linalg.norm([LinearFit(nominal).floor_mm, mesh, drawn]))
-
-
-def _held_out(
-    subject: Subject, nominal: Linearised, with_effect: Linearised, floor_mm: float
-) -> Json:
-    """Each scan judged by a fit to the others."""
-    if len(subject.scans) < 2:
-        return {"held_out_before": None, "held_out_after": None, "held_out": "one scan only"}
-    whole = unseen_shrinkage(nominal, with_effect, subject.rows, SEED, floor_mm)
-    each = {}
-    for number, scan in enumerate(subject.scans):
-        judge: BoolArray = subject.rows == number
-        found = shrinkage(nominal, with_effect, SEED, ~judge, judge, floor_mm)
-        each[scan.name] = {"before": _as_json(found.before), "after": _as_json(found.after),
-                           "share": _share(found)}  # fmt: skip
-    return {
-        "held_out_before": _as_json(whole.before),
-        "held_out_after": _as_json(whole.after),
-        "held_out_share": _share(whole),
-        "held_out": "each scan judged by a fit to the others",
-        "held_out_each": each,
-    }
-
-
-def _where(found: Diagnosis) -> list[Json]:
-    subject = found.look.subject
-    fit = LinearFit(found.look.linear)
-    regions = []
-    own = np.tile(subject.points.interface, len(subject.scans))
-    z = np.tile(subject.frame.normalised(subject.points.points)[:, 2], len(subject.scans))
-    depth = {"chest wall third": z < -1 / 3, "middle third": abs(z) <= 1 / 3,
-             "nipple third": z > 1 / 3}  # fmt: skip
-    for number, scan in enumerate(subject.scans):
-        for interface, name in enumerate(INTERFACES):
-            rows = (subject.rows == number) & (own == interface)
-            places = {"all": np.ones(len(rows), bool)} | depth
-            for place, inside in places.items():
-                chosen = rows & inside
-                if chosen.sum() >= 8:
-                    found_gap = gap(fit, chosen)
-                    regions.append(
-                        {"scan": scan.name, "interface": name, "region": place}
-                        | _as_json(found_gap)
-                        | {
-                            "signed_mean_mm": float(fit.residual[chosen].mean()),
-                            "p50_mm": float(np.quantile(np.abs(fit.residual[chosen]), 0.5)),
-                            "p95_mm": float(np.quantile(np.abs(fit.residual[chosen]), 0.95)),
-                            "significant": bool(found_gap.low_mm > NOTHING_MM),
-                        }
-                    )
-    return regions
-
-
-def _constants(found: Diagnosis) -> Json:
-    out: Json = {}
-    before = found.look.nominal.values()
-    after = found.best.fit.values() if found.best is not None else {}
-    for free in found.look.subject.free:
-        out[f"{free.name}_kpa"] = {
-            "before": 1e3 * before[free.name],
-            "after": 1e3 * after[free.name] if free.name in after else None,
-        }
-    return out
-
-
-def _refit(found: Diagnosis, names: tuple[str, ...]) -> Json:
-    hypothesis = next(h for h in found.hypotheses if h.effects == names)
-    nothing = next(h for h in found.hypotheses if not h.effects)
-    refit = found.refits[names]
-    return {
-        "effects": list(names),
-        "log_evidence_gain": hypothesis.log_evidence - nothing.log_evidence,
-        "field_gain": hypothesis.discrepancy_gain,
-        "converged": refit.fit.converged,
-        "values": refit.fit.values(),
-    }
-
-
-def _as_json(g: Gap) -> Json:
-    return {"gap_mm": g.gap_mm, "low_mm": g.low_mm, "high_mm": g.high_mm, "noise_mm": g.noise_mm,
-            "points": g.points}  # fmt: skip
-
-
-def _share(s: Any) -> Json:
-    return {"share": s.share, "low": s.low, "high": s.high}
+        Raises
+        ------
+        KeyError
+            If it does not act, or could not be simulated.
+        """
+        found = {one.name: one for one in self.effects}
+        return found[name]

@@ -1,7 +1,7 @@
 """What is said to the user: no gap, an effect, a choice of effects, or none of these.
 
 1. No gap if the best alternative raises the log evidence by less than a threshold, which
-   `workers.diagnosis.threshold` calibrates, or if no gap is more probable than not.
+   `workers.diagnosis.alarm_threshold` calibrates, or if no gap is more probable than not.
 2. None of these if a smooth field alone is more probable than all effects together, or
    if the best effect explains less than 70 % of what it and a field explain.
 3. Else the effect; or the effects that cannot be told apart, if more than one is needed to
@@ -16,8 +16,6 @@ from typing import Literal
 
 from storage.errors import InputError
 from workers.diagnosis.hypotheses import (
-    EXPLAINED,
-    FORM,
     Case,
     Hypothesis,
     PriorOdds,
@@ -25,11 +23,11 @@ from workers.diagnosis.hypotheses import (
     probabilities,
     tempered,
 )
+from workers.diagnosis.settings import SETTINGS
 
 Kind = Literal["no-gap", "effect", "cannot-be-told-apart", "none-of-these"]
 
 NO_GAP, NONE_OF_THESE = "no-gap", "none-of-these"
-CREDIBLE = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,7 @@ def verdict(
     threshold: float,
     hiding: Collection[str] = (),
     odds: PriorOdds | None = None,
-    form: float = FORM,
+    form: float = SETTINGS.verdict.form_uncertainty,
 ) -> Verdict:
     """Weigh the hypotheses.
 
@@ -143,18 +141,18 @@ def verdict(
 
 
 def _check(hypotheses: Sequence[Hypothesis], families: Mapping[str, str]) -> None:
-    seen = [frozenset(h.effects) for h in hypotheses]
-    unknown = {name for who in seen for name in who} - set(families)
-    if unknown or len(set(seen)) < len(seen) or frozenset() not in seen:
+    weighed = [frozenset(h.effects) for h in hypotheses]
+    unknown = {name for who in weighed for name in who} - set(families)
+    if unknown or len(set(weighed)) < len(weighed) or frozenset() not in weighed:
         raise InputError(
             "Weigh each hypothesis once, the one without effects among them, and give each "
-            f"effect a family; found {len(seen) - len(set(seen))} repeated, "
-            f"{seen.count(frozenset())} without effects and no family of {sorted(unknown)}."
+            f"effect a family; found {len(weighed) - len(set(weighed))} repeated, "
+            f"{weighed.count(frozenset())} without effects and no family of {sorted(unknown)}."
         )
 
 
 def _causes(cases: Mapping[Case, float], acting: Mapping[str, float]) -> dict[str, float]:
-    """Probability of each cause; a pair counts for its more probable member. Sums to 1."""
+    """Return probability of each cause; a pair counts for its more probable member. Sums to 1."""
     causes = {NO_GAP: 0.0, NONE_OF_THESE: 0.0}
     for (effects, field), p in cases.items():
         empty = NONE_OF_THESE if field else NO_GAP
@@ -169,21 +167,21 @@ def _credible(causes: Mapping[str, float]) -> tuple[str, ...]:
     for cause, p in sorted(causes.items(), key=lambda item: -item[1]):
         chosen.append(cause)
         held += p
-        if held >= CREDIBLE:
+        if held >= SETTINGS.verdict.credible:
             break
     return tuple(chosen)
 
 
 def _best_named(cases: Mapping[Case, float]) -> tuple[str, ...]:
-    """Effects of the most probable hypothesis that has some; empty if none has."""
+    """Return effects of the most probable hypothesis that has some; empty if none has."""
     named = {case: p for case, p in cases.items() if case[0]}
     return max(named, key=lambda case: named[case])[0] if named else ()
 
 
 def _primary(effects: tuple[str, ...], acting: Mapping[str, float]) -> tuple[str, ...]:
-    """The more probable effect, and the other one if it is hardly to be doubted."""
+    """Return the more probable effect, and the other one if it is hardly to be doubted."""
     first, *second = sorted(effects, key=lambda name: -acting[name])
-    return (first, *(name for name in second if acting[name] >= CREDIBLE))
+    return (first, *(name for name in second if acting[name] >= SETTINGS.verdict.credible))
 
 
 def _explained(hypotheses: Sequence[Hypothesis], effects: tuple[str, ...]) -> float | None:
@@ -204,9 +202,9 @@ def _kind(
     threshold: float,
 ) -> Kind:
     no_gap, field = causes[NO_GAP], causes[NONE_OF_THESE]
-    if loudness < threshold or no_gap > 0.5:
+    if loudness < threshold or no_gap > SETTINGS.verdict.no_gap:
         return "no-gap"
-    if share is None or share < EXPLAINED or field > 1.0 - no_gap - field:
+    if share is None or share < SETTINGS.verdict.explained_share or field > 1.0 - no_gap - field:
         return "none-of-these"
     named = [cause for cause in credible if cause not in (NO_GAP, NONE_OF_THESE)]
     return "cannot-be-told-apart" if len(named) > 1 else "effect"

@@ -1,1 +1,1 @@
-"""What may differ from the nominal physics, each in a form of its own."""
+"""Define what may differ from the nominal physics, each in a form of its own."""

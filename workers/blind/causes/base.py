@@ -1,4 +1,4 @@
-"""What a cause is, and how its size is drawn.
+"""Define what a cause is, and how its size is drawn.
 
 A cause is drawn for an anatomy and put into a scene. Magnitudes are log-uniform over what
 is plausible, so that a part of them lies below the noise of a segmentation.
@@ -16,7 +16,7 @@ Rng = np.random.Generator
 
 
 class Cause(Protocol):
-    """One difference.
+    """Change one thing of the nominal physics.
 
     ``kind`` names it here; ``effect`` and ``family`` are the words in which a diagnosis
     would be right, None where it has none. Parameters are its fields, units in their names.
@@ -28,31 +28,31 @@ class Cause(Protocol):
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """One at random."""
+        """Draw a cause at random for an anatomy."""
         ...
 
-    def put(self, scene: Scene) -> Scene:
-        """The scene with this difference."""
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with this difference."""
         ...
 
 
 def log_uniform(rng: Rng, low: float, high: float) -> float:
-    """A number whose logarithm is uniform."""
+    """Draw a number whose logarithm is uniform between those of `low` and `high`."""
     return float(math.exp(rng.uniform(math.log(low), math.log(high))))
 
 
 def sign(rng: Rng) -> float:
-    """1 or -1."""
+    """Draw 1 or -1, both as likely."""
     return 1.0 if rng.random() < 0.5 else -1.0
 
 
 def direction(rng: Rng) -> Triple:
-    """A unit vector, every one as likely."""
+    """Draw a unit vector, every one as likely."""
     vector = rng.standard_normal(3)
     return triple(vector / np.linalg.norm(vector))
 
 
 def triple(vector: FloatArray) -> Triple:
-    """The three numbers of an array (3,)."""
+    """Return the three numbers of an array (3,)."""
     x, y, z = vector.tolist()
     return x, y, z

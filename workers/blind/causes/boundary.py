@@ -1,4 +1,4 @@
-"""How skin and chest wall are held."""
+"""Define causes at the skin and at the chest wall."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from workers.blind.scene import Anatomy, Scene
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """Coulomb's friction on both plates, a little uneven along x."""
+    """Let both plates rub by Coulomb's law, a little unevenly along x."""
 
     kind: ClassVar[str] = "friction"
     effect: ClassVar[str | None] = "plate_friction"
@@ -23,9 +23,12 @@ class Friction:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
         return cls(log_uniform(rng, 0.04, 0.6), rng.uniform(-0.25, 0.25))
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
+
         def at(points: FloatArray) -> FloatArray:
             s = scene.anatomy.normalised(points)[:, 0]
             return np.asarray(self.coefficient * (1 + self.unevenness * np.sin(0.5 * np.pi * s)))
@@ -35,7 +38,7 @@ class Friction:
 
 @dataclass(frozen=True, slots=True)
 class WallCompliance:
-    """A chest wall that yields, more in places: a cosine along x."""
+    """Let the chest wall yield, more in places: a cosine along x."""
 
     kind: ClassVar[str] = "wall_compliance"
     effect: ClassVar[str | None] = "wall_compliance"
@@ -46,9 +49,12 @@ class WallCompliance:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
         return cls(log_uniform(rng, 0.01, 0.5), rng.uniform(0.0, 0.6), rng.uniform(0, 360))
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
+
         def at(points: FloatArray) -> FloatArray:
             s = scene.anatomy.normalised(points)[:, 0]
             wave = np.cos(np.pi * s + math.radians(self.phase_deg))
@@ -59,7 +65,7 @@ class WallCompliance:
 
 @dataclass(frozen=True, slots=True)
 class Adhesion:
-    """A scar that holds a patch of the chest wall against sliding."""
+    """Let a scar hold a patch of the chest wall against sliding."""
 
     kind: ClassVar[str] = "adhesion"
     effect: ClassVar[str | None] = None
@@ -71,14 +77,17 @@ class Adhesion:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
         radius = rng.uniform(10.0, 25.0)
         r, angle = 0.6 * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
         across, along = r * math.cos(angle), r * math.sin(angle)
         along *= anatomy.upper_mm if along > 0 else anatomy.lower_mm
-        grip = log_uniform(rng, 0.3, 10.0)
-        return cls(along, across * anatomy.half_width_mm, radius, grip)
+        friction_state = log_uniform(rng, 0.3, 10.0)
+        return cls(along, across * anatomy.half_width_mm, radius, friction_state)
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
+
         def at(points: FloatArray) -> FloatArray:
             far = np.hypot(points[:, 0] - self.x_mm, points[:, 1] - self.y_mm)
             return np.where(far < self.radius_mm, self.grip_kpa_per_mm, 0.0)

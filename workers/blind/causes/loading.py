@@ -1,4 +1,4 @@
-"""Forces that are not the nominal ones."""
+"""Define forces that are not the nominal ones."""
 
 import math
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from workers.blind.scene import Anatomy, Scene
 
 @dataclass(frozen=True, slots=True)
 class PlateForce:
-    """A sensor that is off: nothing tells it from softer or stiffer tissue."""
+    """Let the force sensor be off: nothing tells it from softer or stiffer tissue."""
 
     kind: ClassVar[str] = "plate_force"
     effect: ClassVar[str | None] = "plate_force"
@@ -19,16 +19,17 @@ class PlateForce:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """From 0.7 to 1.3."""
+        """Draw a factor from 0.7 to 1.3."""
         return cls(math.exp(sign(rng) * log_uniform(rng, 0.04, 0.35)))
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
         return replace(scene, force_factor=scene.force_factor * self.factor)
 
 
 @dataclass(frozen=True, slots=True)
 class Gravity:
-    """Another posture in the loaded scans."""
+    """Let gravity pull differently in the loaded scans: another posture."""
 
     kind: ClassVar[str] = "gravity"
     effect: ClassVar[str | None] = "gravity_change"
@@ -39,9 +40,11 @@ class Gravity:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
         size = log_uniform(rng, 0.03, 1.0)
         x, y, z = direction(rng)
         return cls(size * x, size * y, size * z)
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
         return replace(scene, gravity_g=(self.x_g, self.y_g, self.z_g))

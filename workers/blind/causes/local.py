@@ -1,4 +1,4 @@
-"""Tissue that is another one somewhere."""
+"""Define tissue that differs in one place."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from workers.blind.scene import Anatomy, Scene
 
 @dataclass(frozen=True, slots=True)
 class Inclusion:
-    """An ellipsoidal lump, sharp or fading, that the labels do not show."""
+    """Hide an ellipsoidal lump, sharp or fading, that the labels do not show."""
 
     kind: ClassVar[str] = "inclusion"
     effect: ClassVar[str | None] = "inclusion"
@@ -27,6 +27,7 @@ class Inclusion:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
         radius = rng.uniform(5.0, 12.0)
         low = (-anatomy.lower_mm, -anatomy.half_width_mm, radius)
         high = (anatomy.upper_mm, anatomy.half_width_mm, anatomy.depth_mm)
@@ -38,7 +39,8 @@ class Inclusion:
         fade = 0.0 if rng.random() < 0.5 else rng.uniform(0.1, 0.4)
         return cls(triple(centre), radius, y, z, fade, log_uniform(rng, 2.0, 10.0))
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
         centre = np.array(self.centre_mm)
         axes = np.array([1.0, self.stretch_y, self.stretch_z])
         axes *= self.radius_mm / np.cbrt(axes.prod())
@@ -56,7 +58,7 @@ class Inclusion:
 
 @dataclass(frozen=True, slots=True)
 class Ligament:
-    """A stiff sheet through the body."""
+    """Put a stiff sheet through the body."""
 
     kind: ClassVar[str] = "ligament"
     effect: ClassVar[str | None] = None
@@ -69,13 +71,18 @@ class Ligament:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
         place = triple(rng.uniform(-0.35, 0.35, 3) * anatomy.half_mm + anatomy.centre_mm)
         return cls(
-            place, direction(rng), rng.uniform(12.0, 25.0), rng.uniform(2.0, 4.0),
+            place,
+            direction(rng),
+            rng.uniform(12.0, 25.0),
+            rng.uniform(2.0, 4.0),
             log_uniform(rng, 4.0, 30.0),
-        )  # fmt: skip
+        )
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
         centre = np.array(self.centre_mm)
         normal = np.array(self.normal)
 
@@ -90,7 +97,7 @@ class Ligament:
 
 @dataclass(frozen=True, slots=True)
 class Swelling:
-    """Glandular tissue, or what lies in a ball, that has taken up water."""
+    """Let glandular tissue, or what lies in a ball, take up water."""
 
     kind: ClassVar[str] = "swelling"
     effect: ClassVar[str | None] = None
@@ -102,12 +109,14 @@ class Swelling:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
         place = triple(rng.uniform(-0.4, 0.4, 3) * anatomy.half_mm + anatomy.centre_mm)
         whole = bool(rng.random() < 0.5)
         low, high = (0.01, 0.12) if whole else (0.05, 0.5)
         return cls(log_uniform(rng, low, high), whole, place, rng.uniform(10.0, 20.0))
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
         centre = np.array(self.centre_mm)
         stretch = (1 + self.volume_fraction) ** (1 / 3) - 1
 

@@ -1,4 +1,4 @@
-"""Labels that are drawn wrongly."""
+"""Define labels that are drawn wrongly."""
 
 import math
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from workers.blind.scene import Anatomy, Scene
 
 @dataclass(frozen=True, slots=True)
 class Segmentation:
-    """Labels of the loaded scans that reach too far, or not far enough."""
+    """Let the labels of the loaded scans reach too far, or not far enough."""
 
     kind: ClassVar[str] = "segmentation"
     effect: ClassVar[str | None] = "segmentation_offset"
@@ -20,8 +20,10 @@ class Segmentation:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
         size, angle = log_uniform(rng, 0.1, 0.8), rng.uniform(0, 2 * math.pi)
         return cls(size * math.cos(angle), size * math.sin(angle))
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
         return replace(scene, segmentation_mm=(self.outline_mm, self.glandular_mm))

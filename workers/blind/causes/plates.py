@@ -1,4 +1,4 @@
-"""Plates that are not flat, or not parallel."""
+"""Define plates that are not flat, or not parallel."""
 
 import math
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from workers.blind.scene import Anatomy, Scene
 
 @dataclass(frozen=True, slots=True)
 class Tilt:
-    """An upper plate that is not parallel to the lower one."""
+    """Tilt the upper plate against the lower one."""
 
     kind: ClassVar[str] = "tilt"
     effect: ClassVar[str | None] = "plate_tilt"
@@ -20,16 +20,18 @@ class Tilt:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
         size, angle = log_uniform(rng, 0.4, 6.0), rng.uniform(0, 2 * math.pi)
         return cls(size * math.cos(angle), size * math.sin(angle))
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
         return replace(scene, tilt_deg=(self.depth_deg, self.across_deg))
 
 
 @dataclass(frozen=True, slots=True)
 class BentPlate:
-    """An upper plate bent across as a cosine, away from the body or towards it."""
+    """Bend the upper plate across as a cosine, away from the body or towards it."""
 
     kind: ClassVar[str] = "bent_plate"
     effect: ClassVar[str | None] = None
@@ -38,7 +40,9 @@ class BentPlate:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
         return cls(sign(rng) * log_uniform(rng, 0.7, 5.0))
 
-    def put(self, scene: Scene) -> Scene:
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
         return replace(scene, sag_mm=self.sag_mm)

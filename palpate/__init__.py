@@ -1,0 +1,112 @@
+"""Find the stiffness of living tissue from images, from Python.
+
+A study searches elastic constants until the simulated deformation of a body agrees with
+the imaged one. A diagnosis says what the model still lacks. Both run on a Dask cluster,
+by default on processes of this machine, and continue where they were interrupted.
+
+Run a study and read what it has found::
+
+    import palpate
+
+    if __name__ == "__main__":                      # workers are processes of their own
+        study = palpate.Study.from_file("demo.yaml")
+        results = study.run(workers=2)
+        results.estimates["E_fat"].estimate         # in kPa, see .unit
+        study.candidates()["gsf"]                   # an array, one number a candidate
+        study.table()                               # the same as a pandas table
+        study.volume("best")                        # labels of the deformed body
+
+Diagnose what a folder of scans, a study or a bench experiment lacks::
+
+    diagnosis = palpate.diagnose("patient-7")
+    diagnosis.summary.verdict, diagnosis.summary.primary
+
+Units are mm, N, s; elastic constants carry their unit in their name (``E_fat_kpa``) or
+beside the number.
+
+Examples
+--------
+>>> import palpate
+>>> spec = palpate.study_spec(
+...     {
+...         "name": "small",
+...         "case": {"reference": {"phantom": {"spacing_mm": 2}}, "mesh": {"nodes": 1200}},
+...         "target": {"constants": {"E_fat_kpa": 12}},
+...         "search": {"parameters": {"E_fat_kpa": [5, 20]}, "population": 12},
+...     }
+... )
+>>> spec.case.load.force_n
+100.0
+>>> palpate.parameters()["E_fat_kpa"].description
+"Young's modulus of fat and ligaments"
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from palpate.diagnosis import Diagnosis, diagnose
+    from palpate.study import Study, study_spec
+    from palpate.vocabulary import parameters
+    from palpate.volumes import read_volume, write_volume
+    from service.hooks import Observer
+    from service.results import StudyResults
+    from service.spec import StudySpec
+    from storage.errors import InputError, PalpateError, StoreError
+    from storage.values import TetMesh, Tissue, Volume
+
+    __version__: str
+
+# Names are loaded when they are first used: the command `palpate` starts with this package
+# and must be able to say what is wrong with an installation whose other packages fail.
+_HOMES = {
+    "Diagnosis": "palpate.diagnosis",
+    "diagnose": "palpate.diagnosis",
+    "parameters": "palpate.vocabulary",
+    "Study": "palpate.study",
+    "study_spec": "palpate.study",
+    "read_volume": "palpate.volumes",
+    "write_volume": "palpate.volumes",
+    "Observer": "service.hooks",
+    "StudyResults": "service.results",
+    "StudySpec": "service.spec",
+    "InputError": "storage.errors",
+    "PalpateError": "storage.errors",
+    "StoreError": "storage.errors",
+    "TetMesh": "storage.values",
+    "Tissue": "storage.values",
+    "Volume": "storage.values",
+}
+
+__all__ = [
+    "Diagnosis",
+    "InputError",
+    "Observer",
+    "PalpateError",
+    "StoreError",
+    "Study",
+    "StudyResults",
+    "StudySpec",
+    "TetMesh",
+    "Tissue",
+    "Volume",
+    "__version__",
+    "diagnose",
+    "parameters",
+    "read_volume",
+    "study_spec",
+    "write_volume",
+]
+
+
+def __getattr__(name: str) -> Any:
+    import_module("service")  # one thread a process, set before NumPy loads
+    if name == "__version__":
+        return import_module("service.versions").palpate_version()
+    if name not in _HOMES:
+        raise AttributeError(f"module 'palpate' has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

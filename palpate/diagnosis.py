@@ -1,0 +1,72 @@
+"""What a model lacks: the diagnosis of scans, of a study or of a bench experiment."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from service.cluster import open_cluster
+from service.diagnosis.run import FinishedDiagnosis as Diagnosis
+from service.diagnosis.run import finished, request_for, run
+from service.dispatch import Dispatcher
+from service.report.diagnosis_page import render
+from storage.atomic import write_file
+from workers.diagnosis.settings import SETTINGS
+from workers.tasks.sources import open_source
+
+__all__ = ["Diagnosis", "diagnose"]
+
+
+def diagnose(
+    source: str | Path,
+    *,
+    nodes: int = SETTINGS.mesh.nodes,
+    effects: Iterable[str] | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    store: str | Path = "runs/store",
+    page: str | Path | None = None,
+) -> Diagnosis:
+    """Find out where simulated and real body differ, why, and by how much.
+
+    What the store holds is not computed again; an interrupted diagnosis continues.
+
+    Parameters
+    ----------
+    source : str or Path
+        A folder of scans with its case file, the folder of a study that has run, or the
+        YAML file of a bench experiment.
+    nodes : int
+        Of the mesh.
+    effects : iterable of str, optional
+        Effects that are suspected; by default the whole catalogue.
+    workers : int, optional
+        Processes of this machine; by default as many as fit.
+    scheduler : str, optional
+        Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
+    store : str or Path
+        Folder that all workers see.
+    page : str or Path, optional
+        Where the HTML page is written.
+
+    Returns
+    -------
+    Diagnosis
+        ``summary`` with verdict, probabilities, magnitudes and gaps in mm; ``maps`` with
+        the residuals on the interfaces in mm.
+
+    Raises
+    ------
+    InputError
+        If the source cannot be diagnosed.
+    ClusterError, TaskError
+        If the workers cannot do the work; what is finished is kept.
+    """
+    opened = open_source(Path(source))
+    opened.check()
+    request = request_for(opened, Path(store), nodes, effects=effects)
+    diagnosis = finished(request)
+    if diagnosis is None:
+        with open_cluster(scheduler, workers) as cluster:
+            diagnosis = run(request, Dispatcher(cluster.client))
+    if page is not None:
+        write_file(Path(page), render(diagnosis).encode())
+    return diagnosis

@@ -1,0 +1,220 @@
+"""A study: made from a file or a mapping, run on a cluster, read as arrays and tables."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.diagnosis import Diagnosis, diagnose
+from service.cluster import open_cluster
+from service.dispatch import Dispatcher
+from service.hooks import Observer
+from service.progress import progress_observer
+from service.report.study_data import read_study_data
+from service.report.study_page import write_report
+from service.results import StudyResults, study_results
+from service.spec import StudySpec, read_spec
+from service.study import Study as StudyLoop
+from service.study_log import read_study
+from storage.errors import InputError
+from storage.layout import StudyLayout
+from storage.values import Volume
+from workers.spec import validated
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+SCORES = ("jc", "mhd_mm", "gsf")
+
+
+def study_spec(spec: Mapping[str, Any]) -> StudySpec:
+    """Return a study as it is understood, defaults included.
+
+    Parameters
+    ----------
+    spec : mapping
+        The keys of a study file; ``palpate new breast NAME`` writes one with every key
+        explained.
+
+    Raises
+    ------
+    InputError
+        Naming every key that makes no sense, with what was expected.
+    """
+    return validated(StudySpec, spec, "The study")
+
+
+class Study:
+    """One study and its folder.
+
+    Parameters
+    ----------
+    spec : StudySpec
+        See `study_spec`.
+    folder : str or Path, optional
+        Where it lives; made when it runs. Default: ``runs/NAME``.
+    """
+
+    def __init__(self, spec: StudySpec, folder: str | Path | None = None) -> None:
+        self.spec = spec
+        self.folder = Path(folder) if folder is not None else Path("runs", spec.name)
+
+    @classmethod
+    def from_file(cls, path: str | Path, folder: str | Path | None = None) -> Self:
+        """Read a study file.
+
+        Raises
+        ------
+        InputError
+            If there is no such file, or a key or value makes no sense.
+        """
+        return cls(read_spec(Path(path)), folder)
+
+    @classmethod
+    def from_dict(cls, spec: Mapping[str, Any], folder: str | Path | None = None) -> Self:
+        """Make a study from the keys of a study file.
+
+        Raises
+        ------
+        InputError
+            If a key or value makes no sense.
+        """
+        return cls(study_spec(spec), folder)
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Self:
+        """Open a study that has begun to run.
+
+        Raises
+        ------
+        InputError
+            If the folder holds none.
+        """
+        return cls(read_spec(StudyLayout(Path(folder)).study), folder)
+
+    def run(
+        self,
+        *,
+        workers: int | None = None,
+        scheduler: str | None = None,
+        store: str | Path | None = None,
+        progress: bool = False,
+        observers: Iterable[Observer] = (),
+    ) -> StudyResults:
+        """Run the study to its end, or continue it from wherever it stands.
+
+        Parameters
+        ----------
+        workers : int, optional
+            Processes of this machine; by default as many as fit.
+        scheduler : str, optional
+            Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
+        store : str or Path, optional
+            Folder of volumes and evaluations that all workers see. Default: that of the
+            last run, else the folder ``store`` beside the study's.
+        progress : bool
+            Show a progress bar.
+        observers : iterable of Observer
+            Are called at every generation and evaluation.
+
+        Raises
+        ------
+        InputError
+            If the case or the target makes no sense.
+        StoreError
+            If the store cannot be used, or the study is running already.
+        ClusterError
+            If the workers cannot do the work; what is journalled is kept.
+        """
+        from contextlib import nullcontext
+
+        from rich.console import Console
+
+        bar = progress_observer(Console(stderr=True)) if progress else None
+        shown = [] if bar is None else [bar]
+        loop = StudyLoop(self.spec, self.folder, store, observers=[*shown, *observers])
+        if not loop.ended:
+            with bar or nullcontext(), open_cluster(scheduler, workers) as cluster:
+                loop.run(Dispatcher(cluster.client), cluster.dashboard)
+        return self.results
+
+    @property
+    def results(self) -> StudyResults:
+        """Read what the study has found so far; it may be running meanwhile.
+
+        Raises
+        ------
+        InputError
+            If it has not begun.
+        """
+        return study_results(self.folder)
+
+    def candidates(self) -> dict[str, NDArray[Any]]:
+        """Return every evaluation that has ended as arrays of equal length.
+
+        Returns
+        -------
+        dict of str to ndarray
+            ``candidate``, ``generation`` and ``status``; the searched parameters by their
+            names with units; ``jc``, ``mhd_mm`` and ``gsf``, NaN without a score; ``reason``.
+        """
+        _, log = read_study(self.folder)
+        records = [record for _, record in sorted(log.endings.items())]
+        columns: dict[str, NDArray[Any]] = {
+            "candidate": np.array([r.candidate for r in records], dtype=np.int64),
+            "generation": np.array([r.generation for r in records], dtype=np.int64),
+            "status": np.array([str(r.status) for r in records]),
+        }
+        for name in self.spec.search.parameters:
+            columns[name] = np.array([r.genes[name] for r in records], dtype=np.float64)
+        for name in SCORES:
+            values = [np.nan if r.score is None else float(r.score[name]) for r in records]
+            columns[name] = np.array(values, dtype=np.float64)
+        columns["reason"] = np.array([r.reason for r in records])
+        return columns
+
+    def table(self) -> "DataFrame":
+        """Return `candidates` as a pandas table.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame
+        except ImportError:
+            raise InputError(
+                "A table needs pandas, which is not installed: run `pip install pandas`, or use "
+                "candidates(), which gives the same as arrays."
+            ) from None
+        return DataFrame(self.candidates()).set_index("candidate")
+
+    def volume(self, which: Literal["reference", "target", "best"]) -> Volume:
+        """Return a body of the study as labels.
+
+        Parameters
+        ----------
+        which : {"reference", "target", "best"}
+            The undeformed body, the deformed one to be explained, or the explanation.
+
+        Raises
+        ------
+        InputError
+            If the store does not have it.
+        """
+        bodies = read_study_data(self.folder).bodies
+        volume: Volume | None = getattr(bodies, which)
+        if volume is None:
+            raise InputError(f"The study has no {which} volume. {' '.join(bodies.missing)}")
+        return volume
+
+    def report(self) -> Path:
+        """Write the report page and return its path."""
+        return write_report(self.folder)
+
+    def diagnose(self, **options: Any) -> Diagnosis:
+        """Find out what the model of this study lacks; see `palpate.diagnose`."""
+        return diagnose(self.folder, **options)

@@ -1,0 +1,20 @@
+"""The constants and effects that a study may hold or search."""
+
+from workers.mechanics.parameters import Parameter
+from workers.organs.registry import DEFAULT, organ_named
+
+
+def parameters(organ: str = DEFAULT) -> dict[str, Parameter]:
+    """Return the parameters of an organ's model by their names in a study, units included.
+
+    Parameters
+    ----------
+    organ : str
+        Such as ``"breast"``.
+
+    Raises
+    ------
+    InputError
+        If there is no such organ.
+    """
+    return {parameter.door_name: parameter for parameter in organ_named(organ).parameters}

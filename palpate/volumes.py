@@ -1,0 +1,48 @@
+"""Label volumes from files and to files."""
+
+from pathlib import Path
+
+from service.export import export_volume
+from storage.values import Volume
+from workers.body.images import read
+
+
+def read_volume(
+    path: str | Path,
+    spacing_mm: tuple[float, float, float] | None = None,
+    axes: str | None = None,
+) -> Volume:
+    """Read a label volume from NRRD, NIfTI, TIFF, DICOM or ``.npy``.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file, or a folder of slices.
+    spacing_mm : tuple of float, optional
+        Voxel spacing along x, y and z, where the file does not say.
+    axes : str, optional
+        Which axes of the image are x (vertical), y (compression) and z (chest wall to
+        nipple), such as ``"-z,y,x"``.
+
+    Returns
+    -------
+    Volume
+        ``values`` indexed ``[z, y, x]``, ``spacing_mm`` and ``origin_mm`` as (x, y, z).
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or understood.
+    """
+    return read.read_volume(Path(path), spacing_mm=spacing_mm, axes=axes)
+
+
+def write_volume(path: str | Path, volume: Volume) -> None:
+    """Write a volume as NRRD.
+
+    Raises
+    ------
+    StoreError
+        If the file system refuses.
+    """
+    export_volume(Path(path), volume)

@@ -1,0 +1,166 @@
+"""From the files of a set to records that can be scored."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from service.blind.answers import Answer
+from service.blind.baselines import closest, largest
+from service.blind.magnitudes import lump_apart_mm, magnitudes, true_values
+from service.blind.records import FAILED, CaseRecord
+from service.blind.seal import read_json
+from service.blind.sets import BlindSet, Directions, Truths
+from service.blind.true_gap import true_gap
+from service.blind.truth import Moved, Truth, read_moved, read_truth
+from storage.errors import InputError
+from storage.typed_json import from_json
+from storage.values import FloatArray
+from workers.diagnosis.summary import ShareEstimate, Summary
+from workers.diagnosis.verdict import NO_GAP, NONE_OF_THESE
+from workers.mechanics.effects.segmentation_offset import SEGMENTATION_OFFSET
+
+Arrays = Mapping[str, FloatArray]
+Y_AXIS = [0, 1, 0]
+# Labels drawn too large, by the interface that they move.
+OFFSETS_MM = ("segmentation_fat_mm", "segmentation_glandular_mm")
+
+
+def read_records(
+    blind: BlindSet, truths: Truths, names: list[str], directions: Directions
+) -> list[CaseRecord]:
+    """Return a record of every case.
+
+    Raises
+    ------
+    InputError
+        If a truth or an answer lacks something.
+    """
+    return [_read(blind, truths, name, directions) for name in names]
+
+
+def _read(blind: BlindSet, truths: Truths, name: str, directions: Directions) -> CaseRecord:
+    truth = read_truth(truths.of(name))
+    read = read_json(blind.answer(name, directions))
+    if "failed" in read:
+        return CaseRecord(
+            name,
+            truth.kind,
+            truth.group,
+            truth.effects,
+            truth.families,
+            FAILED,
+            reason=read["failed"],
+        )
+    moved = _diagnosed(read_moved(truths.of(name)), blind.case(name), directions)
+    with np.load(blind.points(name, directions)) as file:
+        maps = {key: file[key] for key in file.files}
+    return record_of(name, truth, moved, answer_of(read, name), maps)
+
+
+def answer_of(read: Mapping[str, object], name: str) -> Answer:
+    """Return the answer that a file holds.
+
+    Raises
+    ------
+    InputError
+        If it lacks something.
+    """
+    try:
+        return from_json(Answer, read)
+    except ValueError as error:
+        raise InputError(f"The answer of {name} is not one of this version: {error}.") from error
+
+
+def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Arrays) -> CaseRecord:
+    """Put truth and answer of one case side by side.
+
+    Parameters
+    ----------
+    truth : Truth
+    moved : Moved
+        Of the scans that were diagnosed.
+    answer : Answer
+    maps : mapping of str to ndarray
+        Its arrays.
+    """
+    summary, gap = answer.summary, answer.summary.gap_mm
+    effects = {e.name: e for e in summary.effects}
+    visible = {n: e.probability for n, e in effects.items() if n not in summary.absorbed}
+    ends = {
+        NO_GAP: summary.no_gap_probability,
+        NONE_OF_THESE: summary.none_of_these_probability,
+    }
+    return CaseRecord(
+        name=name,
+        kind=truth.kind,
+        group=truth.group,
+        effects=truth.effects,
+        families=truth.families,
+        answer=summary.verdict,
+        primary=summary.primary,
+        primary_families=tuple(effects[n].family for n in summary.primary),
+        set90=summary.set90,
+        probabilities=ends | visible,
+        alarm=summary.alarm,
+        claimed_before_mm=gap.before.gap_mm,
+        claimed_after_mm=gap.after.gap_mm if gap.after else None,
+        true_before_mm=_true_mm("before", truth, moved, maps, {}),
+        true_after_mm=_true_mm("after", truth, moved, maps, _offsets(summary)),
+        gap_interval_mm=(gap.before.low_mm, gap.before.high_mm),
+        share_interval=_interval(gap.share),
+        claimed_share=_known(gap.share),
+        held_out_share=_known(gap.held_out_share),
+        magnitudes=tuple(magnitudes(truth, effects)),
+        lump_apart_mm=lump_apart_mm(truth, effects, answer.centre_mm),
+        accused_by={
+            "raw_correlation": largest(answer.baselines.raw_correlation),
+            "refit": closest(answer.baselines.refit_left_mm),
+        },
+        catalogue=len(effects),
+    )
+
+
+def _diagnosed(moved: Moved, case: Path, directions: Directions) -> Moved:
+    """Return the scans that were diagnosed."""
+    if directions == "all":
+        return moved
+    loaded = read_json(case / "case.json")["scans"]["deformed"]
+    chosen = [n for n, d in enumerate(loaded) if d.get("compression_axis", Y_AXIS) == Y_AXIS]
+    return Moved(moved.points, moved.interface, moved.displacement[chosen])
+
+
+def _true_mm(
+    when: str, truth: Truth, moved: Moved, maps: Arrays, found: Mapping[str, float]
+) -> float | None:
+    """Return the true gap, of the interfaces as they are drawn; None where nobody is accused.
+
+    Labels that are drawn too large are a gap of the images and none of the body. What the
+    diagnosis says of it, `found`, closes that gap.
+    """
+    if f"moved_{when}" not in maps:
+        return None
+    normals, interface = maps[f"normals_{when}"], maps["interface"].astype(np.int32)
+    true = true_values(truth)
+    drawn = np.array([true.get(n, 0.0) - found.get(n, 0.0) for n in OFFSETS_MM])
+    known = maps["bias"] + drawn[interface]
+    return true_gap(maps["points"], maps[f"moved_{when}"], normals, moved, known).gap_mm
+
+
+def _offsets(summary: Summary) -> dict[str, float]:
+    """Return what is said of labels that are drawn too large, if they are accused."""
+    if SEGMENTATION_OFFSET.name not in summary.primary:
+        return {}
+    accused = summary.effect(SEGMENTATION_OFFSET.name)
+    return {p.parameter: p.magnitude for p in accused.parameters}
+
+
+def _known(share: ShareEstimate | None) -> float | None:
+    """Return the share; None where no gap has none."""
+    return None if share is None or np.isnan(share.share) else share.share
+
+
+def _interval(share: ShareEstimate | None) -> tuple[float, float] | None:
+    if share is None or np.isnan([share.low, share.high]).any():
+        return None
+    return share.low, share.high

@@ -1,0 +1,43 @@
+"""`palpate import-case` turns a case in prose into a structured one."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.commands.echo import print_understood
+from storage.errors import InputError
+
+
+def import_case(
+    case: Annotated[
+        Path, typer.Argument(metavar="CASE", help="A case.json, or the folder that it lies in.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The file to write. Default: case.yaml beside it.", show_default=False),
+    ] = None,
+) -> None:
+    """Write what a case says as case.yaml, every key with its unit.
+
+    A case in prose of which a phrase is not understood is refused, and the phrase is named.
+    """
+    from storage.atomic import explained, write_file
+    from workers.tasks.sources import structured
+
+    folder = case if case.is_dir() else case.parent
+    path = out or folder / "case.yaml"
+    if path.exists():
+        raise InputError(f"{path} is there already: give --out FILE, or move it away.")
+    if not path.parent.is_dir():
+        raise InputError(f"The folder {path.parent} does not exist: make it first.")
+    if path.parent.absolute() != folder.absolute():
+        raise InputError(
+            f"{path} is not beside {case}, and a case names its scans relative to itself: give an "
+            f"--out in {folder}."
+        )
+    text = structured(case)
+    print_understood(case)
+    with explained(path):
+        write_file(path, text.encode())
+    typer.echo(f"Wrote {path}. To diagnose it: palpate diagnose {path}")

@@ -1,0 +1,74 @@
+"""A plan from its source to its summary: simulate every load, and weigh what they show."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from service.dispatch import Dispatcher, value_of
+from workers.diagnosis.planning.summary import PlanSummary
+from workers.diagnosis.settings import SETTINGS
+from workers.tasks.planning import (
+    LoadRecord,
+    PlanRequest,
+    analyse_load,
+    list_loads,
+    named,
+    weigh_plan,
+)
+from workers.tasks.sources import add_source, open_planned
+from workers.tasks.task_store import TaskStore
+
+PlanObserver = Callable[[int, int, LoadRecord | None], object]
+"""Called with the loads that are done, all of them, and the last one; None at the beginning."""
+
+NODES = 2000
+
+
+def request_plan(
+    path: Path, store: Path, nodes: int = NODES, spacing_mm: float = SETTINGS.points.spacing_mm
+) -> PlanRequest:
+    """Bring what is planned into the store, and return what is asked of the workers.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of a case or of a study.
+    store : Path
+        Made where it is missing.
+    nodes : int
+        Of the mesh.
+    spacing_mm : float
+        Between points on the interfaces.
+
+    Raises
+    ------
+    InputError
+        If the path cannot be planned.
+    StoreError
+        If the store cannot be used.
+    """
+    source = open_planned(path.expanduser().absolute())
+    parts = TaskStore(store)
+    name = add_source(source, parts)
+    return named(PlanRequest(str(parts.store.root), name, nodes, spacing_mm))
+
+
+def run_plan(request: PlanRequest, dispatcher: Dispatcher, observe: PlanObserver) -> PlanSummary:
+    """Plan an acquisition, from wherever it stands.
+
+    Raises
+    ------
+    InputError
+        If a planned load cannot be simulated.
+    StoreError
+        If a worker cannot use the store.
+    ClusterError, TaskError
+        If the workers cannot do the work; what is finished is kept.
+    Interrupted
+        If the dispatcher is told to stop.
+    """
+    loads = dispatcher.call(list_loads, request).loads
+    observe(0, len(loads), None)
+    calls = [(name, (request, number)) for number, name in enumerate(loads)]
+    for done, ending in enumerate(dispatcher.run(analyse_load, calls), start=1):
+        observe(done, len(loads), value_of(ending, f"load {ending.key}"))
+    return dispatcher.call(weigh_plan, request)

@@ -1,0 +1,254 @@
+"""Collects the sentences, tables and pictures that the template of a study's page prints."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+from markupsafe import Markup
+
+from service.report import study_tables
+from service.report.study_data import StudyData
+from service.report.study_pictures import (
+    best_tenth,
+    convergence_picture,
+    evaluated_points,
+    range_picture,
+    scatter_pictures,
+    searched_parameters,
+    section_pictures,
+    stage_picture,
+)
+from service.report.study_sections import difference_legend, present
+from service.report.words import (
+    at_edge,
+    count,
+    duration,
+    joined,
+    number,
+    percent,
+    signed_error,
+    symbol,
+)
+from service.results import ParameterEstimate
+from service.results_json import study_json
+from storage.plain import to_plain
+
+
+def context(data: StudyData) -> dict[str, Any]:
+    """Return all values of the template."""
+    return {
+        **_head(data),
+        **_parameters(data),
+        **_bodies(data),
+        **_search(data),
+        **_simulation(data),
+        **_time(data),
+        **_details(data),
+    }
+
+
+def _head(data: StudyData) -> dict[str, Any]:
+    results, score = data.results, data.results.best_score
+    phrases = _verdict(results.estimates)
+    tiles: list[tuple[str, str, str]] = []
+    if score:
+        tiles = [
+            ("Jaccard coefficient", number(score["jc"]), ""),
+            ("Modified Hausdorff", number(score["mhd_mm"], 3), "mm"),
+            ("GSF", number(score["gsf"]), ""),
+        ]
+    tiles.append(("Evaluations", count(len(data.endings)), ""))
+    tiles.append(("Wall time", duration(results.wall_s), ""))
+    return {
+        "name": results.name,
+        "verdict": _sentence(phrases) if phrases else "Nothing found yet.",
+        "lead": _lead(data),
+        "tiles": tiles,
+        "warnings": _warnings(data),
+    }
+
+
+def _verdict(estimates: Mapping[str, ParameterEstimate]) -> list[Markup]:
+    """Say what was estimated, one phrase for each parameter."""
+    phrases = []
+    for name, parameter in estimates.items():
+        if parameter.estimate is None:
+            continue
+        value = f"{number(parameter.estimate, 3)} {parameter.unit}".rstrip()
+        phrase = symbol(name, parameter.unit) + Markup(" <b>{}</b>").format(value)
+        error = signed_error(parameter.estimate, parameter.target)
+        if error is not None:
+            phrase += Markup(', <span class="off">{} from the target</span>').format(percent(error))
+        phrases.append(phrase)
+    return phrases
+
+
+def _sentence(phrases: list[Markup]) -> Markup:
+    """Join phrases that hold commas themselves, none of them broken over two lines."""
+    ends = [";"] * (len(phrases) - 1) + ["."]
+    return Markup("\n").join(
+        Markup('<span class="found">{}{}</span>').format(phrase, end)
+        for phrase, end in zip(phrases, ends, strict=True)
+    )
+
+
+def _lead(data: StudyData) -> str:
+    results, score = data.results, data.results.best_score
+    sentences = []
+    if score:
+        compared = results.spec.score
+        space, what = compared.extent
+        sentences.append(
+            f"With the best constants, {compared.compared} of simulation and target share "
+            f"{100 * score['jc']:.1f} % of the {space} that they fill together, and their {what} "
+            f"lie {number(score['mhd_mm'], 3)} mm ({number(score['mhd_voxels'], 2)} voxels) apart "
+            "on average."
+        )
+    so_far = ": all numbers are those of the best so far" if score else ""
+    if results.stop_reason:
+        sentences.append(f"The search has ended: {results.stop_reason}.")
+    elif results.state == "running":
+        sentences.append(f"The search is still running{so_far}.")
+    else:
+        sentences.append(f"The search was interrupted{so_far}. Running it again continues it.")
+    return " ".join(sentences)
+
+
+def _warnings(data: StudyData) -> list[Markup]:
+    warnings = []
+    edges = [
+        symbol(name, e.unit)
+        for name, e in data.results.estimates.items()
+        if e.estimate is not None and at_edge(e.estimate, (e.lower, e.upper))
+    ]
+    if edges:
+        text = "{} {} at the edge of the searched interval: the true value may lie beyond it."
+        verb = "lies" if len(edges) == 1 else "lie"
+        warnings.append(Markup(text).format(joined(edges), verb))
+    best = data.results.best
+    if best is not None and (best.outcome or {}).get("squeezed"):
+        text = (
+            "The best simulation squeezes some element to less than a fifth of its volume: its "
+            "numbers are not to be trusted."
+        )
+        warnings.append(Markup(text))
+    return warnings
+
+
+def _parameters(data: StudyData) -> dict[str, Any]:
+    estimates = data.results.estimates
+    parameters = searched_parameters(estimates)
+    known = any(e.target is not None for e in estimates.values())
+    points = evaluated_points(data.endings)
+    about = (
+        "The target was simulated, so its constants are known and the search did not see them."
+        if known
+        else "The constants of the target are not known: it comes from an image."
+    )
+    return {
+        "about_parameters": about,
+        "ranges": range_picture(parameters, best_tenth(points)) if data.results.best else None,
+        "parameters": study_tables.parameters(estimates),
+        "scatters": scatter_pictures(parameters, points),
+        "targets_known": known,
+    }
+
+
+def _bodies(data: StudyData) -> dict[str, Any]:
+    bodies, labels = data.bodies, data.results.spec.score.parts
+    after = data.results.best_scores or bodies.scores_after
+    before = data.results.undeformed_scores or bodies.scores_before
+    compared = data.results.spec.score.compared
+    return {
+        "sections": section_pictures(bodies, labels),
+        "about_sections": f"Sections through the middle of {compared}. "
+        f"{bodies.load_direction} Target and best candidate are cut in the same planes.",
+        "tissues": present(bodies),
+        "differences": difference_legend(),
+        "missing": bodies.missing,
+        "similarities": study_tables.similarities(before, after, labels),
+        "about_similarity": "From the undeformed body, where the fit begins, to the best "
+        f"candidate. The search compared the shaded row{'s' if len(labels) > 1 else ''}.",
+    }
+
+
+def _search(data: StudyData) -> dict[str, Any]:
+    generations = [scores for _, scores in data.results.complete_generations]
+    search = data.results.spec.search
+    rows = [
+        (index + 1, number(scores.best, 5), number(scores.mean, 5))
+        for index, scores in enumerate(generations)
+    ]
+    units = {e.gene: e.unit for e in data.results.estimates.values()}
+    failed = study_tables.failures(data.endings, units)
+    share = f"{len(failed)} of {count(len(data.endings))} evaluations have no score"
+    about_failures = (
+        f"{share}; the search ranks them last."
+        if failed
+        else f"None: every one of {count(len(data.endings))} evaluations has a score."
+        if data.endings
+        else "None: nothing was evaluated yet."
+    )
+    return {
+        "convergence": convergence_picture(evaluated_points(data.endings), generations),
+        "about_search": f"{_plural(len(generations), 'complete generation')} of "
+        f"{search.population} candidates; "
+        f"the best {search.elite} of each live on unchanged and are not evaluated again.",
+        "generations": rows,
+        "failures": failed,
+        "about_failures": about_failures,
+    }
+
+
+def _simulation(data: StudyData) -> dict[str, Any]:
+    best = data.results.best
+    if best is None:
+        return {"outcome": [], "about_outcome": ""}
+    return {
+        "outcome": study_tables.outcome(best.outcome or {}),
+        "about_outcome": f"Candidate {best.candidate} of generation {best.generation + 1}.",
+    }
+
+
+def _time(data: StudyData) -> dict[str, Any]:
+    results, wall_s = data.results, data.results.wall_s
+    computed = sum(not r.reused for r in data.endings)
+    spent = {name: stage.total_s for name, stage in results.stages.items()}
+    counts = results.counts
+    work = [
+        ("Evaluations done", count(counts.done)),
+        ("Evaluations diverged", count(counts.diverged)),
+        ("Evaluations crashed", count(counts.crashed)),
+        ("Evaluations lost", count(counts.lost)),
+        ("Of these taken from the store", count(counts.reused)),
+    ]
+    if computed and wall_s:
+        work.append(("Throughput", f"{number(60 * computed / wall_s, 3)} evaluations per min"))
+    if data.session is not None:
+        work.append(("Evaluations at once", count(data.session.workers)))
+    return {
+        "about_time": f"{duration(wall_s)} of wall time, preparation included; the evaluations "
+        f"took {duration(sum(spent.values()))}, added up over all workers."
+        if wall_s
+        else "No run has noted its time yet.",
+        "stages": study_tables.stages(results.stages),
+        "stage_bar": stage_picture(spent),
+        "work": work,
+    }
+
+
+def _details(data: StudyData) -> dict[str, Any]:
+    versions = data.results.versions
+    configuration = to_plain(data.results.spec.as_dict())
+    return {
+        "case": study_tables.case(data.results.body_facts),
+        "configuration": yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True),
+        "versions": sorted(versions.items()),
+        "json": json.dumps(study_json(data.results), indent=2, ensure_ascii=False),
+        "closing": f"Made by Palpate {versions.get('palpate', '')}.".replace(" .", "."),
+    }
+
+
+def _plural(n: int, noun: str) -> str:
+    return f"{count(n)} {noun}" if n == 1 else f"{count(n)} {noun}s"

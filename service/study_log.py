@@ -1,0 +1,120 @@
+"""Reads the journal of a study as a whole."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+from storage.errors import InputError, JournalError
+from storage.journal import Journal
+from storage.layout import StudyLayout
+from storage.records import (
+    EndRecord,
+    EvaluationRecord,
+    SessionRecord,
+    StudyRecord,
+    record_of,
+)
+
+
+@dataclass(frozen=True)
+class StudyLog:
+    """The records of a journal, by kind.
+
+    Parameters
+    ----------
+    study : StudyRecord or None
+        None if nothing was ever written.
+    sessions : tuple of SessionRecord
+        Runs so far.
+    endings : mapping of int to EvaluationRecord
+        By candidate.
+    end : EndRecord or None
+        If the search has stopped.
+    seconds : float
+        Wall time of all runs, as far as they noted it.
+    """
+
+    study: StudyRecord | None = None
+    sessions: tuple[SessionRecord, ...] = ()
+    endings: Mapping[int, EvaluationRecord] = field(default_factory=dict)
+    end: EndRecord | None = None
+    seconds: float = 0.0
+
+    @classmethod
+    def read(cls, journal: Path) -> Self:
+        """Read a journal; one that is missing or empty has no records.
+
+        Raises
+        ------
+        JournalError
+            If it is damaged, or holds two endings of one candidate.
+        NewerSchemaError
+            If a newer version of Palpate wrote it.
+        """
+        study: StudyRecord | None = None
+        end: EndRecord | None = None
+        sessions: list[SessionRecord] = []
+        endings: dict[int, EvaluationRecord] = {}
+        session_seconds: list[float] = []
+        for line in Journal.read(journal):
+            record = record_of(line)
+            if isinstance(record, StudyRecord):
+                study = record
+            elif isinstance(record, SessionRecord):
+                sessions.append(record)
+                session_seconds.append(record.seconds)
+            elif isinstance(record, EvaluationRecord):
+                if record.candidate in endings:
+                    raise _two_endings(journal, record.candidate)
+                endings[record.candidate] = record
+            else:
+                if session_seconds:
+                    session_seconds[-1] = record.elapsed_s
+                if isinstance(record, EndRecord):
+                    end = record
+        if study is None and (endings or sessions):
+            raise JournalError(
+                f"{journal} does not begin with its study: its head was cut off. Start a new "
+                "study; evaluations in the store are used again."
+            )
+        return cls(study, tuple(sessions), endings, end, sum(session_seconds))
+
+    @property
+    def last_session(self) -> SessionRecord | None:
+        """Return the run that began last; None if preparation has never been finished."""
+        return self.sessions[-1] if self.sessions else None
+
+    @property
+    def code(self) -> str:
+        """Return the digest of the code that ran last; empty if none did."""
+        if self.sessions:
+            return self.sessions[-1].versions["code"]
+        return "" if self.study is None else self.study.versions.get("code", "")
+
+
+def _two_endings(journal: Path, candidate: int) -> JournalError:
+    return JournalError(
+        f"{journal} tells of candidate {candidate} twice: it was changed by hand. Remove the "
+        "second line, then run the study again."
+    )
+
+
+def read_study(folder: Path) -> tuple[StudyRecord, StudyLog]:
+    """Read the journal of an existing study.
+
+    Raises
+    ------
+    InputError
+        If `folder` is no study.
+    JournalError
+        If its journal is damaged.
+    """
+    log = StudyLog.read(StudyLayout(folder).journal)
+    if log.study is None:
+        problem = "holds no journal of a study" if folder.is_dir() else "does not exist"
+        raise InputError(
+            f"{folder} {problem}. Give the folder of a study, such as runs/NAME, or start one "
+            "with `palpate run STUDY.yaml`."
+        )
+    return log.study, log

@@ -1,0 +1,47 @@
+"""The constants of each integration point come from the quarter of the element around it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pressed_blocks import block
+
+from storage.values import Tissue, Volume
+from workers.blind.material_assignment import materials_of
+from workers.blind.random_case import draw
+from workers.blind.scene import NU, Constants, Scene
+
+SIDES = np.array([30.0, 20.0, 16.0])
+SLOPE = 1e-3  # of the stiffness for a mm: exp is linear to 0.02 %
+# Of a corner's quarter, the points nearest to it: its own barycentric coordinate is the largest
+# of four, (1 + 1/2 + 1/3 + 1/4) / 4 in the mean, and the others are alike.
+OWN = 25 / 48
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_stiffness_that_grows_along_an_axis_is_that_of_each_quarter(axis):
+    mesh = block((2, 2, 1), SIDES)
+    labels = Volume(np.full((16, 20, 30), Tissue.FAT, np.uint8), (1.0,) * 3, (-14.5, -9.5, 0.5))
+    scene = Scene(draw(1).anatomy, Constants(10.0, 40.0, 80.0))
+    scene = replace(scene, ln_stiffness=(lambda points: SLOPE * points[:, axis],))
+    materials = materials_of(scene, mesh, labels)
+    corners = mesh.nodes[mesh.cells[:, :4], axis]
+    quarter = OWN * corners + (1 - OWN) / 3 * (corners.sum(axis=1, keepdims=True) - corners)
+    mu = 0.010 / (2 * (1 + NU))
+    places = (materials.mu / mu - 1) / SLOPE
+    # 64 samples in an element miss the middle of a quarter by a tenth of its edges at most.
+    np.testing.assert_allclose(places, quarter, atol=0.1 * np.ptp(corners, axis=1).max())
+    np.testing.assert_allclose(materials.eta / 0.080, materials.mu / mu, rtol=1e-12)
+
+
+def test_glandular_tissue_beyond_a_plane_stiffens_the_points_there():
+    """Corners at x = -15 and 15 of elements that are cut at x = 0 by the tissue's boundary."""
+    mesh = block((1, 1, 1), SIDES)
+    values = np.full((16, 20, 30), Tissue.FAT, np.uint8)
+    values[:, :, 15:] = Tissue.GLANDULAR
+    labels = Volume(values, (1.0,) * 3, (-14.5, -9.5, 0.5))
+    materials = materials_of(Scene(draw(1).anatomy, Constants(10.0, 40.0, 80.0)), mesh, labels)
+    share = (2 * (1 + NU) * materials.mu - 0.010) / 0.030
+    right = mesh.nodes[mesh.cells[:, :4], 0] > 0
+    assert share[right].min() > 0.5 > share[~right].max()
+    assert materials.kappa == pytest.approx(materials.mu * 2 * (1 + NU) / (3 * (1 - 2 * NU)))

@@ -1,0 +1,170 @@
+"""A body whose truth is known: the same model made the scans."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lopsided import plain, volume
+
+from storage.values import TetMesh, Tissue
+from workers.body.mesh.hierarchy import build_hierarchy
+from workers.comparison.observation.interface import InterfacePoints
+from workers.comparison.observation.noise import SegmentationNoise
+from workers.comparison.observation.point_interpolation import interpolation
+from workers.diagnosis.gauss_newton import SolvedFit, fit
+from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan, unknowns
+from workers.diagnosis.joint_fit import fit_jointly
+from workers.diagnosis.nominal_analysis import NominalAnalysis
+from workers.diagnosis.scan_prediction import derivatives, predict_scan
+from workers.diagnosis.sensitivity_analysis import (
+    inclusion_grid,
+    joined_sensitivity,
+    scan_sensitivity,
+)
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.effects.breast_catalogue import effect
+from workers.mechanics.fem.fields import frame_of
+from workers.mechanics.fem.loads import Wall
+from workers.mechanics.fem.model import prepare
+from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.fem.solve import solve
+
+TRUTH = {"E_fat": 0.011, "E_gl": 0.034}
+FREE = [FreeConstant("E_fat", 0.007, 0.014), FreeConstant("E_gl", 0.020, 0.050)]
+TILT, FRICTION = effect("plate_tilt"), effect("plate_friction")
+
+
+def problem(values, force_n: float) -> Problem:
+    asked = plain()
+    constants = {
+        Tissue.FAT: Constants(values["E_fat"], 0.49, 0.02),
+        Tissue.GLANDULAR: Constants(values["E_gl"], 0.49, 0.02),
+    }
+    load = replace(asked.load, force_n=force_n)
+    held = Wall((False, False, True), (2e-4, 1e-4, 0.0))
+    return replace(asked, constants=constants, load=load, wall=held, tolerance_mm=1e-5)
+
+
+def problem_between_plates(hidden=None, values=None, forces=(10.0, 20.0)) -> InverseProblem:
+    """A body and its scans, made by `hidden` effects of `values`, without noise."""
+    hierarchy = build_hierarchy(volume(), nodes=900)
+    model = prepare(hierarchy)
+    frame = frame_of(model.finest.nodes)
+    surface = np.unique(model.finest.sheet.triangles)[::4]
+    nodes = model.finest.nodes[surface]
+    outward = nodes - np.asarray(frame.centre_mm)
+    outward /= np.linalg.norm(outward, axis=1)[:, None]
+    k = len(nodes)
+    points = InterfacePoints(
+        nodes, outward, np.zeros(k, np.int32), np.ones(k), np.zeros(k, np.int32)
+    )
+    mesh = TetMesh(model.finest.nodes, model.finest.elements.tets)
+    at_points = interpolation(mesh, nodes)
+
+    def scan(force_n: float) -> Scan:
+        asked = problem(TRUTH, force_n)
+        if hidden is not None:
+            asked = hidden.apply(asked, values, frame)
+        solution = solve(model, asked)
+        assert solution.outcome.converged
+        seen = nodes + at_points @ solution.displacement_mm
+
+        def look(moved, of):
+            assert len(of) == len(moved)
+            return ((moved - seen) * outward).sum(axis=1), outward
+
+        return Scan(f"{force_n:g} N", lambda v: problem(v, force_n), look)
+
+    scans = [scan(force) for force in forces]
+    m = k * len(scans)
+    noise = SegmentationNoise(0.1, 4.0, 0.0, 0.01)
+    return InverseProblem(
+        model, frame, points, at_points, FREE, scans, noise, 0.01 * np.eye(m), np.zeros(m)
+    )
+
+
+def analysed(inverse: InverseProblem, nominal: SolvedFit, effects: list[Effect]) -> NominalAnalysis:
+    """The nominal fit with the sensitivities of effects that all act and can be simulated."""
+    sensitivities = []
+    for one in effects:
+        numbers = range(len(inverse.scans))
+        scans = [scan_sensitivity(inverse, nominal, number, one) for number in numbers]
+        found = joined_sensitivity(one, scans)
+        assert found is not None
+        sensitivities.append(found)
+    return NominalAnalysis(inverse, nominal, sensitivities)
+
+
+def test_derivatives_are_those_of_the_residual() -> None:
+    inverse = problem_between_plates()
+    free = unknowns(FREE, [TILT])
+    z = np.array([np.log(0.009), np.log(0.03), 0.5, -0.3])
+    scan = inverse.scans[1]
+    here = predict_scan(inverse, scan, free, z, None)
+    assert here is not None
+    found = derivatives(inverse, scan, free, z, here).columns
+    for i in range(len(z)):
+        h = 1e-3
+        ahead, behind = z.copy(), z.copy()
+        ahead[i] += h
+        behind[i] -= h
+        there, back = (predict_scan(inverse, scan, free, at, None) for at in (ahead, behind))
+        assert there is not None
+        assert back is not None
+        expected = (there.residual - back.residual) / (2 * h)
+        assert np.abs(found[:, i] - expected).max() < 2e-2 * np.abs(expected).max()
+
+
+def test_constants_are_found_where_nothing_is_missing() -> None:
+    inverse = problem_between_plates()
+    free = unknowns(FREE, [])
+    found = fit(inverse, free, free.mean, [None, None])
+    assert found is not None
+    assert found.converged
+    for name, value in TRUTH.items():
+        # The prior pulls by what the noise allows.
+        assert found.values()[name] == pytest.approx(value, rel=0.02)
+
+
+def test_a_tilt_is_suspected_first_and_found() -> None:
+    inverse = problem_between_plates(TILT, {"tilt_depth": 3.0, "tilt_across": -1.0})
+    free = unknowns(FREE, [])
+    nominal = fit(inverse, free, free.mean, [None, None])
+    assert nominal is not None
+    suspects = [TILT, effect("stiffness_gradient"), effect("gravity_change"), FRICTION]
+    analysis = analysed(inverse, nominal, suspects)
+    assert analysis.screening[0].name == "plate_tilt"
+    again = fit_jointly(analysis, [TILT])
+    assert again is not None
+    values = again.fit.values()
+    assert values["tilt_depth"] == pytest.approx(3.0, abs=0.1)
+    assert values["tilt_across"] == pytest.approx(-1.0, abs=0.1)
+    assert values["E_fat"] == pytest.approx(TRUTH["E_fat"], rel=0.02)
+
+
+def test_friction_is_found_along_the_path() -> None:
+    inverse = problem_between_plates(FRICTION, {"friction": 0.3}, forces=(20.0,))
+    free = unknowns(FREE, [])
+    nominal = fit(inverse, free, free.mean, [None])
+    assert nominal is not None
+    again = fit_jointly(analysed(inverse, nominal, [FRICTION]), [FRICTION])
+    assert again is not None
+    assert again.fit.values()["friction"] == pytest.approx(0.3, abs=0.03)
+
+
+def test_places_of_a_lump_lie_inside_the_body() -> None:
+    inverse = problem_between_plates()
+    offsets = inclusion_grid(inverse).offsets
+    assert len(offsets) > 10
+    inside = np.abs(offsets) < np.asarray(inverse.frame.half_mm)
+    assert inside.all()
+
+
+def test_some_points_may_be_left_out() -> None:
+    inverse = problem_between_plates()
+    which = np.zeros(len(inverse.points), bool)
+    which[::3] = True
+    fewer = inverse.keeping(which)
+    assert len(fewer.points) == which.sum()
+    assert fewer.covariance.shape == (2 * which.sum(),) * 2
+    assert list(fewer.rows) == [0] * which.sum() + [1] * which.sum()

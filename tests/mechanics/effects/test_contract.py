@@ -1,0 +1,376 @@
+"""What every effect promises, whatever the solver."""
+
+import math
+from copy import deepcopy
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from lopsided import HALF_MM, busy, plain, problem
+
+from storage.errors import InputError
+from storage.values import Tissue
+from workers.mechanics.effects.base import Effect, one_sided
+from workers.mechanics.effects.base_motion import base_motion
+from workers.mechanics.effects.breast_catalogue import (
+    BREAST_EFFECTS,
+    NOT_SIMULATED,
+    effect,
+    effect_parameters,
+    with_effects,
+)
+from workers.mechanics.effects.clamp_compliance import CLAMP_COMPLIANCE
+from workers.mechanics.fem.fields import FibreField, Frame, Gradient, Inclusion
+from workers.mechanics.fem.loads import DistanceControl, NoPlates, Wall
+from workers.mechanics.fem.problem import Constants, Membrane
+from workers.mechanics.materials.yeoh import Yeoh
+from workers.mechanics.parameters import BREAST, Parameter
+from workers.units import KPA_PER_MM, MM, MM_PER_KPA, N_PER_M
+
+FRAME = Frame((1.0, -2.0, 20.0), tuple(HALF_MM))
+PROBLEMS = (plain(), busy())
+# Those of the body and of its load.
+ON_PROBLEM = [e for e in BREAST_EFFECTS if e.observation is None]
+ON_IMAGE = [e for e in BREAST_EFFECTS if e.observation is not None]
+every = pytest.mark.parametrize("e", BREAST_EFFECTS, ids=lambda e: e.name)
+on_problem = pytest.mark.parametrize("e", ON_PROBLEM, ids=lambda e: e.name)
+on_image = pytest.mark.parametrize("e", ON_IMAGE, ids=lambda e: e.name)
+
+
+def same(a, b):
+    """Equality of problems to rounding, number by number."""
+    if isinstance(a, float) or isinstance(b, float):
+        return a == pytest.approx(b, rel=1e-13, abs=1e-15)
+    if hasattr(a, "__dataclass_fields__"):
+        return type(a) is type(b) and all(
+            same(getattr(a, f), getattr(b, f)) for f in a.__dataclass_fields__
+        )
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(same(p, q) for p, q in zip(a, b, strict=True))
+    return a == b
+
+
+@every
+@pytest.mark.parametrize("base", PROBLEMS, ids=["plain", "busy"])
+def test_neutral_changes_nothing(e, base):
+    assert e.apply(base, {}, FRAME) is base
+    assert e.apply(base, e.neutral, FRAME) is base
+    neutral = e.transform(base, e.neutral, FRAME)
+    # A gradient of zero, and fibres of no stiffness along another axis, are written down.
+    bare = replace(neutral, variations=base.variations, fibres=base.fibres)
+    assert same(bare, base)
+    points = np.random.default_rng(0).uniform(-40, 40, (20, 3))
+    for variation in neutral.variations:
+        assert not variation.log_factor(points).any()
+    np.testing.assert_array_equal(neutral.fibres.directions(points), base.fibres.directions(points))
+
+
+@on_problem
+@pytest.mark.parametrize("base", PROBLEMS, ids=["plain", "busy"])
+def test_each_plausible_value_changes_something(e, base):
+    if e.name == "skin_scaled" and base.membrane is None:
+        assert not e.acts_on(base, FRAME)
+        return
+    assert e.acts_on(base, FRAME)
+    for name, value in e.plausible.items():
+        if name.startswith("inclusion") and name != "inclusion_ln_ratio":
+            continue
+        assert e.apply(base, {name: value}, FRAME) != base
+
+
+@every
+def test_parameters_are_whole(e):
+    assert e.summary.endswith(".")
+    assert e.references
+    assert all(e.references)
+    for parameter, sd, step in zip(e.parameters, e.prior_sd, e.steps, strict=True):
+        assert parameter.neutral is not None
+        assert parameter.lower <= parameter.neutral <= parameter.upper
+        assert 0 < step < sd <= 2 * (parameter.upper - parameter.lower)
+        assert parameter.description
+        parameter.check(parameter.neutral)
+        if one_sided(parameter):
+            with pytest.raises(InputError, match="at least"):
+                parameter.check(parameter.neutral - step)
+        if parameter.unit.symbol:
+            assert parameter.door_name != parameter.name
+
+
+def test_names_are_one_vocabulary():
+    vocabulary = BREAST.extended_by(effect_parameters())
+    assert len(set(vocabulary.door_names)) == len(vocabulary)
+    assert len({e.name for e in BREAST_EFFECTS}) == len(BREAST_EFFECTS)
+    stated = vocabulary.from_door(
+        {"wall_compliance_mm_per_kpa": 0.1, "skin_added_n_per_m": 300.0, "tilt_depth_deg": 2.0}
+    )
+    assert stated == {"tilt_depth": 2.0, "wall_compliance": 100.0, "skin_added": 0.3}
+
+
+@every
+def test_nothing_is_mutated(e):
+    for base in (plain(), busy()):
+        before = deepcopy(base)
+        e.apply(base, e.plausible, FRAME)
+        assert base == before
+
+
+@pytest.mark.parametrize("base", PROBLEMS, ids=["plain", "busy"])
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [pair for pair in combinations(BREAST_EFFECTS, 2) if pair[0].family != pair[1].family],
+    ids=lambda e: e.name,
+)
+def test_families_commute(first, second, base):
+    def after(problem, *effects):
+        for e in effects:
+            problem = e.apply(problem, e.plausible, FRAME)
+        return problem
+
+    assert same(after(base, first, second), after(base, second, first))
+
+
+def test_the_catalogue_applies_what_is_named():
+    values = {"tilt_depth": 2.0, "creep": 0.2, "stiffening": 1.0}
+    made = with_effects(plain(), values, FRAME)
+    expected = effect("plate_tilt").apply(plain(), {"tilt_depth": 2.0}, FRAME)
+    expected = effect("strain_stiffening").apply(expected, {"stiffening": 1.0}, FRAME)
+    assert made == effect("creep").apply(expected, {"creep": 0.2}, FRAME)
+    assert with_effects(plain(), {}, FRAME) == plain()
+    with pytest.raises(InputError, match="did you mean 'tilt_depth'"):
+        with_effects(plain(), {"tild_depth": 1.0}, FRAME)
+
+
+def test_unknown_effect_and_value():
+    with pytest.raises(InputError, match="did you mean 'plate_friction'"):
+        effect("plate_fricton")
+    with pytest.raises(InputError, match="friction must be at least 0"):
+        effect("plate_friction").apply(plain(), {"friction": -0.1}, FRAME)
+    with pytest.raises(InputError, match="unknown parameter 'tilt'"):
+        effect("plate_friction").apply(plain(), {"tilt": 0.1}, FRAME)
+    assert not {name for name, _ in NOT_SIMULATED} & {e.name for e in BREAST_EFFECTS}
+
+
+def test_an_effect_must_be_whole():
+    friction = effect("plate_friction")
+    with pytest.raises(InputError, match="prior_sd > 0 for each of its 1"):
+        replace(friction, prior_sd=())
+    with pytest.raises(InputError, match="steps > 0"):
+        replace(friction, steps=(0.0,))
+    loose = Parameter("E_x", MM, 1.0, 2.0, None, "follows", follows="E_fat")
+    with pytest.raises(InputError, match="a neutral value for E_x"):
+        replace(friction, parameters=(loose,))
+
+
+@on_problem
+def test_changes_straddle_the_place_or_start_there(e: Effect):
+    at = e.neutral
+    for parameter, change in zip(e.parameters, e.changes(plain(), FRAME, at), strict=True):
+        step = e.steps[e.parameters.index(parameter)]
+        low = at[parameter.name] - step
+        if one_sided(parameter) and low < 0:
+            low = at[parameter.name]
+        high = low + change.step
+        assert change.step == pytest.approx(step if low == at[parameter.name] else 2 * step)
+        assert change.minus == e.apply(plain(), {**at, parameter.name: low}, FRAME)
+        assert same(change.plus, e.apply(plain(), {**at, parameter.name: high}, FRAME))
+
+
+# What each effect writes, worked out by hand.
+
+
+def test_gravity_and_prestress():
+    moved = effect("gravity_change").apply(busy(), {"gravity_y": 0.5}, FRAME)
+    assert moved.gravity_g == (0.1, 0.7, 0.3)
+    assert moved.imaged_gravity_g == busy().imaged_gravity_g
+    both = effect("gravity_prestress").apply(plain(), {"common_gravity": 1.0}, FRAME)
+    assert both.gravity_g == both.imaged_gravity_g == (0.0, 0.0, 1.0)
+
+
+def test_plates():
+    half = effect("plate_force").apply(plain(), {"ln_plate_force": math.log(0.5)}, FRAME)
+    assert half.load.force_n == pytest.approx(10.0)
+    at_distance = replace(plain(), load=DistanceControl(-20.0, 20.0))
+    assert not effect("plate_force").acts_on(at_distance, FRAME)
+    # 2 mm at 50 mm is a curvature of 2 * 2 / 2500 per mm.
+    bent = effect("plate_flex").apply(at_distance, {"flex_depth": 2.0}, FRAME)
+    assert bent.load.device.upper.bow_per_mm == pytest.approx((0.0, 1.6e-3))
+    tilted = effect("plate_tilt").apply(busy(), {"tilt_depth": 3.0, "tilt_across": 1.0}, FRAME)
+    assert tilted.load.device.upper.tilt_deg == (4.0, -1.0)
+    assert tilted.load.device.lower == busy().load.device.lower
+    loose = replace(plain(), load=NoPlates())
+    for name in ("plate_force", "plate_tilt", "plate_flex", "plate_friction"):
+        assert not effect(name).acts_on(loose, FRAME)
+
+
+def test_wall():
+    """Compliances add in series, holds in parallel."""
+    compliance = MM_PER_KPA.to_inside(0.1)
+    assert compliance == 100.0
+    wall = effect("wall_compliance").apply(plain(), {"wall_compliance": compliance}, FRAME).wall
+    assert wall == Wall((False, False, False), (0.0, 0.0, 0.01))
+    sprung = effect("wall_compliance").apply(busy(), {"wall_compliance": compliance}, FRAME).wall
+    assert sprung.spring_mpa_per_mm[2] == pytest.approx(1 / (100.0 + 1 / 3e-3))
+    hold = {"wall_hold_x": KPA_PER_MM.to_inside(0.5)}
+    held = effect("wall_hold").apply(busy(), hold, FRAME).wall
+    assert held.spring_mpa_per_mm == pytest.approx((6e-4, 2e-4, 3e-3))
+    glued = replace(plain(), wall=Wall((True, True, True)))
+    assert not effect("wall_hold").acts_on(glued, FRAME)
+
+
+def test_variations_keep_their_order():
+    gradient = effect("stiffness_gradient").apply(plain(), {"ln_gradient_y": 0.4}, FRAME)
+    assert gradient.variations == (Gradient((0.0, 0.4, 0.0), FRAME),)
+    where = {"inclusion_ln_ratio": 2.0, "inclusion_x": 10.0, "inclusion_z": -5.0}
+    lump = effect("inclusion").apply(gradient, where, FRAME)
+    assert lump.variations == (
+        Gradient((0.0, 0.4, 0.0), FRAME),
+        Inclusion(2.0, (11.0, -2.0, 15.0), 6.0),
+    )
+
+
+def test_fibres():
+    turned = effect("fibre_rotation").apply(plain(), {"fibre_turn_y": 10.0}, FRAME)
+    direction = turned.fibres.directions(np.zeros((1, 3)))[0]
+    assert direction == pytest.approx((0.0, math.sin(math.radians(10)), math.cos(math.radians(10))))
+    fanned = effect("fibre_fan").apply(turned, {"fibre_fan_x": 20.0}, FRAME)
+    edge = np.array([[FRAME.centre_mm[0] + FRAME.half_mm[0], 0.0, 0.0]])
+    a = fanned.fibres.directions(edge)[0]
+    assert a[0] / a[2] == pytest.approx(math.tan(math.radians(20)))
+    assert a[1] / a[2] == pytest.approx(math.tan(math.radians(10)))
+    own = replace(plain(), fibres=FibreField(fan_deg=(5.0, 0.0), frame=Frame()))
+    assert effect("fibre_fan").apply(own, {"fibre_fan_y": 1.0}, FRAME).fibres.frame == Frame()
+
+
+def test_second_fibres_run_across():
+    s = math.sqrt(0.5)
+    oblique = plain()
+    device = replace(oblique.load.device, axis=(s, s, 0.0))
+    oblique = replace(oblique, load=replace(oblique.load, device=device))
+    second = effect("second_fibres").apply(oblique, {"second_fibres": 0.01}, FRAME)
+    assert second.fibres.second_axis == (-s, s, 0.0)
+    assert {c.second_fibre_mpa for c in second.constants.values()} == {0.01}
+    turned = replace(second, fibres=replace(second.fibres, second_axis=(1.0, 0.0, 0.0)))
+    more = effect("second_fibres").apply(turned, {"second_fibres": 0.01}, FRAME)
+    assert more.fibres.second_axis == (1.0, 0.0, 0.0)
+    assert more.constants[Tissue.FAT].second_fibre_mpa == 0.02
+
+
+def test_materials():
+    at = {"ln_compressibility": math.log(2.0)}
+    soft = effect("compressibility").apply(plain(), at, FRAME)
+    fat, was = soft.constants[Tissue.FAT], plain().constants[Tissue.FAT]
+    assert fat.poisson == pytest.approx(0.48)
+    assert fat.young_mpa == was.young_mpa
+    assert fat.kappa_mpa == pytest.approx(was.kappa_mpa / 2)
+    with pytest.raises(InputError, match="needs E > 0 and 0 < nu"):
+        effect("compressibility").apply(plain(), {"ln_compressibility": 4.0}, FRAME)
+    crept = effect("creep").apply(busy(), {"creep": 0.25}, FRAME)
+    assert crept.constants[Tissue.FAT] == Constants(0.0075, 0.49, 0.015)
+    assert crept.membrane == Membrane(0.375, 1.5)
+    stiffer = effect("strain_stiffening").apply(plain(), {"stiffening": 1.5}, FRAME)
+    assert stiffer.constants[Tissue.GLANDULAR].stiffening == 1.5
+
+
+def test_a_law_of_its_own_relaxes_too():
+    """Creep multiplies the energy; so the law's stress and tangent, too."""
+    own = replace(plain().constants[Tissue.FAT], law=Yeoh(0.002, 0.001))
+    base = replace(plain(), constants={Tissue.FAT: own})
+    law = effect("creep").apply(base, {"creep": 0.25}, FRAME).constants[Tissue.FAT].law
+    F = np.eye(3) + 0.2 * np.random.default_rng(3).standard_normal((3, 3))
+    weaker = Yeoh(0.0015, 0.00075)
+    assert law.energy(F) == pytest.approx(weaker.energy(F), rel=1e-14)
+    np.testing.assert_allclose(law.stress(F), weaker.stress(F), rtol=1e-12)
+    np.testing.assert_allclose(law.tangent(F), weaker.tangent(F), rtol=1e-12, atol=1e-18)
+    assert law.shear_modulus_mpa == pytest.approx(0.003)
+    stiffer = effect("strain_stiffening").apply(base, {"stiffening": 1.0}, FRAME)
+    assert stiffer.constants[Tissue.FAT] == own
+
+
+def test_skin():
+    added = N_PER_M.to_inside(1500.0)
+    assert added == 1.5
+    made = effect("skin_added").apply(plain(), {"skin_added": added}, FRAME).membrane
+    assert made.young_mpa * made.thickness_mm == pytest.approx(1.5)
+    more = effect("skin_added").apply(busy(), {"skin_added": added}, FRAME).membrane
+    assert more == Membrane(1.5, 1.5)
+    scaled = effect("skin_scaled").apply(busy(), {"ln_skin": math.log(3.0)}, FRAME).membrane
+    assert scaled.young_mpa == pytest.approx(1.5)
+    assert scaled.thickness_mm == 1.5
+
+
+# Effects on the image.
+
+
+def interface():
+    rng = np.random.default_rng(7)
+    normals = rng.standard_normal((60, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    points = np.asarray(FRAME.centre_mm) + normals * HALF_MM
+    tissues = rng.choice([Tissue.FAT, Tissue.GLANDULAR, Tissue.LIGAMENT], 60)
+    return points, normals, tissues
+
+
+@on_image
+def test_observation_is_linear_and_leaves_the_body_alone(e):
+    body = interface()
+    assert e.apply(busy(), e.plausible, FRAME) == busy()
+    assert not e.shift(*body, e.neutral, FRAME).any()
+    columns = e.observation(*body, FRAME)
+    assert columns.shape == (60, len(e.parameters))
+    for k, name in enumerate(e.names):
+        assert e.shift(*body, {name: 0.7}, FRAME) == pytest.approx(0.7 * columns[:, k])
+    together = e.shift(*body, e.plausible, FRAME)
+    assert together == pytest.approx(columns @ np.array(e.prior_sd))
+    assert (e.changes(plain(), FRAME)[0].plus) == plain()
+
+
+def test_segmentation_moves_the_tissue_that_it_names():
+    points, normals, tissues = interface()
+    e = effect("segmentation_offset")
+    shift = e.shift(points, normals, tissues, {"segmentation_glandular": 0.5}, FRAME)
+    np.testing.assert_array_equal(shift, np.where(tissues == Tissue.GLANDULAR, 0.5, 0.0))
+    assert not effect("creep").shift(points, normals, tissues, {"creep": 0.1}, FRAME).any()
+
+
+@pytest.mark.parametrize(
+    ("e", "centre_mm"),
+    [(effect("rigid_motion"), FRAME.centre_mm), (base_motion((3.0, -5.0, 7.0)), (3.0, -5.0, 7.0))],
+    ids=["body", "base"],
+)
+def test_rigid_motion_is_that_of_a_rotation_matrix(e, centre_mm):
+    """Against the exact motion: the error falls with the square of the angle."""
+    from scipy.spatial.transform import Rotation
+
+    points, normals, tissues = interface()
+    errors = []
+    for size in (1.0, 0.5):
+        turn = size * np.array([1.5, -1.0, 2.0])
+        move = size * np.array([0.3, 0.2, -0.4])
+        arm = points - np.asarray(centre_mm)
+        exact = Rotation.from_rotvec(turn, degrees=True).apply(arm) + move - arm
+        values = dict(zip(e.names, [*move, *turn], strict=True))
+        shift_mm = e.shift(points, normals, tissues, values, FRAME)
+        errors.append(np.abs(shift_mm - (exact * normals).sum(axis=1)).max())
+    assert errors[0] < 0.06
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
+
+
+def test_a_clamp_keeps_its_springs_along_x_and_y():
+    sliding = replace(
+        plain(), wall=Wall(held=(False, False, True), spring_mpa_per_mm=(0.1, 0.2, 0.0))
+    )
+    values = {"clamp_compliance": 4.0}
+    wall = CLAMP_COMPLIANCE.apply(sliding, values, FRAME).wall
+    assert wall.held == (False, False, False)
+    assert wall.spring_mpa_per_mm == (0.1, 0.2, 0.25)
+    loose = replace(sliding, wall=wall)
+    assert CLAMP_COMPLIANCE.apply(loose, values, FRAME) == loose  # it yields already
+
+
+def test_units_of_effects():
+    for unit, door in ((KPA_PER_MM, 0.3), (MM_PER_KPA, 0.3), (N_PER_M, 1234.5), (MM, 1.1)):
+        assert unit.to_door(unit.to_inside(door)) == pytest.approx(door, rel=1e-15)
+    assert problem(NoPlates()).constants[Tissue.FAT].young_mpa == 0.010

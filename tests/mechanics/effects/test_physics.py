@@ -1,0 +1,158 @@
+"""What every effect does to a body: tangents against differences of full solutions.
+
+The body is held loosely along its chest wall. Without that nothing resists gravity
+along x but the drift springs.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from lopsided import plain, volume
+
+from workers.body.mesh.hierarchy import build_hierarchy
+from workers.mechanics.effects.base import Effect, one_sided
+from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS, effect
+from workers.mechanics.fem.fields import Frame, frame_of
+from workers.mechanics.fem.loads import Wall
+from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.fem.problem import Membrane, Problem
+from workers.mechanics.fem.sensitivity import tangents
+from workers.mechanics.fem.solve import Equilibrium, equilibrium
+
+PRESTRESS = effect("gravity_prestress")
+ON_BODY = [e for e in BREAST_EFFECTS if e.observation is None]
+# Away from neutral, where a place and a size matter.
+AT = {"inclusion": {"inclusion_ln_ratio": 1.0, "inclusion_x": 3.0, "inclusion_y": 8.0}}
+RELATIVE = 1e-4
+
+
+@cache
+def model() -> Model:
+    return prepare(build_hierarchy(volume(), nodes=900))
+
+
+@cache
+def frame() -> Frame:
+    return frame_of(model().finest.nodes)
+
+
+def base(e: Effect) -> Problem:
+    held = Wall((False, False, True), (2e-4, 1e-4, 0.0))
+    skin = Membrane(0.2, 1.5) if e.name == "skin_scaled" else None
+    return replace(plain(), wall=held, membrane=skin, tolerance_mm=1e-9)
+
+
+def solved(problem: Problem, start: Equilibrium | None = None) -> Equilibrium:
+    solved_state = equilibrium(model(), problem, start)
+    assert not solved_state.solution.outcome.reason
+    return solved_state
+
+
+def moved(problem: Problem, start: Equilibrium | None = None) -> np.ndarray:
+    return solved(problem, start).solution.displacement_mm
+
+
+def difference(e: Effect, k: int, here: Equilibrium) -> np.ndarray:
+    """Derivative of the solution by parameter `k`, by Richardson extrapolation."""
+    at = e.complete(AT.get(e.name, {}))
+    parameter = e.parameters[k]
+    forward = one_sided(parameter)
+    # With friction the path from rest counts.
+    start = None if e.name == "plate_friction" else here
+    h = 1e-4 * e.prior_sd[k]
+
+    def u(step: float) -> np.ndarray:
+        values = {**at, parameter.name: at[parameter.name] + step}
+        return moved(e.apply(base(e), values, frame()), start)
+
+    def slope(h: float) -> np.ndarray:
+        if forward:
+            return (u(h) - here.solution.displacement_mm) / h
+        return (u(h) - u(-h)) / (2 * h)
+
+    gain = 2 if forward else 4
+    return (gain * slope(h / 2) - slope(h)) / (gain - 1)
+
+
+@pytest.mark.parametrize("e", ON_BODY, ids=lambda e: e.name)
+def test_neutral_solution_is_unchanged(e):
+    problem = base(e)
+    here = solved(problem)
+    neutral = e.transform(problem, e.neutral, frame())
+    assert np.abs(moved(neutral) - here.solution.displacement_mm).max() < 1e-9
+
+
+@pytest.mark.parametrize("e", [e for e in ON_BODY if e is not PRESTRESS], ids=lambda e: e.name)
+def test_tangents_are_differences_of_solutions(e):
+    at = AT.get(e.name, {})
+    here = solved(e.apply(base(e), at, frame()))
+    slopes = tangents(here, e.changes(base(e), frame(), at))
+    assert slopes.shape == (len(e.parameters), *model().finest.nodes.shape)
+    for k in range(len(e.parameters)):
+        expected = difference(e, k, here)
+        assert np.abs(expected).max() * e.prior_sd[k] > 0.01
+        assert np.abs(slopes[k] - expected).max() < RELATIVE * np.abs(expected).max()
+
+
+def test_tangent_of_prestress():
+    """The stress-free shape is found to a tolerance, so steps are larger and errors, too."""
+    e = replace(PRESTRESS, steps=(0.01,))
+    problem = replace(base(e), tolerance_mm=1e-6)
+    slopes = tangents(solved(problem), e.changes(problem, frame()))[0]
+    ahead, behind = (moved(e.apply(problem, {"common_gravity": g}, frame())) for g in (0.01, -0.01))
+    expected = (ahead - behind) / 0.02
+    assert np.abs(slopes - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+# With friction, tangents hold the slip of earlier steps, so they are not those of the path.
+@pytest.mark.parametrize(
+    "e",
+    [e for e in ON_BODY if e.name not in ("gravity_prestress", "plate_friction")],
+    ids=lambda e: e.name,
+)
+def test_tangents_away_from_neutral(e):
+    """At half the plausible values, where most effects are no longer linear."""
+    at = {name: (value + e.neutral[name]) / 2 for name, value in e.plausible.items()}
+    here = solved(e.apply(base(e), at, frame()))
+    slopes = tangents(here, e.changes(base(e), frame(), at))
+    rng = np.random.default_rng(2)
+    direction = rng.uniform(0.3, 1.0, len(slopes)) * e.prior_sd
+    h = 1e-4
+
+    def along(step: float) -> np.ndarray:
+        values = {n: at[n] + step * d for n, d in zip(e.names, direction, strict=True)}
+        return moved(e.apply(base(e), values, frame()), here)
+
+    expected = (along(h) - along(-h)) / (2 * h)
+    together = np.tensordot(direction, slopes, 1)
+    assert np.abs(together - expected).max() < RELATIVE * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    ("name", "small"), [("wall_compliance", 2.0), ("plate_friction", 1e-4)], ids=lambda v: str(v)
+)
+def test_one_sided_effects_set_in_gently(name, small):
+    """Half the value, half the displacement: nothing jumps between absent and present."""
+    e = effect(name)
+    here = moved(base(e))
+    full, half = (
+        moved(e.apply(base(e), {e.names[0]: value}, frame())) - here for value in (small, small / 2)
+    )
+    assert np.abs(full - 2 * half).max() < 0.02 * np.abs(full).max()
+    assert np.abs(full).max() > 1e-3
+
+
+def test_creep_is_a_larger_force():
+    """In one state nobody can tell them apart: only stiffness over force counts.
+
+    The plates' penalty, which does not relax, makes the difference.
+    """
+    here = solved(replace(plain(), tolerance_mm=1e-9))
+    creep, force = (
+        tangents(here, effect(name).changes(here.problem, frame()))[0]
+        for name in ("creep", "plate_force")
+    )
+    assert np.abs(creep - force).max() < 0.02 * np.abs(force).max()
+    assert np.abs(force).max() > 1.0

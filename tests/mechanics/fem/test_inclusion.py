@@ -1,0 +1,84 @@
+"""A stiff ball in a soft body under a strain applied far away."""
+
+import numpy as np
+import pytest
+from blocks import OPEN, holding
+from solids import ball, body, symmetric
+
+from storage.values import FloatArray, Tissue
+from workers.mechanics.fem.element_energy import deformation_gradients
+from workers.mechanics.fem.fields import Inclusion
+from workers.mechanics.fem.level import Level
+from workers.mechanics.fem.loads import NoPlates
+from workers.mechanics.fem.multigrid import solver_factory
+from workers.mechanics.fem.newton import minimise
+from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.fem.states import State
+
+RADIUS, FAR_MM = 120.0, 480.0
+# Shells of the mesh: the edge of the inclusion, smoothed over 1 mm, lies within one.
+SHELLS_MM = (0.0, 60.0, 117.0, 119.0, 121.0, 130.0, 148.0, 176.0, 224.0, 310.0, FAR_MM)
+E, NU = 0.01, 0.3
+
+
+def concentration(contrast: float) -> tuple[float, float]:
+    """Strain inside over strain far away, of volume and of shape.
+
+    Eshelby, Proc. R. Soc. Lond. A 241 (1957) 376-396, Eqs. 3.12-3.14 for a sphere with
+    the matrix's nu: T = 1 / (1 + s (contrast - 1)), s = (1 + nu) / 3(1 - nu) for volume
+    and 2 (4 - 5 nu) / 15(1 - nu) for shape. The boundary lies at a finite distance, so
+    T / (1 - f + f T) with the volume fraction f (Mori & Tanaka 1973), which for volume
+    is exact and for shape good to order f^2.
+    """
+    f = (RADIUS / FAR_MM) ** 3
+    share = (1 + NU) / (3 * (1 - NU)), 2 * (4 - 5 * NU) / (15 * (1 - NU))
+    dilute = [1 / (1 + s * (contrast - 1)) for s in share]
+    volume, shape = (t / (1 - f + f * t) for t in dilute)
+    return volume, shape
+
+
+def graded(unit: FloatArray) -> FloatArray:
+    """An eighth of a ball with its shells at `SHELLS_MM`."""
+    shell = unit.max(axis=1)
+    wanted = np.interp(shell, np.linspace(0, 1, len(SHELLS_MM)), SHELLS_MM) / FAR_MM
+    return ball(FAR_MM)(unit * (wanted / np.maximum(shell, 1e-300))[:, None])
+
+
+def strain_inside(contrast: float, far: FloatArray) -> FloatArray:
+    """Mean strain within half the radius; the outer sphere moves by `far`, (3,), times x."""
+    n = len(SHELLS_MM) - 1
+    model = body([(n, n, n)], graded, bare=symmetric).finest
+    lump = Inclusion(float(np.log(contrast)), (0.0, 0.0, 0.0), RADIUS)
+    problem = Problem({Tissue.FAT: Constants(E, NU)}, NoPlates(), variations=(lump,))
+    level = Level.build(model, problem)
+    X = model.nodes
+    outer = np.linalg.norm(X, axis=1) > FAR_MM - 1e-6
+    level = holding(level, outer[:, None] | (np.abs(X) < 1e-9))
+    result = minimise(level, State(X * (1 + far), 0.0), OPEN, solver_factory(()), 1e-9)
+    assert result.reason == ""
+    F = deformation_gradients(result.state.x, model.elements)
+    centroid = X[model.elements.tets].mean(axis=1)
+    core = np.linalg.norm(centroid, axis=1) < RADIUS / 2
+    weight = model.elements.volumes[core]
+    return np.einsum("e,eij->ij", weight, F[core] - np.eye(3)) / weight.sum()
+
+
+@pytest.mark.parametrize("contrast", [10.0, 0.2])
+def test_strain_inside_is_eshelbys(contrast):
+    """Pulled along x; the surface of the ball is a surface of the mesh, smoothed over 1 mm."""
+    e = 1e-4
+    far = np.array([e, 0.0, 0.0])
+    volume, shape = concentration(contrast)
+    mean = far.mean()
+    exact = volume * mean + shape * (far - mean)
+    found = strain_inside(contrast, far)
+    off = found - np.diag(np.diagonal(found))
+    assert np.abs(off).max() < 0.01 * np.abs(exact).max()
+    np.testing.assert_allclose(np.diagonal(found), exact, atol=0.04 * np.abs(exact).max())
+
+
+def test_even_swelling_inside():
+    e = 1e-4
+    volume, _ = concentration(10.0)
+    found = strain_inside(10.0, np.full(3, e))
+    np.testing.assert_allclose(np.diagonal(found), volume * e, rtol=0.05)

@@ -1,0 +1,143 @@
+"""A structured case through the commands: written, imported, echoed, and the same diagnosis."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from compressed_breast import SCANS, described, write_scan
+
+from service.cli import main
+from service.templates import template
+from storage.values import Tissue, Volume
+from workers.organs.breast.case_files import read_case
+from workers.organs.breast.case_source import ScannedCaseSource
+from workers.organs.breast.case_spec import CaseFile
+from workers.organs.specimen.spec import SpecimenSpec
+from workers.spec import validated
+from workers.tasks.sources import is_plannable, open_planned, open_source, understood
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def call(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Call:
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        code = main([str(a) for a in arguments])
+        shown = capsys.readouterr()
+        return code, shown.out, shown.err
+
+    return run
+
+
+@pytest.fixture
+def prose(tmp_path: Path) -> Path:
+    """A block of fat around glandular tissue, which stands for its scans as well."""
+    folder = tmp_path / "prose"
+    folder.mkdir()
+    values = np.zeros((10, 14, 14), np.uint8)
+    values[1:-1, 1:-1, 1:-1] = Tissue.FAT
+    values[3:-3, 4:-4, 4:-4] = Tissue.GLANDULAR
+    for file in SCANS:
+        write_scan(folder / file, Volume(values, (4.0, 4.0, 4.0), (-26.0, -26.0, 0.0)))
+    (folder / "case.json").write_text(json.dumps(described()))
+    return folder
+
+
+def test_a_case_in_prose_and_its_import_are_one_case(
+    prose: Path, tmp_path: Path, call: Call
+) -> None:
+    folder = Path(shutil.copytree(prose, tmp_path / "small"))
+    before = ScannedCaseSource(read_case(folder)).content
+    code, out, err = call("import-case", str(folder))
+    assert (code, "Wrote" in out) == (0, True)
+    assert "springs of 0.2 kPa/mm along x" in err.replace("\n", " ").replace("  ", " ")
+    (folder / "case.json").unlink()
+    for path in (folder, folder / "case.yaml"):
+        after = ScannedCaseSource(read_case(path)).content
+        assert after.record == before.record
+        assert {k: v.values.tobytes() for k, v in after.volumes.items()} == {
+            k: v.values.tobytes() for k, v in before.volumes.items()
+        }
+        assert is_plannable(path)
+        assert open_planned(path).acquisition.loads == ["8 N", "20 N"]
+    code, _, err = call("import-case", str(folder))
+    assert (code, "there already" in err) == (2, True)
+
+
+def test_structured_json_is_read_too(prose: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(prose, tmp_path / "small"))
+    record = read_case(folder).file.model_dump(mode="json")
+    (folder / "case.json").write_text(json.dumps(record))
+    assert open_source(folder).content.record == record
+
+
+def test_an_import_leaves_nothing_where_a_phrase_is_not_known(
+    prose: Path, tmp_path: Path, call: Call
+) -> None:
+    folder = Path(shutil.copytree(prose, tmp_path / "small"))
+    said = json.loads((folder / "case.json").read_text())
+    said["nominal"]["energy"] = "Ogden N=3"
+    (folder / "case.json").write_text(json.dumps(said))
+    for command in (["import-case"], ["diagnose"], ["plan"]):
+        code, _, err = call(*command, str(folder))
+        assert code == 2
+        assert "Ogden N=3" in err
+    assert not (folder / "case.yaml").exists()
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_case_is_echoed_before_anything_runs(prose: Path) -> None:
+    rows = dict(understood(prose))
+    assert rows["E_fat"] == "searched from 6 to 15 kPa"
+    assert rows["law"] == "neo-Hookean, without fibres"
+    assert rows["scan 2"].startswith("pressed_20N.nrrd: 20 N")
+
+
+def test_new_writes_a_diagnosis_and_an_experiment(call: Call) -> None:
+    for kind in ("diagnosis", "experiment"):
+        code, out, _ = call("new", kind, f"my-{kind}")
+        assert (code, f"palpate diagnose my-{kind}.yaml" in out) == (0, True)
+        code, _, err = call("diagnose", f"my-{kind}.yaml")
+        assert code == 2
+        assert err.count("\n") == 1
+        assert "names" in err and "which is not" in err
+
+
+def test_the_templates_say_the_defaults_that_they_show() -> None:
+    case = validated(CaseFile, yaml.safe_load(template("diagnosis", "mine")))
+    bare = {"name": "mine", "wall": {"z_mm": 0}, "plates": {"lower_mm": -50, "upper_mm": 50}}
+    bare |= {
+        "constants": {"E_fat_kpa": [7, 14], "E_glandular_kpa": [20, 50], "eta_kpa": [50, 120]},
+        "noise": {"sd_mm": 0.3, "correlation_mm": 4},
+        "scans": {"reference": "reference.nrrd", "loads": [{"file": "a", "force_n": 40}]},
+    }
+    least = validated(CaseFile, bare)
+    assert (case.model, case.noise, case.scans.labels) == (
+        least.model,
+        least.noise,
+        least.scans.labels,
+    )
+    experiment = validated(SpecimenSpec, yaml.safe_load(template("experiment", "mine")))
+    assert experiment.name == "mine"
+
+
+@pytest.mark.parametrize("command", ["diagnose", "plan"])
+def test_a_study_file_has_to_run_first(command: str, call: Call) -> None:
+    call("new", "breast", "mine")
+    code, _, err = call(command, "mine.yaml")
+    assert code == 2
+    assert "study file" in err and "palpate run mine.yaml" in err and "runs/mine" in err
+
+
+def test_import_case_of_something_else_is_refused(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "empty").mkdir()
+    code, _, err = call("import-case", "empty")
+    assert (code, "is no case" in err) == (2, True)

@@ -1,0 +1,106 @@
+"""The code's part of a digest: whatever an evaluation reaches by imports, and nothing else."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from workers.organs.registry import MODULES
+from workers.tasks.code_version import code_version, reached
+
+ROOT = Path(__file__).parents[2]
+EVALUATION = ("workers.tasks.evaluation", MODULES["breast"])
+# Read once: what a result is named after must not depend on who looks.
+REACHED = reached(EVALUATION)
+# Rooms that earlier hand-written lists left out although evaluations depend on them.
+FORGOTTEN = (
+    "workers.mechanics.parameters",
+    "workers.mechanics.effects.plate_friction",
+    "workers.mechanics.materials.base",
+    "workers.tasks.pipeline",
+)
+
+
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Copy the packages, so that files can be changed."""
+    root = tmp_path_factory.mktemp("copied")
+    for package in ("workers", "storage"):
+        shutil.copytree(
+            ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    return root
+
+
+def versions_in(root: Path, files: list[Path]) -> list[str]:
+    """Return the version as it stands, then with each of the files changed alone."""
+    script = f"""
+import sys
+from pathlib import Path
+from workers.tasks import code_version as module
+import storage.digest
+def version():
+    module.code_version.cache_clear()
+    return module.code_version(*{EVALUATION!r})
+print(version())
+for name in sys.argv[1:]:
+    file = Path(name)
+    text = file.read_bytes()
+    file.write_bytes(text + b"# touched")
+    print(version())
+    file.write_bytes(text)
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", script, *map(str, files)],
+        cwd=root,
+        env={"PYTHONPATH": str(root), "PATH": ""},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return ran.stdout.split()
+
+
+def test_every_file_that_an_evaluation_imports_counts(copied: Path) -> None:
+    files = [copied / file.relative_to(ROOT) for file in REACHED.values()]
+    before, *after = versions_in(copied, files)
+    assert len(after) == len(files) > 100
+    unnoticed = [name for name, now in zip(REACHED, after, strict=True) if now == before]
+    assert unnoticed == []
+
+
+def test_a_file_that_no_evaluation_imports_does_not_count(copied: Path) -> None:
+    apart = [
+        "workers/diagnosis/pictures/drawings.py",
+        "workers/diagnosis/verdict.py",
+        "workers/blind/random_case.py",
+        "workers/organs/specimen/problem.py",
+        "workers/tasks/diagnosis.py",
+        "storage/journal.py",
+    ]
+    before, *after = versions_in(copied, [copied / name for name in apart])
+    assert after == [before] * len(apart)
+
+
+@pytest.mark.parametrize("module", FORGOTTEN)
+def test_what_used_to_be_forgotten_counts(module: str) -> None:
+    assert module in REACHED
+
+
+def test_all_that_python_has_loaded_is_among_what_was_reached() -> None:
+    """The import statements are read as text; running them must load nothing else."""
+    script = (
+        f"import sys, {', '.join(EVALUATION)}\n"
+        "print(*(n for n in sys.modules if n.split('.')[0] in ('workers', 'storage')))"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert set(ran.stdout.split()) <= set(REACHED)
+
+
+def test_a_module_that_is_missing_is_named() -> None:
+    with pytest.raises(ModuleNotFoundError, match=r"workers\.nowhere"):
+        code_version("workers.nowhere")

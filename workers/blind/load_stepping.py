@@ -1,0 +1,142 @@
+"""Solve a scene: from loads to displacements, one load after the other."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from storage.values import FloatArray, Volume
+from workers.blind.contact import Plate
+from workers.blind.element_energy import ElementMaterials
+from workers.blind.material_assignment import materials_of
+from workers.blind.newton import FORCE_TOLERANCE, Newton, NoEquilibriumError
+from workers.blind.quadratic_element import FACE_WEIGHTS, QuadraticMesh, face_shapes
+from workers.blind.random_case import Load
+from workers.blind.scene import WALL_SPRING_KPA_PER_MM, Anatomy, Scene
+from workers.blind.skin_membrane import sheet_of
+from workers.blind.system import State, System, Topology, Wall
+
+SAG_ARM_MM = 50.0
+TOUCH_MM = 0.3  # the plates begin a little closer than the body, so that they touch it
+FRICTION_STEPS = 3
+# As `newton.FORCE_TOLERANCE`, with friction: at the loads, and at the steps between them.
+FRICTION_TOLERANCE, FRICTION_TOLERANCE_BETWEEN = 3e-4, 1.5e-3
+IN_AXES = {"y": ((1, 0, 0), (0, 0, 1), (0, 1, 0)), "x": ((0, -1, 0), (0, 0, 1), (1, 0, 0))}
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Hold one loaded scan: displacement (n, 3) and travel of the upper plate, in mm."""
+
+    load: Load
+    displacement_mm: FloatArray
+    travel_mm: float
+
+
+def plate_starts(anatomy: Anatomy, axis: str) -> tuple[float, float]:
+    """Return where the lower and the upper plate stand before they press, in mm along the axis."""
+    if axis == "x":
+        return -anatomy.lower_mm, anatomy.upper_mm
+    return -anatomy.half_width_mm, anatomy.half_width_mm
+
+
+def solve_scene(
+    scene: Scene, topology: Topology, labels: Volume, loads: Sequence[Load]
+) -> list[Solution]:
+    """Find the equilibria of all loads; those of one axis in order, each from the one before.
+
+    Raises
+    ------
+    NoEquilibriumError
+        If one is not found, in small steps either.
+    """
+    materials = materials_of(scene, topology.mesh, labels)
+    solutions: list[Solution] = []
+    for axis, group in groupby(loads, key=lambda load: load.axis):
+        system = _system(scene, topology, materials, axis)
+        solutions.extend(_load_sequence(system, scene, list(group)))
+    return solutions
+
+
+def _system(scene: Scene, topology: Topology, materials: ElementMaterials, axis: str) -> System:
+    mesh = topology.mesh
+    flat = topology.skin.places.reshape(-1, 3)
+    friction = sum((f(flat) for f in scene.friction), np.zeros(len(flat)))
+    return System(
+        topology,
+        materials,
+        _wall(scene, mesh),
+        plates_of(scene, axis),
+        friction.reshape(topology.skin.areas.shape),
+        np.asarray(scene.gravity_g),
+        sheet_of(mesh, scene.skin_n_per_m / 1e3) if scene.skin_n_per_m else None,
+    )
+
+
+def _wall(scene: Scene, mesh: QuadraticMesh) -> Wall:
+    places = np.einsum("qa,kai->kqi", face_shapes(), mesh.nodes[mesh.wall]).reshape(-1, 3)
+    spring = np.zeros((len(places), 3))
+    spring[:, :2] = WALL_SPRING_KPA_PER_MM
+    if scene.wall_grip is not None:
+        spring[:, :2] += scene.wall_grip(places)[:, None]
+    if scene.wall_compliance is not None:
+        spring[:, 2] = 1 / scene.wall_compliance(places)
+    by_face = spring.reshape(-1, len(FACE_WEIGHTS), 3) / 1e3
+    return Wall(by_face, held=scene.wall_compliance is None)
+
+
+def plates_of(scene: Scene, axis: str) -> tuple[Plate, Plate]:
+    """Return the lower and the upper plate before they press."""
+    frame = np.array(IN_AXES[axis], dtype=np.float64)
+    pivot = np.asarray(scene.anatomy.centre_mm)
+    lower, upper = plate_starts(scene.anatomy, axis)
+    depth, across = np.tan(np.radians(scene.tilt_deg))
+    # Rotations about the in-plane axes by the right hand.
+    slopes = np.array([across, -depth])
+    level = Plate(frame, pivot, lower, -1.0, np.zeros(2), 0.0, SAG_ARM_MM)
+    return level, Plate(frame, pivot, upper, 1.0, slopes, scene.sag_mm, SAG_ARM_MM)
+
+
+def _load_sequence(system: System, scene: Scene, loads: list[Load]) -> Iterable[Solution]:
+    newton = Newton(system)
+    state = State(np.zeros_like(system.topology.mesh.nodes), _first_contact_travel(system))
+    before = 0.0
+    for load in loads:
+        force = load.force_n * scene.force_factor
+        state = _load(newton, state, before, force)
+        before = force
+        yield Solution(load, state.u, state.travel)
+
+
+def _first_contact_travel(system: System) -> float:
+    """Return the travel at which the upper plate first touches the body, and a little more."""
+    plate, places = system.plates[1], system.topology.skin.places.reshape(-1, 3)
+    s1, s2 = ((places - plate.pivot_mm) @ plate.frame[:2].T).T
+    height = plate.slopes[0] * s1 + plate.slopes[1] * s2
+    height += 0.5 * plate.sag_mm * (1 - np.cos(np.pi * s1 / plate.length_mm))
+    return float((plate.start_mm + height - places @ plate.frame[2]).min()) + TOUCH_MM
+
+
+def _load(newton: Newton, state: State, before: float, force: float) -> State:
+    """Step from one force to a larger one; with friction, or where one is too much, in more."""
+    has_friction = newton.system.has_friction
+    for count in (FRICTION_STEPS,) if has_friction else (1, 4, 12):
+        forces = np.linspace(before, force, count + 1)[1:]
+        try:
+            return _steps(newton, state, forces.tolist(), has_friction)
+        except NoEquilibriumError:
+            if has_friction or count == 12:
+                raise
+    raise AssertionError("unreachable")
+
+
+def _steps(newton: Newton, state: State, forces: list[float], has_friction: bool) -> State:
+    for force in forces:
+        tolerance = FORCE_TOLERANCE
+        if has_friction:
+            last = force == forces[-1]
+            tolerance = FRICTION_TOLERANCE if last else FRICTION_TOLERANCE_BETWEEN
+        state, _ = newton.equilibrium(state, force, tolerance)
+        newton.system.end_step(state)
+    return state

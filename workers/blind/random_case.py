@@ -1,0 +1,199 @@
+"""Draw the case that a seed makes: a fixed table of kinds, everything else at random."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import reduce
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from storage.errors import InputError
+from workers.blind.causes.base import Cause, log_uniform
+from workers.blind.causes.boundary import Adhesion, Friction, WallCompliance
+from workers.blind.causes.loading import Gravity, PlateForce
+from workers.blind.causes.local import Inclusion, Ligament, Swelling
+from workers.blind.causes.material import Fibres, Gradient, SkinSheet, Stiffening
+from workers.blind.causes.observation import Segmentation
+from workers.blind.causes.plates import BentPlate, Tilt
+from workers.blind.scene import Anatomy, Constants, Scene
+
+SINGLES: Final[tuple[type[Cause], ...]] = (
+    Gravity,
+    Friction,
+    Tilt,
+    WallCompliance,
+    Gradient,
+    Inclusion,
+    Fibres,
+    Stiffening,
+    SkinSheet,
+    Segmentation,
+)
+OTHERS: Final[Mapping[type[Cause], float]] = MappingProxyType(
+    {
+        PlateForce: 0.05,
+        Swelling: 0.06,
+        Adhesion: 0.03,
+        BentPlate: 0.03,
+        Ligament: 0.03,
+    }
+)
+CONTROL, PAIR = "control", "pair"
+
+KINDS: Final[Mapping[str, float]] = MappingProxyType(
+    {CONTROL: 0.18, PAIR: 0.12}
+    | {cause.kind: 0.5 / len(SINGLES) for cause in SINGLES}
+    | {cause.kind: share for cause, share in OTHERS.items()}
+)
+"""Every kind and its share of the cases; shares sum to 1."""
+
+BY_KIND: Final = {cause.kind: cause for cause in (*SINGLES, *OTHERS)}
+AXES: Final = ("y", "x")
+# That compress a body of 20 mm mean half section by some 15 and 25 %, in N. Along its longer
+# axis a breast between smooth plates slips aside under more.
+FORCES_N: Final = MappingProxyType({"y": (15.0, 32.0), "x": (10.0, 20.0)})
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """Press with plates normal to an axis, ``x`` or ``y``, by the force that is reported."""
+
+    axis: str
+    force_n: float
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Describe a case before it is made: what a diagnosis should find.
+
+    Parameters
+    ----------
+    seed : int
+    kind : str
+        One of `KINDS`.
+    causes : tuple of Cause
+        None for a control, two for a pair.
+    anatomy : Anatomy
+    constants : Constants
+    loads : tuple of Load
+        The loaded scans in order.
+    noise_sd_mm : float
+        Of the segmentation of every scan.
+    """
+
+    seed: int
+    kind: str
+    causes: tuple[Cause, ...]
+    anatomy: Anatomy
+    constants: Constants
+    loads: tuple[Load, ...]
+    noise_sd_mm: float
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Return the names of the causes in the catalogue of a diagnosis; some have none."""
+        return tuple(c.effect for c in self.causes if c.effect is not None)
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Return the families of the causes that have one."""
+        return tuple(c.family for c in self.causes if c.family is not None)
+
+    @property
+    def catalogued(self) -> bool:
+        """Say whether a diagnosis has a word for every cause."""
+        return all(c.effect is not None for c in self.causes)
+
+    @property
+    def scene(self) -> Scene:
+        """Return the physics of the case."""
+        nominal = Scene(self.anatomy, self.constants)
+        return reduce(lambda scene, cause: cause.apply_to(scene), self.causes, nominal)
+
+    def record(self) -> dict[str, Any]:
+        """Return all fields, ready for JSON."""
+        return {
+            "seed": self.seed,
+            "kind": self.kind,
+            "causes": [
+                {"kind": c.kind, "effect": c.effect, "family": c.family, "parameters": asdict(c)}  # type: ignore[call-overload]
+                for c in self.causes
+            ],
+            "effects": list(self.effects),
+            "families": list(self.families),
+            "catalogued": self.catalogued,
+            "anatomy": asdict(self.anatomy),
+            "constants": asdict(self.constants),
+            "loads": [asdict(load) for load in self.loads],
+            "noise_sd_mm": self.noise_sd_mm,
+        }
+
+
+def draw(seed: int, kind: str | None = None, *, one_direction: bool = False) -> Truth:
+    """Draw the case of a seed.
+
+    Parameters
+    ----------
+    seed : int
+        Not negative. Equal seeds give equal cases; the body, the constants and the forces
+        do not depend on the kind.
+    kind : str, optional
+        One of `KINDS`; drawn by their shares where none is given.
+    one_direction : bool
+        Only plates normal to y.
+
+    Raises
+    ------
+    InputError
+        If the seed is negative or there is no such kind.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise InputError(f"The seed of a case must be a whole number >= 0, got {seed!r}.")
+    if kind is not None and kind not in KINDS:
+        raise InputError(f"No case is of the kind {kind!r}; use one of {', '.join(KINDS)}.")
+    body, choice, size = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+    anatomy = _anatomy(body)
+    constants = Constants(
+        log_uniform(body, 7, 14),
+        log_uniform(body, 20, 50),
+        log_uniform(body, 50, 120),
+    )
+    loads = tuple(load for load in _loads(body, anatomy) if load.axis == "y" or not one_direction)
+    noise = round(body.uniform(0.25, 0.3), 2)
+    drawn = str(choice.choice(list(KINDS), p=list(KINDS.values())))
+    chosen = kind or drawn
+    causes = tuple(cause.draw(size, anatomy) for cause in _classes(chosen, choice))
+    return Truth(seed, chosen, causes, anatomy, constants, loads, noise)
+
+
+def _classes(kind: str, rng: np.random.Generator) -> tuple[type[Cause], ...]:
+    if kind == CONTROL:
+        return ()
+    if kind == PAIR:
+        first, second = rng.choice(len(SINGLES), 2, replace=False)
+        return SINGLES[first], SINGLES[second]
+    return (BY_KIND[kind],)
+
+
+def _anatomy(rng: np.random.Generator) -> Anatomy:
+    return Anatomy(
+        seed=int(rng.integers(2**31)),
+        lower_mm=round(rng.uniform(55, 75), 1),
+        upper_mm=round(rng.uniform(65, 95), 1),
+        half_width_mm=round(rng.uniform(40, 50), 1),
+        depth_mm=round(rng.uniform(46, 60), 1),
+        compartments=int(rng.integers(40, 80)),
+        glandular_fraction=round(rng.uniform(0.15, 0.28), 3),
+    )
+
+
+def _loads(rng: np.random.Generator, anatomy: Anatomy) -> list[Load]:
+    """Return two forces for either axis, in proportion to the section that the plates press on."""
+    length, width, depth = (2 * h for h in anatomy.half_mm)
+    section = {"y": length * depth / (160 * 53), "x": width * depth / (90 * 53)}
+    return [
+        Load(axis, round(force * section[axis] * rng.uniform(0.9, 1.1), 2))
+        for axis in AXES
+        for force in FORCES_N[axis]
+    ]

@@ -1,0 +1,136 @@
+r"""Make the segmented scan of a body: labels on voxels, drawn by a hand that errs.
+
+A blurred label is the normal distribution of the distance to its boundary, so
+:math:`d = \sigma \Phi^{-1}(v)` gives a distance below the size of a voxel. The boundary is
+moved along its normal by a random field that has waves of two lengths.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.special import ndtri
+
+from storage.values import FloatArray, Tissue, Volume
+from workers.blind.fine_mesh import FineMesh
+from workers.comparison.warp.warp_volume import warp_grey
+
+BLUR_VOXELS = 0.8
+MARGIN_MM = 6.0
+# Halves of the variance; together about those of one length of 4 mm.
+LENGTHS_MM = (3.4, 4.8)
+# Of a boundary's scatter, left by voxels of 0.8 mm and by the blur of who looks at it.
+KEPT = 0.93
+
+
+@dataclass(frozen=True, slots=True)
+class Segmenter:
+    """Describe how a scan is segmented.
+
+    Parameters
+    ----------
+    sd_mm : float
+        Of the boundaries along their normals.
+    outline_mm, glandular_mm : float
+        How far all labels, and the glandular ones, reach too far.
+    """
+
+    sd_mm: float
+    outline_mm: float = 0.0
+    glandular_mm: float = 0.0
+
+
+def glandular_share(labels: Volume) -> Volume:
+    """Blur glandular labels, half at their boundary, with a margin; air is the nearest tissue.
+
+    The elements alone then decide where a deformed body ends. Cut by its own voxels too, it
+    would lose what either of them lacks: a tenth of a voxel all around.
+    """
+    wide = padded(labels, MARGIN_MM)
+    _, (z, y, x) = ndimage.distance_transform_edt(
+        wide.values == Tissue.AIR, sampling=labels.spacing_mm[::-1], return_indices=True
+    )
+    gland = (wide.values[z, y, x] == Tissue.GLANDULAR).astype(np.float32)
+    share = ndimage.gaussian_filter(gland, BLUR_VOXELS)
+    return Volume(share, wide.spacing_mm, wide.origin_mm)
+
+
+def deformed_labels(share: Volume, fine: FineMesh, displacement_mm: FloatArray) -> Volume:
+    """Label the body under a displacement of its quadratic nodes, with air around.
+
+    Parameters
+    ----------
+    share : Volume
+        Of the undeformed body, from `glandular_share`.
+    fine : FineMesh
+    displacement_mm : ndarray, shape (n, 3)
+    """
+    moved = warp_grey(share, fine.mesh, fine.interpolation @ displacement_mm, outside=-1.0)
+    values = np.where(moved.values > 0.5, Tissue.GLANDULAR, Tissue.FAT).astype(np.uint8)
+    values[moved.values < -0.5] = Tissue.AIR
+    return padded(Volume(values, moved.spacing_mm, moved.origin_mm), MARGIN_MM)
+
+
+def padded(labels: Volume, margin_mm: float) -> Volume:
+    """Add air on all sides."""
+    count = int(np.ceil(margin_mm / min(labels.spacing_mm)))
+    origin = np.asarray(labels.origin_mm) - count * np.asarray(labels.spacing_mm)
+    x, y, z = map(float, origin)
+    return Volume(np.pad(labels.values, count), labels.spacing_mm, (x, y, z))
+
+
+def segmented(labels: Volume, segmenter: Segmenter, rng: np.random.Generator) -> Volume:
+    """Draw the labels again as an erring hand does.
+
+    Parameters
+    ----------
+    labels : Volume
+        Fat and glandular tissue with air around; the body's end at the chest wall is not
+        drawn but cut.
+    segmenter : Hand
+    rng : numpy Generator
+
+    Returns
+    -------
+    Volume of uint8
+        0 background, 1 fat, 2 glandular.
+    """
+    first = int(np.flatnonzero((labels.values != Tissue.AIR).any(axis=(1, 2)))[0])
+    above = labels.values[first:]
+    body = _redrawn(
+        above != Tissue.AIR, labels.spacing_mm, segmenter.sd_mm, segmenter.outline_mm, rng
+    )
+    gland = _redrawn(
+        above == Tissue.GLANDULAR, labels.spacing_mm, segmenter.sd_mm, segmenter.glandular_mm, rng
+    )
+    drawn = np.where(gland, Tissue.GLANDULAR, Tissue.FAT) * body
+    values = np.zeros(labels.values.shape, np.uint8)
+    values[first:] = drawn
+    return Volume(values, labels.spacing_mm, labels.origin_mm)
+
+
+def _redrawn(
+    inside: NDArray[np.bool_],
+    spacing_mm: tuple[float, float, float],
+    sd_mm: float,
+    offset_mm: float,
+    rng: np.random.Generator,
+) -> NDArray[np.bool_]:
+    """Return the voxels within the boundary after it has moved outwards by offset and noise."""
+    # "nearest" continues the body straight through the cut at the chest wall.
+    share = ndimage.gaussian_filter(inside.astype(np.float32), BLUR_VOXELS, mode="nearest")
+    depth = BLUR_VOXELS * min(spacing_mm) * ndtri(np.clip(share, 1e-6, 1 - 1e-6))
+    return np.asarray(depth + offset_mm + sd_mm / KEPT * _waves(inside.shape, spacing_mm, rng) > 0)
+
+
+def _waves(
+    shape: tuple[int, ...], spacing_mm: tuple[float, float, float], rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Draw a random field of variance 1, shape [z, y, x]."""
+    total = np.zeros(shape, np.float32)
+    for length in LENGTHS_MM:
+        widths = length / np.sqrt(2) / np.asarray(spacing_mm)[::-1]
+        field = ndimage.gaussian_filter(rng.standard_normal(shape, np.float32), widths, mode="wrap")
+        total += field / (np.sqrt(len(LENGTHS_MM)) * field.std())
+    return total

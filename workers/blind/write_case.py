@@ -1,0 +1,179 @@
+"""Write a case as files: what may be known in one folder, the truth in another.
+
+Nothing of the kind shows in the names, order, precision or times of the files.
+"""
+
+import gzip
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from storage.values import Volume
+from workers.blind.fine_mesh import fine_mesh_of
+from workers.blind.load_stepping import Solution, plate_starts, solve_scene
+from workers.blind.material_points import points_on
+from workers.blind.meshed_body import CORNERS, SPACING_MM, Body, body_of
+from workers.blind.random_case import Load, Truth
+from workers.blind.scene import NU, WALL_SPRING_KPA_PER_MM
+from workers.blind.segmented_scan import Segmenter, deformed_labels, glandular_share, segmented
+from workers.blind.system import topology_of
+
+POINTS = 1500  # on each interface
+TIME_S = 1_000_000_000  # all files are of this time
+
+
+def write_case(
+    truth: Truth,
+    case_folder: Path,
+    truth_folder: Path,
+    *,
+    corners: int = CORNERS,
+    spacing_mm: float = SPACING_MM,
+) -> None:
+    """Simulate a case and write it.
+
+    Parameters
+    ----------
+    truth : Truth
+    case_folder : Path
+        Gets ``case.json`` and the segmented scans; its name is the case's id.
+    truth_folder : Path
+        Gets ``truth.json`` and ``truth.npz``: ``points`` (k, 3) on the true interfaces,
+        ``interface`` (k,), 0 for the outline and 1 for the boundary of the glandular
+        tissue, and ``displacement`` (scans, k, 3), all in mm and without noise.
+    corners, spacing_mm
+        See `workers.blind.meshed_body.body_of`.
+
+    Raises
+    ------
+    NoEquilibriumError
+        If a load finds none.
+    InputError
+        If the body cannot be made or meshed.
+    """
+    body = body_of(truth.anatomy, corners, spacing_mm)
+    solutions = solve_scene(truth.scene, topology_of(body.mesh), body.labels, truth.loads)
+    scans = _scans(truth, body, solutions)
+    case_folder.mkdir(parents=True, exist_ok=True)
+    truth_folder.mkdir(parents=True, exist_ok=True)
+    for name, labels in scans.items():
+        _write_volume(case_folder / name, labels)
+    _write_json(case_folder / "case.json", _case(truth, case_folder.name, spacing_mm))
+    _write_truth(truth, body, solutions, truth_folder)
+    for path in (*case_folder.iterdir(), *truth_folder.iterdir(), case_folder, truth_folder):
+        os.utime(path, (TIME_S, TIME_S))
+
+
+def scan_names(loads: tuple[Load, ...]) -> list[str]:
+    """Return the files of the loaded scans: by axis, counted from the smallest force."""
+    count: dict[str, int] = {}
+    names = []
+    for load in loads:
+        count[load.axis] = count.get(load.axis, 0) + 1
+        names.append(f"deformed_{load.axis}{count[load.axis]}.nrrd")
+    return names
+
+
+def _scans(truth: Truth, body: Body, solutions: list[Solution]) -> dict[str, Volume]:
+    fine, share = fine_mesh_of(body.mesh), glandular_share(body.labels)
+    # As many streams as scans, apart from those that drew the truth.
+    streams = np.random.SeedSequence([truth.seed, 1]).spawn(len(solutions) + 1)
+    rngs = [np.random.default_rng(s) for s in streams]
+    outline, gland = truth.scene.segmentation_mm
+    rest = deformed_labels(share, fine, np.zeros_like(body.mesh.nodes))
+    scans = {"reference.nrrd": segmented(rest, Segmenter(truth.noise_sd_mm), rngs[0])}
+    segmenter = Segmenter(truth.noise_sd_mm, outline, gland)
+    for name, solution, rng in zip(scan_names(truth.loads), solutions, rngs[1:], strict=True):
+        moved = deformed_labels(share, fine, solution.displacement_mm)
+        scans[name] = segmented(moved, segmenter, rng)
+    return scans
+
+
+def _case(truth: Truth, name: str, spacing_mm: float) -> dict[str, Any]:
+    body = truth.anatomy
+    spring = f"{WALL_SPRING_KPA_PER_MM:g} kPa/mm"
+    low, high = plate_starts(body, "y")
+    return {
+        "id": name,
+        "units": "mm, N, kPa",
+        "axes": {
+            "x": "cranio-caudal",
+            "y": "medio-lateral",
+            "z": f"chest wall z=0 -> nipple z={body.depth_mm:g}",
+        },
+        "labels": {"0": "background", "1": "fat", "2": "glandular"},
+        "nominal": {
+            "energy": "W = mu/2 (I1bar-3) + 1/d (J-1)^2 + eta/2 (I4bar-1)^2, fibre in tension "
+            "only; mu=E/(2(1+nu)), d=2/K, K=E/(3(1-2nu))",
+            "nu": NU,
+            "fibre_direction": [0, 0, 1],
+            "eta": "one value for fat and glandular",
+            "unknown_constants": ["E_fat", "E_gl", "eta"],
+            "plausible_kPa": {"E_fat": [7, 14], "E_gl": [20, 50], "eta": [50, 120]},
+            "chest_wall": f"all nodes at z=0: uz=0; tangential distributed springs kx={spring} "
+            f"and ky={spring} (force per area per mm), otherwise free",
+            "plates": "two rigid flat plates normal to the compression axis of each scan, "
+            "frictionless, unilateral; the lower stands still, the upper only translates along "
+            f"the axis, force controlled; along y lower at y={low:g}, upper at y={high:g}",
+            "gravity": "none (reference and deformed scans in the same posture, reference taken "
+            "as stress free)",
+            "skin": "none",
+        },
+        "segmentation": "each scan segmented independently; signed-distance noise sd "
+        f"{truth.noise_sd_mm:g} mm, correlation length about 4 mm, on body outline and glandular "
+        "boundary, reference scan included",
+        "scans": {
+            "reference": "reference.nrrd",
+            "deformed": [
+                _scan_entry(truth, load, file)
+                for load, file in zip(truth.loads, scan_names(truth.loads), strict=True)
+            ],
+        },
+    }
+
+
+def _scan_entry(truth: Truth, load: Load, file: str) -> dict[str, Any]:
+    lower, upper = plate_starts(truth.anatomy, load.axis)
+    return {
+        "file": file,
+        "plate_force_N": load.force_n,
+        "compression_axis": [1, 0, 0] if load.axis == "x" else [0, 1, 0],
+        "lower_mm": lower,
+        "upper_mm": upper,
+    }
+
+
+def _write_truth(truth: Truth, body: Body, solutions: list[Solution], folder: Path) -> None:
+    record = truth.record() | {"plate_travel_mm": [s.travel_mm for s in solutions]}
+    _write_json(folder / "truth.json", record)
+    points = points_on(body.mesh, body.labels, POINTS, truth.seed)
+    np.savez_compressed(
+        folder / "truth.npz",
+        points=points.points,
+        interface=points.interface,
+        displacement=np.stack([points.moved(s.displacement_mm) for s in solutions]),
+    )
+
+
+def _write_volume(path: Path, labels: Volume) -> None:
+    """Write NRRD by hand: packages write the time into the header."""
+    sizes = " ".join(str(n) for n in labels.shape_xyz)
+    steps = " ".join(
+        f"({','.join(f'{step:g}' if i == k else '0' for k in range(3))})"
+        for i, step in enumerate(labels.spacing_mm)
+    )
+    origin = ",".join(f"{x:.4f}" for x in labels.origin_mm)
+    header = (
+        "NRRD0004\ntype: uint8\ndimension: 3\nspace dimension: 3\n"
+        f"sizes: {sizes}\nspace directions: {steps}\nkinds: domain domain domain\n"
+        f'encoding: gzip\nspace units: "mm" "mm" "mm"\nspace origin: ({origin})\n\n'
+    )
+    voxels = np.ascontiguousarray(labels.values, np.uint8).tobytes()
+    path.write_bytes(header.encode("ascii") + gzip.compress(voxels, mtime=0))
+
+
+def _write_json(path: Path, record: dict[str, Any]) -> None:
+    path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,1 @@
+"""Make a body: phantoms, images and their meshes."""

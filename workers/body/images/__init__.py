@@ -1,0 +1,1 @@
+"""Read images of real organs into volumes."""

@@ -1,0 +1,319 @@
+"""Name the labels of an image as tissues, and find the boxes that they fill."""
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NotRequired, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.values import Tissue, Volume
+
+_TABLE = 1 << 16
+"""Widest range of labels that is counted and renamed through a table."""
+
+
+def label_counts(volume: Volume) -> dict[int, int]:
+    """Count the voxels of each label, by rising label."""
+    counts: dict[int, int] = {}
+    for part in volume.values:  # by slices: a table of indices for the whole would not fit
+        low, high = int(part.min()), int(part.max())
+        if high - low < _TABLE:
+            histogram = np.bincount((part.astype(np.int64) - low).ravel())
+            labels = np.flatnonzero(histogram)
+            numbers, labels = histogram[labels], labels + low
+        else:
+            labels, numbers = np.unique(part, return_counts=True)
+        for label, number in zip(labels.tolist(), numbers.tolist(), strict=True):
+            counts[label] = counts.get(label, 0) + number
+    return dict(sorted(counts.items()))
+
+
+def relabel(volume: Volume, label_map: Mapping[int, Tissue | str]) -> Volume:
+    """Turn the labels of an image into tissues.
+
+    Parameters
+    ----------
+    volume : Volume
+        Integer labels, of any meaning.
+    label_map : mapping of int to Tissue or str
+        Names are those of `Tissue` in any case: ``{0: "air", 1: "fat", 2: "glandular"}``.
+        Several labels may become one tissue.
+
+    Returns
+    -------
+    Volume
+        ``uint8`` values of `Tissue` on the same grid.
+
+    Raises
+    ------
+    InputError
+        If a name is no tissue, the map names a label that the volume does not have,
+        or the volume has a label that the map does not name.
+    """
+    wanted = {_label(label): tissue_named(name) for label, name in label_map.items()}
+    counts = label_counts(volume)
+    missing = sorted(wanted.keys() - counts.keys())
+    if missing:
+        raise InputError(
+            f"Label missing in the volume: {_joined(missing)}. It has {_listed(counts)}. "
+            f"Take it out of the map: labels: {_written(_suggestion(counts, wanted))}"
+        )
+    unnamed = {label: count for label, count in counts.items() if label not in wanted}
+    if unnamed:
+        raise InputError(
+            f"The volume has labels that the map does not name: {_listed(unnamed)}. "
+            f"Name every one: labels: {_written(_suggestion(counts, wanted))}"
+        )
+    return _renamed(volume, wanted)
+
+
+def _label(label: Any) -> int:
+    try:
+        return int(label)
+    except ValueError as error:
+        raise InputError(
+            f"{label!r} is no label; labels are whole numbers. Write {{1: fat}}, not {{fat: 1}}."
+        ) from error
+
+
+def _renamed(volume: Volume, wanted: Mapping[int, Tissue]) -> Volume:
+    known = np.array(sorted(wanted), dtype=np.int64)
+    tissues = np.array([wanted[label] for label in known.tolist()], dtype=np.uint8)
+    low = int(known[0])
+    table = None
+    if int(known[-1]) - low < _TABLE:
+        table = np.zeros(int(known[-1]) - low + 1, np.uint8)
+        table[known - low] = tissues
+    out = np.empty(volume.values.shape, np.uint8)
+    for slice_in, slice_out in zip(volume.values, out, strict=True):
+        labels = slice_in.astype(np.int64)
+        slice_out[...] = (
+            tissues[np.searchsorted(known, labels)] if table is None else table[labels - low]
+        )
+    return Volume(out, volume.spacing_mm, volume.origin_mm)
+
+
+def tissue_named(name: Tissue | str | int) -> Tissue:
+    """Return the tissue of a name in any case, or of its number.
+
+    Raises
+    ------
+    InputError
+        With the nearest name when there is one.
+    """
+    tissue = _known_tissue(name)
+    if tissue is None:
+        names = [t.name.lower() for t in Tissue]
+        near = difflib.get_close_matches(str(name).strip().lower(), names, n=1)
+        hint = f"Did you mean {near[0]}? " if near else ""
+        raise InputError(f"{name!r} is no tissue. {hint}Known: {', '.join(names)}.")
+    return tissue
+
+
+def _known_tissue(name: Tissue | str | int) -> Tissue | None:
+    if isinstance(name, str):
+        return Tissue.__members__.get(name.strip().upper())
+    return Tissue(name) if name in set(Tissue) else None
+
+
+def default_map(volume: Volume) -> dict[int, Tissue]:
+    """Return the map for a volume whose labels are those of `Tissue` already.
+
+    Raises
+    ------
+    InputError
+        If a label is none of `Tissue`, so that only the user can know what it is.
+    """
+    counts = label_counts(volume)
+    strange = {label: count for label, count in counts.items() if _known_tissue(label) is None}
+    if strange:
+        raise InputError(
+            f"The volume has labels that are no tissue's number: {_listed(strange)}. "
+            f"Say what each is: labels: {_written(_suggestion(counts, {}))}"
+        )
+    return {label: Tissue(label) for label in counts}
+
+
+class Box(TypedDict):
+    """Hold the lower and upper corner (x, y, z) of a box, in mm."""
+
+    lower: list[float]
+    upper: list[float]
+
+
+class LabelShare(TypedDict):
+    """Hold how much of a volume carries a label, and its tissue where that is known."""
+
+    tissue: NotRequired[str]
+    voxels: int
+    ml: float
+
+
+class LabelSummary(TypedDict):
+    """Hold what a volume is made of, see `summarise`."""
+
+    shape: list[int]
+    spacing_mm: list[float]
+    origin_mm: list[float]
+    box_mm: Box
+    body_mm: Box | None
+    labels: dict[str, LabelShare]
+
+
+def summarise(volume: Volume, *, named: bool = False) -> LabelSummary:
+    """Describe what a volume holds, ready for JSON.
+
+    Parameters
+    ----------
+    volume : Volume
+        Integer labels.
+    named : bool, optional
+        Whether the labels are those of `Tissue`; each then carries its ``tissue``.
+
+    Returns
+    -------
+    LabelSummary
+        ``shape`` (nx, ny, nz), ``spacing_mm``, ``origin_mm``; ``box_mm`` with the
+        ``lower`` and ``upper`` faces of the outermost voxels, ``body_mm`` the same of
+        the voxels that are not 0 (None when all are); ``labels`` by label (as text):
+        ``voxels`` and ``ml``.
+    """
+    lower, upper = np.zeros(3, dtype=np.intp), np.array(volume.shape_xyz)
+    body = _extent(volume.values)
+    labels: dict[str, LabelShare] = {}
+    for label, count in label_counts(volume).items():
+        ml = count * volume.voxel_mm3 / 1000
+        tissue = _known_tissue(label) if named else None
+        labels[str(label)] = (
+            LabelShare(voxels=count, ml=ml)
+            if tissue is None
+            else LabelShare(tissue=tissue.name.lower(), voxels=count, ml=ml)
+        )
+    return {
+        "shape": list(volume.shape_xyz),
+        "spacing_mm": [float(s) for s in volume.spacing_mm],
+        "origin_mm": [float(o) for o in volume.origin_mm],
+        "box_mm": _faces(volume, lower, upper),
+        "body_mm": None if body is None else _faces(volume, *body),
+        "labels": labels,
+    }
+
+
+def crop_to_body(volume: Volume, margin_voxels: int = 1) -> Volume:
+    """Crop to the tight box around all voxels that are not air (0).
+
+    The body was cut from the patient at the chest wall, the low end of z. That face
+    of it stays the first slice of the box: no margin is left below it, whatever
+    `margin_voxels`, so that air never comes between body and wall. On the five other
+    sides up to `margin_voxels` of the volume's own voxels are kept; none are made up
+    where the body reaches the edge of the image.
+
+    Parameters
+    ----------
+    volume : Volume
+    margin_voxels : int, optional
+        >= 0.
+
+    Returns
+    -------
+    Volume
+        A copy on the same lattice; every voxel keeps its world coordinates.
+
+    Raises
+    ------
+    InputError
+        If all voxels are air, or the margin is negative.
+    """
+    if margin_voxels < 0:
+        raise InputError(f"The margin must be 0 voxels or more, got {margin_voxels}.")
+    box = _extent(volume.values)
+    if box is None:
+        raise InputError(
+            "The volume is all air (0): there is no body in it. Check the label map; only the "
+            "outside of the body may be air."
+        )
+    lower = np.maximum(box[0] - [margin_voxels, margin_voxels, 0], 0)
+    upper = np.minimum(box[1] + margin_voxels, volume.shape_xyz)
+    x, y, z = (slice(int(a), int(b)) for a, b in zip(lower, upper, strict=True))
+    origin = np.asarray(volume.origin_mm) + lower * np.asarray(volume.spacing_mm)
+    ox, oy, oz = (float(o) for o in origin)
+    return Volume(volume.values[z, y, x].copy(), volume.spacing_mm, (ox, oy, oz))
+
+
+def resample_labels(volume: Volume, like: Volume) -> Volume:
+    """Sample labels on the grid of another volume, by nearest neighbour in world coordinates.
+
+    Every voxel of `like` takes the label of the voxel of `volume` that its centre lies
+    in (on a common face, the one at higher coordinates); centres outside take AIR.
+    Coarsening this way samples and does not vote.
+
+    Returns
+    -------
+    Volume
+        ``values`` have the type of ``volume.values`` and the grid of `like`.
+    """
+    index, inside = [], []
+    for axis in range(3):
+        count, spacing = like.shape_xyz[axis], like.spacing_mm[axis]
+        centre = like.origin_mm[axis] + spacing * np.arange(count)
+        place = (centre - volume.origin_mm[axis]) / volume.spacing_mm[axis]
+        nearest = np.floor(place + 0.5 + 1e-6).astype(np.intp)  # faces up, despite rounding
+        within = (nearest >= 0) & (nearest < volume.shape_xyz[axis])
+        index.append(nearest[within])
+        inside.append(within)
+    values = np.full(like.values.shape, Tissue.AIR, volume.values.dtype)
+    values[np.ix_(*inside[::-1])] = volume.values[np.ix_(*index[::-1])]
+    return Volume(values, like.spacing_mm, like.origin_mm)
+
+
+def _extent(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+    """Return the first, and one past the last, index of voxels that are not 0, as (x, y, z)."""
+    mask = np.zeros(values.shape[1:], dtype=bool)
+    along_z = np.zeros(len(values), dtype=bool)
+    for z, part in enumerate(values):
+        solid = part != 0
+        along_z[z] = solid.any()
+        mask |= solid
+    if not along_z.any():
+        return None
+    hits = [np.flatnonzero(line) for line in (mask.any(axis=0), mask.any(axis=1), along_z)]
+    return np.array([h[0] for h in hits]), np.array([h[-1] + 1 for h in hits])
+
+
+def _faces(volume: Volume, lower: NDArray[np.intp], upper: NDArray[np.intp]) -> Box:
+    spacing, origin = np.asarray(volume.spacing_mm), np.asarray(volume.origin_mm)
+    return {
+        "lower": (origin + (lower - 0.5) * spacing).tolist(),
+        "upper": (origin + (upper - 0.5) * spacing).tolist(),
+    }
+
+
+_LISTED = 12
+"""Labels named in a message before the rest is only counted."""
+
+
+def _suggestion(counts: Iterable[int], wanted: Mapping[int, Tissue]) -> Iterator[tuple[int, str]]:
+    for label in counts:
+        tissue = wanted.get(label, _known_tissue(label))
+        yield label, "?" if tissue is None else tissue.name.lower()
+
+
+def _written(suggestion: Iterable[tuple[int, str]]) -> str:
+    items = [f"{label}: {name}" for label, name in suggestion]
+    return "{" + ", ".join(_shortened(items)) + "}"
+
+
+def _listed(counts: Mapping[int, int]) -> str:
+    items = [f"{label} ({count} voxel{'s' * (count != 1)})" for label, count in counts.items()]
+    return ", ".join(_shortened(items))
+
+
+def _joined(labels: Iterable[int]) -> str:
+    return ", ".join(_shortened([str(label) for label in labels]))
+
+
+def _shortened(items: list[str]) -> list[str]:
+    more = len(items) - _LISTED
+    return items if more <= 0 else [*items[:_LISTED], f"... ({more} more)"]

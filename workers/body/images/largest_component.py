@@ -1,0 +1,59 @@
+"""Keep one body in air of a label volume: no specks beside it, no holes in it."""
+
+import numpy as np
+from scipy.ndimage import binary_fill_holes, label
+
+from storage.values import Tissue, Volume
+from workers.body.images.labels import crop_to_body
+
+# Around the body: more than an interface is blurred by.
+AIR_VOXELS = 4
+
+
+def one_body(labels: Volume, filling: Tissue = Tissue.FAT) -> Volume:
+    """Keep the largest connected piece of tissue and fill its enclosed air.
+
+    Air inside of a breast and tissue beside it are errors of a segmentation; each would
+    be an interface that the other scans of the body do not have.
+
+    Parameters
+    ----------
+    labels : Volume
+        `Tissue` labels.
+    filling : Tissue
+        What enclosed air becomes.
+
+    Returns
+    -------
+    Volume
+        On the same lattice; the volume itself if there is nothing to do.
+    """
+    tissue = labels.values != Tissue.AIR
+    pieces, count = label(tissue)
+    body = tissue
+    if count > 1:
+        body = pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
+    # Holes open to the chest wall, where the scan was cut, stay.
+    whole = np.asarray(binary_fill_holes(body))
+    if count <= 1 and np.array_equal(whole, tissue):
+        return labels
+    values = np.where(body, labels.values, np.where(whole, filling, Tissue.AIR))
+    return Volume(values.astype(labels.values.dtype), labels.spacing_mm, labels.origin_mm)
+
+
+def in_air(labels: Volume) -> Volume:
+    """Put the body in a box with air around it, except below the chest wall, where it is cut.
+
+    A volume may end where the body touches a plate; its surface there is no cut.
+
+    Raises
+    ------
+    InputError
+        If the volume is all air.
+    """
+    tight = crop_to_body(labels, margin_voxels=0)
+    more = AIR_VOXELS
+    values = np.pad(tight.values, ((0, more), (more, more), (more, more)))
+    x, y, z = tight.origin_mm
+    dx, dy, _ = tight.spacing_mm
+    return Volume(values, tight.spacing_mm, (x - more * dx, y - more * dy, z))

@@ -1,0 +1,63 @@
+"""Read NIfTI-1 and NIfTI-2, with nibabel.
+
+The file's frame is RAS and is brought to LPS. The sform is taken when the file
+has one, else the qform. With neither the standard attaches no orientation
+(nifti1.h, "method 1"): the index axes are then x, y, z at the given ``pixdim``.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import nibabel as nib
+import numpy as np
+from nibabel.arrayproxy import ArrayProxy
+from nibabel.openers import ImageOpener
+
+from storage.errors import InputError
+from storage.values import FloatArray
+from workers.body.images.scan import RAS_TO_LPS, Scan
+
+_UNIT_MM = {"unknown": 1.0, "mm": 1.0, "meter": 1e3, "micron": 1e-3}
+_REFUSE = 40
+"""Severity from which nibabel's header checks raise."""
+
+
+def read_nifti(path: Path) -> Scan:
+    """Read a ``.nii`` or ``.nii.gz`` file."""
+    header = _header(path)
+    # Seen before nibabel's checks, which would quietly turn a zero or negative pixdim into 1.
+    pixdim = np.array(header["pixdim"][1:4], dtype=float)
+    bad = ~(np.isfinite(pixdim) & (pixdim > 0))
+    header["pixdim"][1:4][bad] = 1.0
+    header.check_fix(error_level=_REFUSE)
+
+    values = np.asanyarray(ArrayProxy(str(path), header))
+    if any(size != 1 for size in values.shape[3:]):
+        raise InputError(
+            f"{path} has {values.ndim} axes, shape {values.shape}; a volume has 3. "
+            "Save one channel and one time point of it."
+        )
+    values = values.squeeze(tuple(range(3, values.ndim)))
+    unit = _UNIT_MM.get(header.get_xyzt_units()[0], 1.0)
+    pixdim[bad] = np.nan
+    return _place(values, header, unit, unit * pixdim)
+
+
+def _header(path: Path) -> Any:
+    with ImageOpener(str(path), "rb") as stream:
+        start = stream.read(nib.Nifti2Header.sizeof_hdr)
+        for kind in (nib.Nifti1Header, nib.Nifti2Header):
+            if kind.may_contain_header(start):
+                stream.seek(0)
+                return kind.from_fileobj(stream, check=False)
+    raise InputError(f"{path} does not begin like a NIfTI file. Is it damaged or misnamed?")
+
+
+def _place(values: Any, header: Any, unit: float, pixdim_mm: FloatArray) -> Scan:
+    if header["sform_code"] == 0 and header["qform_code"] == 0:
+        return Scan.without_frame(values, pixdim_mm)
+    affine = header.get_best_affine()
+    scan = Scan.with_steps(values, unit * affine[:3, :3], unit * affine[:3, 3], RAS_TO_LPS)
+    if header["sform_code"] == 0:  # a qform takes its lengths from pixdim
+        return Scan(scan.values, pixdim_mm, scan.directions, scan.origin_mm)
+    return scan

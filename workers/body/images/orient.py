@@ -1,0 +1,184 @@
+"""Turn a `Scan` into a `Volume`: index axes along +x, +y, +z.
+
+Two turns, both exact permutations and flips of voxels:
+
+1. the index axes of the file are laid along the axes of its world, LPS;
+2. `axes` names which world axis becomes x, y and z of the house (the default
+   is the same ones: house x is world x, and so on).
+
+No voxel is interpolated. A voxel keeps its world coordinates through turn 1;
+turn 2 is a rotation of the whole frame, so house coordinates are the world's,
+reordered and with signs changed.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.values import FloatArray, Triple, Volume
+from workers.body.images.scan import Scan
+
+OBLIQUE_DEG = 1.0
+"""Index axes further than this from a world axis are refused."""
+SPACING_TOLERANCE = 1e-3
+"""Relative difference allowed between the header's spacing and the one given."""
+
+AxisOrder = NDArray[np.intp]
+
+
+def to_volume(
+    scan: Scan, what: str, *, spacing_mm: Triple | None = None, axes: str | None = None
+) -> Volume:
+    """Lay a scan along the house's axes.
+
+    Parameters
+    ----------
+    scan : Scan
+    what : str
+        How to name the image in messages.
+    spacing_mm : tuple of float, optional
+        Spacing along x, y, z of the file's world (before `axes`). Needed where the
+        file does not say; where it says, the two must agree.
+    axes : str, optional
+        See `parse_axes`.
+
+    Returns
+    -------
+    Volume
+        ``values`` are C-contiguous, shape (nz, ny, nx).
+
+    Raises
+    ------
+    InputError
+        For an oblique scan, a missing or contradicted spacing, or bad `axes`.
+
+    Notes
+    -----
+    A tilt of up to `OBLIQUE_DEG` is dropped by turning the image about its centre.
+    """
+    order, _ = nearest_axes(scan.directions, what)
+    spacing = np.empty(3)
+    spacing[order] = _settle_spacing(scan.spacing_mm[order], spacing_mm, what)
+
+    turn = parse_axes(axes)
+    directions = turn @ scan.directions
+    order, sign = nearest_axes(directions, what)
+    straight = np.zeros((3, 3))
+    straight[np.arange(3), order] = sign * spacing[order]
+    last = np.array(scan.values.shape) - 1
+    flipped = np.zeros(3)
+    flipped[order] = sign < 0
+    tilt = directions * spacing - straight  # exactly zero for an upright scan
+    origin = turn @ scan.origin_mm + straight @ (flipped * last) + tilt @ (last / 2)
+
+    values = scan.values.transpose(tuple(order))
+    values = np.flip(values, axis=tuple(int(w) for w in np.flatnonzero(sign < 0)))
+    x, y, z = (float(o) + 0.0 for o in origin)  # + 0.0: no minus zero in a header
+    sx, sy, sz = (float(s) for s in spacing[order])
+    return Volume(np.ascontiguousarray(values.transpose(2, 1, 0)), (sx, sy, sz), (x, y, z))
+
+
+def nearest_axes(directions: FloatArray, what: str) -> tuple[AxisOrder, FloatArray]:
+    """Find which index axis runs along each world axis, and which way.
+
+    Parameters
+    ----------
+    directions : ndarray, shape (3, 3)
+        Unit columns, one per index axis.
+
+    Returns
+    -------
+    order : ndarray of int, shape (3,)
+        ``order[w]`` is the index axis along world axis w.
+    sign : ndarray, shape (3,)
+        -1 where that index axis runs backwards.
+
+    Raises
+    ------
+    InputError
+        If an index axis is more than `OBLIQUE_DEG` away from every world axis.
+    """
+    world = np.argmax(np.abs(directions), axis=0)
+    cosine = directions[world, np.arange(3)]
+    degrees = np.degrees(np.arccos(np.clip(np.abs(cosine), 0.0, 1.0)))
+    if degrees.max() > OBLIQUE_DEG:
+        angles = ", ".join(f"{d:.1f}" for d in degrees)
+        raise InputError(
+            f"{what} is oblique: its voxel axes lie {angles} degrees off the nearest world axes, "
+            f"at most {OBLIQUE_DEG:g} is allowed. Resample it first on an upright grid, with "
+            "nearest neighbour (3D Slicer: Resample Scalar/Vector/DWI Volume)."
+        )
+    if len(set(world.tolist())) < 3:
+        raise InputError(f"{what} has two voxel axes that run the same way; its header is wrong.")
+    order = np.argsort(world)
+    return order, np.sign(cosine[order])
+
+
+def _settle_spacing(header: FloatArray, given: Triple | None, what: str) -> FloatArray:
+    """Return the spacing along world x, y, z from header and user; NaN in the header is unknown."""
+    known = np.isfinite(header)
+    if given is None:
+        if not known.all():
+            raise InputError(
+                f"{what} does not say how far apart its voxels are (x y z: {_mm(header)} mm). "
+                "Give it with --spacing-mm X Y Z."
+            )
+        return header
+    wanted = np.asarray(given, dtype=float)
+    if wanted.shape != (3,) or not np.all(np.isfinite(wanted) & (wanted > 0)):
+        raise InputError(f"--spacing-mm needs three positive numbers X Y Z, got {given}.")
+    if not np.allclose(wanted[known], header[known], rtol=SPACING_TOLERANCE, atol=0.0):
+        raise InputError(
+            f"{what} says that its spacing along x, y, z is {_mm(header)} mm, but --spacing-mm "
+            f"says {_mm(wanted)} mm. Leave the option away, or correct the file."
+        )
+    return np.where(known, header, wanted)
+
+
+def _mm(lengths: FloatArray) -> str:
+    return " ".join(f"{length:g}" if np.isfinite(length) else "?" for length in lengths)
+
+
+def parse_axes(axes: str | None) -> FloatArray:
+    """Return the rotation from world to house frame.
+
+    Parameters
+    ----------
+    axes : str, optional
+        Three world axes with an optional sign, the ones that become house x
+        (vertical), y (compression) and z (chest wall to nipple): ``"-z,y,x"`` stands
+        a body up whose head is at +z and whose nipple is at +x. Default: ``"x,y,z"``.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        A signed permutation with determinant +1.
+
+    Raises
+    ------
+    InputError
+        If it does not name x, y and z once each, or would mirror the body.
+
+    Examples
+    --------
+    >>> parse_axes("-z,y,x") @ [1.0, 2.0, 3.0]
+    array([-3.,  2.,  1.])
+    """
+    names = ("x,y,z" if axes is None else axes).replace(" ", "").lower().split(",")
+    bare = [name.lstrip("+-") for name in names]
+    signed = all(len(name) - len(letter) <= 1 for name, letter in zip(names, bare, strict=True))
+    if sorted(bare) != ["x", "y", "z"] or not signed:
+        raise InputError(
+            f"axes must name x, y and z once each, with an optional sign, got {axes!r}. "
+            "Write for example -z,y,x: house x is world -z, y is y and z is x."
+        )
+    turn = np.zeros((3, 3))
+    for house, (name, letter) in enumerate(zip(names, bare, strict=True)):
+        turn[house, "xyz".index(letter)] = -1.0 if name.startswith("-") else 1.0
+    if np.linalg.det(turn) < 0:
+        other = [f"-{bare[0]}" if names[0][0] != "-" else bare[0], *names[1:]]
+        raise InputError(
+            f"axes {','.join(names)} would mirror the body (a left breast would become a right "
+            f"one). Change one sign more, for example {','.join(other)}."
+        )
+    return turn

@@ -1,0 +1,123 @@
+"""Read a label map from whatever file it is in.
+
+========================  ==========================================================
+``.nrrd`` ``.nhdr``       `workers.body.images.nrrd_file`
+``.nii`` ``.nii.gz``      `workers.body.images.nifti`
+``.tif`` ``.tiff``        `workers.body.images.tiff_stack`, spacing must be given
+folder of TIFF slices     the same
+``.npy``                  `workers.body.images.numpy_file`, spacing must be given
+``.dcm``                  `workers.body.images.dicom_segmentation` (a multi-frame file)
+folder of DICOM slices    `workers.body.images.dicom_series`
+========================  ==========================================================
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from storage.errors import InputError
+from storage.values import Triple, Volume
+from workers.body.images.dicom_series import read_dicom
+from workers.body.images.labels import relabel
+from workers.body.images.nifti import read_nifti
+from workers.body.images.nrrd_file import read_nrrd
+from workers.body.images.numpy_file import read_numpy
+from workers.body.images.orient import parse_axes, to_volume
+from workers.body.images.scan import Scan, check_shape, whole_numbers
+from workers.body.images.tiff_stack import TIFF_SUFFIXES, read_tiff
+
+__all__ = ["read_volume", "relabel"]
+
+Reader = Callable[[Path], Scan]
+
+_READERS: dict[str, tuple[str, Reader]] = {
+    ".nrrd": ("NRRD", read_nrrd),
+    ".nhdr": ("NRRD", read_nrrd),
+    ".nii": ("NIfTI", read_nifti),
+    ".nii.gz": ("NIfTI", read_nifti),
+    ".tif": ("TIFF", read_tiff),
+    ".tiff": ("TIFF", read_tiff),
+    ".npy": ("NumPy", read_numpy),
+    ".dcm": ("DICOM", read_dicom),
+}
+
+
+def read_volume(path: Path, *, spacing_mm: Triple | None = None, axes: str | None = None) -> Volume:
+    """Read a label map as a volume along the axes of the house.
+
+    Parameters
+    ----------
+    path : Path
+        A file, or a folder of DICOM or TIFF slices.
+    spacing_mm : tuple of float, optional
+        Voxel spacing along x, y, z of the file's frame (before `axes`), for files that
+        do not say. Where the file says, both must agree.
+    axes : str, optional
+        Which world axes become x (vertical), y (compression) and z (chest wall to
+        nipple), such as ``"-z,y,x"``; see `workers.body.images.orient.parse_axes`.
+
+    Returns
+    -------
+    Volume
+        Integer ``values``, C-contiguous ``[z, y, x]``. Frames of patients are brought
+        to LPS (x to the left, y to posterior, z to superior), whatever the format.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, of an unknown kind, not 3-D, oblique, without
+        spacing, or holds anything but whole numbers.
+    """
+    path = Path(path)
+    parse_axes(axes)  # a slip in an option should not cost the reading of a large file
+    kind, reader = _reader(path)
+    try:
+        scan = reader(path)
+    except InputError:
+        raise
+    except Exception as error:  # the libraries raise nearly anything on damaged files
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(
+            f"{path} cannot be read as {kind}: {reason}. It is damaged, cut short or misnamed; "
+            "copy or export it again."
+        ) from error
+    what = str(path)
+    check_shape(scan.values, what)
+    labels = Scan(
+        whole_numbers(scan.values, what), scan.spacing_mm, scan.directions, scan.origin_mm
+    )
+    return to_volume(labels, what, spacing_mm=spacing_mm, axes=axes)
+
+
+def _reader(path: Path) -> tuple[str, Reader]:
+    if path.is_dir():
+        return _folder_reader(path)
+    if not path.exists():
+        raise InputError(
+            f"{path} does not exist. Check the path; it is looked up from {Path.cwd()}."
+        )
+    name = path.name.lower()
+    for suffix in sorted(_READERS, key=len, reverse=True):
+        if name.endswith(suffix):
+            return _READERS[suffix]
+    raise InputError(
+        f"{path} is of a kind that is not read here (suffix {path.suffix or 'none'!r}). Known: "
+        f"{', '.join(_READERS)}, or a folder of DICOM or TIFF slices."
+    )
+
+
+def _folder_reader(folder: Path) -> tuple[str, Reader]:
+    suffixes = {p.suffix.lower() for p in folder.iterdir() if p.is_file() and p.name[0] != "."}
+    if not suffixes:
+        raise InputError(
+            f"{folder} holds no files. Give the folder that holds the slices of one image."
+        )
+    tiff = suffixes & set(TIFF_SUFFIXES)
+    if tiff and ".dcm" in suffixes:
+        raise InputError(f"{folder} mixes TIFF and DICOM slices. Give one folder for each image.")
+    whole = sorted(suffixes & {".nrrd", ".nhdr", ".nii", ".gz", ".npy"})
+    if whole and not tiff and ".dcm" not in suffixes:
+        raise InputError(
+            f"{folder} is a folder with {', '.join(whole)} files, expected one image. "
+            "Give the file itself."
+        )
+    return ("TIFF", read_tiff) if tiff else ("DICOM", read_dicom)

@@ -1,0 +1,150 @@
+"""Hold what an image file says, before it is turned into the house's `Volume`.
+
+Every reader of a format returns a `Scan`: voxels by index axis and the place
+of those axes in the patient's frame, LPS (x to the left, y to posterior, z to
+superior). `workers.body.images.orient` makes a `Volume` of it.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from storage.errors import InputError
+from storage.values import FloatArray
+
+RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0])
+"""From NIfTI's frame (x right, y anterior) to LPS."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Hold voxels as a file holds them.
+
+    Parameters
+    ----------
+    values : ndarray, shape (ni, nj, nk)
+        By index axis, in any memory order.
+    spacing_mm : ndarray, shape (3,)
+        Distance of voxel centres along each index axis; NaN where the file
+        does not say, or says something that is no distance.
+    directions : ndarray, shape (3, 3)
+        Columns are the unit vectors of the index axes in LPS.
+    origin_mm : ndarray, shape (3,)
+        Centre of ``values[0, 0, 0]`` in LPS.
+    """
+
+    values: NDArray[Any]
+    spacing_mm: FloatArray
+    directions: FloatArray
+    origin_mm: FloatArray
+
+    @classmethod
+    def without_frame(cls, values: NDArray[Any], spacing_mm: ArrayLike | None = None) -> "Scan":
+        """Take the index axes as x, y, z, and the first voxel as (0, 0, 0)."""
+        spacing = np.full(3, np.nan) if spacing_mm is None else np.array(spacing_mm, dtype=float)
+        return cls(values, _distances(spacing), np.eye(3), np.zeros(3))
+
+    @classmethod
+    def with_steps(
+        cls,
+        values: NDArray[Any],
+        steps_mm: ArrayLike,
+        origin_mm: ArrayLike,
+        frame: FloatArray | None = None,
+    ) -> "Scan":
+        """Make a scan from the step of each index axis (columns), declared in `frame`.
+
+        Parameters
+        ----------
+        steps_mm : array_like, shape (3, 3)
+            Column a is the way from one voxel centre to the next along index axis a.
+            When a column is zero or not finite nothing is known of the axes: all three
+            are then taken to run along the declared frame, with unknown spacing.
+        origin_mm : array_like, shape (3,)
+            Centre of the first voxel; one that is not finite counts as (0, 0, 0).
+        frame : ndarray, shape (3, 3), optional
+            Matrix from the declared frame to LPS. Default: it is LPS.
+        """
+        to_lps = np.eye(3) if frame is None else frame
+        steps = np.asarray(steps_mm, dtype=float)
+        origin = np.asarray(origin_mm, dtype=float)
+        if not np.all(np.isfinite(origin)):
+            origin = np.zeros(3)
+        length = np.linalg.norm(steps, axis=0)
+        if not (np.all(np.isfinite(length)) and np.all(length > 0)):
+            return cls(values, np.full(3, np.nan), to_lps.copy(), to_lps @ origin)
+        return cls(values, length, to_lps @ (steps / length), to_lps @ origin)
+
+
+def _distances(spacing: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(spacing) & (spacing > 0), spacing, np.nan)
+
+
+def three_axes(values: NDArray[Any], what: str) -> NDArray[Any]:
+    """Drop axes of one voxel until three are left.
+
+    Raises
+    ------
+    InputError
+        If the image is 2-D, or has four real axes or more.
+    """
+    extra = values.ndim - 3
+    single = [axis for axis, size in enumerate(values.shape) if size == 1]
+    if extra > 0 and len(single) == extra:
+        return values.squeeze(tuple(single))
+    if extra > 0 and len(single) < extra:
+        raise InputError(
+            f"{what} has {values.ndim} axes, shape {values.shape}; a volume has 3. "
+            "Save one channel and one time point of it."
+        )
+    return values
+
+
+def check_shape(values: NDArray[Any], what: str) -> None:
+    """Raise InputError unless `values` has three axes of two voxels or more."""
+    if values.ndim != 3 or min(values.shape) < 2:
+        raise InputError(
+            f"{what} is not a 3-D image: its shape is {values.shape}, and three axes of at "
+            "least 2 voxels are needed. Give the whole stack (a multi-page file, or the "
+            "folder that holds its slices)."
+        )
+
+
+def whole_numbers(values: NDArray[Any], what: str) -> NDArray[Any]:
+    """Return labels as native integers; floats are taken when every one is whole.
+
+    Raises
+    ------
+    InputError
+        If a voxel is no whole number, or a voxel is more than one number.
+    """
+    if values.dtype.kind == "b":
+        return values.astype(np.uint8)
+    if values.dtype.kind in "iu":
+        return values.astype(values.dtype.newbyteorder("="), copy=False)
+    if values.dtype.kind != "f":
+        raise InputError(
+            f"{what} has voxels of type {values.dtype}, expected one whole number each (labels). "
+            "Save the label map itself, not its colours."
+        )
+    low, high = np.inf, -np.inf
+    for part in values:
+        odd = part[part != np.rint(part)]  # NaN differs from itself; infinity is caught below
+        if odd.size or not np.all(np.isfinite(part)):
+            example = odd[0] if odd.size else "infinity"
+            raise InputError(
+                f"{what} is not a label map: it holds {example}, and labels are whole numbers. "
+                "Segment the image first; resample label maps with nearest neighbour."
+            )
+        low, high = min(low, float(part.min())), max(high, float(part.max()))
+    return values.astype(_smallest_integer(low, high, what))
+
+
+def _smallest_integer(low: float, high: float, what: str) -> type[np.integer[Any]]:
+    for kind in (np.uint8, np.uint16, np.int16, np.int32, np.int64):
+        limits = np.iinfo(kind)
+        if limits.min <= low and high <= limits.max and abs(high) < 2**53:
+            return kind
+    raise InputError(f"{what} is not a label map: its values run from {low:g} to {high:g}.")

@@ -1,0 +1,1 @@
+"""Make tetrahedra from voxels."""

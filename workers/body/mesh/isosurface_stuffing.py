@@ -1,0 +1,328 @@
+"""Fit the tetrahedra of a lattice to an outline by isosurface stuffing.
+
+Lattice nodes too close to the outline are moved onto it; the edges that still
+cross it are cut (Labelle and Shewchuk, "Isosurface stuffing", ACM Trans. Graph.
+26(3), 2007). A tetrahedron then keeps its part inside the body: a smaller
+tetrahedron, a pyramid or a wedge, split into tetrahedra. The diagonal of a cut
+face depends on that face alone, so neighbours agree. Nodes of the wall move
+within its plane only.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from storage.values import BoolArray, FloatArray, IntArray, TetMesh
+from workers.body.mesh.bcc_lattice import Lattice
+from workers.body.mesh.incidence import elements_of_nodes
+from workers.body.mesh.outline import Outline, distance_at, project
+from workers.compile_flags import EXACT
+
+# A node moves when an edge is cut nearer to it than this fraction of the edge: the "safe"
+# values of the paper's table 3 for edges of length a and sqrt(3)/2 a.
+NEAR_LONG = 0.24999
+NEAR_SHORT = 0.41189
+
+
+def stuff_isosurface(lattice: Lattice, outline: Outline) -> TetMesh:
+    """Cut a lattice to an outline.
+
+    Returns
+    -------
+    TetMesh
+        Positively oriented tetrahedra that fill the outline; not every node is in use.
+    """
+    field, frame = outline.field, outline.frame
+    nodes = lattice.nodes.copy()
+    distance = lattice.distance.copy()
+    distance[distance == 0] = 1e-9
+    edges = _crossing_edges(lattice.tets, distance)
+    cut = _cut_fractions(nodes, distance, edges, field, frame)
+    start, incident = elements_of_nodes(edges, len(nodes))
+    order = _most_urgent_first(nodes, edges, cut, lattice.cell_mm)
+    _snap(
+        nodes,
+        distance,
+        lattice.wall,
+        edges,
+        cut,
+        start,
+        incident,
+        order,
+        lattice.cell_mm,
+        field,
+        frame,
+    )
+
+    alive = distance[edges[:, 0]] * distance[edges[:, 1]] < 0
+    edges, cut = edges[alive], cut[alive]
+    ends = nodes[edges]
+    points = ends[:, 0] + cut[:, None] * (ends[:, 1] - ends[:, 0])
+    cut_wall = lattice.wall[edges].all(axis=1)
+    start, incident = elements_of_nodes(edges, len(nodes))
+
+    every = np.concatenate([nodes, points])
+    tets = _cut_tets(lattice.tets, every, distance, edges, start, incident)
+    wall = np.concatenate([lattice.wall, cut_wall])
+    every[wall, 2] = outline.wall_z_mm
+    return TetMesh(every, tets)
+
+
+def _crossing_edges(tets: IntArray, distance: FloatArray) -> IntArray:
+    """Return edges (inside node, outside node) that cross the outline, each once."""
+    outside = distance[tets] > 0
+    mixed = tets[outside.any(axis=1)]
+    pairs = mixed[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)
+    out = distance[pairs] > 0
+    pairs = pairs[out[:, 0] != out[:, 1]]
+    swap = distance[pairs[:, 0]] > 0
+    pairs[swap] = pairs[swap][:, ::-1]
+    key = np.unique(pairs[:, 0].astype(np.int64) * len(distance) + pairs[:, 1])
+    return np.stack(np.divmod(key, len(distance)), axis=1).astype(np.int32)
+
+
+def _most_urgent_first(
+    nodes: FloatArray, edges: IntArray, cut: FloatArray, cell_mm: float
+) -> IntArray:
+    """Return nodes whose nearest cut violates its limit, nearest first."""
+    length = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
+    near = np.where(length > 0.95 * cell_mm, NEAR_LONG, NEAR_SHORT)
+    urgency = np.full(len(nodes), np.inf)
+    np.minimum.at(urgency, edges[:, 0], cut / near)
+    np.minimum.at(urgency, edges[:, 1], (1 - cut) / near)
+    close = np.flatnonzero(urgency < 1)
+    return close[np.argsort(urgency[close], kind="stable")].astype(np.int32)
+
+
+@njit(**EXACT)
+def _cut_fractions(
+    nodes: FloatArray,
+    distance: FloatArray,
+    edges: IntArray,
+    field: NDArray[np.float32],
+    frame: FloatArray,
+) -> FloatArray:
+    """Find where each edge meets the outline, as a fraction from its inner node (Illinois rule)."""
+    cut = np.empty(len(edges))
+    for e in range(len(edges)):
+        p, q = edges[e, 0], edges[e, 1]
+        t0, t1, f0, f1 = 0.0, 1.0, distance[p], distance[q]
+        t = 0.5
+        side = 0
+        for _ in range(30):
+            t = t0 + (t1 - t0) * f0 / (f0 - f1)
+            f = distance_at(
+                field,
+                frame,
+                nodes[p, 0] + t * (nodes[q, 0] - nodes[p, 0]),
+                nodes[p, 1] + t * (nodes[q, 1] - nodes[p, 1]),
+                nodes[p, 2] + t * (nodes[q, 2] - nodes[p, 2]),
+            )
+            if abs(f) < 1e-5 or t1 - t0 < 1e-7:
+                break
+            if f < 0:
+                t0, f0 = t, f
+                if side == -1:
+                    f1 *= 0.5
+                side = -1
+            else:
+                t1, f1 = t, f
+                if side == 1:
+                    f0 *= 0.5
+                side = 1
+        cut[e] = t
+    return cut
+
+
+@njit(**EXACT)
+def _snap(
+    nodes: FloatArray,
+    distance: FloatArray,
+    wall: BoolArray,
+    edges: IntArray,
+    cut: FloatArray,
+    start: IntArray,
+    incident: IntArray,
+    order: IntArray,
+    cell_mm: float,
+    field: NDArray[np.float32],
+    frame: FloatArray,
+) -> None:
+    """Move nodes that are too close to the outline onto it; their distance becomes 0."""
+    place = np.empty(3)
+    for v in order:
+        best = 1.0
+        chosen = -1
+        for m in range(start[v], start[v + 1]):
+            e = incident[m]
+            p, q = edges[e, 0], edges[e, 1]
+            if distance[p] * distance[q] >= 0:
+                continue  # the other end has been moved onto the outline
+            length = np.sqrt(
+                (nodes[p, 0] - nodes[q, 0]) ** 2
+                + (nodes[p, 1] - nodes[q, 1]) ** 2
+                + (nodes[p, 2] - nodes[q, 2]) ** 2
+            )
+            near = NEAR_LONG if length > 0.95 * cell_mm else NEAR_SHORT
+            t = cut[e] if p == v else 1.0 - cut[e]
+            if t < near and t * length < best * cell_mm:
+                best = t * length / cell_mm
+                chosen = e
+        if chosen < 0:
+            continue
+        on_wall = wall[v]
+        if project(field, frame, nodes[v], 0.0, on_wall, 1.05 * best * cell_mm, place):
+            nodes[v] = place
+        elif not on_wall or (wall[edges[chosen, 0]] and wall[edges[chosen, 1]]):
+            p, q = edges[chosen, 0], edges[chosen, 1]
+            nodes[v] = nodes[p] + cut[chosen] * (nodes[q] - nodes[p])
+        # else: the outline grazes the wall here; the node stays and counts as lying on it
+        distance[v] = 0.0
+
+
+@njit(**EXACT)
+def _edge_between(edges: IntArray, start: IntArray, incident: IntArray, p: int, q: int) -> int:
+    for m in range(start[p], start[p + 1]):
+        e = incident[m]
+        if edges[e, 0] == q or edges[e, 1] == q:
+            return e
+    return -1
+
+
+@njit(**EXACT)
+def _squared_length(nodes: FloatArray, p: int, q: int) -> float:
+    return (
+        (nodes[p, 0] - nodes[q, 0]) ** 2
+        + (nodes[p, 1] - nodes[q, 1]) ** 2
+        + (nodes[p, 2] - nodes[q, 2]) ** 2
+    )
+
+
+@njit(**EXACT)
+def _diagonal_starts_at_first(nodes: FloatArray, a: int, A: int, b: int, B: int) -> bool:
+    """Say whether the diagonal of the face (a, b, B, A) starts in a; A and B are cut points.
+
+    It starts at the longer remainder. This is an order of the cut edges, so that the three
+    faces of a wedge never form a ring (which has no split without a new node).
+    """
+    ra, rb = _squared_length(nodes, a, A), _squared_length(nodes, b, B)
+    if ra != rb:
+        return ra > rb
+    return A < B
+
+
+@njit(**EXACT)
+def _add_tet(tets: IntArray, count: int, nodes: FloatArray, p: int, q: int, r: int, s: int) -> int:
+    x, y = nodes[q] - nodes[p], nodes[r] - nodes[p]
+    z = nodes[s] - nodes[p]
+    det = (
+        x[0] * (y[1] * z[2] - y[2] * z[1])
+        + x[1] * (y[2] * z[0] - y[0] * z[2])
+        + x[2] * (y[0] * z[1] - y[1] * z[0])
+    )
+    tets[count, 0], tets[count, 1] = p, q
+    if det > 0:
+        tets[count, 2], tets[count, 3] = r, s
+    else:
+        tets[count, 2], tets[count, 3] = s, r
+    return count + 1
+
+
+@njit(**EXACT)
+def _add_wedge(
+    tets: IntArray,
+    count: int,
+    nodes: FloatArray,
+    b: NDArray[np.int64],
+    t: NDArray[np.int64],
+    up: BoolArray,
+) -> int:
+    """Split a wedge with corners b[0..2] below t[0..2] into three tetrahedra.
+
+    ``up[i]`` says that the diagonal of the face between the columns i and i + 1 runs from b[i]
+    to t[i + 1], else from b[i + 1] to t[i]; the three must not be equal.
+    """
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        if up[i] and not up[k]:  # both diagonals at column i start in b[i]
+            count = _add_tet(tets, count, nodes, b[i], t[0], t[1], t[2])
+            if up[j]:  # diagonal b[j] - t[k]
+                count = _add_tet(tets, count, nodes, b[i], b[j], t[j], t[k])
+                return _add_tet(tets, count, nodes, b[i], b[j], b[k], t[k])
+            count = _add_tet(tets, count, nodes, b[i], b[k], t[j], t[k])
+            return _add_tet(tets, count, nodes, b[i], b[j], b[k], t[j])
+    return count
+
+
+@njit(**EXACT)
+def _cut_tets(
+    lattice_tets: IntArray,
+    nodes: FloatArray,
+    distance: FloatArray,
+    edges: IntArray,
+    start: IntArray,
+    incident: IntArray,
+) -> IntArray:
+    offset = len(distance)
+    tets = np.empty((3 * len(lattice_tets), 4), np.int32)
+    count = 0
+    inn = np.empty(4, np.int64)
+    out = np.empty(4, np.int64)
+    on = np.empty(4, np.int64)
+    b = np.empty(3, np.int64)
+    t = np.empty(3, np.int64)
+    up = np.empty(3, np.bool_)
+    for m in range(len(lattice_tets)):
+        n_in = n_out = n_on = 0
+        for c in range(4):
+            v = lattice_tets[m, c]
+            if distance[v] < 0:
+                inn[n_in] = v
+                n_in += 1
+            elif distance[v] > 0:
+                out[n_out] = v
+                n_out += 1
+            else:
+                on[n_on] = v
+                n_on += 1
+        if n_in == 0:
+            continue
+        if n_out == 0:
+            tets[count] = lattice_tets[m]
+            count += 1
+        elif n_in == 1:
+            c0 = inn[0]
+            corner = on.copy()
+            for c in range(n_out):
+                corner[n_on + c] = offset + _edge_between(edges, start, incident, c0, out[c])
+            count = _add_tet(tets, count, nodes, c0, corner[0], corner[1], corner[2])
+        elif n_in == 2 and n_out == 1:  # pyramid with its tip on the outline
+            p, q = inn[0], inn[1]
+            P = offset + _edge_between(edges, start, incident, p, out[0])
+            Q = offset + _edge_between(edges, start, incident, q, out[0])
+            if _diagonal_starts_at_first(nodes, p, P, q, Q):
+                count = _add_tet(tets, count, nodes, p, q, Q, on[0])
+                count = _add_tet(tets, count, nodes, p, Q, P, on[0])
+            else:
+                count = _add_tet(tets, count, nodes, p, q, P, on[0])
+                count = _add_tet(tets, count, nodes, q, Q, P, on[0])
+        elif n_in == 3:  # wedge between three inner nodes and their cut points
+            for c in range(3):
+                b[c] = inn[c]
+                t[c] = offset + _edge_between(edges, start, incident, inn[c], out[0])
+            for c in range(3):
+                d = (c + 1) % 3
+                up[c] = _diagonal_starts_at_first(nodes, b[c], t[c], b[d], t[d])
+            count = _add_wedge(tets, count, nodes, b, t, up)
+        else:  # wedge along the edge between two inner nodes
+            b[0], t[0] = inn[0], inn[1]
+            for c in range(2):
+                b[c + 1] = offset + _edge_between(edges, start, incident, inn[0], out[c])
+                t[c + 1] = offset + _edge_between(edges, start, incident, inn[1], out[c])
+            up[0] = _diagonal_starts_at_first(nodes, b[0], b[1], t[0], t[1])
+            up[2] = not _diagonal_starts_at_first(nodes, b[0], b[2], t[0], t[2])
+            up[1] = _squared_length(nodes, b[1], t[2]) < _squared_length(nodes, b[2], t[1])
+            if up[0] == up[1] and up[1] == up[2]:
+                up[1] = not up[1]
+            count = _add_wedge(tets, count, nodes, b, t, up)
+    return tets[:count].copy()

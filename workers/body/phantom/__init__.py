@@ -1,0 +1,1 @@
+"""Draw labelled voxels from a seed."""

@@ -1,0 +1,161 @@
+"""Choose which compartments are glandular, at random, to meet a volume fraction."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from storage.values import FloatArray, Tissue
+from workers.body.phantom.compartments import vertical_semi_axis
+from workers.body.phantom.settings import BreastPhantom
+from workers.body.phantom.voxel_classification import (
+    AIR_ID,
+    FIRST_ID,
+    LIGAMENT_ID,
+    SKIN_ID,
+    Ids,
+)
+from workers.compile_flags import EXACT
+
+Labels = NDArray[np.uint8]
+Counts = NDArray[np.int64]
+
+TOLERANCE: Final = 0.005  # of the wanted volume; a compartment is split beyond it
+LOOK_AHEAD: Final = 10  # compartments that may take the last place in the race
+GLAND_WIDTH: Final = 0.4  # of the distance from the nipple axis to the skin
+GLAND_HEIGHT: Final = 0.6  # vertical size relative to that: fat above and below
+
+
+@dataclass(frozen=True, eq=False)
+class GlandularChoice:
+    """List the compartments that become glandular tissue.
+
+    Parameters
+    ----------
+    whole : ndarray of int
+        Compartments that are glandular throughout.
+    split : int or None
+        A compartment that is glandular in part, if whole ones do not fit.
+    split_voxels : int
+        Its number of glandular voxels.
+    """
+
+    whole: NDArray[np.int64]
+    split: int | None = None
+    split_voxels: int = 0
+
+
+def gland_weight(settings: BreastPhantom, points_mm: FloatArray) -> FloatArray:
+    r"""Return relative odds, in (0, 1], that tissue at points inside the outline is glandular.
+
+    .. math:: w = e^{-(\rho/0.4)^2} \sqrt{z/a}, \qquad
+              \rho^2 = \frac{(y/b)^2 + (x/0.6c)^2}{1 - (z/a)^2}
+
+    The distance rho from the axis of the nipple is relative to that of the
+    skin: gland fills a cone-like body behind the nipple, fat lies around it and
+    in front of the chest wall.
+
+    Parameters
+    ----------
+    points_mm : ndarray, shape (n, 3)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    x, y, z = points_mm.T
+    height = GLAND_HEIGHT * vertical_semi_axis(settings, x)
+    depth = np.clip(z / settings.depth_mm, 0.0, 1.0)
+    free = np.maximum(1 - depth**2, 1e-3)
+    rho2 = ((y / settings.half_width_mm) ** 2 + (x / height) ** 2) / free
+    # Far from the axis the exponential vanishes; the race needs positive odds.
+    return np.maximum(np.exp(-rho2 / GLAND_WIDTH**2) * np.sqrt(depth), 1e-12)
+
+
+def choose_compartments(
+    voxels: Counts, weights: FloatArray, wanted: int, rng: np.random.Generator
+) -> GlandularChoice:
+    """Choose compartments whose voxels add up to `wanted`.
+
+    An exponential race: compartment i arrives at a time drawn with rate w_i,
+    which is weighted drawing without replacement [1]_. Compartments are taken
+    as they arrive while they fit. For the last place, the one of the next ten
+    that brings the sum closest to `wanted` is taken, or none if that is closer.
+    If the sum is still off by more than half a percent (few or large
+    compartments), the first that did not fit is split instead, and the sum is exact.
+
+    Parameters
+    ----------
+    voxels : ndarray of int, shape (n,)
+        Size of each compartment; 0 for those without volume.
+    weights : ndarray, shape (n,)
+        Odds, > 0.
+    wanted : int
+        Number of glandular voxels, less than the sum of `voxels`.
+
+    References
+    ----------
+    .. [1] P. S. Efraimidis, P. G. Spirakis, Inform. Process. Lett. 97(5), 181-185, 2006.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> choice = choose_compartments(np.array([5, 5, 0, 5]), np.ones(4), 7, rng)
+    >>> len(choice.whole), choice.split_voxels
+    (1, 2)
+    """
+    arrival = rng.exponential(size=len(weights)) / weights
+    order = np.argsort(arrival, kind="stable")
+    order = order[voxels[order] > 0]
+    total = np.cumsum(voxels[order])
+    taken = int(np.searchsorted(total, wanted, side="right"))
+    missing = wanted - (int(total[taken - 1]) if taken else 0)
+    whole, waiting = order[:taken], order[taken : taken + LOOK_AHEAD]
+    if missing <= TOLERANCE * wanted and not np.any(np.abs(voxels[waiting] - missing) < missing):
+        return GlandularChoice(whole)
+    last = waiting[np.argmin(np.abs(voxels[waiting] - missing))]
+    if abs(int(voxels[last]) - missing) <= TOLERANCE * wanted:
+        return GlandularChoice(np.append(whole, last))
+    return GlandularChoice(whole, int(waiting[0]), missing)
+
+
+def label_tissue(
+    ids: Ids, settings: BreastPhantom, choice: GlandularChoice, compartments: int
+) -> Labels:
+    """Turn compartment ids into tissue labels, shape (nz, ny, nx).
+
+    In a split compartment the voxels of largest `gland_weight` are glandular, so
+    the cut runs along the surface of the gland.
+    """
+    table = np.full(FIRST_ID + compartments, int(Tissue.FAT), dtype=np.uint8)
+    table[AIR_ID] = Tissue.AIR
+    table[SKIN_ID] = Tissue.SKIN
+    table[LIGAMENT_ID] = Tissue.LIGAMENT
+    table[FIRST_ID + choice.whole] = Tissue.GLANDULAR
+    labels = np.empty(ids.shape, dtype=np.uint8)
+    _look_up(ids.reshape(-1), table, labels.reshape(-1))
+    if choice.split is not None:
+        voxels = np.flatnonzero(ids == FIRST_ID + choice.split)
+        zyx = np.column_stack(np.unravel_index(voxels, ids.shape))
+        points = zyx[:, ::-1] * settings.spacing_mm + np.asarray(settings.origin_mm)
+        order = np.argsort(-gland_weight(settings, points), kind="stable")
+        labels.reshape(-1)[voxels[order[: choice.split_voxels]]] = Tissue.GLANDULAR
+    return labels
+
+
+@njit(**EXACT)
+def count_ids(ids: NDArray[np.uint16], n: int) -> Counts:
+    """Count the voxels of each id below `n`, from a flat array."""
+    counts = np.zeros(n, dtype=np.int64)
+    for v in ids:
+        counts[v] += 1
+    return counts
+
+
+@njit(**EXACT)
+def _look_up(ids: NDArray[np.uint16], table: Labels, labels: Labels) -> None:
+    # numpy's table[ids] would first turn 2-byte ids into 8-byte indices.
+    for v in range(ids.shape[0]):
+        labels[v] = table[ids[v]]

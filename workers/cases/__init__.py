@@ -1,1 +1,0 @@
-"""Where the subject of a diagnosis comes from."""

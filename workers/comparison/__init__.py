@@ -1,0 +1,1 @@
+"""Measure how alike two bodies are: deformed volumes, similarity scores, interface distances."""

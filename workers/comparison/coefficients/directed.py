@@ -1,0 +1,90 @@
+"""Directed distances d1 to d6 between two sets of voxels (Eqs. 3.20 to 3.25 of the thesis)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from workers.comparison.similarity.distance_transform import distance_map
+from workers.comparison.similarity.nearest_voxel import squared_distances_from_map
+from workers.comparison.similarity.voxel_metric import Metric
+from workers.comparison.similarity.voxel_set import BOUNDARY, Index, VoxelSet
+
+PERCENTILES = (50, 75, 90)
+
+
+@dataclass(frozen=True, eq=False)
+class DirectedDistances:
+    """Distances of the voxels of one set to the nearest voxel of another.
+
+    Parameters
+    ----------
+    squared : ndarray of int64, shape (k,)
+        Squared distances other than zero, ascending, in units of the metric.
+    count : int
+        Number of voxels that were measured, those at distance zero included; > 0.
+    unit_mm : float
+        Millimetres of a distance 1.
+    """
+
+    squared: NDArray[np.int64]
+    count: int
+    unit_mm: float
+
+    def percentile_mm(self, percent: int) -> float:
+        """Ranked distance: the smallest that at least `percent` of the voxels do not exceed.
+
+        This is the K-th ranked value of Dubuisson and Jain (1994), one of the distances
+        themselves and never a value between two of them.
+        """
+        rank = max(1, -(-percent * self.count // 100)) - (self.count - len(self.squared))
+        return math.sqrt(int(self.squared[rank - 1])) * self.unit_mm if rank > 0 else 0.0
+
+    @property
+    def mean_mm(self) -> float:
+        """Arithmetic mean (Eq. 3.25)."""
+        return float(np.sqrt(self.squared).sum()) / self.count * self.unit_mm
+
+    @property
+    def sd_mm(self) -> float:
+        """Standard deviation over all voxels (divided by their number)."""
+        mean_square = int(self.squared.sum()) / self.count * self.unit_mm**2
+        return math.sqrt(max(mean_square - self.mean_mm**2, 0.0))
+
+    @property
+    def directed_mm(self) -> tuple[float, float, float, float, float, float]:
+        """d1 to d6: minimum, 50th, 75th and 90th percentile, maximum, mean."""
+        d2, d3, d4 = (self.percentile_mm(p) for p in PERCENTILES)
+        return self.percentile_mm(0), d2, d3, d4, self.percentile_mm(100), self.mean_mm
+
+
+def directed_distances(
+    queries: VoxelSet, features: VoxelSet, metric: Metric, *, query_kind: int, feature_kind: int
+) -> DirectedDistances:
+    """Measure from each voxel of one set to the nearest of another, exactly.
+
+    Parameters
+    ----------
+    queries, features : VoxelSet
+        Not empty, on one lattice.
+    metric : Metric
+    query_kind, feature_kind : int
+        ``INTERIOR`` for all voxels of a set, ``BOUNDARY`` for its boundary voxels.
+
+    Raises
+    ------
+    InputError
+        If the box around both is too large for 64-bit squared distances.
+    """
+    start, stop = _around(queries, features)
+    distances = distance_map(features, feature_kind, metric, start, stop)
+    squared = squared_distances_from_map(queries, query_kind, distances)
+    count = queries.boundary_count if query_kind == BOUNDARY else queries.count
+    return DirectedDistances(np.sort(squared), count, metric.unit_mm)
+
+
+def _around(a: VoxelSet, b: VoxelSet) -> tuple[Index, Index]:
+    """Half-open box around two sets."""
+    (z0, y0, x0), (z1, y1, x1) = np.minimum(a.start, b.start), np.maximum(a.stop, b.stop)
+    return (int(z0), int(y0), int(x0)), (int(z1), int(y1), int(x1))

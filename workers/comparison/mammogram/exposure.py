@@ -1,0 +1,161 @@
+"""From lengths in tissue to what an ideal detector reads, with its noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.values import FloatArray, Volume
+from workers.comparison.mammogram.attenuation import attenuation_table
+from workers.comparison.mammogram.geometry import Geometry
+from workers.comparison.mammogram.path_lengths import path_lengths_mm
+from workers.comparison.mammogram.spectrum import TABLE_DISTANCE_MM, Spectrum, spectrum_of
+
+# Events of the electronic Poisson process; its skewness is one tenth.
+ELECTRONIC_EVENTS = 100.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What blurs the reading of a pixel.
+
+    Parameters
+    ----------
+    seed : int
+        Of both random processes.
+    electronic_kev : float
+        Standard deviation of the electronic noise, in keV of absorbed energy. Some 2,000
+        electrons of 50 eV each in amorphous selenium are 100 keV.
+
+    Raises
+    ------
+    InputError
+        If the seed or the standard deviation is negative.
+    """
+
+    seed: int = 0
+    electronic_kev: float = 100.0
+
+    def __post_init__(self) -> None:
+        if self.seed < 0 or not self.electronic_kev >= 0:
+            raise InputError(
+                "Noise needs a seed >= 0 and electronic noise >= 0, got seed "
+                f"{self.seed} and {self.electronic_kev:g} keV."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Mammogram:
+    """What a detector reads.
+
+    Parameters
+    ----------
+    energy_kev : ndarray of float64, shape (rows, columns)
+        Energy absorbed in each pixel.
+    open_kev : ndarray of float64, shape (rows, columns)
+        The same without a body and without noise.
+    geometry : Geometry
+    """
+
+    energy_kev: FloatArray
+    open_kev: FloatArray
+    geometry: Geometry
+
+    @property
+    def log_attenuation(self) -> FloatArray:
+        """ln(open / energy); a pixel that reads less than 1 keV counts as 1 keV."""
+        return np.asarray(np.log(self.open_kev / np.maximum(self.energy_kev, 1.0)))
+
+
+def expose(
+    body: Volume,
+    geometry: Geometry,
+    spectrum: Spectrum | None = None,
+    *,
+    mas: float = 60.0,
+    noise: Noise | None = None,
+) -> Mammogram:
+    """Take a mammogram.
+
+    The focal spot is a point, the beam polyenergetic without scatter, and the detector
+    ideal: it absorbs every photon that meets a pixel and reads the sum of their energies
+    (thesis section 4.4.3).
+
+    Parameters
+    ----------
+    body : Volume
+        Labels of `Tissue`.
+    geometry : Geometry
+    spectrum : Spectrum, optional
+        Tungsten behind rhodium if not given.
+    mas : float
+        Tube current times time, > 0.
+    noise : Noise, optional
+        None for the expected reading.
+
+    Raises
+    ------
+    InputError
+        If the exposure is not positive, or a value is no label.
+    """
+    lengths = path_lengths_mm(body, geometry)
+    return read_out(lengths, geometry, spectrum or spectrum_of("w_rh"), mas=mas, noise=noise)
+
+
+def read_out(
+    lengths_mm: NDArray[np.floating],
+    geometry: Geometry,
+    spectrum: Spectrum,
+    *,
+    mas: float,
+    noise: Noise | None = None,
+) -> Mammogram:
+    r"""Expected or noisy reading behind known lengths of tissue.
+
+    In a bin of energy E a pixel expects
+
+    .. math:: N_E = \text{mAs} \, \phi_E \, A \cos\theta \, (1000 / r)^2
+              \exp\Big(-\sum_t \mu_t(E) L_t\Big)
+
+    photons and reads :math:`\sum_E E N_E`. With noise, N is drawn from Poisson's law in
+    each bin, and the electronics add a second Poisson process less its mean.
+
+    Parameters
+    ----------
+    lengths_mm : ndarray, shape (rows, columns, tissues)
+    geometry, spectrum, mas, noise
+        As for `expose`.
+
+    Raises
+    ------
+    InputError
+        If the exposure is not positive.
+    """
+    if not mas > 0:
+        raise InputError(f"The exposure must be positive, got {mas:g} mAs.")
+    energies = spectrum.energies_kev
+    attenuation = attenuation_table(energies)
+    photons = mas * spectrum.photons_per_mm2_mas[:, None] * _weight_mm2(geometry).ravel()
+    open_kev = (energies @ photons).reshape(geometry.rows, geometry.columns)
+    energy = np.empty_like(open_kev)
+    generator = None if noise is None else np.random.default_rng(noise.seed)
+    for row in range(geometry.rows):  # row by row, to keep the bins of few pixels at a time
+        part = photons[:, row * geometry.columns : (row + 1) * geometry.columns]
+        counts = part * np.exp(-(attenuation.T @ lengths_mm[row].T.astype(np.float64)))
+        if generator is not None:
+            counts = generator.poisson(counts).astype(np.float64)
+        energy[row] = energies @ counts
+    if noise is not None and generator is not None and noise.electronic_kev > 0:
+        events = generator.poisson(ELECTRONIC_EVENTS, energy.shape) - ELECTRONIC_EVENTS
+        energy += events * (noise.electronic_kev / np.sqrt(ELECTRONIC_EVENTS))
+    return Mammogram(energy, open_kev, geometry)
+
+
+def _weight_mm2(geometry: Geometry) -> FloatArray:
+    """Area of each pixel as the focal spot sees it, brought to the distance of the table."""
+    ray = geometry.pixels_mm - geometry.source_mm
+    distance = np.linalg.norm(ray, axis=-1)
+    normal = np.cross(geometry.down_mm, geometry.right_mm)  # as long as a pixel is large
+    seen = np.abs(ray @ normal) / distance
+    return np.asarray(seen * (TABLE_DISTANCE_MM / distance) ** 2)

@@ -1,0 +1,85 @@
+"""Mammograms as grey values that a screen or a file can show."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.values import FloatArray
+from workers.comparison.mammogram.exposure import Mammogram
+
+# Of the pixels behind the body; what is darker or brighter saturates.
+PERCENTILES = (1.0, 99.5)
+# A pixel behind less than this attenuation, ln(open / energy), shows air.
+AIR = 0.05
+EQUAL = 128
+
+
+def presentation_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16]:
+    """Dense tissue bright, air dark: the logarithm of the attenuation in whole numbers.
+
+    Parameters
+    ----------
+    mammogram : Mammogram
+    largest : int
+        Value of the brightest pixel, up to 65535.
+
+    Returns
+    -------
+    ndarray of uint16, shape (rows, columns)
+    """
+    attenuation = mammogram.log_attenuation
+    low, high = window_of(attenuation)
+    grey = np.clip((attenuation - low) / (high - low), 0.0, 1.0)
+    return np.asarray(np.rint(grey * largest), np.uint16)
+
+
+def processing_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16]:
+    """Energy in whole numbers, linear; the open field takes nine tenths of the scale.
+
+    Parameters
+    ----------
+    mammogram : Mammogram
+    largest : int
+        Largest value, up to 65535.
+
+    Returns
+    -------
+    ndarray of uint16, shape (rows, columns)
+    """
+    scale = 0.9 * largest / float(mammogram.open_kev.max())
+    return np.asarray(np.rint(np.clip(mammogram.energy_kev * scale, 0, largest)), np.uint16)
+
+
+def grey_picture(mammogram: Mammogram) -> NDArray[np.uint8]:
+    """The picture for presentation in 8 bits."""
+    return presentation_values(mammogram, 255).astype(np.uint8)
+
+
+def difference_picture(first: Mammogram, second: Mammogram) -> NDArray[np.uint8]:
+    """Signed difference of attenuations (thesis Fig. 4.18): grey where they are equal.
+
+    White, and black, where the first, and the second, attenuates more by half of the
+    range that the first one shows.
+
+    Raises
+    ------
+    InputError
+        If the mammograms have different numbers of pixels.
+    """
+    a, b = first.log_attenuation, second.log_attenuation
+    if a.shape != b.shape:
+        raise InputError(
+            f"The mammograms have {a.shape} and {b.shape} pixels. Take both in one geometry."
+        )
+    low, high = window_of(a)
+    grey = EQUAL + 127 * (a - b) / (0.5 * (high - low))
+    return np.asarray(np.rint(np.clip(grey, 0, 255)), np.uint8)
+
+
+def window_of(attenuation: FloatArray) -> tuple[float, float]:
+    """Darkest and brightest attenuation of a picture."""
+    body = attenuation[attenuation > AIR]
+    if not body.size:
+        return 0.0, 1.0
+    low, high = (float(v) for v in np.percentile(body, PERCENTILES))
+    return low, max(high, low + 1e-6)

@@ -1,0 +1,70 @@
+"""X-ray spectra of mammography tubes."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray
+from workers.comparison.mammogram.tables import table
+
+Beam = Literal["mo_mo", "rh_rh", "w_rh"]
+BEAMS: tuple[Beam, ...] = get_args(Beam)
+TABLE_DISTANCE_MM = 1000.0
+# Bins with a smaller part of all photons are left out.
+NEGLIGIBLE = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Photons that reach the body.
+
+    Parameters
+    ----------
+    energies_kev : ndarray, shape (k,)
+        Ascending.
+    photons_per_mm2_mas : ndarray, shape (k,)
+        In each bin, per mAs, at 1000 mm from the focal spot.
+
+    Raises
+    ------
+    InputError
+        If the arrays differ in shape, or no photon is in them.
+    """
+
+    energies_kev: FloatArray
+    photons_per_mm2_mas: FloatArray
+
+    def __post_init__(self) -> None:
+        energies, photons = self.energies_kev, self.photons_per_mm2_mas
+        if energies.shape != photons.shape or energies.ndim != 1 or not photons.sum() > 0:
+            raise InputError(
+                "A spectrum needs as many energies as numbers of photons, and some photons; got "
+                f"shapes {energies.shape} and {photons.shape}."
+            )
+
+    @property
+    def mean_kev(self) -> float:
+        """Mean energy of a photon."""
+        return float(np.average(self.energies_kev, weights=self.photons_per_mm2_mas))
+
+
+def spectrum_of(beam: Beam) -> Spectrum:
+    """Spectrum of an anode and a filter at 28 kVp, behind a compression plate.
+
+    Parameters
+    ----------
+    beam : {"mo_mo", "rh_rh", "w_rh"}
+        Anode and filter: molybdenum, rhodium, or tungsten behind rhodium.
+
+    Raises
+    ------
+    InputError
+        If the beam is unknown.
+    """
+    if beam not in BEAMS:
+        raise InputError(f"The beam is one of {', '.join(BEAMS)}, got {beam!r}.")
+    energies, photons = table(f"{beam}_28kvp").T
+    kept = photons > NEGLIGIBLE * photons.sum()
+    return Spectrum(energies[kept], photons[kept])

@@ -1,0 +1,24 @@
+"""Small tables that come with the package; the first lines of each say where it is from."""
+
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+
+from storage.values import FloatArray
+
+
+@lru_cache(maxsize=32)
+def table(name: str) -> FloatArray:
+    """Read a table of two columns, shape (rows, 2), ascending in the first.
+
+    Parameters
+    ----------
+    name : str
+        Of a file in ``tables/``, without its ending.
+    """
+    text = files("workers.comparison.mammogram").joinpath("tables", f"{name}.csv").read_text()
+    rows = [line.split(",") for line in text.splitlines() if not line.startswith("#")]
+    values = np.array(rows[1:], dtype=np.float64)  # the first row names the columns
+    values.setflags(write=False)  # shared by everyone who asks again
+    return values

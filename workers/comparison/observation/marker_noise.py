@@ -1,0 +1,76 @@
+r"""Estimate how well the displacements of markers are known.
+
+Component c of the displacement of marker i in repeat r scatters as
+
+.. math:: d_{rci} = \mu_{ci} + a_{rc} + e_{rci}, \qquad a \sim N(0, \sigma_a^2),
+          \quad e \sim N(0, \sigma_e^2):
+
+what all markers of a recording share, and what each has for itself. Repeats tell both, by
+the analysis of variance; what they share with each other they cannot tell.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Hold standard deviations of one recording: of each marker, and common to all of them."""
+
+    own_mm: float
+    common_mm: float
+
+
+def scatter_of(repeats: FloatArray) -> Scatter:
+    """Estimate standard deviations from several repeats, shape (r, k, 3), r >= 2.
+
+    Raises
+    ------
+    InputError
+        If there is one recording only.
+    """
+    r, k, _ = repeats.shape
+    if r < 2:
+        raise InputError("Scatter needs at least two repeats of a state, found one.")
+    away = repeats - repeats.mean(axis=0)
+    shared = away.mean(axis=1, keepdims=True)
+    common = float((shared**2).sum() / (3 * (r - 1)))
+    if k < 2:
+        return Scatter(float(np.sqrt(common)), 0.0)
+    own = float(((away - shared) ** 2).sum() / (3 * (r - 1) * (k - 1)))
+    return Scatter(float(np.sqrt(own)), float(np.sqrt(max(0.0, common - own / k))))
+
+
+def component_covariance(
+    scatters: Sequence[Scatter], points: int, repeats: Sequence[int], floor: Scatter
+) -> FloatArray:
+    """Return the covariance of the components of all states, shape (3 s k, 3 s k).
+
+    Row ``3 (s k + i) + c`` is component c of point i in state s. What a recording has for
+    itself falls with the number of repeats. Errors that all repeats share, a base that was
+    set down askew or a body that was not at rest, do not: they are believed to be as large
+    as those that repeats show, and no smaller than `floor`.
+
+    Parameters
+    ----------
+    scatters : sequence of Scatter
+        Of one recording of each state.
+    points : int
+    repeats : sequence of int
+        Of each state.
+    floor : Scatter
+    """
+    size = 3 * points
+    whole = np.zeros((len(scatters) * size, len(scatters) * size))
+    same_axis = np.kron(np.ones((points, points)), np.eye(3))
+    for s, (scatter, r) in enumerate(zip(scatters, repeats, strict=True)):
+        own = max(scatter.own_mm**2 / r, floor.own_mm**2)
+        common = max(scatter.common_mm**2, floor.common_mm**2)
+        rows = slice(s * size, (s + 1) * size)
+        whole[rows, rows] = own * np.eye(size) + common * same_axis
+    return whole

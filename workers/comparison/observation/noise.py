@@ -1,0 +1,129 @@
+r"""Model how much interfaces scatter because they were drawn by somebody.
+
+A segmentation moves an interface along its normal by a smooth random amount. For
+two points of the same interface at the reference distance h, with normals n and n',
+
+.. math:: K = \exp\left(-\frac{h^2}{2 l^2}\right) \frac{1 + n \cdot n'}{2} ,
+
+so that two sides of a thin sheet err on their own. Both factors, and with them
+their product (Schur), are positive semi-definite; to switch off pairs of points by
+the sign of ``n . n'`` would not be. Residuals of points i, j in states s, t have
+
+.. math:: C_{si,tj} = (\sigma_{ref}^2 + \delta_{st} \sigma^2) K_{ij}
+          + \delta_{st} \delta_{ij} \nu^2 :
+
+the reference scan was drawn once, for all states; each deformed scan on its own.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from storage.errors import InputError
+from storage.values import FloatArray
+from workers.comparison.observation.interface import InterfacePoints
+
+SMALLEST_NUGGET = 1e-3  # of the largest standard deviation; less and Cholesky may fail
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentationNoise:
+    """Describe the random error of interfaces along their normals.
+
+    Parameters
+    ----------
+    sd_mm : float
+        Standard deviation in each deformed scan; >= 0.
+    correlation_mm : float
+        Length l of the correlation ``exp(-h^2 / 2 l^2)``; > 0.
+    reference_sd_mm : float
+        Standard deviation in the reference scan; >= 0.
+    nugget_mm : float
+        Standard deviation of what a residual errs by on its own, from both scans: what
+        the voxels leave of an interface, some 0.08 of a voxel. At least a thousandth of
+        the largest of the others.
+
+    Raises
+    ------
+    InputError
+        If a number is outside of these bounds.
+    """
+
+    sd_mm: float
+    correlation_mm: float
+    reference_sd_mm: float
+    nugget_mm: float
+
+    def __post_init__(self) -> None:
+        numbers = (self.sd_mm, self.correlation_mm, self.reference_sd_mm, self.nugget_mm)
+        least = SMALLEST_NUGGET * max(self.sd_mm, self.reference_sd_mm)
+        if not (
+            np.isfinite(numbers).all()
+            and min(self.sd_mm, self.reference_sd_mm) >= 0
+            and self.correlation_mm > 0
+            and 0 < self.nugget_mm >= least
+        ):
+            raise InputError(
+                "Segmentation noise needs standard deviations >= 0, a correlation length > 0 and "
+                f"a nugget > 0 of at least {SMALLEST_NUGGET:g} of the deviations, found sd_mm, "
+                f"correlation_mm, reference_sd_mm, nugget_mm = {numbers}."
+            )
+
+
+def correlation(points: InterfacePoints, correlation_mm: float) -> FloatArray:
+    """Return the correlation K of the smooth part, see the top of the file.
+
+    Parameters
+    ----------
+    points : InterfacePoints
+        k points.
+    correlation_mm : float
+
+    Returns
+    -------
+    ndarray, shape (k, k)
+        Ones on the diagonal, zero between interfaces.
+    """
+    matrix = np.asarray(cdist(points.points, points.points, "sqeuclidean"))
+    matrix *= -0.5 / correlation_mm**2
+    np.exp(matrix, out=matrix)
+    matrix *= 0.5 + 0.5 * (points.normals @ points.normals.T)
+    matrix[points.interface[:, None] != points.interface] = 0.0
+    return matrix
+
+
+def covariance(points: InterfacePoints, noise: SegmentationNoise, states: int) -> FloatArray:
+    """Return the covariance of the residuals of all states.
+
+    Parameters
+    ----------
+    points : InterfacePoints
+        k points.
+    noise : SegmentationNoise
+    states : int
+        Number of deformed scans; >= 1.
+
+    Returns
+    -------
+    ndarray, shape (states * k, states * k)
+        In mm^2, positive definite; row ``s * k + i`` is point i in state s. It takes
+        ``8 (states k)^2`` bytes.
+
+    Raises
+    ------
+    InputError
+        If there is no state.
+    """
+    if states < 1:
+        raise InputError(f"A covariance needs at least one deformed scan, found {states}.")
+    k = len(points)
+    smooth = correlation(points, noise.correlation_mm)
+    matrix = np.empty((states, k, states, k))
+    for s in range(states):
+        for t in range(states):
+            variance = noise.reference_sd_mm**2 + (noise.sd_mm**2 if s == t else 0.0)
+            np.multiply(smooth, variance, out=matrix[s, :, t])
+    flat = np.asarray(matrix.reshape(states * k, states * k))
+    flat[np.diag_indices(states * k)] += noise.nugget_mm**2
+    return flat

@@ -1,0 +1,91 @@
+"""Measure how far moved material points are from the interfaces that a scan shows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray, Volume
+from workers.comparison.observation.interface import Interface, InterfacePoints, checked_interfaces
+from workers.comparison.observation.isosurface import SMOOTH_VOXELS
+from workers.comparison.observation.signed_distance import SignedDistance, signed_distance
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Hold the interfaces of one deformed state.
+
+    Parameters
+    ----------
+    distances : tuple of SignedDistance
+        In the order of the interfaces of the points.
+    """
+
+    distances: tuple[SignedDistance, ...]
+
+
+def observe(
+    labels: Volume,
+    interfaces: Sequence[Interface],
+    smooth_voxels: float = SMOOTH_VOXELS,
+    band_mm: float = 25.0,
+) -> Observed:
+    """Measure the interfaces of a deformed label volume.
+
+    Parameters
+    ----------
+    labels : Volume
+        `Tissue` labels of the deformed state.
+    interfaces : sequence of Interface
+        Those that the points were made for, in the same order.
+    smooth_voxels, band_mm : float
+        See `workers.comparison.observation.signed_distance.signed_distance`.
+
+    Raises
+    ------
+    InputError
+        If an interface is not in the volume.
+    """
+    return Observed(
+        tuple(signed_distance(labels, i.inside, smooth_voxels, band_mm) for i in interfaces)
+    )
+
+
+def residual(
+    points_mm: FloatArray, points: InterfacePoints, observed: Observed
+) -> tuple[FloatArray, FloatArray]:
+    """Return the signed distance of moved points to their observed interfaces.
+
+    Parameters
+    ----------
+    points_mm : ndarray, shape (k, 3)
+        Where the model has moved the points.
+    points : InterfacePoints
+        Of the reference scan.
+    observed : Observed
+
+    Returns
+    -------
+    r : ndarray, shape (k,)
+        In mm; positive if the model's point lies outside of the observed tissue.
+    normals : ndarray, shape (k, 3)
+        Derivative of r: ``dr = normals . dx``. Close to the interface about the unit
+        normal out of the observed tissue.
+
+    Raises
+    ------
+    InputError
+        If the moved points do not match the points, or an interface was not observed.
+    """
+    if np.shape(points_mm) != points.points.shape:
+        raise InputError(
+            f"{len(points)} points were to be moved, got positions of shape {np.shape(points_mm)}."
+        )
+    checked_interfaces(points.interface, len(observed.distances))
+    r = np.empty(len(points))
+    normals = np.empty((len(points), 3))
+    for number, distance in enumerate(observed.distances):
+        own = points.interface == number
+        r[own], normals[own] = distance.at(points_mm[own])
+    return r, normals

@@ -1,0 +1,41 @@
+"""Turn the frame of the cameras into that of the body.
+
+The rigid motion that fits the places of the markers at rest best (W. Kabsch, Acta Cryst.
+A 32 (1976) 922; B. K. P. Horn, J. Opt. Soc. Am. A 4 (1987) 629) gives the rotation.
+"""
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray
+
+
+def rotation_to(body_mm: FloatArray, seen_mm: FloatArray) -> FloatArray:
+    """Return the rotation R from directions of the cameras to those of the body, shape (3, 3).
+
+    Parameters
+    ----------
+    body_mm, seen_mm : ndarray, shape (k, 3)
+        The same markers at rest, in the frame of the body and of the cameras.
+
+    Raises
+    ------
+    InputError
+        If fewer than three are given, or all lie on a line.
+    """
+    a, b = body_mm - body_mm.mean(axis=0), seen_mm - seen_mm.mean(axis=0)
+    spread = np.linalg.svd(a, compute_uv=False)
+    if len(a) < 3 or spread[1] < 1e-3 * spread[0]:
+        raise InputError(
+            f"A frame needs at least three markers that are not on a line, found {len(a)}."
+        )
+    U, _, Vt = np.linalg.svd(a.T @ b)
+    turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    return np.asarray(U @ turn @ Vt)
+
+
+def misfit_mm(body_mm: FloatArray, seen_mm: FloatArray) -> FloatArray:
+    """Return the distance of each marker from its place after the best rigid motion, shape (k,)."""
+    R = rotation_to(body_mm, seen_mm)
+    left = (seen_mm - seen_mm.mean(axis=0)) @ R.T - (body_mm - body_mm.mean(axis=0))
+    return np.asarray(np.linalg.norm(left, axis=1))

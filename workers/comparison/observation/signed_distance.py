@@ -1,0 +1,104 @@
+"""Compute the signed distance to the interface of a tissue, below the size of a voxel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.values import FloatArray, Tissue, Triple, Volume
+from workers.comparison.observation.cubic_interpolation import at_points
+from workers.comparison.observation.isosurface import LEVEL, SMOOTH_VOXELS, surface
+from workers.comparison.observation.triangle_distance import distances
+
+
+@dataclass(frozen=True, eq=False)
+class SignedDistance:
+    """Hold the signed distance on the lattice of a volume.
+
+    Parameters
+    ----------
+    values : ndarray of float32, shape (nz, ny, nx)
+        In mm, negative inside the tissue.
+    spacing_mm, origin_mm : tuple of float
+        As in `storage.values.Volume`.
+    """
+
+    values: NDArray[np.float32]
+    spacing_mm: Triple
+    origin_mm: Triple
+
+    def at(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the signed distance of points and its gradient.
+
+        Parameters
+        ----------
+        points : ndarray, shape (k, 3)
+            (x, y, z) in mm. Outside of the lattice the distance to its box is added.
+
+        Returns
+        -------
+        distance : ndarray, shape (k,)
+            In mm; a continuous function of the points, smooth but for the faces of the box.
+        gradient : ndarray, shape (k, 3)
+            Its derivative: about the unit normal close to the interface.
+
+        Raises
+        ------
+        InputError
+            If a point is not finite or the array is not of shape (k, 3).
+        """
+        points = np.asarray(points, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InputError(
+                f"Distances are asked at finite points of shape (k, 3), got shape {points.shape}"
+                f" with {int(np.sum(~np.isfinite(points)))} numbers that are not finite."
+            )
+        distance, gradient = at_points(self.values, self.spacing_mm, self.origin_mm, points)
+        first = np.asarray(self.origin_mm)
+        last = first + np.asarray(self.spacing_mm) * (np.array(self.values.shape[::-1]) - 1)
+        beyond = points - np.clip(points, first, last)
+        outside = np.linalg.norm(beyond, axis=1)
+        return distance + outside, gradient + beyond / np.where(outside > 0, outside, 1)[:, None]
+
+
+def signed_distance(
+    labels: Volume,
+    inside: tuple[Tissue, ...],
+    smooth_voxels: float = SMOOTH_VOXELS,
+    band_mm: float = 25.0,
+) -> SignedDistance:
+    """Return the signed distance of every voxel centre to the interface of a tissue.
+
+    Parameters
+    ----------
+    labels : Volume
+        `Tissue` labels.
+    inside : tuple of Tissue
+        The tissues that the interface encloses.
+    smooth_voxels : float
+        Blur of the indicator, see `workers.comparison.observation.isosurface.surface`.
+    band_mm : float
+        Distances are cut off here; > 0.
+
+    Returns
+    -------
+    SignedDistance
+        For the errors see `closest` and `surface` in this package.
+
+    Raises
+    ------
+    InputError
+        If the tissue has no interface in the volume or the band is not positive.
+    """
+    if not band_mm > 0:
+        raise InputError(f"The band of distances must be > 0 mm, found {band_mm}.")
+    interface = surface(labels, inside, smooth_voxels)
+    step = np.asarray(labels.spacing_mm)
+    vertices = interface.vertices - np.asarray(labels.origin_mm)
+    values = distances(vertices, interface.triangles, labels.values.shape, step, band_mm)
+    box = tuple(
+        slice(a, a + n) for a, n in zip(interface.start, interface.field.shape, strict=True)
+    )
+    values[box] = np.where(interface.field > LEVEL, -values[box], values[box])
+    return SignedDistance(values, labels.spacing_mm, labels.origin_mm)

@@ -1,0 +1,271 @@
+"""Compute the distance of voxels to a surface of triangles.
+
+Each voxel inherits the nearest vertex of its neighbours, sweep by sweep [1]_, from
+the voxels that the surface passes by. Now and then that is the second nearest, so
+close to the surface the vertices of all neighbours are compared once more, and the
+triangles around the nearest give the distance: up to 0.06 voxels too far, 0.002 in
+the mean. Farther away the vertex itself is taken, up to 0.15 voxels too far.
+
+References
+----------
+.. [1] P.-E. Danielsson, Euclidean distance mapping, Computer Graphics and Image
+   Processing 14 (1980) 227-248.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from storage.values import FloatArray, IntArray
+from workers.body.mesh.incidence import elements_of_nodes
+from workers.compile_flags import CONTRACTED
+
+NEAR = 6.0  # voxels within which the triangles are asked
+FAR = np.float32(1e30)
+
+
+def distances(
+    vertices: FloatArray,
+    triangles: IntArray,
+    shape: tuple[int, int, int],
+    step: FloatArray,
+    band: float,
+) -> NDArray[np.float32]:
+    """Return the distance of lattice points to a surface.
+
+    Parameters
+    ----------
+    vertices : ndarray, shape (n, 3)
+        (x, y, z) from the first lattice point, in mm.
+    triangles : ndarray of int32, shape (m, 3)
+    shape : tuple of int
+        Lattice points along z, y, x.
+    step : ndarray, shape (3,)
+        Their distance along x, y, z, in mm.
+    band : float
+        In mm; larger distances are cut off at it.
+
+    Returns
+    -------
+    ndarray of float32, shape (nz, ny, nx)
+        In mm, not negative.
+    """
+    step = np.asarray(step, np.float64)
+    nearest = np.full(shape, -1, np.int32)
+    squared = np.full(shape, FAR, np.float32)
+    points = np.ascontiguousarray(vertices, dtype=np.float64)
+    rough, rough_step = points.astype(np.float32), step.astype(np.float32)
+    _seed(rough, rough_step, nearest, squared)
+    reach = band + float(step.max())
+    for z_step in (1, -1):
+        _sweep(rough, rough_step, np.float32(reach**2), z_step, nearest, squared)
+    start, content = elements_of_nodes(triangles, len(points))
+    _refine(points, triangles, start, content, step, NEAR * float(step.max()), nearest, squared)
+    return np.minimum(np.sqrt(squared, out=squared), np.float32(band), out=squared)
+
+
+@njit(**CONTRACTED)
+def _seed(
+    points: NDArray[np.float32],
+    step: NDArray[np.float32],
+    nearest: IntArray,
+    squared: NDArray[np.float32],
+) -> None:
+    """Offer each vertex to the voxels around it."""
+    nz, ny, nx = nearest.shape
+    for v in range(len(points)):
+        x0 = int(points[v, 0] / step[0] + 0.5)
+        y0 = int(points[v, 1] / step[1] + 0.5)
+        z0 = int(points[v, 2] / step[2] + 0.5)
+        for z in range(max(z0 - 1, 0), min(z0 + 2, nz)):
+            for y in range(max(y0 - 1, 0), min(y0 + 2, ny)):
+                for x in range(max(x0 - 1, 0), min(x0 + 2, nx)):
+                    _offer(v, points, step, z, y, x, nearest[z, y], squared[z, y])
+
+
+@njit(**CONTRACTED)
+def _sweep(
+    points: NDArray[np.float32],
+    step: NDArray[np.float32],
+    reach2: np.float32,
+    z_step: int,
+    nearest: IntArray,
+    squared: NDArray[np.float32],
+) -> None:
+    """Sweep slices in one order; in each, lines in both orders; in each line, voxels in both."""
+    nz, ny, _ = nearest.shape
+    for k in range(nz):
+        z = k if z_step > 0 else nz - 1 - k
+        if k > 0:
+            for y in range(ny):
+                _across(
+                    points,
+                    step,
+                    reach2,
+                    z,
+                    y,
+                    nearest[z - z_step, y],
+                    squared[z - z_step, y],
+                    nearest[z, y],
+                    squared[z, y],
+                )
+        for y in range(ny):
+            if y > 0:
+                _across(
+                    points,
+                    step,
+                    reach2,
+                    z,
+                    y,
+                    nearest[z, y - 1],
+                    squared[z, y - 1],
+                    nearest[z, y],
+                    squared[z, y],
+                )
+            _along(points, step, reach2, z, y, nearest[z, y], squared[z, y])
+        for y in range(ny - 2, -1, -1):
+            _across(
+                points,
+                step,
+                reach2,
+                z,
+                y,
+                nearest[z, y + 1],
+                squared[z, y + 1],
+                nearest[z, y],
+                squared[z, y],
+            )
+            _along(points, step, reach2, z, y, nearest[z, y], squared[z, y])
+
+
+@njit(**CONTRACTED)
+def _across(
+    points: NDArray[np.float32],
+    step: NDArray[np.float32],
+    reach2: np.float32,
+    z: int,
+    y: int,
+    source: IntArray,
+    source_squared: NDArray[np.float32],
+    line: IntArray,
+    squared: NDArray[np.float32],
+) -> None:
+    """Offer the vertices of a neighbouring line."""
+    for x in range(len(line)):
+        if source_squared[x] < reach2 and source[x] != line[x]:
+            _offer(source[x], points, step, z, y, x, line, squared)
+
+
+@njit(**CONTRACTED)
+def _along(
+    points: NDArray[np.float32],
+    step: NDArray[np.float32],
+    reach2: np.float32,
+    z: int,
+    y: int,
+    line: IntArray,
+    squared: NDArray[np.float32],
+) -> None:
+    """Offer each voxel's vertex to the next one, forwards and backwards."""
+    n = len(line)
+    for x in range(1, n):
+        if squared[x - 1] < reach2 and line[x - 1] != line[x]:
+            _offer(line[x - 1], points, step, z, y, x, line, squared)
+    for x in range(n - 2, -1, -1):
+        if squared[x + 1] < reach2 and line[x + 1] != line[x]:
+            _offer(line[x + 1], points, step, z, y, x, line, squared)
+
+
+@njit(**CONTRACTED)
+def _offer(
+    vertex: int,
+    points: NDArray[np.float32],
+    step: NDArray[np.float32],
+    z: int,
+    y: int,
+    x: int,
+    line: IntArray,
+    squared: NDArray[np.float32],
+) -> None:
+    """Let a voxel have a vertex if none nearer is known."""
+    dx = points[vertex, 0] - np.float32(x) * step[0]
+    dy = points[vertex, 1] - np.float32(y) * step[1]
+    dz = points[vertex, 2] - np.float32(z) * step[2]
+    d = dx * dx + dy * dy + dz * dz
+    if d < squared[x]:
+        squared[x] = d
+        line[x] = vertex
+
+
+@njit(**CONTRACTED)
+def _refine(
+    points: FloatArray,
+    triangles: IntArray,
+    start: IntArray,
+    content: IntArray,
+    step: FloatArray,
+    near: float,
+    nearest: IntArray,
+    squared: NDArray[np.float32],
+) -> None:
+    nz, ny, nx = nearest.shape
+    at = np.empty(3)
+    for z in range(nz):
+        for y in range(ny):
+            for x in range(nx):
+                if squared[z, y, x] > near * near:
+                    continue
+                at[0], at[1], at[2] = x * step[0], y * step[1], z * step[2]
+                vertex = nearest[z, y, x]
+                least = _from_vertex(at, points[vertex])
+                for n in range(26):
+                    n += n >= 13
+                    i = min(max(x + n % 3 - 1, 0), nx - 1)
+                    j = min(max(y + n // 3 % 3 - 1, 0), ny - 1)
+                    k = min(max(z + n // 9 - 1, 0), nz - 1)
+                    other = nearest[k, j, i]
+                    if other != vertex and other >= 0:
+                        d = _from_vertex(at, points[other])
+                        if d < least:
+                            least = d
+                            vertex = other
+                for a in range(start[vertex], start[vertex + 1]):
+                    p, q, r = triangles[content[a]]
+                    least = min(least, _to_triangle(at, points[p], points[q], points[r]))
+                squared[z, y, x] = least
+
+
+@njit(**CONTRACTED)
+def _from_vertex(x: FloatArray, p: FloatArray) -> float:
+    return (x[0] - p[0]) ** 2 + (x[1] - p[1]) ** 2 + (x[2] - p[2]) ** 2
+
+
+@njit(**CONTRACTED)
+def _to_triangle(x: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    """Return the squared distance of a point to a triangle: its plane, or the nearest edge."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    wx, wy, wz = x[0] - a[0], x[1] - a[1], x[2] - a[2]
+    uu, uv, vv = (
+        ux * ux + uy * uy + uz * uz,
+        ux * vx + uy * vy + uz * vz,
+        vx * vx + vy * vy + vz * vz,
+    )
+    uw, vw = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
+    ww = wx * wx + wy * wy + wz * wz
+    area2 = uu * vv - uv * uv
+    s = vv * uw - uv * vw
+    t = uu * vw - uv * uw
+    if s >= 0.0 and t >= 0.0 and s + t <= area2 and area2 > 1e-12 * uu * vv:
+        s, t = s / area2, t / area2
+        return max(ww - 2.0 * (s * uw + t * vw) + s * s * uu + 2.0 * s * t * uv + t * t * vv, 0.0)
+    least = min(_to_edge(ww, uw, uu), _to_edge(ww, vw, vv))
+    # The third edge starts at b: x - b = w - u, c - b = v - u.
+    return min(least, _to_edge(ww - 2.0 * uw + uu, vw - uw - uv + uu, vv - 2.0 * uv + uu))
+
+
+@njit(**CONTRACTED)
+def _to_edge(ww: float, ew: float, ee: float) -> float:
+    """Return the squared distance to an edge e from products of e and the point less its start."""
+    along = min(max(ew / ee, 0.0), 1.0) if ee > 0.0 else 0.0
+    return max(ww - 2.0 * along * ew + along * along * ee, 0.0)

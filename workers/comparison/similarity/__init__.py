@@ -1,0 +1,1 @@
+"""Score how alike two volumes are."""

@@ -1,0 +1,31 @@
+"""Compute the geometric similarity function, the number that the search minimises."""
+
+import math
+
+
+def gsf(jc: float, mhd_voxels: float) -> float:
+    r"""Return the geometric similarity function :math:`\ln((1 - JC) \cdot MHD)` (thesis, Eq. 3.31).
+
+    Parameters
+    ----------
+    jc : float
+        Jaccard coefficient, 0 to 1.
+    mhd_voxels : float
+        Modified Hausdorff distance in voxels, >= 0 or inf. Another unit would
+        only add a constant.
+
+    Returns
+    -------
+    float
+        ``-inf`` where the product is zero: identical sets, or a solid compared
+        with its own skin of boundary voxels by boundary distances.
+
+    Examples
+    --------
+    >>> gsf(0.5, 2.0)
+    0.0
+    >>> gsf(1.0, 0.0)
+    -inf
+    """
+    product = 0.0 if mhd_voxels == 0.0 else (1.0 - jc) * mhd_voxels
+    return math.log(product) if product > 0.0 else -math.inf

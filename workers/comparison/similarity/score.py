@@ -1,0 +1,156 @@
+"""Score how alike a candidate is to the target, in the numbers of the thesis."""
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import Tissue, Volume
+from workers.comparison.similarity.gsf import gsf
+from workers.comparison.similarity.hausdorff import ModifiedHausdorff
+from workers.comparison.similarity.overlap import dice, intersection_count, jaccard
+from workers.comparison.similarity.voxel_metric import Metric
+from workers.comparison.similarity.voxel_set import VoxelSet, voxel_set
+
+Surface = Literal["boundary", "all"]
+
+
+@dataclass(frozen=True)
+class Score:
+    """Hold the similarity of two sets of voxels.
+
+    Parameters
+    ----------
+    jc, dice : float
+        Jaccard and Dice coefficient, 1 for identical sets.
+    mhd_mm : float
+        Modified Hausdorff distance; inf for an empty candidate.
+    mhd_voxels : float
+        `mhd_mm` divided by the geometric mean of the three spacings, which is
+        the distance in voxels where the voxels are cubes.
+    gsf : float
+        ``ln((1 - jc) mhd_voxels)``: -inf for identical sets, +inf for an empty
+        candidate.
+    """
+
+    jc: float
+    dice: float
+    mhd_mm: float
+    mhd_voxels: float
+    gsf: float
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the five numbers by name."""
+        return asdict(self)
+
+
+class Scorer:
+    """Score candidates against one target.
+
+    Holds what is worth keeping from one candidate to the next; not to be shared
+    between threads.
+
+    Parameters
+    ----------
+    target : Volume
+        Labels.
+    labels : iterable of Tissue
+        The voxels of these labels together are the set that is compared.
+    surface : {"boundary", "all"}
+        Which voxels the modified Hausdorff distance runs over. "boundary", from
+        boundary voxels (those with a face neighbour outside the set) to boundary
+        voxels, is what the numbers of the thesis imply; "all", from every voxel
+        to the set, is what its Eq. 3.25 says.
+
+    Raises
+    ------
+    InputError
+        If the target has none of the labels, or `surface` is neither.
+    """
+
+    def __init__(
+        self,
+        target: Volume,
+        labels: Iterable[Tissue] = (Tissue.GLANDULAR,),
+        surface: Surface = "boundary",
+    ) -> None:
+        if surface not in ("boundary", "all"):
+            raise InputError(f"The surface is 'boundary' or 'all', got {surface!r}.")
+        self._labels = tuple(Tissue(label) for label in labels)
+        if not self._labels or Tissue.AIR in self._labels:
+            raise InputError(
+                "Name one or more tissues to compare, and not AIR, which has no end; got "
+                f"{[label.name.lower() for label in self._labels]}."
+            )
+        self._lattice = target
+        self._target = voxel_set(target, self._labels, target)
+        if self._target.count == 0:
+            names = ", ".join(label.name.lower() for label in self._labels)
+            raise InputError(
+                f"The target has no {names} voxel to compare with; it has the labels "
+                f"{np.unique(target.values)[:20].tolist()}. Check the labels of the target and "
+                "of the score."
+            )
+        self._mhd = ModifiedHausdorff(
+            self._target, Metric.of_spacing(target.spacing_mm), boundary=surface == "boundary"
+        )
+
+    def score(self, candidate: Volume) -> Score:
+        """Compare a candidate with the target.
+
+        Parameters
+        ----------
+        candidate : Volume
+            On the lattice of the target; its box may differ, and outside of a
+            box there is air.
+
+        Returns
+        -------
+        Score
+
+        Raises
+        ------
+        InputError
+            If the voxels are not on the lattice of the target.
+        """
+        voxels = voxel_set(candidate, self._labels, self._lattice)
+        if voxels.count == 0:
+            return Score(jc=0.0, dice=0.0, mhd_mm=np.inf, mhd_voxels=np.inf, gsf=np.inf)
+        return self._compare(voxels)
+
+    def _compare(self, voxels: VoxelSet) -> Score:
+        jc = jaccard(intersection_count(voxels, self._target), voxels.count, self._target.count)
+        mhd_mm = 0.0 if jc == 1.0 else self._mhd.distance_mm(voxels)
+        mhd_voxels = mhd_mm / float(self._lattice.voxel_mm3 ** (1.0 / 3.0))
+        return Score(jc, dice(jc), mhd_mm, mhd_voxels, gsf(jc, mhd_voxels))
+
+
+def score_labels(
+    target: Volume,
+    candidate: Volume,
+    labels: Iterable[Tissue],
+    surface: Surface = "boundary",
+) -> dict[Tissue, Score]:
+    """Score each tissue on its own.
+
+    Parameters
+    ----------
+    target, candidate : Volume
+        Labels on one lattice.
+    labels : iterable of Tissue
+        The tissues; each must occur in the target.
+    surface : {"boundary", "all"}
+        As for `Scorer`.
+
+    Returns
+    -------
+    dict of Tissue to Score
+
+    Raises
+    ------
+    InputError
+        As `Scorer` and `Scorer.score`.
+    """
+    return {label: Scorer(target, (label,), surface).score(candidate) for label in labels}

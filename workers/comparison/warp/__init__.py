@@ -1,0 +1,1 @@
+"""Turn a displacement into a deformed image."""

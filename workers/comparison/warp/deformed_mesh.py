@@ -1,0 +1,114 @@
+"""Place a deformed mesh on the voxel lattice of an output image."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.values import FloatArray, TetMesh, Triple, Volume
+from workers.comparison.warp.rasterisation import fixed_point, run_buffer
+
+MAX_VOXELS = 2**32
+
+
+@dataclass(frozen=True, eq=False)
+class DeformedMesh:
+    """Hold a deformed mesh in the coordinates of the box of voxels around it.
+
+    Parameters
+    ----------
+    fixed : ndarray of int64, shape (n, 3)
+        Positions (x, y, z) from the first voxel of the box, in steps of ``2**-bits`` voxels.
+    bits : int
+    nodes : ndarray, shape (n, 3)
+        The same in voxels, not snapped.
+    tets : ndarray of int32, shape (m, 4)
+    runs : ndarray of int32, shape (k, 4)
+        Room for the runs of one tetrahedron, see `workers.comparison.warp.rasterisation`.
+    shape : tuple of int
+        Of the box, (nz, ny, nx).
+    spacing_mm, origin_mm : tuple of float
+        Of the box, as in `storage.values.Volume`.
+    """
+
+    fixed: NDArray[np.int64]
+    bits: int
+    nodes: FloatArray
+    tets: NDArray[np.int32]
+    runs: NDArray[np.int32]
+    shape: tuple[int, int, int]
+    spacing_mm: Triple
+    origin_mm: Triple
+
+    def volume(self, values: NDArray[Any]) -> Volume:
+        """Return a volume over the box with these values, shape (nz, ny, nx)."""
+        return Volume(values, self.spacing_mm, self.origin_mm)
+
+
+def index_coordinates(points_mm: FloatArray, lattice: Volume) -> FloatArray:
+    """Return positions in voxels of `lattice`, whole numbers at voxel centres, shape (n, 3)."""
+    return (np.asarray(points_mm, dtype=np.float64) - lattice.origin_mm) / lattice.spacing_mm
+
+
+def place_on_lattice(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume) -> DeformedMesh:
+    """Deform a mesh and find the box of voxels of a lattice that it fills.
+
+    Parameters
+    ----------
+    mesh : TetMesh
+    displacement_mm : ndarray, shape (n, 3)
+        Displacement (x, y, z) of every node.
+    lattice : Volume
+        Its spacing and the phase of its voxel centres count; its box and values do not.
+
+    Raises
+    ------
+    InputError
+        If the displacement does not fit the mesh, is not finite, or throws the
+        body over an absurd number of voxels.
+    """
+    displacement = np.asarray(displacement_mm, dtype=np.float64)
+    if displacement.shape != mesh.nodes.shape:
+        raise InputError(
+            f"The displacement has shape {displacement.shape}, the mesh has nodes "
+            f"{mesh.nodes.shape}. Use the displacement of this mesh."
+        )
+    if not np.isfinite(displacement).all():
+        raise InputError(
+            "The displacement has values that are not finite. Deform only with the result of a "
+            "simulation that converged."
+        )
+    if mesh.tets.size == 0:
+        raise InputError("The mesh has no elements, so there is nothing to deform.")
+    tets = np.ascontiguousarray(mesh.tets, dtype=np.int32)
+    deformed = index_coordinates(mesh.nodes + displacement, lattice)
+    used = np.unique(tets)
+    base = np.floor(deformed[used].min(axis=0))
+    extent = deformed[used].max(axis=0) - base
+    if float(np.prod(extent + 1.0)) > MAX_VOXELS:
+        raise InputError(
+            f"The deformed body would fill a box of {extent[0]:.4g} x {extent[1]:.4g} x "
+            f"{extent[2]:.4g} voxels. Check that the displacement is in mm and that the "
+            "simulation converged, or use larger voxels."
+        )
+    fixed, bits = fixed_point(deformed - base, tets)
+    # The box follows from the snapped corners, so that no run can leave it. A body
+    # thinner than a voxel may hold no centre: the box keeps one voxel all the same.
+    first = -(-fixed[used].min(axis=0) >> bits)
+    end = np.maximum(-(-fixed[used].max(axis=0) >> bits), first + 1)
+    fixed -= first << bits
+    start = base + first
+    ox, oy, oz = (np.asarray(lattice.origin_mm) + start * lattice.spacing_mm).tolist()
+    nx, ny, nz = (end - first).tolist()
+    return DeformedMesh(
+        fixed=fixed,
+        bits=bits,
+        nodes=deformed - start,
+        tets=tets,
+        runs=run_buffer(fixed, tets, bits),
+        shape=(nz, ny, nx),
+        spacing_mm=lattice.spacing_mm,
+        origin_mm=(ox, oy, oz),
+    )

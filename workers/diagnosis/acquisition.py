@@ -1,0 +1,114 @@
+"""What is known of an acquisition before its loaded scans are made.
+
+The reference scan, the planned loads, the noise of the segmentation and the model with its
+plausible constants. With the loaded scans it becomes an inverse problem.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from storage.values import Volume
+from workers.body.mesh.hierarchy import Hierarchy
+from workers.comparison.observation.interface import GLANDULAR, OUTLINE, Interface, interface_points
+from workers.comparison.observation.noise import SegmentationNoise, covariance
+from workers.comparison.observation.point_interpolation import interpolation
+from workers.comparison.observation.residual import observe, residual
+from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan, Values
+from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.fem.fields import Frame, frame_of
+from workers.mechanics.fem.model import prepare
+from workers.mechanics.fem.problem import Problem
+
+ProblemBuilder = Callable[[Values], Problem]
+"""From values of the free constants to the problem of one load."""
+
+INTERFACES: Sequence[Interface] = (OUTLINE, GLANDULAR)
+
+
+@dataclass(frozen=True, eq=False)
+class Acquisition:
+    """A body at rest, the loads under which it is scanned, and the model of both.
+
+    Parameters
+    ----------
+    name : str
+        As its owner calls it.
+    reference : Volume
+        `Tissue` labels of the body at rest, on whose interfaces points are put.
+    mesh : callable
+        From a number of nodes to the mesh of the body.
+    noise : SegmentationNoise
+    free : sequence of FreeConstant
+        Constants of the model that the scans must determine.
+    loads : sequence of str
+        Names of the loaded scans.
+    problem : callable
+        From the number of a load and the frame of the body to its problem.
+    effects : sequence of Effect
+        Catalogue of what may be missing from the model.
+    """
+
+    name: str
+    reference: Volume
+    mesh: Callable[[int], Hierarchy]
+    noise: SegmentationNoise
+    free: Sequence[FreeConstant]
+    loads: Sequence[str]
+    problem: Callable[[int, Frame], ProblemBuilder]
+    effects: Sequence[Effect]
+
+
+def inverse_problem_of(
+    acquisition: Acquisition, nodes: int, spacing_mm: float, loaded: Sequence[Volume] = ()
+) -> InverseProblem:
+    """Mesh the body, put points on its interfaces and compare them with the loaded scans.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    nodes : int
+        Of the mesh.
+    spacing_mm : float
+        Between neighbouring points on the interfaces.
+    loaded : sequence of Volume
+        `Tissue` labels under each load, in order. Without them the problem has no scans, and
+        its covariance is that of one scan.
+
+    Raises
+    ------
+    InputError
+        If a scan shows no body or no glandular tissue.
+    """
+    hierarchy = acquisition.mesh(nodes)
+    model, noise = prepare(hierarchy), acquisition.noise
+    frame = frame_of(model.finest.nodes)
+    points = interface_points(
+        acquisition.reference,
+        INTERFACES,
+        spacing_mm,
+        SETTINGS.points.wall_margin_mm,
+        SETTINGS.points.clear_noises * noise.sd_mm,
+    )
+    states = max(1, len(loaded))
+    return InverseProblem(
+        model=model,
+        frame=frame,
+        points=points,
+        at_points=interpolation(hierarchy.finest.mesh, points.points),
+        free=acquisition.free,
+        scans=[
+            Scan(
+                acquisition.loads[number],
+                acquisition.problem(number, frame),
+                partial(residual, observed=observe(labels, INTERFACES)),
+            )
+            for number, labels in enumerate(loaded)
+        ],
+        noise=noise,
+        covariance=covariance(points, noise, states),
+        bias=np.zeros(len(points) * states),
+    )

@@ -1,0 +1,214 @@
+"""What is diagnosed: a body, its scans, and a model of it with constants to be found."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from storage.errors import InputError
+from storage.values import BoolArray, FloatArray, IntArray
+from workers.comparison.observation.interface import InterfacePoints
+from workers.comparison.observation.noise import SegmentationNoise
+from workers.diagnosis.linearisation import factored
+from workers.mechanics.effects.base import Effect, one_sided
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.model import Model
+from workers.mechanics.fem.problem import Problem
+
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class FreeConstant:
+    """A constant of the model that the scans must determine.
+
+    Parameters
+    ----------
+    name : str
+    lower, upper : float
+        Where it plausibly lies, inside units, both > 0. Its logarithm has a normal
+        prior, with the interval as mean and standard deviation.
+    """
+
+    name: str
+    lower: float
+    upper: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.lower < self.upper:
+            raise InputError(
+                f"The plausible interval of {self.name} must be positive and ascending, "
+                f"found [{self.lower:g}, {self.upper:g}]."
+            )
+
+    @property
+    def log_mean(self) -> float:
+        """Prior mean of the logarithm."""
+        return float(np.log(self.lower * self.upper) / 2)
+
+    @property
+    def log_sd(self) -> float:
+        """Prior standard deviation of the logarithm."""
+        return float(np.log(self.upper / self.lower) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """The body in one loaded state: what was observed, and the problem of that load.
+
+    Parameters
+    ----------
+    name : str
+    problem : callable
+        From values of the free constants.
+    compare : callable
+        From moved points, (k, 3), and the points of the reference to residuals, (k,) in
+        mm, and their derivatives by the place of the point, (k, 3).
+    """
+
+    name: str
+    problem: Callable[[Values], Problem]
+    compare: Callable[[FloatArray, InterfacePoints], tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class InverseProblem:
+    """A body and its scans.
+
+    Parameters
+    ----------
+    model : Model
+    frame : Frame
+    points : InterfacePoints
+        On the interfaces of the reference scan, k of them.
+    at_points : csr_matrix, shape (k, n)
+        From displacements of the nodes to those of the points.
+    free : sequence of FreeConstant
+    scans : sequence of Scan
+    noise : SegmentationNoise
+    covariance : ndarray, shape (s k, s k)
+        Of the noise of the residuals of all scans, one after another, in mm^2.
+    bias : ndarray, shape (s k,)
+        What the mesh adds to the residuals, in mm; subtracted.
+    arms : csr_matrix, shape (k, n), optional
+        From displacements of the nodes to those of the end of an arm of 1 mm, which
+        stands on the surface at the point, less those of its foot. None where no point
+        is a marker.
+    """
+
+    model: Model
+    frame: Frame
+    points: InterfacePoints
+    at_points: csr_matrix
+    free: Sequence[FreeConstant]
+    scans: Sequence[Scan]
+    noise: SegmentationNoise
+    covariance: FloatArray
+    bias: FloatArray
+    arms: csr_matrix | None = None
+
+    @cached_property
+    def covariance_factor(self) -> FloatArray:
+        """Lower Cholesky factor of the covariance."""
+        return factored(self.covariance)
+
+    @cached_property
+    def rows(self) -> IntArray:
+        """The scan of each residual, shape (s k,)."""
+        return np.repeat(np.arange(len(self.scans), dtype=np.int32), len(self.points))
+
+    def keeping(self, which: BoolArray) -> "InverseProblem":
+        """Return the problem with some of the points only."""
+        index = np.flatnonzero(which)
+        rows = np.concatenate([index + s * len(which) for s in range(len(self.scans))])
+        return replace(
+            self,
+            points=self.points.of(index),
+            at_points=self.at_points[index],
+            covariance=self.covariance[np.ix_(rows, rows)],
+            bias=self.bias[rows],
+            arms=None if self.arms is None else self.arms[index],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """The parameters of a hypothesis: logarithms of the constants, then those of effects.
+
+    Parameters
+    ----------
+    free : sequence of FreeConstant
+    effects : sequence of Effect
+    mean, sd : ndarray, shape (p,)
+        Prior. An effect's place has its own.
+    """
+
+    free: Sequence[FreeConstant]
+    effects: Sequence[Effect]
+    mean: FloatArray
+    sd: FloatArray
+
+    @property
+    def names(self) -> list[str]:
+        """Of all parameters, in order."""
+        return [f.name for f in self.free] + [n for e in self.effects for n in e.names]
+
+    @property
+    def lower(self) -> FloatArray:
+        """Least admissible values: one-sided parameters begin at zero."""
+        return self._ends()[0]
+
+    @property
+    def upper(self) -> FloatArray:
+        """Largest admissible values, four prior standard deviations away at most."""
+        return self._ends()[1]
+
+    @property
+    def one_sided(self) -> BoolArray:
+        """Which parameters have a half-normal prior."""
+        sides = [False] * len(self.free)
+        for e in self.effects:
+            sides += [one_sided(p) and not e.if_present for p in e.parameters]
+        return np.array(sides)
+
+    def constants(self, z: FloatArray) -> dict[str, float]:
+        """Return values of the free constants at `z`."""
+        return {f.name: float(np.exp(v)) for f, v in zip(self.free, z, strict=False)}
+
+    def of_effect(self, effect: Effect, z: FloatArray) -> dict[str, float]:
+        """Return values of the parameters of one effect at `z`."""
+        at = self.names.index(effect.names[0])
+        return dict(zip(effect.names, map(float, z[at : at + len(effect.names)]), strict=True))
+
+    def _ends(self) -> tuple[FloatArray, FloatArray]:
+        reach = 4 * self.sd
+        lower, upper = self.mean - reach, self.mean + reach
+        k = len(self.free)
+        for p in (p for e in self.effects for p in e.parameters):
+            lower[k] = max(lower[k], p.admissible[0] + (1e-9 if p.open_lower else 0.0))
+            upper[k] = min(upper[k], p.admissible[1])
+            k += 1
+        return lower, upper
+
+
+def unknowns(
+    free: Sequence[FreeConstant], effects: Sequence[Effect], means: Values | None = None
+) -> Unknowns:
+    """Return the parameters of the hypothesis that `effects` act.
+
+    Parameters
+    ----------
+    means : mapping of str to float, optional
+        Prior means that are not the neutral values: the place of a lump.
+    """
+    mean, sd = [f.log_mean for f in free], [f.log_sd for f in free]
+    for effect in effects:
+        present = effect.if_present or tuple(
+            zip(effect.neutral.values(), effect.prior_sd, strict=True)
+        )
+        for name, (middle, scale) in zip(effect.names, present, strict=True):
+            mean.append((means or {}).get(name, middle))
+            sd.append(scale)
+    return Unknowns(free, effects, np.array(mean), np.array(sd))

@@ -1,0 +1,190 @@
+"""Loads that are planned, and others that could be scanned as well.
+
+A further load of the same plates is lighter than the lightest or heavier than the heaviest
+that is planned; a further view turns the plates about z. Under a turned force the plates
+start at the ends of the body; at a distance they close by the same share of it. The chest
+wall then holds the body along x and along y alike, as firmly as it does along one of
+them: plates do not hold it where they slide.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from storage.values import FloatArray, Triple
+from workers.diagnosis.acquisition import Acquisition, ProblemBuilder
+from workers.diagnosis.inverse_problem import Values
+from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.loads import DistanceControl, ForceControl, Load, Wall
+from workers.mechanics.fem.problem import Problem
+
+Kind = Literal["planned", "load", "view"]
+
+HALF = float(np.sqrt(0.5))
+VIEWS: tuple[tuple[str, Triple], ...] = (
+    ("y", (0.0, 1.0, 0.0)),
+    ("x", (1.0, 0.0, 0.0)),
+    ("45 degrees", (HALF, HALF, 0.0)),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateLoad:
+    """One loaded scan, planned or possible.
+
+    Parameters
+    ----------
+    name : str
+        In the words of a report.
+    kind : {"planned", "load", "view"}
+        Of the case itself, a further load, or a further direction of the plates.
+    problem : callable
+    """
+
+    name: str
+    kind: Kind
+    problem: ProblemBuilder
+
+
+def candidate_loads(
+    acquisition: Acquisition, frame: Frame, nodes_mm: FloatArray
+) -> list[CandidateLoad]:
+    """Return the loads of an acquisition, in order, then those that could be added.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    frame : Frame
+        Of the body.
+    nodes_mm : ndarray, shape (n, 3)
+        Of the mesh at rest: how far the body reaches along the plates' direction.
+    """
+    builders = [acquisition.problem(number, frame) for number in range(len(acquisition.loads))]
+    planned = [
+        CandidateLoad(name, "planned", build)
+        for name, build in zip(acquisition.loads, builders, strict=True)
+    ]
+    middle = {f.name: float(np.exp(f.log_mean)) for f in acquisition.free}
+    loads = [builder(middle).load for builder in builders]
+    pressed = [
+        n for n, load in enumerate(loads) if isinstance(load, ForceControl | DistanceControl)
+    ]
+    if not pressed:
+        return planned
+    strength = {n: _strength(loads[n], nodes_mm) for n in pressed}
+    heaviest = max(pressed, key=lambda n: strength[n])
+    axis = _axis(loads[heaviest])
+    along = [n for n in pressed if _alike(_axis(loads[n]), axis)]
+    lightest = min(along, key=lambda n: strength[n])
+    return [
+        *planned,
+        _pressed(builders[lightest], SETTINGS.plan.lighter, nodes_mm, middle),
+        _pressed(builders[heaviest], SETTINGS.plan.heavier, nodes_mm, middle),
+        *_views(builders[heaviest], [_axis(loads[n]) for n in pressed], nodes_mm, middle),
+    ]
+
+
+def pressed_by(load: Load, factor: float, nodes_mm: FloatArray) -> Load:
+    """Return the same plates with `factor` times the force; at a distance, of the closing."""
+    if isinstance(load, ForceControl):
+        return replace(load, force_n=factor * load.force_n)
+    if isinstance(load, DistanceControl):
+        low, high = _reach(load, nodes_mm)
+        share = min(factor, SETTINGS.plan.farther)
+        return replace(
+            load,
+            lower_mm=low + share * (load.lower_mm - low),
+            upper_mm=high + share * (load.upper_mm - high),
+        )
+    return load
+
+
+def turned_to(load: Load, axis: Triple, nodes_mm: FloatArray) -> Load:
+    """Return the same pressing along another axis."""
+    turned = replace(load, device=replace(load.device, axis=axis))
+    if isinstance(turned, ForceControl):
+        low, high = _reach(turned, nodes_mm)
+        return replace(turned, lower_mm=low, upper_mm=high)
+    if isinstance(turned, DistanceControl) and isinstance(load, DistanceControl):
+        before, (low, high) = _reach(load, nodes_mm), _reach(turned, nodes_mm)
+        left = (load.upper_mm - load.lower_mm) / (before[1] - before[0])
+        spare = (1 - left) * (high - low) / 2
+        return replace(turned, lower_mm=low + spare, upper_mm=high - spare)
+    return turned
+
+
+def held_alike(wall: Wall) -> Wall:
+    """Return the wall with its firmer tangential spring along x and along y."""
+    x, y, z = wall.spring_mpa_per_mm
+    held = (wall.held[0] or wall.held[1],) * 2
+    return Wall((*held, wall.held[2]), (max(x, y), max(x, y), z))
+
+
+def _views(
+    builder: ProblemBuilder, taken: Sequence[Triple], nodes_mm: FloatArray, middle: Values
+) -> list[CandidateLoad]:
+    found = []
+    for name, axis in VIEWS:
+        if not any(_alike(axis, other) for other in taken):
+
+            def change(problem: Problem, axis: Triple = axis) -> Problem:
+                load = turned_to(problem.load, axis, nodes_mm)
+                return replace(problem, load=load, wall=held_alike(problem.wall))
+
+            one = _changed(builder, change, middle)
+            found.append(replace(one, name=f"{one.name} along {name}", kind="view"))
+    return found
+
+
+def _pressed(
+    builder: ProblemBuilder, factor: float, nodes_mm: FloatArray, middle: Values
+) -> CandidateLoad:
+    def change(problem: Problem) -> Problem:
+        return replace(problem, load=pressed_by(problem.load, factor, nodes_mm))
+
+    return _changed(builder, change, middle)
+
+
+def _changed(
+    builder: ProblemBuilder, change: Callable[[Problem], Problem], middle: Values
+) -> CandidateLoad:
+    def build(values: Values) -> Problem:
+        return change(builder(values))
+
+    return CandidateLoad(_named(build(middle).load), "load", build)
+
+
+def _named(load: Load) -> str:
+    if isinstance(load, ForceControl):
+        return f"{load.force_n:.3g} N"
+    if isinstance(load, DistanceControl):
+        return f"{load.upper_mm - load.lower_mm:.3g} mm"
+    return "no plates"
+
+
+def _strength(load: Load, nodes_mm: FloatArray) -> float:
+    """Return what orders loads of one kind: the force, or the share that plates close by."""
+    if isinstance(load, ForceControl):
+        return load.force_n
+    if isinstance(load, DistanceControl):
+        low, high = _reach(load, nodes_mm)
+        return 1 - (load.upper_mm - load.lower_mm) / (high - low)
+    return 0.0
+
+
+def _reach(load: Load, nodes_mm: FloatArray) -> tuple[float, float]:
+    """Return from where to where the body at rest reaches along the axis."""
+    heights = nodes_mm @ (np.asarray(_axis(load)) / np.linalg.norm(_axis(load)))
+    return float(heights.min()), float(heights.max())
+
+
+def _axis(load: Load) -> Triple:
+    return load.device.axis
+
+
+def _alike(first: Triple, second: Triple) -> bool:
+    a, b = np.asarray(first), np.asarray(second)
+    return bool(abs(a @ b) > SETTINGS.plan.same_view_cosine * np.linalg.norm(a) * np.linalg.norm(b))

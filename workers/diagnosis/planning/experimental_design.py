@@ -1,0 +1,263 @@
+"""What an acquisition can tell before it is made, and what one more measurement would add.
+
+Nothing here looks at a residual. An effect is *seen* if it, acting at its plausible size,
+is expected to raise the log evidence by `clear` of the plan's settings over
+no gap, and if the constants do not hide it. Two effects are *told apart* if both are seen and
+each, when it acts, is expected to beat the other by as much. More rows never lower an expected
+log evidence, for it is a Kullback-Leibler divergence; see
+`workers.diagnosis.planning.state_information`.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from storage.values import BoolArray, FloatArray
+from workers.comparison.observation.interface import InterfacePoints
+from workers.comparison.observation.noise import covariance
+from workers.diagnosis.calibration import with_common_error
+from workers.diagnosis.detectability import confusion
+from workers.diagnosis.effect_sensitivity import EffectSensitivity
+from workers.diagnosis.inverse_problem import InverseProblem, Scan, Values
+from workers.diagnosis.linearisation import Linearised, factored
+from workers.diagnosis.planning.load_sensitivity import LoadSensitivity
+from workers.diagnosis.planning.state_information import Detectability, detectability, separation
+from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.base import Effect, one_sided
+from workers.mechanics.effects.inclusion import INCLUSION
+from workers.mechanics.fem.problem import Problem
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """What is scanned and measured.
+
+    Parameters
+    ----------
+    states : tuple of int
+        Numbers of the loads.
+    drawings : int
+        How often each scan is segmented, on its own each time.
+    plates : bool
+        Whether the distance of the plates is measured in each load.
+    known : int or None
+        Number of a constant that is measured apart.
+    """
+
+    states: tuple[int, ...]
+    drawings: int = 1
+    plates: bool = False
+    known: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DesignEvaluation:
+    """What a design could tell.
+
+    Parameters
+    ----------
+    rows : tuple of Detectability
+        One for each effect.
+    evidence : ndarray, shape (effects,)
+        Expected log evidence over no gap of an effect that acts at its plausible size.
+    cosines : ndarray, shape (effects, effects)
+        How alike the visible parts of two effects look.
+    separation : ndarray, shape (effects, effects)
+        Expected log evidence of the effect of the row, acting, over that of the column.
+    shown : frozenset of str
+        Effects that a part of the design shows already: what more is measured does not hide
+        them, though it may lift the share of them that the constants absorb.
+    """
+
+    rows: tuple[Detectability, ...]
+    evidence: FloatArray
+    cosines: FloatArray
+    separation: FloatArray
+    shown: frozenset[str] = frozenset()
+
+    @property
+    def names(self) -> list[str]:
+        """Of the effects, in order."""
+        return [row.name for row in self.rows]
+
+    @property
+    def seen(self) -> BoolArray:
+        """Which effects can be accused or acquitted, shape (effects,)."""
+        return (self.evidence >= SETTINGS.plan.clear) & ~self.hidden
+
+    @property
+    def hidden(self) -> BoolArray:
+        """Which effects the constants absorb, shape (effects,)."""
+        sunk = [
+            row.absorbed > SETTINGS.detectability.sunk_share and row.name not in self.shown
+            for row in self.rows
+        ]
+        mostly = np.array(
+            [row.absorbed > SETTINGS.detectability.hidden_share for row in self.rows], np.bool_
+        )
+        return np.array(sunk, np.bool_) | (mostly & (self.evidence < SETTINGS.plan.clear))
+
+    def apart(self) -> set[frozenset[str]]:
+        """Return pairs of effects that are told apart."""
+        return {pair for pair, worst in self.pairs().items() if worst >= SETTINGS.plan.clear}
+
+    def pairs(self) -> dict[frozenset[str], float]:
+        """Return expected log evidence between two effects that are seen, whichever acts."""
+        index = np.flatnonzero(self.seen)
+        return {
+            frozenset((self.names[i], self.names[j])): float(
+                min(self.separation[i, j], self.separation[j, i])
+            )
+            for i, j in combinations(index, 2)
+        }
+
+
+def evaluate_design(
+    unloaded: InverseProblem,
+    design: Design,
+    load_sensitivities: Mapping[int, LoadSensitivity],
+    effects: Sequence[Effect],
+) -> DesignEvaluation:
+    """Return what a design could tell of `effects`.
+
+    Parameters
+    ----------
+    unloaded : InverseProblem
+        See `workers.diagnosis.acquisition.inverse_problem_of`.
+    design : Design
+    load_sensitivities : mapping of int to LoadSensitivity
+        Of every state of the design at least.
+    effects : sequence of Effect
+        Those that have columns in every state.
+
+    Raises
+    ------
+    InputError
+        If columns and points do not match.
+    """
+    problem, sensitivities = assembled(unloaded, design, load_sensitivities, effects)
+    nothing = EffectSensitivity(
+        "nothing", "", np.zeros((problem.size, 1)), np.ones(1), np.zeros(1, np.bool_)
+    )
+    table = separation(problem, [*sensitivities, nothing])
+    return DesignEvaluation(
+        detectability(problem, sensitivities),
+        table[:-1, -1],
+        confusion(problem, sensitivities),
+        table[:-1, :-1],
+    )
+
+
+def assembled(
+    unloaded: InverseProblem,
+    design: Design,
+    load_sensitivities: Mapping[int, LoadSensitivity],
+    effects: Sequence[Effect],
+) -> tuple[Linearised, list[EffectSensitivity]]:
+    """Return the linear problem of a design at the prior middle, and what effects add to it."""
+    parts = [load_sensitivities[s] for s in design.states]
+    k = len(unloaded.points)
+    plates = range(len(parts)) if design.plates else range(0)
+
+    def rows(of: Sequence[FloatArray]) -> FloatArray:
+        """Return all points of all states, then the distances of the plates."""
+        last = [of[s][..., k:, :] for s in plates]
+        return np.concatenate([*(c[..., :k, :] for c in of), *last], axis=-2)
+
+    nominal = rows([part.nominal for part in parts])
+    blocks = [_scanned(unloaded, design), SETTINGS.plan.plates_sd_mm**2 * np.eye(len(plates))]
+    sensitivities = [_print(e, rows([part.columns[e.name] for part in parts])) for e in effects]
+    p = nominal.shape[1]
+    if design.known is not None:
+        # A constant that is measured apart: a row of its own that no effect moves.
+        nominal = np.vstack([nominal, np.eye(p)[design.known]])
+        blocks.append(np.array([[SETTINGS.plan.stiffness_sd**2]]))
+        sensitivities = [replace(f, columns=_with_zeros(f.columns)) for f in sensitivities]
+    problem = Linearised(
+        np.zeros(len(nominal)),
+        nominal,
+        np.array([f.log_sd for f in unloaded.free]),
+        np.zeros(p),
+        factored(np.asarray(block_diag(*blocks))),
+    )
+    return problem, sensitivities
+
+
+def simulated(
+    load_sensitivities: Iterable[LoadSensitivity], effects: Sequence[Effect]
+) -> list[Effect]:
+    """Return effects that could be simulated in every state, and act on one of them at least."""
+    states = list(load_sensitivities)
+    return [
+        e
+        for e in effects
+        if all(e.name in f.columns for f in states) and any(f.columns[e.name].any() for f in states)
+    ]
+
+
+def loose(load_sensitivities: Iterable[LoadSensitivity], effects: Sequence[Effect]) -> list[Effect]:
+    """Return effects that would push the body away, for nothing holds it there.
+
+    At their plausible size a point would move by more than `drift_mm` of the settings.
+    """
+    states = list(load_sensitivities)
+    return [
+        e
+        for e in effects
+        if any(
+            np.abs(f.columns[e.name] * np.array(plausible(e))).max() > SETTINGS.plan.drift_mm
+            for f in states
+        )
+    ]
+
+
+def plausible(effect: Effect) -> tuple[float, ...]:
+    """Return prior standard deviations of the parameters that a sensitivity has."""
+    return effect.prior_sd[:1] if effect is INCLUSION else effect.prior_sd
+
+
+def _scanned(unloaded: InverseProblem, design: Design) -> FloatArray:
+    """Return noise of the points of all states, as a diagnosis takes it, in mm^2.
+
+    Independent drawings of one image average out; what voxels leave stays.
+    """
+    calmer = 1 / np.sqrt(design.drawings)
+    noise = replace(
+        unloaded.noise,
+        sd_mm=calmer * unloaded.noise.sd_mm,
+        reference_sd_mm=calmer * unloaded.noise.reference_sd_mm,
+    )
+    inverse = replace(
+        unloaded,
+        noise=noise,
+        scans=[_NOISE_ONLY] * len(design.states),
+        covariance=covariance(unloaded.points, noise, len(design.states)),
+    )
+    return with_common_error(inverse).covariance
+
+
+def _print(effect: Effect, columns: FloatArray) -> EffectSensitivity:
+    sd = plausible(effect)
+    sides = [one_sided(p) for p in effect.parameters[: len(sd)]]
+    return EffectSensitivity(
+        effect.name, effect.family, columns, np.array(sd), np.array(sides, np.bool_)
+    )
+
+
+def _with_zeros(columns: FloatArray) -> FloatArray:
+    """Return one more row, in which nothing happens."""
+    return np.concatenate([columns, np.zeros_like(columns[..., :1, :])], axis=-2)
+
+
+def _no_problem(values: Values) -> Problem:
+    raise AssertionError("a scan that stands for its noise has no problem")
+
+
+def _no_look(points: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
+    raise AssertionError("a scan that stands for its noise shows nothing")
+
+
+_NOISE_ONLY = Scan("", _no_problem, _no_look)

@@ -1,0 +1,185 @@
+r"""What one loaded scan will show of constants and effects, from the model alone.
+
+The normals of the loaded interfaces are those of the model's own: with the deformation
+gradient F a normal n of the body at rest becomes
+
+.. math:: n' = F^{-T} n / |F^{-T} n|
+
+(E. J. Nanson, Messenger of Math. 7 (1878) 182). One more row stands for the distance
+between the plates: how the contact areas move apart when something changes, each node
+weighted by its contact stiffness. Under a given force of flat plates that is by how much
+less the plates travel, up to what they press into the penalty.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_matrix, vstack
+
+from storage.errors import InputError
+from storage.values import FloatArray
+from workers.comparison.observation.interface import InterfacePoints
+from workers.diagnosis.acquisition import INTERFACES, ProblemBuilder
+from workers.diagnosis.gauss_newton import SolvedFit
+from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns, unknowns
+from workers.diagnosis.scan_prediction import PredictedScan, columns_of
+from workers.diagnosis.sensitivity_analysis import scan_sensitivity
+from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.fem.loads import NoPlates
+from workers.mechanics.fem.model import LevelModel
+from workers.mechanics.fem.sensitivity import Change
+from workers.mechanics.fem.solve import Equilibrium, equilibrium
+
+# The number of the row that is the plates' distance, among interfaces.
+PLATES = len(INTERFACES)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadSensitivity:
+    """Derivatives of what a scan shows, at the prior middle of the constants.
+
+    Rows are the k points of the interfaces, in mm along their normals, and a last one for
+    the distance between the plates in mm.
+
+    Parameters
+    ----------
+    nominal : ndarray, shape (k + 1, p)
+        By the logarithms of the constants.
+    columns : dict of str to ndarray, shape (k + 1, q) or (g, k + 1, q)
+        By the parameters of each effect; zero for one that does not act on this load.
+    travel_mm : float
+        By how much the plates have come closer; 0 for plates that are put at a distance.
+    """
+
+    nominal: FloatArray
+    columns: dict[str, FloatArray]
+    travel_mm: float
+
+
+def load_sensitivity(
+    unloaded: InverseProblem, name: str, problem: ProblemBuilder, effects: Sequence[Effect]
+) -> LoadSensitivity | None:
+    """Simulate one load and differentiate what its scan will show.
+
+    Parameters
+    ----------
+    unloaded : InverseProblem
+        The body at rest; see `workers.diagnosis.acquisition.inverse_problem_of`.
+    name : str
+        Of the load.
+    problem : callable
+    effects : sequence of Effect
+
+    Returns
+    -------
+    LoadSensitivity or None
+        None if the nominal model does not converge under this load. An effect that cannot
+        be simulated has no columns.
+    """
+    free = unknowns(unloaded.free, [])
+    nominal = problem(free.constants(free.mean))
+    at = equilibrium(unloaded.model, nominal)
+    if not at.solution.outcome.converged:
+        return None
+    scan = Scan(name, problem, _not_scanned)
+    inverse, prediction = _with_plates(unloaded, scan, at)
+    fit = SolvedFit(free, free.mean, (prediction,), np.empty((0, 0)), 0.0, True, 0)
+    columns = {}
+    for effect in effects:
+        found = _columns(inverse, fit, effect)
+        if found is not None:
+            columns[effect.name] = found
+    jacobian = columns_of(inverse, prediction, _changes(problem, free))
+    return LoadSensitivity(jacobian, columns, at.states[-1].travel_mm)
+
+
+def deformed_normals(unloaded: InverseProblem, displacement_mm: FloatArray) -> FloatArray:
+    """Return normals of the interfaces after a displacement of the nodes, shape (k, 3)."""
+    gradients = nodal_gradients(unloaded.model.finest, displacement_mm)
+    at_points = unloaded.at_points @ gradients.reshape(len(gradients), 9)
+    F = at_points.reshape(-1, 3, 3)
+    turned = np.linalg.solve(F.transpose(0, 2, 1), unloaded.points.normals[:, :, None])[:, :, 0]
+    return np.asarray(turned / np.linalg.norm(turned, axis=1)[:, None])
+
+
+def nodal_gradients(level: LevelModel, displacement_mm: FloatArray) -> FloatArray:
+    """Return deformation gradients, means over the elements around a node, shape (n, 3, 3)."""
+    tets, gradients, volumes = level.elements
+    u = displacement_mm[tets]
+    F = np.eye(3) + np.einsum("mai,maj->mij", u[:, 1:] - u[:, :1], gradients)
+    total = np.zeros((len(level.nodes), 9))
+    weight = np.zeros(len(level.nodes))
+    for corner in tets.T:
+        np.add.at(total, corner, volumes[:, None] * F.reshape(-1, 9))
+        np.add.at(weight, corner, volumes)
+    return np.asarray((total / weight[:, None]).reshape(-1, 3, 3))
+
+
+def plate_row(at: Equilibrium) -> tuple[csr_matrix, FloatArray]:
+    """Return how the contact areas of both plates move apart, as a row for the nodes.
+
+    Returns
+    -------
+    csr_matrix, shape (1, n)
+        Weights of the nodes: those of the upper plate sum to 1, those of the lower to -1;
+        all zero without plates.
+    ndarray, shape (3,)
+        The axis from the lower to the upper plate.
+    """
+    level, state, load = at.levels[-1], at.states[-1], at.problem.load
+    n = len(level.model.nodes)
+    if isinstance(load, NoPlates):
+        return csr_matrix((1, n)), np.array([0.0, 1.0, 0.0])
+    weights = np.zeros(n)
+    for plate, sign in zip(level.plate_contacts(state, at.stage), (-1.0, 1.0), strict=True):
+        touching = plate.nodes.stiffness * (plate.gap < 0)
+        if touching.any():
+            weights[plate.nodes.index] += sign * touching / touching.sum()
+    axis = np.asarray(load.device.axis)
+    return csr_matrix(weights[None]), axis / np.linalg.norm(axis)
+
+
+def _changes(problem: ProblemBuilder, free: Unknowns) -> list[Change]:
+    """Return changes of the logarithm of each constant, about the prior mean."""
+    found = []
+    for step in SETTINGS.fit.log_step * np.eye(len(free.mean)):
+        ahead, behind = (problem(free.constants(free.mean + s)) for s in (step, -step))
+        found.append(Change(ahead, behind, 2 * SETTINGS.fit.log_step))
+    return found
+
+
+def _with_plates(
+    unloaded: InverseProblem, scan: Scan, at: Equilibrium
+) -> tuple[InverseProblem, PredictedScan]:
+    """Return the points and the distance of the plates as one list, and where they have gone."""
+    row, axis = plate_row(at)
+    u, p = at.solution.displacement_mm, unloaded.points
+    points = InterfacePoints(
+        np.vstack([p.points, unloaded.frame.centre_mm]),
+        np.vstack([p.normals, axis]),
+        np.append(p.interface, np.int32(PLATES)),
+        np.append(p.area_mm2, 0.0),
+        np.append(p.part, p.part.max() + np.int32(1)),
+    )
+    to_points = csr_matrix(vstack([unloaded.at_points, row]))
+    inverse = replace(unloaded, points=points, at_points=to_points, scans=(scan,))
+    normals = np.vstack([deformed_normals(unloaded, u), axis])
+    return inverse, PredictedScan(points.points + to_points @ u, np.zeros(len(points)), normals, at)
+
+
+def _columns(inverse: InverseProblem, fit: SolvedFit, effect: Effect) -> FloatArray | None:
+    """Return those of one effect, zero where it does not act; None if not simulated."""
+    found = scan_sensitivity(inverse, fit, 0, effect)
+    if found.idle:
+        return np.zeros((len(inverse.points), len(effect.names)))
+    columns = found.columns
+    if columns is not None and effect.observation is not None:
+        columns = columns.copy()
+        columns[..., -1, :] = 0.0  # the plates' distance is not read off the images
+    return columns
+
+
+def _not_scanned(points: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
+    raise InputError("This scan is not made yet: nothing can be compared with it.")

@@ -1,0 +1,197 @@
+"""What planned loads can tell, and what else would tell more, in plain numbers."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.planning.candidate_loads import CandidateLoad
+from workers.diagnosis.planning.experimental_design import (
+    Design,
+    DesignEvaluation,
+    evaluate_design,
+    loose,
+    plausible,
+    simulated,
+)
+from workers.diagnosis.planning.load_sensitivity import LoadSensitivity
+from workers.diagnosis.planning.summary import (
+    ConfusablePair,
+    FurtherMeasurement,
+    ParameterPlan,
+    PlannedEffect,
+    PlanSummary,
+)
+from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.fem.loads import ForceControl
+
+
+def make_plan(
+    name: str,
+    unloaded: InverseProblem,
+    loads: Sequence[CandidateLoad],
+    sensitivities: Mapping[int, LoadSensitivity],
+    effects: Sequence[Effect],
+) -> PlanSummary:
+    """Find what the planned loads can tell, and what else would tell more, the best first.
+
+    Parameters
+    ----------
+    name : str
+        Of the case.
+    unloaded : InverseProblem
+        The body at rest; see `workers.diagnosis.acquisition.inverse_problem_of`.
+    loads : sequence of CandidateLoad
+        See `workers.diagnosis.planning.candidate_loads`.
+    sensitivities : mapping of int to LoadSensitivity
+        By the number of the load; loads that cannot be simulated are missing.
+    effects : sequence of Effect
+        The catalogue.
+    """
+    present = _planned(loads, sensitivities)
+    acting = simulated([sensitivities[n] for n in present], effects)
+    now = evaluate_design(unloaded, Design(present), sensitivities, acting)
+    shown = frozenset(
+        row.name for row in now.rows if row.absorbed <= SETTINGS.detectability.sunk_share
+    )
+    further = []
+    for option, design in designs(unloaded, loads, sensitivities).items():
+        known = simulated([sensitivities[n] for n in design.states], acting)
+        then = evaluate_design(unloaded, design, sensitivities, known)
+        further.append(_further(option, now, replace(then, shown=shown)))
+    return PlanSummary(
+        case=name,
+        scans=tuple(loads[n].name for n in present),
+        points=len(unloaded.points),
+        noise_mm=unloaded.noise.sd_mm,
+        travel_mm={loads[n].name: one.travel_mm for n, one in sensitivities.items()},
+        clear=SETTINGS.plan.clear,
+        effects=tuple(_effect(e, now, i) for i, e in enumerate(acting)),
+        cosines=tuple(map(tuple, now.cosines.tolist())),
+        log_evidence=tuple(map(tuple, now.separation.tolist())),
+        pairs=len(acting) * (len(acting) - 1) // 2,
+        told_apart=len(now.apart()),
+        confusable=tuple(_confusable(now)),
+        silent=tuple(n for n, seen in zip(now.names, now.seen, strict=True) if not seen),
+        not_simulated=tuple(one.name for n, one in enumerate(loads) if n not in sensitivities),
+        loose=tuple(e.name for e in loose([sensitivities[n] for n in present], acting)),
+        without_columns=tuple(e.name for e in effects if e not in acting),
+        acquisitions=tuple(sorted(further, key=_rank)),
+    )
+
+
+def _planned(
+    loads: Sequence[CandidateLoad], sensitivities: Mapping[int, LoadSensitivity]
+) -> tuple[int, ...]:
+    return tuple(n for n in sensitivities if loads[n].kind == "planned")
+
+
+def designs(
+    unloaded: InverseProblem,
+    loads: Sequence[CandidateLoad],
+    sensitivities: Mapping[int, LoadSensitivity],
+) -> dict[str, Design]:
+    """Return what could be scanned or measured besides the planned loads, by its words."""
+    present = _planned(loads, sensitivities)
+    found = {
+        ("a scan at " if loads[n].kind == "load" else "a view, ") + loads[n].name: Design(
+            (*present, n)
+        )
+        for n in sensitivities
+        if n not in present
+    }
+    found["a second segmentation of every scan"] = Design(present, drawings=2)
+    middle = {f.name: float(np.exp(f.log_mean)) for f in unloaded.free}
+    if any(isinstance(loads[n].problem(middle).load, ForceControl) for n in present):
+        found[f"the plates' distance to {SETTINGS.plan.plates_sd_mm:g} mm"] = Design(
+            present, plates=True
+        )
+    for number, free in enumerate(unloaded.free):
+        if free.name.startswith("E_"):
+            words = f"{free.name} measured apart to {100 * SETTINGS.plan.stiffness_sd:.0f} %"
+            found[words] = Design(present, known=number)
+            break
+    return found
+
+
+def _effect(effect: Effect, now: DesignEvaluation, i: int) -> PlannedEffect:
+    row = now.rows[i]
+    sizes = plausible(effect)
+    return PlannedEffect(
+        name=effect.name,
+        family=effect.family,
+        summary=effect.summary,
+        parameters=tuple(
+            ParameterPlan(
+                parameter=p.door_name,
+                unit=p.unit.symbol,
+                minimum=p.unit.to_door(float(least)) if np.isfinite(least) else None,
+                plausible=p.unit.to_door(sd),
+            )
+            for p, least, sd in zip(effect.parameters, row.minimum, sizes, strict=False)
+        ),
+        absorbed_share=row.absorbed,
+        nearest=row.nearest,
+        cosine=row.cosine,
+        log_evidence=float(now.evidence[i]),
+        seen=bool(now.seen[i]),
+        why_not="hidden" if now.hidden[i] else "" if now.seen[i] else "weak",
+    )
+
+
+def _confusable(now: DesignEvaluation) -> list[ConfusablePair]:
+    """Return pairs that are seen and not told apart, the most alike first."""
+    worst = sorted(now.pairs().items(), key=lambda item: item[1])
+    order = now.names.index
+    return [
+        ConfusablePair(tuple(sorted(pair, key=order)), value)
+        for pair, value in worst
+        if value < SETTINGS.plan.clear
+    ]
+
+
+def _further(name: str, now: DesignEvaluation, then: DesignEvaluation) -> FurtherMeasurement:
+    """Return what a design adds.
+
+    Effects that cannot be simulated in it are left out of both sides.
+    """
+    order = now.names.index
+    known = set(then.names)
+    before = {pair for pair in now.apart() if pair <= known}
+    more = len(then.apart()) - len(before)
+    confusable = {frozenset(pair.effects) for pair in _confusable(now)}
+    rows = {row.name: row for row in now.rows}
+    seen = dict(zip(now.names, now.seen, strict=True))
+    ratios = {row.name: _ratio(rows[row.name].minimum, row.minimum) for row in then.rows}
+    visible = list(zip(then.names, then.seen, strict=True))
+    separates = sorted(sorted(pair, key=order) for pair in confusable & then.apart())
+    return FurtherMeasurement(
+        name=name,
+        told_apart=len(now.apart()) + more,
+        more_told_apart=more,
+        separates=tuple(map(tuple, separates)),
+        reveals=tuple(n for n, shown in visible if shown and not seen[n]),
+        silent=tuple(n for n, shown in visible if not shown),
+        minimum_ratio=float(np.exp(np.mean(np.log(list(ratios.values()))))),
+        minimum_ratios=ratios,
+        absorbed_shares={row.name: row.absorbed for row in then.rows},
+        not_simulated=tuple(n for n in now.names if n not in known),
+    )
+
+
+def _ratio(before: FloatArray, after: FloatArray) -> float:
+    """Return the smallest magnitude found, after over before; geometric mean of parameters."""
+    both = np.isfinite(before) & np.isfinite(after)
+    return float(np.exp(np.mean(np.log(after[both] / before[both])))) if both.any() else 1.0
+
+
+def _rank(further: FurtherMeasurement) -> tuple[int, int, float, str]:
+    return (
+        -further.more_told_apart,
+        -len(further.separates),
+        further.minimum_ratio,
+        further.name,
+    )

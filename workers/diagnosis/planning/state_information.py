@@ -1,0 +1,103 @@
+r"""What a set of states could show of each effect, and which effects it tells apart.
+
+Nothing here looks at a residual.
+
+Two effects are told apart by the evidence. If k acts at its prior scale, it beats j on
+average by the Kullback-Leibler divergence of their predictions
+
+.. math:: \tfrac12 [ \mathrm{tr}(\Sigma_j^{-1} \Sigma_k) - m + \ln|\Sigma_j| - \ln|\Sigma_k| ],
+          \qquad \Sigma_k = P^{-1} + B_k S_k B_k',
+
+in nats (the discrimination criterion of G. E. P. Box and W. J. Hill, Technometrics 9
+(1967) 57). Bounds of one-sided parameters are left out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.diagnosis.detectability import absorbed_share, confusion, minimum_detectable
+from workers.diagnosis.effect_sensitivity import EffectSensitivity
+from workers.diagnosis.linearisation import Linearised
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detectability:
+    """What the scans could show of one effect.
+
+    Parameters
+    ----------
+    name : str
+    minimum : ndarray, shape (q,)
+        Magnitude of each parameter found with 80 % power at 1 % false alarms.
+    absorbed : float
+        Share that hides in the nominal parameters; median over the places.
+    nearest : str or None
+        The effect whose visible part looks most alike.
+    cosine : float
+        How alike, 0 to 1.
+    """
+
+    name: str
+    minimum: FloatArray
+    absorbed: float
+    nearest: str | None
+    cosine: float
+
+
+def detectability(
+    problem: Linearised, sensitivities: Sequence[EffectSensitivity]
+) -> tuple[Detectability, ...]:
+    """Return a row for each effect, in the order given."""
+    cosines = confusion(problem, sensitivities) - np.eye(len(sensitivities))
+    rows = []
+    for sensitivity, cosine in zip(sensitivities, cosines, strict=True):
+        shares = [absorbed_share(problem, B) for B in sensitivity.whitened(problem)]
+        near = int(cosine.argmax())
+        rows.append(
+            Detectability(
+                sensitivity.name,
+                minimum_detectable(problem, sensitivity),
+                float(np.median(shares)),
+                sensitivities[near].name if cosine[near] > 0 else None,
+                float(cosine[near]),
+            )
+        )
+    return tuple(rows)
+
+
+def separation(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) -> FloatArray:
+    """Return log evidence by which an effect that acts beats another one, on average.
+
+    Returns
+    -------
+    ndarray, shape (effects, effects)
+        ``[k, j]`` for k acting, in nats; the median over the places of k, against the best
+        place of j.
+    """
+    columns = [sensitivity.whitened(problem) for sensitivity in sensitivities]
+    projected = [np.array([problem.project(B) for B in places]) for places in columns]
+    found = np.zeros((len(columns), len(columns)))
+    for k, acting in enumerate(columns):
+        for j, other in enumerate(columns):
+            if k != j:
+                table = [
+                    [
+                        _divergence(b.T @ Pb, b.T @ Pc, c.T @ Pc)
+                        for c, Pc in zip(other, projected[j], strict=True)
+                    ]
+                    for b, Pb in zip(acting, projected[k], strict=True)
+                ]
+                found[k, j] = np.median(np.min(table, axis=1))
+    return found
+
+
+def _divergence(kk: FloatArray, kj: FloatArray, jj: FloatArray) -> float:
+    """Return it from inner products in the metric P of the acting effect k and its rival j."""
+    own, rival = np.eye(len(kk)) + kk, np.eye(len(jj)) + jj
+    trace = np.trace(kk) - np.trace(kj @ np.linalg.solve(rival, kj.T))
+    trace -= np.trace(np.linalg.solve(rival, jj))
+    logs = np.linalg.slogdet(rival)[1] - np.linalg.slogdet(own)[1]
+    return float(0.5 * (trace + logs))

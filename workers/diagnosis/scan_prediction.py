@@ -1,0 +1,242 @@
+"""The scans as a hypothesis predicts them: residuals, and their derivatives."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage.values import FloatArray, IntArray, Tissue
+from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns
+from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.effects.plate_friction import FRICTION
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.fem.sensitivity import RELATIVE_ERROR, Change, tangents
+from workers.mechanics.fem.solve import Equilibrium, equilibrium
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedScan:
+    """One scan compared with the model under one set of parameters.
+
+    Parameters
+    ----------
+    points : ndarray, shape (k, 3)
+        Where the points of the interfaces have gone.
+    residual : ndarray, shape (k,)
+        In mm, positive outside of the observed tissue.
+    normals : ndarray, shape (k, 3)
+        Of the observed interfaces.
+    """
+
+    points: FloatArray
+    residual: FloatArray
+    normals: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedScan(ComparedScan):
+    """The same with the equilibrium of the model, from which others can be solved."""
+
+    at: Equilibrium
+
+
+def tissues_of(inverse: InverseProblem) -> IntArray:
+    """Return the tissue that the interface of each point encloses: fat for the outline."""
+    outline = inverse.points.interface == 0
+    return np.where(outline, Tissue.FAT, Tissue.GLANDULAR).astype(np.int32)
+
+
+def problem_of(
+    scan: Scan, unknowns: Unknowns, z: FloatArray, frame: Frame, leave_out: Effect | None = None
+) -> Problem:
+    """Return the problem of a scan with all effects of a hypothesis but one."""
+    problem = scan.problem(unknowns.constants(z))
+    for effect in unknowns.effects:
+        if effect is not leave_out:
+            problem = effect.apply(problem, unknowns.of_effect(effect, z), frame)
+    return problem
+
+
+def predict_scan(
+    inverse: InverseProblem,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    start: Equilibrium | None,
+) -> PredictedScan | None:
+    """Simulate one scan; None if the simulation does not converge."""
+    at = equilibrium(inverse.model, problem_of(scan, unknowns, z, inverse.frame), start)
+    return (
+        compare_with_scan(inverse, scan, unknowns, z, at) if at.solution.outcome.converged else None
+    )
+
+
+def compare_with_scan(
+    inverse: InverseProblem, scan: Scan, unknowns: Unknowns, z: FloatArray, at: Equilibrium
+) -> PredictedScan:
+    """Compare an equilibrium with the scan."""
+    points = inverse.points.points + inverse.at_points @ at.solution.displacement_mm
+    r, normals = scan.compare(points, inverse.points)
+    tissues = tissues_of(inverse)
+    for effect in unknowns.effects:
+        if effect.observation is not None:
+            values = unknowns.of_effect(effect, z)
+            places = _seen_by(effect, inverse, at)
+            r = r + effect.shift(places, normals, tissues, values, inverse.frame)
+    return PredictedScan(points, r, normals, at)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanJacobian:
+    """Derivatives of one scan by all parameters, shape (k, p), and where they were taken.
+
+    Fresh unless a column was taken over from a place nearby.
+    """
+
+    z: FloatArray
+    columns: FloatArray
+    fresh: bool = True
+
+
+def derivatives(
+    inverse: InverseProblem,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    prediction: PredictedScan,
+    before: ScanJacobian | None = None,
+) -> ScanJacobian:
+    """Return derivatives of the residual by every parameter.
+
+    With friction the path of the load counts, of which tangents know the last step only:
+    good enough for other parameters, but that of friction comes from another simulation,
+    unless `before` was taken at about the same friction.
+    """
+    changes = [_log_change(inverse, scan, unknowns, z, i) for i in range(len(unknowns.free))]
+    for effect in unknowns.effects:
+        if effect.observation is None:
+            base = problem_of(scan, unknowns, z, inverse.frame, leave_out=effect)
+            values = unknowns.of_effect(effect, z)
+            changes.extend(effect.changes(base, inverse.frame, values))
+    observed = [e for e in unknowns.effects if e.observation is not None]
+    moved = columns_of(
+        inverse, prediction, changes, [(e, unknowns.of_effect(e, z)) for e in observed]
+    )
+    found = _with_observed(inverse, unknowns, prediction, moved)
+    if FRICTION in unknowns.effects:
+        at = unknowns.names.index(FRICTION.names[0])
+        if (
+            before is not None
+            and abs(z[at] - before.z[at]) < SETTINGS.fit.friction_near * unknowns.sd[at]
+        ):
+            # The place where that column was taken stays: it must not drift.
+            found[:, at] = before.columns[:, at]
+            z = np.where(np.arange(len(z)) == at, before.z, z)
+            return ScanJacobian(z, found, fresh=False)
+        found[:, at] = _by_solving(inverse, scan, unknowns, z, prediction, at)
+    return ScanJacobian(z, found)
+
+
+def _by_solving(
+    inverse: InverseProblem,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    prediction: PredictedScan,
+    at: int,
+) -> FloatArray:
+    """Return the column of parameter number `at`; zero where the simulation fails."""
+    h = SETTINGS.fit.friction_step * unknowns.sd[at]
+    ahead = z.copy()
+    ahead[at] += h
+    found = predict_scan(inverse, scan, unknowns, ahead, prediction.at)
+    if found is None:
+        return np.zeros_like(prediction.residual)
+    return (found.residual - prediction.residual) / h
+
+
+def columns_of(
+    inverse: InverseProblem,
+    prediction: PredictedScan,
+    changes: Sequence[Change],
+    observed: Sequence[tuple[Effect, Mapping[str, float]]] = (),
+    tolerance: float = RELATIVE_ERROR,
+) -> FloatArray:
+    """Return derivatives of the residual by changes of the problem, shape (k, c).
+
+    `observed` are the effects on the observation that act, with their values: a point that
+    moves is seen elsewhere. `tolerance` is that of `tangents`.
+    """
+    dx = tangents(prediction.at, changes, tolerance)
+    out = np.empty((len(prediction.residual), len(changes)))
+    for c, nodal in enumerate(dx):
+        out[:, c] = ((inverse.at_points @ nodal) * prediction.normals).sum(axis=1)
+        for effect, values in observed:
+            out[:, c] += _shift_along(inverse, prediction, effect, values, nodal)
+    return out
+
+
+def _shift_along(
+    inverse: InverseProblem,
+    prediction: PredictedScan,
+    effect: Effect,
+    values: Mapping[str, float],
+    u: FloatArray,
+) -> FloatArray:
+    """Return the derivative of `Effect.shift`, affine in what it sees, along nodal motion `u`."""
+    here = _seen_by(effect, inverse, prediction.at)
+    step = _moves(effect, inverse, u)
+    rest = prediction.normals, tissues_of(inverse), values, inverse.frame
+    return effect.shift(here + step, *rest) - effect.shift(here, *rest)
+
+
+def observed_columns(
+    inverse: InverseProblem, effect: Effect, prediction: PredictedScan
+) -> FloatArray:
+    """Return derivatives by the parameters of an effect on the observation, shape (k, q)."""
+    if effect.observation is None:
+        raise ValueError(f"{effect.name} acts on the body")
+    places = _seen_by(effect, inverse, prediction.at)
+    return effect.observation(places, prediction.normals, tissues_of(inverse), inverse.frame)
+
+
+def _seen_by(effect: Effect, inverse: InverseProblem, at: Equilibrium) -> FloatArray:
+    """Return what an effect on the observation is given as points; see `Effect.sees`."""
+    moved = _moves(effect, inverse, at.solution.displacement_mm)
+    return inverse.points.points + moved if effect.sees == "points" else moved
+
+
+def _moves(effect: Effect, inverse: InverseProblem, u: FloatArray) -> FloatArray:
+    """Return how motion `u` of the nodes moves what an effect sees, shape (k, 3)."""
+    if effect.sees != "arms":
+        return np.asarray(inverse.at_points @ u)
+    if inverse.arms is None:
+        raise ValueError(f"{effect.name} needs markers")
+    return np.asarray(inverse.arms @ u)
+
+
+def _log_change(
+    inverse: InverseProblem, scan: Scan, unknowns: Unknowns, z: FloatArray, i: int
+) -> Change:
+    ahead, behind = z.copy(), z.copy()
+    ahead[i] += SETTINGS.fit.log_step
+    behind[i] -= SETTINGS.fit.log_step
+    plus, minus = (problem_of(scan, unknowns, at, inverse.frame) for at in (ahead, behind))
+    return Change(plus, minus, 2 * SETTINGS.fit.log_step)
+
+
+def _with_observed(
+    inverse: InverseProblem, unknowns: Unknowns, prediction: PredictedScan, moved: FloatArray
+) -> FloatArray:
+    """Put the columns of effects on the observation where they belong."""
+    parts, at = [moved[:, : len(unknowns.free)]], len(unknowns.free)
+    for effect in unknowns.effects:
+        if effect.observation is None:
+            q = len(effect.names)
+            parts.append(moved[:, at : at + q])
+            at += q
+        else:
+            parts.append(observed_columns(inverse, effect, prediction))
+    return np.hstack(parts)

@@ -1,0 +1,281 @@
+"""All numbers that a verdict depends on, in one frozen value, and where each comes from.
+
+Sources are named in brackets: [principle] follows from theory or is a convention of statistics;
+[prior] is a belief stated before any data; [numerics] is an accuracy or a bound of an algorithm;
+[cost] bounds what is computed; [null replicates] was set on bodies that lack nothing, drawn by the
+blind solver with other seeds than any sealed set; [set 2] was set after that blind set of
+docs/blind.md had been opened, so that it is no test of it; [open cases] was set while looking at
+the open cases of FEBio; [by hand] was chosen when that part was built, and no record says on what.
+
+The seal of a blind set holds this value whole; see `service.blind.sealed_settings`. What only
+draws a page stands where it is drawn, in `workers.diagnosis.pictures`.
+"""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class MeshSettings:
+    """Of the body."""
+
+    # [cost] Of the working mesh: a verdict in a minute or two.
+    nodes: int = 5000
+    # [cost] Nodes of the mesh that says what the working mesh gets wrong, over those of that one:
+    # elements smaller by 2.8^(1/3) = 1.4.
+    finer_ratio: float = 2.8
+    # [by hand] What is still unknown after the difference to the finer mesh is taken off
+    # is believed to be as large as the difference itself, and smooth over this length.
+    error_length_mm: float = 16.0
+
+
+@dataclass(frozen=True, slots=True)
+class PointSettings:
+    """Of the points on the interfaces, at which model and scans are compared."""
+
+    # [cost] Between neighbours; a breast then has some 900 of them in each scan.
+    spacing_mm: float = 6.0
+    # [cost] With more loaded scans than these, points are sparser: about as many residuals in all.
+    scans_at_that_spacing: int = 2
+    # [principle] Points this near to the chest wall sit where the image was cut.
+    wall_margin_mm: float = 4.0
+    # [principle] Tissue on either side of a point in the reference scan, and reach in which an
+    # interface must be alone in a deformed scan where the model puts it, in standard deviations of
+    # the segmentation: at 5 of them noise alone reaches no other interface.
+    clear_noises: float = 5.0
+    # [by hand] Of that reach, by which the distance may differ: curvature and blur.
+    clear_slack: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseSettings:
+    """Of what segmentations err by beyond what is stated."""
+
+    # [null replicates, set 2] An interface as a whole may be drawn too large or too small by this,
+    # in standard deviations of the segmentation: points were chosen on one noisy scan. On bodies
+    # that lack nothing, means over an interface and all scans scatter by 0.08 to 0.15 of them in
+    # all.
+    common: float = 0.1
+    # [null replicates] A part of every scan's noise is smoother than its correlation length says:
+    # on scans segmented with a known noise, smooth sums of residuals scatter 1.25 times as much as
+    # they should. Its size in standard deviations, its length in correlation lengths.
+    smoother: float = 0.25
+    smoother_lengths: float = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class FitSettings:
+    """Of Gauss and Newton's method."""
+
+    # [numerics] Most fits take 3 to 6.
+    max_iterations: int = 12
+    # [numerics] The last trial of a line search is 0.4^4 = 0.026 of the step.
+    max_halvings: int = 5
+    shortening: float = 0.4
+    # [principle] A fall of minus twice the log posterior below this changes no verdict: 0.025 nats.
+    tolerance: float = 0.05
+    # [numerics] Longest step of a parameter in prior standard deviations.
+    longest_step: float = 1.5
+    # [numerics] Difference of the logarithm of a constant for its derivative.
+    log_step: float = 1e-4
+    # [by hand] Difference of friction in prior standard deviations. Friction sets in with full
+    # force and then tires: its tangent at zero is several times too steep.
+    friction_step: float = 0.2
+    # [cost] Within this, in the same unit, the derivative by friction is taken over.
+    friction_near: float = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class SensitivitySettings:
+    """Of what every effect would do to the residuals of the nominal fit."""
+
+    # [cost] Between centres at which a lump is looked for: a lump of 10 mm radius is met.
+    inclusion_grid_mm: float = 12.0
+    # [principle] How deep inside the body they lie at least: half a lump.
+    inclusion_depth_mm: float = 6.0
+    # [by hand] Magnitudes at which a one-sided effect is tried, in prior standard deviations:
+    # one that is plausible, and one near zero, where such effects are steepest.
+    secant_magnitudes: tuple[float, ...] = (1.0, 0.25)
+    # [numerics] Columns only choose what is fitted: relative error of a tangent, Newton's last
+    # step of a secant in mm.
+    tangent_error: float = 1e-4
+    secant_step_mm: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class DetectabilitySettings:
+    """Of what the data could show of an effect."""
+
+    # [principle] A two-sided test at 1 % that finds an effect in 80 % of cases.
+    significance: float = 0.01
+    power: float = 0.8
+    # [by hand] Absorbed share above which little of an effect is left to see: only of a
+    # strong one.
+    hidden_share: float = 0.95
+    # [principle] Absorbed share above which nothing is: sqrt(0.025), a sixth of its size, no more
+    # than models err.
+    sunk_share: float = 0.975
+
+
+@dataclass(frozen=True, slots=True)
+class JointFitSettings:
+    """Of which effects are fitted together with the constants, and from where."""
+
+    # [cost] Single effects that are fitted: the best by screening.
+    singles: int = 5
+    # [cost] The best of them are paired with each other.
+    partners: int = 3
+    # [by hand] An effect this far behind the best one by screening is not fitted, in nats.
+    far_behind: float = 60.0
+    # [by hand] But one that gains this part of what the best one gains is: where data are much
+    # finer than the effects, the linear model errs by more than that.
+    nearly: float = 0.5
+    # [principle] Nor is one that the data speak against, in nats.
+    least_gain: float = 0.0
+    # [by hand] Pairs are fitted if a smooth field gains this much on top of the best effect.
+    left_over: float = 1.0
+    # [principle] So is one with an effect that gains this much on top of it, as it looked alone:
+    # twenty to one.
+    second_gain: float = 3.0
+    # [numerics] Where a fit begins, as a part of what the screening expects. A one-sided
+    # parameter, whose secant was taken, begins where that expects it.
+    start: float = 0.5
+    # [numerics] But not nearer to zero than this part of its prior standard deviation, where it is
+    # steepest, and no further out than that many of them.
+    least_start: float = 0.1
+    most_start: float = 1.5
+    # [cost] Best places from which the fit of a lump begins.
+    inclusion_starts: int = 2
+    # [numerics] Logarithm of a lump's ratio of stiffness at which its fit begins: at most, and
+    # where the screening expects none.
+    most_start_log_ratio: float = 1.0
+    least_start_log_ratio: float = 0.1
+    # [numerics] Longest change of a constant that makes room for an effect, in prior sd.
+    most_compensation: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSettings:
+    """Of the smooth field that stands for something else."""
+
+    # [prior] Standard deviations and correlation lengths of the displacement, all pairs equally
+    # probable: from the noise of a segmentation to a third of a breast.
+    amplitudes_mm: tuple[float, ...] = (0.1, 0.3, 0.8)
+    lengths_mm: tuple[float, ...] = (8.0, 16.0, 30.0)
+    # [prior] Between two states: a missing cause acts in all of them, but not quite alike.
+    state_correlation: float = 0.8
+    # [numerics] Variance that the low rank may miss at a point, of a field of unit amplitude.
+    rank_tolerance: float = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class OddsSettings:
+    """How probable each kind of hypothesis is before data; they sum to 1 [prior]."""
+
+    nothing: float = 0.25
+    field: float = 0.15
+    single: float = 0.25
+    single_and_field: float = 0.20
+    pair: float = 0.10
+    pair_and_field: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmSettings:
+    """Of the evidence against no gap that is worth an alarm."""
+
+    # [principle] Part of bodies without a gap that may raise an alarm.
+    false_alarm_rate: float = 0.02
+    # [cost] Linear replicates without an effect: 8 of them then lie above the threshold.
+    replicates: int = 400
+    # [numerics] Of their random numbers.
+    seed: int = 0
+    # [null replicates, set 3] No alarm below this, in nats, where a body was pressed in one
+    # direction or in more. Linear replicates say some 3. Of 53 bodies of the blind solver pressed
+    # along y the loudest reached 11.0, of those in two directions 5.3; see docs/blind.md.
+    least_one_direction: float = 11.0
+    least_more_directions: float = 7.0
+    # [by hand] Cosine of two directions of compression that are one: 26 degrees.
+    same_direction_cosine: float = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictSettings:
+    """Of how probabilities become a verdict."""
+
+    # [principle] Probability that the credible set holds, and above which a second effect of the
+    # best pair is named.
+    credible: float = 0.9
+    # [principle] Probability of no gap above which it is said: more probable than not.
+    no_gap: float = 0.5
+    # [open cases, set 3] By this part of what the best effect gains, the evidence of effects is
+    # uncertain: theirs is not quite the form of the real ones. A friction of FEBio had 116 nats,
+    # and a skin with a field 122; 53 of 59 named effects stand apart by more than 9 %.
+    form_uncertainty: float = 0.04
+    # [set 2] Of what an effect and a field on top of it explain, the least part of an effect
+    # that acts. A field that explains more does not mend its form, but is something else.
+    explained_share: float = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class GapSettings:
+    """Of the gap in mm and its shrinkage."""
+
+    # [principle] Of intervals.
+    level: float = 0.9
+    # [set 1 to 3] The floor is not known exactly: what the right model missed of 98 blind
+    # bodies lies between these parts of it in nine out of ten.
+    floor_range: tuple[float, float] = (0.75, 1.5)
+    # [null replicates] Gap that a mesh from a noisy segmentation opens, in standard deviations of
+    # the noise.
+    drawn_noises: float = 0.17
+    # [numerics] Draws of the bootstrap, and the seed of their random numbers.
+    draws: int = 400
+    seed: int = 0
+    # [numerics] A region is significant if its interval does not reach down to this.
+    nothing_mm: float = 1e-9
+    # [principle] A region needs as many residuals for a gap of its own.
+    fewest_residuals: int = 8
+
+
+@dataclass(frozen=True, slots=True)
+class PlanSettings:
+    """Of what an acquisition can tell before it is made."""
+
+    # [principle] Log evidence that decides: twenty to one.
+    clear: float = 3.0
+    # [principle] An effect that moves the body so far meets no resistance: no organ could.
+    drift_mm: float = 100.0
+    # [prior] How well a device tells the distance of its plates.
+    plates_sd_mm: float = 0.5
+    # [prior] How well a stiffness is known once it is measured: of its logarithm.
+    stiffness_sd: float = 0.1
+    # [prior] Forces of further loads, over the lightest and the heaviest planned one.
+    lighter: float = 0.5
+    heavier: float = 2.0
+    # [prior] Plates at a distance are moved by a share of the closing: twice of it would crush
+    # the body.
+    farther: float = 1.25
+    # [by hand] Cosine of two directions of compression that are one view: 14 degrees.
+    same_view_cosine: float = 0.97
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """All settings of a diagnosis and of a plan."""
+
+    mesh: MeshSettings = field(default_factory=MeshSettings)
+    points: PointSettings = field(default_factory=PointSettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+    sensitivities: SensitivitySettings = field(default_factory=SensitivitySettings)
+    detectability: DetectabilitySettings = field(default_factory=DetectabilitySettings)
+    joint_fits: JointFitSettings = field(default_factory=JointFitSettings)
+    smooth_field: FieldSettings = field(default_factory=FieldSettings)
+    prior_odds: OddsSettings = field(default_factory=OddsSettings)
+    alarm: AlarmSettings = field(default_factory=AlarmSettings)
+    verdict: VerdictSettings = field(default_factory=VerdictSettings)
+    gap: GapSettings = field(default_factory=GapSettings)
+    plan: PlanSettings = field(default_factory=PlanSettings)
+
+
+SETTINGS = Settings()

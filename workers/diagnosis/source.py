@@ -1,0 +1,131 @@
+"""Where an inverse problem comes from: a case, a study or an experiment."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from storage.values import Volume
+from workers.diagnosis.acquisition import Acquisition
+from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.pictures.scan_pictures import Displacements
+from workers.diagnosis.summary import Summary
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.fem.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class SourceContent:
+    """All that a source is made of: what enters the store, and from which it is made again.
+
+    Parameters
+    ----------
+    kind : str
+        Which class makes it again; see `workers.tasks.sources`.
+    record : mapping
+        What JSON holds: the words and numbers of its files.
+    volumes : mapping of str to Volume
+        Its scans.
+    arrays : mapping of str to ndarray
+        What else it has measured.
+    """
+
+    kind: str
+    record: Mapping[str, Any]
+    volumes: Mapping[str, Volume]
+    arrays: Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedStudy:
+    """What a study that has run says and has in its store.
+
+    Parameters
+    ----------
+    name : str
+    case, target : mapping
+        As the study states them.
+    parameters : mapping of str to (float, float)
+        Searched intervals, names and units of the door.
+    best : mapping of str to float
+        Searched parameters of the best candidate, the same; empty if there is none.
+    reference, deformed : Volume
+        Labels at rest, and those to be explained.
+    """
+
+    name: str
+    case: Mapping[str, Any]
+    target: Mapping[str, Any]
+    parameters: Mapping[str, Any]
+    best: Mapping[str, float]
+    reference: Volume
+    deformed: Volume
+
+
+class HasContent(Protocol):
+    """Something that can enter a store."""
+
+    @property
+    def content(self) -> SourceContent:
+        """All that it is made of."""
+
+
+class PlannedSource(HasContent, Protocol):
+    """Something that can be planned before it is scanned under load."""
+
+    @property
+    def acquisition(self) -> Acquisition:
+        """What is known before the loaded scans."""
+
+
+class Source(HasContent, Protocol):
+    """Something that was imaged or measured, with a model of it."""
+
+    @property
+    def name(self) -> str:
+        """As its owner calls it."""
+
+    @property
+    def scans(self) -> Sequence[str]:
+        """Names of the loaded states, in order."""
+
+    @property
+    def effects(self) -> Sequence[Effect]:
+        """Catalogue of what may be missing from the model."""
+
+    def check(self) -> None:
+        """See whether the data can be one body in several states, before anything is fitted.
+
+        Raises
+        ------
+        InputError
+            Saying what was found, what was expected and what to change.
+        """
+
+    def inverse_problem(self, nodes: int, spacing_mm: float) -> InverseProblem:
+        """Mesh the body with `nodes` and put points `spacing_mm` apart on it.
+
+        Raises
+        ------
+        InputError
+            If there is nothing to mesh or nothing to compare.
+        """
+
+    def finer(self, nodes: int) -> Model | None:
+        """Return another mesh of the same body, to see what the mesh adds; None if known."""
+
+    def describe(
+        self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
+    ) -> tuple[dict[str, NDArray[Any]], Summary]:
+        """Return what the report draws of the bodies, and the summary with the source's rows.
+
+        Parameters
+        ----------
+        diagnosis : Diagnosis
+        displacements : mapping of str to sequence of ndarray
+            See `workers.diagnosis.pictures.scan_pictures`.
+        summary : Summary
+            Of the diagnosis, without these rows.
+        """

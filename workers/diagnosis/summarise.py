@@ -1,0 +1,243 @@
+"""A diagnosis turned into plain numbers; see `workers.diagnosis.summary` for their schema."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from storage.values import BoolArray, FloatArray
+from workers.diagnosis.acquisition import INTERFACES
+from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.gap import Gap, LinearFit, gap
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.shrinkage import Shrinkage, shrinkage, unseen_shrinkage
+from workers.diagnosis.summary import (
+    ConstantEstimate,
+    EffectSummary,
+    GapEstimate,
+    GapShrinkage,
+    GapSummary,
+    JointFitSummary,
+    ParameterEstimate,
+    RegionGap,
+    ShareEstimate,
+    Summary,
+)
+from workers.mechanics.effects.base import Effect, one_sided
+from workers.mechanics.effects.inclusion import INCLUSION
+
+
+def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Summary:
+    """Turn a diagnosis into plain numbers.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    effects : sequence of Effect
+        The catalogue.
+    case : str
+        Its name.
+    """
+    reached, analysis = diagnosis.verdict, diagnosis.analysis
+    acting = analysis.sensitivity_by_name
+    return Summary(
+        case=case,
+        verdict=reached.kind,
+        primary=reached.primary,
+        effects=tuple(_effect(diagnosis, e) for e in effects if e.name in acting),
+        set90=reached.set90,
+        families=reached.families,
+        absorbed=reached.hidden,
+        no_gap_probability=reached.no_gap,
+        none_of_these_probability=reached.none_of_these,
+        alarm=reached.alarm,
+        threshold=reached.threshold,
+        explained_share=reached.explained_share,
+        gap_mm=_gap_mm(diagnosis),
+        where=tuple(_where(diagnosis)),
+        constants=_constants(diagnosis),
+        refits=tuple(_joint_fit(diagnosis, names) for names in diagnosis.joint_fits),
+        points=len(analysis.inverse.points),
+    )
+
+
+def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
+    screened = diagnosis.analysis.screening_by_name[effect.name]
+    best = diagnosis.best
+    names = best.names if best is not None and effect.name in best.names else (effect.name,)
+    parameters = _parameters(diagnosis, effect, names)
+    lead = parameters[0] if effect is INCLUSION else max(parameters, key=_in_deviations)
+    return EffectSummary(
+        name=effect.name,
+        family=effect.family,
+        summary=effect.summary,
+        probability=diagnosis.verdict.probabilities.get(effect.name, 0.0),
+        magnitude=lead.magnitude,
+        sd=lead.sd,
+        unit=lead.unit,
+        parameters=tuple(parameters),
+        log_bayes_factor=screened.log_bayes_factor,
+        absorbed_share=screened.absorbed,
+        refitted=names in diagnosis.joint_fits,
+    )
+
+
+def _parameters(
+    diagnosis: Diagnosis, effect: Effect, names: tuple[str, ...]
+) -> list[ParameterEstimate]:
+    """Return those of the joint fit of `names`; without one what the screening expects."""
+    fitted = diagnosis.joint_fits.get(names)
+    screened = diagnosis.analysis.screening_by_name[effect.name]
+    found = []
+    for i, parameter in enumerate(effect.parameters):
+        if fitted is not None:
+            at = fitted.fit.unknowns.names.index(parameter.name)
+            value, sd = float(fitted.fit.z[at]), float(_posterior_sd(diagnosis, names)[at])
+        elif i < len(screened.estimate):
+            value, sd = float(screened.estimate[i]), float(screened.estimate_sd[i])
+            if one_sided(parameter):
+                value = max(value, effect.neutral[parameter.name])
+        else:
+            continue
+        unit = parameter.unit
+        found.append(
+            ParameterEstimate(
+                parameter.door_name, unit.to_door(value), unit.to_door(sd), unit.symbol
+            )
+        )
+    return found
+
+
+def _in_deviations(parameter: ParameterEstimate) -> float:
+    return abs(float(parameter.magnitude)) / max(float(parameter.sd), 1e-12)
+
+
+def _posterior_sd(diagnosis: Diagnosis, names: tuple[str, ...]) -> FloatArray:
+    at = diagnosis.joint_fits[names].fit.linearised(diagnosis.analysis.inverse)
+    A = at.scaled_nominal
+    spread = np.sqrt(np.diag(np.linalg.inv(np.eye(A.shape[1]) + A.T @ A)))
+    return np.asarray(spread * at.nominal_sd)
+
+
+def _gap_mm(diagnosis: Diagnosis) -> GapSummary:
+    inverse, nominal = diagnosis.analysis.inverse, diagnosis.analysis.linear
+    floor_mm = _floor_mm(inverse, nominal)
+    before = gap(LinearFit(nominal), floor_mm=floor_mm)
+    alone = GapSummary(_estimate(before), before.noise_mm, floor_mm, None, None, None)
+    best = diagnosis.best
+    if best is None:
+        return alone
+    with_effect = best.fit.linearised(inverse)
+    fitted = _compared(shrinkage(nominal, with_effect, SETTINGS.gap.seed, floor_mm=floor_mm))
+    inside = replace(alone, before=fitted.before, after=fitted.after, share=fitted.share)
+    return _with_held_out(inside, inverse, nominal, with_effect)
+
+
+def _with_held_out(
+    inside: GapSummary, inverse: InverseProblem, nominal: Linearised, with_effect: Linearised
+) -> GapSummary:
+    """Add the gap of each scan as judged by a fit to the others."""
+    if len(inverse.scans) < 2:
+        return replace(inside, held_out="one scan only")
+    floor_mm = inside.calibration_floor
+    whole = _compared(
+        unseen_shrinkage(nominal, with_effect, inverse.rows, SETTINGS.gap.seed, floor_mm)
+    )
+    each = {}
+    for number, scan in enumerate(inverse.scans):
+        judge: BoolArray = inverse.rows == number
+        each[scan.name] = _compared(
+            shrinkage(nominal, with_effect, SETTINGS.gap.seed, ~judge, judge, floor_mm)
+        )
+    return replace(
+        inside,
+        held_out_before=whole.before,
+        held_out_after=whole.after,
+        held_out_share=whole.share,
+        held_out="each scan judged by a fit to the others",
+        held_out_each=each,
+    )
+
+
+def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
+    """Return what even the right model misses; without it, gaps near zero come out too small.
+
+    The noise that was fitted; what the mesh leaves, as large as what a finer one has taken
+    off; and that the body is meshed as it was segmented.
+    """
+    mesh = float(np.sqrt((inverse.bias**2).mean()))
+    drawn = SETTINGS.gap.drawn_noises * inverse.noise.reference_sd_mm
+    return float(np.linalg.norm([LinearFit(nominal).floor_mm, mesh, drawn]))
+
+
+def _where(diagnosis: Diagnosis) -> Iterator[RegionGap]:
+    inverse = diagnosis.analysis.inverse
+    fit = LinearFit(diagnosis.analysis.linear)
+    own = np.tile(inverse.points.interface, len(inverse.scans))
+    z = np.tile(inverse.frame.normalised(inverse.points.points)[:, 2], len(inverse.scans))
+    depths = {
+        "all": np.ones(len(z), bool),
+        "chest wall third": z < -1 / 3,
+        "middle third": abs(z) <= 1 / 3,
+        "nipple third": z > 1 / 3,
+    }
+    for number, scan in enumerate(inverse.scans):
+        for interface, one in enumerate(INTERFACES):
+            rows = (inverse.rows == number) & (own == interface)
+            for region, inside in depths.items():
+                chosen = rows & inside
+                if chosen.sum() >= SETTINGS.gap.fewest_residuals:
+                    yield _region(fit, chosen, scan.name, one.name, region)
+
+
+def _region(fit: LinearFit, chosen: BoolArray, scan: str, interface: str, region: str) -> RegionGap:
+    found, residual = gap(fit, chosen), fit.residual[chosen]
+    return RegionGap(
+        scan=scan,
+        interface=interface,
+        region=region,
+        gap_mm=found.gap_mm,
+        low_mm=found.low_mm,
+        high_mm=found.high_mm,
+        noise_mm=found.noise_mm,
+        points=found.points,
+        signed_mean_mm=float(residual.mean()),
+        p50_mm=float(np.quantile(np.abs(residual), 0.5)),
+        p95_mm=float(np.quantile(np.abs(residual), 0.95)),
+        significant=bool(found.low_mm > SETTINGS.gap.nothing_mm),
+    )
+
+
+def _constants(diagnosis: Diagnosis) -> dict[str, ConstantEstimate]:
+    before = diagnosis.analysis.nominal.values()
+    after = diagnosis.best.fit.values() if diagnosis.best is not None else {}
+    return {
+        f"{free.name}_kpa": ConstantEstimate(
+            1e3 * before[free.name], 1e3 * after[free.name] if free.name in after else None
+        )
+        for free in diagnosis.analysis.inverse.free
+    }
+
+
+def _joint_fit(diagnosis: Diagnosis, names: tuple[str, ...]) -> JointFitSummary:
+    hypothesis = next(h for h in diagnosis.hypotheses if h.effects == names)
+    nothing = next(h for h in diagnosis.hypotheses if not h.effects)
+    fit = diagnosis.joint_fits[names].fit
+    return JointFitSummary(
+        effects=names,
+        log_evidence_gain=hypothesis.log_evidence - nothing.log_evidence,
+        field_gain=hypothesis.discrepancy_gain,
+        converged=fit.converged,
+        values=fit.values(),
+    )
+
+
+def _compared(found: Shrinkage) -> GapShrinkage:
+    share = ShareEstimate(found.share, found.low, found.high)
+    return GapShrinkage(_estimate(found.before), _estimate(found.after), share)
+
+
+def _estimate(found: Gap) -> GapEstimate:
+    return GapEstimate(found.gap_mm, found.low_mm, found.high_mm, found.noise_mm, found.points)

@@ -1,1 +1,0 @@
-"""What a model may lack: one file an effect."""

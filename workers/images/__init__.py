@@ -1,1 +1,0 @@
-"""Images of real organs, read into volumes."""

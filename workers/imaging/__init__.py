@@ -1,1 +1,0 @@
-"""From a displacement back to an image."""

@@ -1,1 +1,0 @@
-"""Elastic laws of tissue: deformation gradients in, energies and stresses out."""

@@ -1,0 +1,1 @@
+"""How a body deforms: materials, finite elements, effects and their parameters."""

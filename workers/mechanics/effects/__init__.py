@@ -1,0 +1,1 @@
+"""Define what a model may lack: one file an effect."""

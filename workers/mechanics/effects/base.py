@@ -1,0 +1,266 @@
+"""Define an unmodelled effect: parameters that the model holds at zero.
+
+An effect turns a `Problem` into another one, or the observation into another
+one. At the neutral values of its parameters it changes nothing. Suspecting it
+means freeing them, so each brings a scale on which it is plausible, and a step
+by which the out-of-balance force is differentiated.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray, IntArray
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.fem.sensitivity import Change
+from workers.mechanics.parameters import Parameter, Vocabulary
+from workers.units import Unit
+
+Family = Literal[
+    "loading", "plate geometry", "boundary", "global material", "local stiffness", "observation"
+]
+"""Effects of one family are near relatives: data often tell families apart and not members."""
+
+Values = Mapping[str, float]
+Transform = Callable[[Problem, Values, Frame], Problem]
+Columns = Callable[[FloatArray, FloatArray, IntArray, Frame], FloatArray]
+
+ANY = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """Describe one physical effect that a model may lack.
+
+    Parameters
+    ----------
+    name : str
+        In the words of the field, "gravity_change".
+    family : Family
+    summary : str
+        One sentence for a report.
+    parameters : tuple of Parameter
+        Their neutral values are numbers. One whose admissible interval begins at its
+        neutral value is one-sided.
+    prior_sd : tuple of float
+        Standard deviation of each parameter before data, inside units; of the
+        half-normal where it is one-sided.
+    steps : tuple of float
+        By how much each parameter is varied to differentiate the out-of-balance
+        force, inside units.
+    transform : callable
+        From problem, values of all parameters and frame of the body to the problem
+        with the effect. An effect on the observation returns the problem itself.
+    references : tuple of str
+        Who says that it matters.
+    observation : callable, optional
+        For an effect on the observation: from points, normals, tissues and frame to
+        the shift of the observed interface for one unit of each parameter, shape
+        (k, parameters); see `shift`.
+    if_present : tuple of (float, float), optional
+        For an effect whose size is known if it acts at all, as the weight of a body is:
+        mean and standard deviation of each parameter then. What it would do is still
+        looked up on the scale of `prior_sd`; a refit believes this.
+    sees : {"points", "moves", "arms"}
+        What such an effect is given as points: where they are now, how far they have
+        moved, or how far the end of an arm of 1 mm on each has moved against its foot.
+
+    Raises
+    ------
+    InputError
+        If a parameter has no neutral value, or a scale or a step is missing or not
+        positive.
+    """
+
+    name: str
+    family: Family
+    summary: str
+    parameters: tuple[Parameter, ...]
+    prior_sd: tuple[float, ...]
+    steps: tuple[float, ...]
+    transform: Transform
+    references: tuple[str, ...]
+    observation: Columns | None = None
+    if_present: tuple[tuple[float, float], ...] = ()
+    sees: Literal["points", "moves", "arms"] = "points"
+
+    def __post_init__(self) -> None:
+        for what, numbers in (("prior_sd", self.prior_sd), ("steps", self.steps)):
+            if len(numbers) != len(self.parameters) or not all(n > 0 for n in numbers):
+                raise InputError(
+                    f"The effect {self.name} needs {what} > 0 for each of its "
+                    f"{len(self.parameters)} parameters, found {numbers}."
+                )
+        loose = [p.name for p in self.parameters if p.neutral is None]
+        if loose:
+            raise InputError(
+                f"The effect {self.name} needs a neutral value for {', '.join(loose)}."
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the inside names of the parameters, in order."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def neutral(self) -> dict[str, float]:
+        """Return the values at which nothing changes."""
+        return {p.name: p.neutral for p in self.parameters if p.neutral is not None}
+
+    @property
+    def plausible(self) -> dict[str, float]:
+        """Return all parameters one standard deviation from their neutral values."""
+        return {
+            name: self.neutral[name] + sd
+            for name, sd in zip(self.names, self.prior_sd, strict=True)
+        }
+
+    def complete(self, values: Values) -> dict[str, float]:
+        """Return `values`, neutral where they name none.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value not admissible.
+        """
+        return Vocabulary(self.parameters).complete(values)
+
+    def apply(self, problem: Problem, values: Values, frame: Frame) -> Problem:
+        """Return `problem` with the effect; the problem itself where all values are neutral.
+
+        Parameters
+        ----------
+        problem : Problem
+        values : mapping of str to float
+            Inside names and units; what is missing is neutral.
+        frame : Frame
+            Of the undeformed body.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value not admissible.
+        """
+        full = self.complete(values)
+        return problem if full == self.neutral else self.transform(problem, full, frame)
+
+    def acts_on(self, problem: Problem, frame: Frame) -> bool:
+        """Say whether the effect changes anything: plates that are not there cannot tilt."""
+        if self.observation is not None:
+            return True
+        return self.apply(problem, self.plausible, frame) != problem
+
+    def changes(
+        self, problem: Problem, frame: Frame, at: Values | None = None
+    ) -> tuple[Change, ...]:
+        """Return pairs of problems whose forces differ by a step of one parameter.
+
+        Parameters
+        ----------
+        problem : Problem
+            Without the effect.
+        frame : Frame
+        at : mapping of str to float, optional
+            Where the derivative is taken; neutral where it names none.
+
+        Returns
+        -------
+        tuple of Change
+            One for each parameter, for `workers.mechanics.fem.sensitivity.tangents` at the
+            equilibrium of ``apply(problem, at, frame)``. Differences are central
+            where both sides are admissible, else one-sided.
+
+        Raises
+        ------
+        InputError
+            If `at` names an unknown parameter or a value is not admissible.
+        """
+        centre = self.complete(at or {})
+        return tuple(
+            self._change(problem, frame, centre, parameter, step)
+            for parameter, step in zip(self.parameters, self.steps, strict=True)
+        )
+
+    def shift(
+        self,
+        points: FloatArray,
+        normals: FloatArray,
+        tissues: IntArray,
+        values: Values,
+        frame: Frame,
+    ) -> FloatArray:
+        """Return how far the effect moves the observed interface outwards.
+
+        It is linear in the values; `observation` is its derivative.
+
+        Parameters
+        ----------
+        points, normals : ndarray, shape (k, 3)
+            On the interfaces, in mm, or what else the effect `sees`; unit normals out of
+            the tissue.
+        tissues : ndarray of int, shape (k,)
+            The `Tissue` that each interface encloses.
+        values : mapping of str to float
+        frame : Frame
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            Along the normals, in mm; zero if the effect is one on the problem.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or a value not admissible.
+        """
+        if self.observation is None:
+            return np.zeros(len(points))
+        full = self.complete(values)
+        columns = self.observation(points, normals, tissues, frame)
+        return np.asarray(columns @ np.array([full[name] for name in self.names]))
+
+    def _change(
+        self, problem: Problem, frame: Frame, centre: Values, parameter: Parameter, step: float
+    ) -> Change:
+        low, middle, high = (centre[parameter.name] + k * step for k in (-1, 0, 1))
+        low, high = (value if _admissible(parameter, value) else middle for value in (low, high))
+        minus, plus = (
+            self.apply(problem, {**centre, parameter.name: value}, frame) for value in (low, high)
+        )
+        return Change(plus, minus, high - low)
+
+
+def one_sided(parameter: Parameter) -> bool:
+    """Say whether a parameter's neutral value is the least that makes sense."""
+    return parameter.neutral == parameter.admissible[0]
+
+
+def two_sided(
+    name: str, unit: Unit, reach: float, description: str, neutral: float = 0.0
+) -> Parameter:
+    """Make a parameter of either sign, searched from ``-reach`` to ``reach`` about `neutral`."""
+    return Parameter(
+        name, unit, neutral - reach, neutral + reach, neutral, description, admissible=ANY
+    )
+
+
+def from_zero(
+    name: str, unit: Unit, reach: float, description: str, limit: float = math.inf
+) -> Parameter:
+    """Make a parameter that is zero or positive, searched up to `reach` and below `limit`."""
+    return Parameter(
+        name, unit, 0.0, reach, 0.0, description, admissible=(0.0, limit), open_lower=False
+    )
+
+
+def _admissible(parameter: Parameter, value: float) -> bool:
+    try:
+        parameter.check(value)
+    except InputError:
+        return False
+    return True

@@ -1,0 +1,137 @@
+"""List the effects that are suspected when a simulated breast differs from an imaged one."""
+
+from collections.abc import Iterable
+
+from storage.errors import InputError
+from workers.mechanics.effects.base import Effect, Values
+from workers.mechanics.effects.compressibility import COMPRESSIBILITY
+from workers.mechanics.effects.creep import CREEP
+from workers.mechanics.effects.fibre_fan import FIBRE_FAN
+from workers.mechanics.effects.fibre_rotation import FIBRE_ROTATION
+from workers.mechanics.effects.gravity_change import GRAVITY_CHANGE
+from workers.mechanics.effects.gravity_prestress import PRESTRESS
+from workers.mechanics.effects.inclusion import INCLUSION
+from workers.mechanics.effects.plate_flex import PLATE_FLEX
+from workers.mechanics.effects.plate_force import PLATE_FORCE
+from workers.mechanics.effects.plate_friction import FRICTION
+from workers.mechanics.effects.plate_tilt import PLATE_TILT
+from workers.mechanics.effects.rigid_motion import RIGID_MOTION
+from workers.mechanics.effects.second_fibres import SECOND_FIBRES
+from workers.mechanics.effects.segmentation_offset import SEGMENTATION_OFFSET
+from workers.mechanics.effects.skin import SKIN_ADDED, SKIN_SCALED
+from workers.mechanics.effects.stiffness_gradient import STIFFNESS_GRADIENT
+from workers.mechanics.effects.strain_stiffening import STIFFENING
+from workers.mechanics.effects.wall_compliance import WALL_COMPLIANCE
+from workers.mechanics.effects.wall_hold import WALL_HOLD
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.parameters import BREAST, Parameter, unknown_name
+
+# Creep scales what the others have made, so it comes last among the materials.
+BREAST_EFFECTS: tuple[Effect, ...] = (
+    GRAVITY_CHANGE,
+    PRESTRESS,
+    PLATE_FORCE,
+    PLATE_TILT,
+    PLATE_FLEX,
+    FRICTION,
+    WALL_COMPLIANCE,
+    WALL_HOLD,
+    STIFFNESS_GRADIENT,
+    FIBRE_ROTATION,
+    FIBRE_FAN,
+    SECOND_FIBRES,
+    COMPRESSIBILITY,
+    STIFFENING,
+    SKIN_ADDED,
+    SKIN_SCALED,
+    CREEP,
+    INCLUSION,
+    SEGMENTATION_OFFSET,
+    RIGID_MOTION,
+)
+
+# What is known to matter, or may, and cannot be named as a cause: it, or its nearest
+# relative in the catalogue, will be found in its place.
+NOT_SIMULATED: tuple[tuple[str, str], ...] = (
+    (
+        "tissue interface sliding",
+        "gland and fat share their nodes; interfaces seen along their normals show little of it",
+    ),
+    (
+        "swelling",
+        "a change of volume between the scans has no parameter; a smooth misfit is found "
+        "instead, or, of a gland that grew evenly, one that is drawn too large",
+    ),
+    (
+        "uneven chest wall",
+        "the wall yields alike everywhere; a rib or the edge of the muscle does not",
+    ),
+    (
+        "ligaments as sheets",
+        "fibres act everywhere alike; a single stiff sheet looks like an inclusion",
+    ),
+    (
+        "relaxation at different rates",
+        "all moduli relax by the same part; only scans at several times tell tissues apart",
+    ),
+    (
+        "plate that gives way with force",
+        "tilt and sag are those of the final state and do not follow the force",
+    ),
+    (
+        "pressure of the plate's edge",
+        "plates are unlimited; the edge at the chest wall and the corners do not press in",
+    ),
+)
+
+
+# The whole forward model: a study may hold or search any of it.
+BREAST_MODEL = BREAST.extended_by(
+    p for e in BREAST_EFFECTS if e.observation is None for p in e.parameters
+)
+
+
+def effect(name: str) -> Effect:
+    """Return the effect of this name.
+
+    Raises
+    ------
+    InputError
+        If there is none; close names are suggested.
+    """
+    for candidate in BREAST_EFFECTS:
+        if candidate.name == name:
+            return candidate
+    raise InputError(unknown_name("effect", name, (e.name for e in BREAST_EFFECTS)))
+
+
+def effect_parameters(effects: Iterable[Effect] = BREAST_EFFECTS) -> tuple[Parameter, ...]:
+    """Return the parameters of all effects, in order, to extend a vocabulary by."""
+    return tuple(p for e in effects for p in e.parameters)
+
+
+def with_effects(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Return `problem` with every effect of the catalogue, one after the other.
+
+    Parameters
+    ----------
+    problem : Problem
+        Without effects.
+    values : mapping of str to float
+        Inside names and units; effects whose parameters are not named are left out.
+    frame : Frame
+        Of the undeformed body.
+
+    Raises
+    ------
+    InputError
+        If no effect has a parameter of that name, or a value is not admissible.
+    """
+    known = [p.name for p in effect_parameters()]
+    for name in values:
+        if name not in known:
+            raise InputError(unknown_name("parameter of an effect", name, known))
+    for each in BREAST_EFFECTS:
+        problem = each.apply(problem, {n: values[n] for n in each.names if n in values}, frame)
+    return problem

@@ -1,0 +1,47 @@
+"""Scale the share of the plate's force that goes through the breast."""
+
+import math
+from dataclasses import replace
+
+from workers.mechanics.effects.base import ANY, Effect, Values
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.loads import ForceControl
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.parameters import Parameter
+from workers.units import NUMBER
+
+NAME = "ln_plate_force"
+
+
+def transform(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Multiply the force; plates that stand at a distance stay there."""
+    load = problem.load
+    if not isinstance(load, ForceControl):
+        return problem
+    return replace(problem, load=replace(load, force_n=load.force_n * math.exp(values[NAME])))
+
+
+# Between the least share measured with rigid plates and a sensor that reads 15 % low.
+PLATE_FORCE = Effect(
+    name="plate_force",
+    family="loading",
+    summary="Part of the plate's force goes through the chest wall, or its sensor is off.",
+    parameters=(
+        Parameter(
+            NAME,
+            NUMBER,
+            math.log(0.14),
+            math.log(1.15),
+            0.0,
+            "ln of the share of the plate's force that the breast carries",
+            admissible=ANY,
+        ),
+    ),
+    prior_sd=(0.5,),
+    steps=(1e-4,),
+    transform=transform,
+    references=(
+        "M. Dustler et al., Acta Radiol. 62 (2021) 1583: rigid plates put 22 % (CC) and "
+        "14 % (MLO) of their force on the breast",
+    ),
+)

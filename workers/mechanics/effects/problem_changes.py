@@ -1,0 +1,33 @@
+"""Replace one part of a problem and keep the rest."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from storage.values import Triple
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.loads import Device, NoPlates
+from workers.mechanics.fem.problem import Constants, Problem
+
+
+def with_device(problem: Problem, change: Callable[[Device], Device]) -> Problem:
+    """Return `problem` with its plates changed; the problem itself where there are none."""
+    if isinstance(problem.load, NoPlates):
+        return problem
+    return replace(problem, load=replace(problem.load, device=change(problem.load.device)))
+
+
+def with_constants(problem: Problem, change: Callable[[Constants], Constants]) -> Problem:
+    """Return `problem` with the constants of every tissue changed."""
+    return replace(
+        problem, constants={tissue: change(c) for tissue, c in problem.constants.items()}
+    )
+
+
+def plus(first: Triple, second: Triple) -> Triple:
+    """Return the sum of two vectors."""
+    return first[0] + second[0], first[1] + second[1], first[2] + second[2]
+
+
+def unchanged(problem: Problem, values: Mapping[str, float], frame: Frame) -> Problem:
+    """Return the problem itself: what changes is how the body is seen."""
+    return problem

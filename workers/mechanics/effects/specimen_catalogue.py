@@ -1,0 +1,61 @@
+"""List the effects that are suspected when a simulated specimen differs from a measured one."""
+
+from dataclasses import replace
+
+from storage.values import Triple
+from workers.mechanics.effects.added_mass import added_mass
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.effects.base_motion import base_motion
+from workers.mechanics.effects.clamp_compliance import CLAMP_COMPLIANCE
+from workers.mechanics.effects.compressibility import COMPRESSIBILITY
+from workers.mechanics.effects.creep import CREEP
+from workers.mechanics.effects.frame_turn import FRAME_TURN
+from workers.mechanics.effects.load_scale import LOAD_SCALE
+from workers.mechanics.effects.marker_standoff import MARKER_STANDOFF
+from workers.mechanics.effects.self_weight import self_weight
+from workers.mechanics.effects.stiffness_gradient import STIFFNESS_GRADIENT
+from workers.mechanics.effects.strain_stiffening import STIFFENING
+from workers.mechanics.fem.regions import Region
+
+GRADIENT = replace(
+    STIFFNESS_GRADIENT, summary="The material is stiffer at one end of the body than at the other."
+)
+RELAXED = replace(
+    CREEP, summary="The material has crept under its load since its stiffness was assumed."
+)
+
+
+def specimen_effects(
+    down: Triple,
+    base_mm: Triple,
+    loaded: Region | None,
+    weightless: bool,
+    markers: bool,
+    clamped: bool,
+) -> tuple[Effect, ...]:
+    """Return the catalogue of an experiment.
+
+    Parameters
+    ----------
+    down : tuple of float
+        Direction of gravity, of length 1.
+    base_mm : tuple of float
+        Middle of the places that are held.
+    loaded : Region or None
+        Where something may hang; None if no force acts.
+    weightless : bool
+        Whether the model has no gravity.
+    markers : bool
+        Whether markers were observed, and not points of the body itself.
+    clamped : bool
+        Whether the body is held by the plane in which it ends.
+    """
+    effects: list[Effect] = [self_weight(down)] if weightless else []
+    if loaded is not None:
+        effects += [LOAD_SCALE, added_mass(down, loaded)]
+    if clamped:
+        effects += [CLAMP_COMPLIANCE]
+    effects += [GRADIENT, COMPRESSIBILITY, STIFFENING, RELAXED]
+    if markers:
+        effects += [MARKER_STANDOFF]
+    return (*effects, base_motion(base_mm), FRAME_TURN)

@@ -1,0 +1,11 @@
+"""Arrays of the compiled kernels."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32Array = NDArray[np.float32]
+AnyFloatArray = NDArray[np.floating[Any]]
+IndexArray = NDArray[np.uint32]
+"""Unsigned: a compiled loop need not ask for negative indices."""

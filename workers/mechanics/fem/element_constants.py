@@ -1,0 +1,154 @@
+"""Constants of the elements of a mesh, from those of its tissues."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray, IntArray, Tissue
+from workers.mechanics.fem.element_energy import (
+    ElementMaterial,
+)
+from workers.mechanics.fem.fields import stiffness_factors
+from workers.mechanics.fem.model import LevelModel
+from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.materials.base import Isochoric
+
+
+@dataclass(frozen=True, eq=False)
+class LawElements:
+    """Elements, shape (k,), whose matrix follows `law`, with a factor on it, shape (k,)."""
+
+    law: Isochoric
+    elements: IntArray
+    weight: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ElementConstants:
+    """What the elements are made of.
+
+    Parameters
+    ----------
+    problem : Problem
+        The one that they were made for.
+    material : ElementMaterial
+    laws : tuple of LawElements
+        Elements whose matrix follows another law.
+    density : ndarray, shape (m,)
+        In t/mm^3.
+    """
+
+    problem: Problem
+    material: ElementMaterial
+    laws: tuple[LawElements, ...]
+    density: FloatArray
+
+
+def element_constants(
+    model: LevelModel, problem: Problem, similar: ElementConstants | None = None
+) -> ElementConstants:
+    """Average the constants of the tissues over each element, by volume.
+
+    What `similar`, of another problem on the same mesh, has in common is taken from it.
+
+    Raises
+    ------
+    InputError
+        If the mesh contains a tissue that has no constants.
+    """
+    if similar is not None and _material_parts(problem) == _material_parts(similar.problem):
+        return similar
+    _check(model, problem)
+    part = model.fractions
+    nodes, tets = model.nodes, model.elements.tets
+    if problem.variations:
+        factors = stiffness_factors(problem.variations, nodes, tets, part.shape[1])
+        stiff = np.asarray(part * factors)
+    else:
+        stiff = part
+    two = _families(problem) == 2
+    if similar is not None and _fibre_parts(problem) == _fibre_parts(similar.problem):
+        fibre = similar.material.fibre
+    else:
+        fibre = _directions(model, problem)
+    eta = [_column(problem, part, "fibre_mpa"), _column(problem, part, "second_fibre_mpa")]
+    material = ElementMaterial(
+        mu=stiff @ _column(problem, part, "mu_mpa", matrix=True),
+        c2=stiff @ _yeoh(problem, part),
+        kappa=stiff @ _column(problem, part, "kappa_mpa"),
+        eta=np.stack([stiff @ e for e in eta[: 1 + two]], axis=1),
+        fibre=fibre,
+        tension_only=not problem.literal_fibre,
+        isochoric_fibre=problem.isochoric_fibre,
+        plain=problem.plain_elements,
+    )
+    density = part @ _column(problem, part, "density_t_per_mm3")
+    return ElementConstants(problem, material, tuple(_laws(problem, stiff)), density)
+
+
+def _material_parts(p: Problem) -> tuple[object, ...]:
+    """Return all that the constants of the elements depend on."""
+    kinds = p.literal_fibre, p.isochoric_fibre, p.plain_elements
+    return dict(p.constants), p.variations, p.fibres, kinds
+
+
+def _fibre_parts(p: Problem) -> tuple[object, ...]:
+    """Return all that the fibre directions depend on."""
+    return p.fibres, _families(p)
+
+
+def _families(p: Problem) -> int:
+    """Return the number of fibre families."""
+    return 2 if any(c.second_fibre_mpa for c in p.constants.values()) else 1
+
+
+def _directions(model: LevelModel, problem: Problem) -> FloatArray:
+    """Return unit vectors along the fibres, shape (m, families, 3)."""
+    centroids = model.nodes[model.elements.tets].mean(axis=1)
+    directions = [problem.fibres.directions(centroids)]
+    if _families(problem) == 2:
+        directions.append(problem.fibres.second_directions(centroids))
+    return np.ascontiguousarray(np.stack(directions, axis=1))
+
+
+def _laws(problem: Problem, stiff: FloatArray) -> Iterator[LawElements]:
+    """Yield the elements of each tissue that has a law of its own."""
+    for tissue, c in problem.constants.items():
+        if c.law is not None and tissue < stiff.shape[1]:
+            inside = np.flatnonzero(stiff[:, tissue] > 0).astype(np.int32)
+            if len(inside):
+                yield LawElements(c.law, inside, np.ascontiguousarray(stiff[inside, tissue]))
+
+
+def _column(problem: Problem, part: FloatArray, name: str, *, matrix: bool = False) -> FloatArray:
+    """Return one constant of each tissue; of the matrix, zero where another law stands for it."""
+    values = np.zeros(part.shape[1])
+    for tissue, c in _known(problem, part):
+        values[tissue] = 0.0 if matrix and c.law is not None else getattr(c, name)
+    return values
+
+
+def _yeoh(problem: Problem, part: FloatArray) -> FloatArray:
+    """Return c2 of each tissue, zero where another law stands for it."""
+    values = np.zeros(part.shape[1])
+    for tissue, c in _known(problem, part):
+        values[tissue] = 0.0 if c.law is not None else c.stiffening * c.mu_mpa
+    return values
+
+
+def _known(problem: Problem, part: FloatArray) -> Iterator[tuple[Tissue, Constants]]:
+    """Yield the tissues that this mesh may have, with their constants."""
+    for tissue, c in problem.constants.items():
+        if tissue < part.shape[1]:
+            yield tissue, c
+
+
+def _check(model: LevelModel, problem: Problem) -> None:
+    """Refuse a mesh with a tissue that has no constants."""
+    present = np.flatnonzero(model.fractions.sum(axis=0) > 0)
+    tissues = [Tissue(int(t)) for t in present]
+    missing = [t.name.lower() for t in tissues if t not in problem.constants]
+    if missing:
+        raise InputError(f"The mesh contains {', '.join(missing)}, but no constants say how stiff.")

@@ -1,0 +1,304 @@
+r"""How an equilibrium moves when the problem changes: one linear solve each.
+
+With the out-of-balance force R(x, phi) = 0 at an equilibrium,
+
+.. math:: K \, dx/d\phi = - \partial R / \partial \phi .
+
+The right side is a difference of two forces at the same place, which costs no
+solve. Where friction or follower pressure act, their derivative by x, which is not
+symmetric, is added by GMRES around the symmetric solver. With friction the slip of
+earlier steps of the load is held.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, gmres
+
+from storage.errors import InputError
+from storage.values import FloatArray
+from workers.mechanics.fem import sparse_products
+from workers.mechanics.fem.external_forces import dirichlet_conditions, pressure_derivative
+from workers.mechanics.fem.frictional_contact import PlateFriction
+from workers.mechanics.fem.level import Energy, Level
+from workers.mechanics.fem.load_schedule import bring_into_contact, friction_fractions, stage_at
+from workers.mechanics.fem.model import Model
+from workers.mechanics.fem.multigrid import linear_solver, solver_factory
+from workers.mechanics.fem.newton import minimise, solve_bordered
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.fem.solve import Equilibrium
+from workers.mechanics.fem.states import History, Stage, State
+from workers.mechanics.fem.stress_free_shape import stress_free
+
+# Of the linear solves.
+RELATIVE_ERROR = 1e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """Two problems on either side of the present one, `step` apart in a parameter."""
+
+    plus: Problem
+    minus: Problem
+    step: float
+
+
+def tangents(
+    at: Equilibrium, changes: Sequence[Change], tolerance: float = RELATIVE_ERROR
+) -> FloatArray:
+    """Return the derivative of the displacement by each change.
+
+    Parameters
+    ----------
+    at : Equilibrium
+        Converged.
+    changes : sequence of Change
+    tolerance : float
+        Relative error of the linear solves; see `conjugate_gradients.solve_many`.
+
+    Returns
+    -------
+    ndarray, shape (k, n, 3)
+        Of the finest nodes, in mm per unit of the parameter.
+
+    Raises
+    ------
+    InputError
+        If `at` did not converge.
+    """
+    if not at.solution.outcome.converged:
+        raise InputError(
+            "Only an equilibrium has tangents; this simulation did not converge: "
+            f"{at.solution.outcome.reason}."
+        )
+    if not changes:
+        return np.empty((0, *at.solution.displacement_mm.shape))
+    here = _Linearisation(at)
+    right = [here.right_side(change) for change in changes]
+    if at.levels[-1].is_conservative(at.states[-1]):
+        solutions = list(here.solve_symmetric(right, tolerance))
+    else:
+        # GMRES measures residuals, which say less of the displacement than errors do.
+        solutions = [here.solve_nonsymmetric(r, tolerance / 10) for r in right]
+    free = at.levels[-1].free > 0
+    return np.stack(
+        [np.where(free, u, r.prescribed) for u, r in zip(solutions, right, strict=True)]
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RightSide:
+    """Right side of a linear solve.
+
+    Parameters
+    ----------
+    force : ndarray, shape (n, 3)
+        On the nodes, in N per unit of the parameter.
+    plate : float
+        On the plates.
+    prescribed : ndarray, shape (n, 3)
+        How held places move, in mm per unit of the parameter.
+    """
+
+    force: FloatArray
+    plate: float
+    prescribed: FloatArray
+
+
+class _Linearisation:
+    """The finest level at its equilibrium, and what changes of the problem do there."""
+
+    def __init__(self, at: Equilibrium) -> None:
+        self.at = at
+        self.level, self.state, self.stage = at.levels[-1], at.states[-1], at.stage
+        self.energy = self.level.energy(self.state, self.stage)
+        _, self.tangent = self.level.linearise(self.state, self.energy, self.stage)
+        eigenvector = self.state.history.eigenvector
+        self.linear = linear_solver(self.level, self.tangent, at.solvers[:-1], eigenvector)
+        self._frictionless: list[State] | None = None
+        self._inner: FloatArray | None = None
+
+    def right_side(self, change: Change) -> _RightSide:
+        """Return what a unit of the parameter leaves out of balance, with its sign turned."""
+        ahead, behind = (self._forces(p) for p in (change.plus, change.minus))
+        b = -(ahead[0] - behind[0]) / change.step * self.level.free
+        plate = -(ahead[1] - behind[1]) / change.step
+        prescribed = self._prescribed(change)
+        if prescribed.any():
+            b -= self._stiffness_times(prescribed) * self.level.free
+        return _RightSide(b, plate, prescribed)
+
+    def _forces(self, problem: Problem) -> tuple[FloatArray, float]:
+        """Return the out-of-balance force of nodes and plates under another problem."""
+        if problem is self.at.problem:
+            level, state, stage = self.level, self.state, self.stage
+        else:
+            model = self._model_of(problem)
+            level = Level.build(model.finest, problem, self.level)
+            stage = stage_at(model, problem.load, self.stage.fraction)
+            state = self._state_under(level, stage)
+        if level.model is self.level.model:  # the same place: its volumes are known
+            contacts, contact = level.contact(state, stage)
+            energy = replace(self.energy, plate_contacts=contacts, contact=contact)
+        else:
+            energy = level.energy(state, stage)
+        plate = 0.0
+        if stage.force_n is not None:
+            plate = energy.contact.travel_force - stage.force_n
+        same_skin = problem.membrane == self.at.problem.membrane
+        if level.constants is self.level.constants and same_skin:
+            inner = self._inner_force()
+            return inner + level.outer_force(state, energy.contact, stage), plate
+        return level.force(state, energy, stage), plate
+
+    def _inner_force(self) -> FloatArray:
+        """Return the force of body and skin as they are, shape (n, 3)."""
+        if self._inner is None:
+            whole = self.level.force(self.state, self.energy, self.stage)
+            outer = self.level.outer_force(self.state, self.energy.contact, self.stage)
+            self._inner = whole - outer
+        return self._inner
+
+    def _model_of(self, problem: Problem) -> Model:
+        """Return the stress-free model of another problem."""
+        if problem.imaged_gravity_g == self.at.problem.imaged_gravity_g:
+            return self.at.model
+        if not any(problem.imaged_gravity_g):
+            return self.at.imaged
+        return stress_free(self.at.imaged, problem)
+
+    def _state_under(self, level: Level, stage: Stage) -> State:
+        """Return the present positions with the history that another problem would have.
+
+        Friction is as it is, or as it would begin at the end of a path without any.
+        """
+        coefficient = stage.device.friction
+        friction: tuple[PlateFriction, ...] = ()
+        if coefficient:
+            friction = self.state.history.friction or self._friction_of_path(level)
+        friction = tuple(replace(f, coefficient=coefficient) for f in friction)
+        state = State(self.state.x, self.state.travel_mm, History(friction))
+        return level.update_history(state, stage)
+
+    def _friction_of_path(self, level: Level) -> tuple[PlateFriction, ...]:
+        """Let the slip origins follow the path without friction."""
+        stages = [replace(s, device=replace(s.device, friction=1.0)) for s in self._stages()]
+        state = level.begin_step(State(level.model.nodes.copy(), 0.0), stages[0])
+        ends = self._frictionless_path()
+        for end, stage, following in zip(ends, stages[:-1], stages[1:], strict=True):
+            state = level.update_history(state.moved_to(end.x, end.travel_mm), stage)
+            state = level.begin_step(state, following)
+        return state.history.friction
+
+    def _stages(self) -> list[Stage]:
+        """Return the steps in which friction would be applied."""
+        load = self.at.problem.load
+        return [stage_at(self.at.model, load, f) for f in friction_fractions(load)]
+
+    def _frictionless_path(self) -> list[State]:
+        """Return where those steps end without friction, the last one left out."""
+        if self._frictionless is None:
+            state, path = self.state.with_eigenvector(self.linear.eigenvector), []
+            for stage in reversed(self._stages()[:-1]):
+                x = self.level.with_prescribed(state.x, stage.fraction)
+                near = state.moved_to(x, state.travel_mm)
+                state = minimise(
+                    self.level,
+                    bring_into_contact(self.level, near, stage),
+                    stage,
+                    solver_factory(self.at.solvers[:-1]),
+                    self.at.problem.tolerance_mm,
+                ).state
+                path.append(state)
+            self._frictionless = path[::-1]
+        return self._frictionless
+
+    def _prescribed(self, change: Change) -> FloatArray:
+        """Return how the change moves held places: (n, 3) in mm per unit.
+
+        A wall that begins to yield under its reaction r moves by r / (area x spring).
+        """
+        level, wall = self.level, change.plus.wall
+        prescribed = np.zeros_like(level.prescribed_mm)
+        if change.plus.holds != change.minus.holds:
+            ahead, behind = (
+                dirichlet_conditions(level.model, p) for p in (change.plus, change.minus)
+            )
+            prescribed += (ahead.displacement_mm - behind.displacement_mm) / change.step
+        for axis, held in enumerate(level.problem.wall.held):
+            if held and not wall.held[axis]:
+                nodes = level.model.wall
+                stiffness = level.model.wall_areas[nodes] * wall.spring_mpa_per_mm[axis]
+                reaction = level.force(self.state, self.energy, self.stage)[nodes, axis]
+                prescribed[nodes, axis] -= reaction / stiffness / change.step
+        return np.where(level.free > 0, 0.0, prescribed)
+
+    def _stiffness_times(self, u: FloatArray) -> FloatArray:
+        """Return the force on the nodes of a displacement `u` of held places.
+
+        The plates feel nothing of it: held nodes take no part in their coupling.
+        """
+        _, t = self.level.linearise(self.state, self.energy, self.stage, everywhere=True)
+        g = self.level.model.graph
+        matrix = g.start.view(np.uint32), g.neighbour.view(np.uint32), t.rows
+        x, y = np.zeros((2, len(u), 4))
+        x[:, :3] = u
+        sparse_products.set_pressure(*matrix, x)
+        sparse_products.multiply(*matrix, x, y)
+        return y[:, :3]
+
+    def solve_symmetric(self, right: Sequence[_RightSide], tolerance: float) -> FloatArray:
+        """Solve for all right sides at once, shape (k, n, 3)."""
+        t = self.tangent
+        b = np.stack([r.force for r in right])
+        if t.plate_stiffness > 0:
+            push = np.array([r.plate for r in right]) / t.plate_stiffness
+            b[:, t.contact_index] -= push[:, None, None] * t.coupling
+        return self.linear.solve_many(b, tolerance).u
+
+    def solve_nonsymmetric(self, right: _RightSide, tolerance: float) -> FloatArray:
+        """Solve with the symmetric tangent, and with what has no energy around it."""
+        b, plate = right.force, right.plate
+        shape, n = b.shape, b.size
+
+        def operator(v: FloatArray) -> FloatArray:
+            force, on_plate = _nonconservative_derivative(
+                self.level, self.state, self.energy, self.stage, v[:n].reshape(shape), v[n]
+            )
+            u, travel = self._solve_bordered(force * self.level.free, on_plate, tolerance / 10)
+            return v + np.append(u.ravel(), travel)
+
+        u, travel = self._solve_bordered(b, plate, tolerance / 10)
+        start = np.append(u.ravel(), travel)
+        shifted = LinearOperator((n + 1, n + 1), matvec=operator, dtype=np.float64)
+        solution, failed = gmres(shifted, start, rtol=tolerance, maxiter=5, restart=30)
+        if failed:
+            raise ArithmeticError("the tangent with friction or pressure was not solved")
+        return np.asarray(solution[:n].reshape(shape))
+
+    def _solve_bordered(
+        self, b: FloatArray, plate: float, tolerance: float
+    ) -> tuple[FloatArray, float]:
+        """Return the displacement, (n, 3), and the travel, without friction and pressure."""
+        correction, travel = solve_bordered(self.linear, self.tangent, b, plate, tolerance)
+        return correction.u, travel
+
+
+def _nonconservative_derivative(
+    level: Level, state: State, at: Energy, stage: Stage, u: FloatArray, travel: float
+) -> tuple[FloatArray, float]:
+    """Differentiate friction and follower pressure along (u, travel): on nodes and plates."""
+    force, on_plate = np.zeros_like(u), 0.0
+    pressures = level.problem.pressures
+    if pressures:
+        force -= stage.fraction * pressure_derivative(level.model, state.x, pressures, u)
+    for friction, contact in zip(state.history.friction, at.plate_contacts, strict=False):
+        nodes = friction.nodes
+        approach = travel * (contact.gradient @ friction.plate.velocity)
+        approach = approach - (contact.gradient * u[nodes.index]).sum(axis=1)
+        gain = friction.coefficient * nodes.stiffness * (contact.gap < 0) * approach
+        drag = gain[:, None] * friction.direction(state.x, state.travel_mm)
+        force[nodes.index] += drag
+        on_plate -= float(drag.sum(axis=0) @ friction.sliding_velocity)
+    return force, on_plate

@@ -1,0 +1,1 @@
+"""Compute elastic laws of tissue: deformation gradients in, energies and stresses out."""

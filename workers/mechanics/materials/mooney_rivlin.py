@@ -1,0 +1,94 @@
+"""Compute Mooney and Rivlin's law: a polynomial in both invariants."""
+
+from dataclasses import dataclass
+
+from storage.values import FloatArray
+from workers.mechanics.materials.constants_check import require
+from workers.mechanics.materials.invariants import Shape, shape_of, stress, tangent_of_both
+
+
+@dataclass(frozen=True, slots=True)
+class MooneyRivlin:
+    r"""Use the polynomial of second order; with two constants, Mooney's law of 1940.
+
+    .. math:: W = c_{10} x + c_{01} y + c_{20} x^2 + c_{11} x y + c_{02} y^2,
+              \quad x = \bar I_1 - 3, \quad y = \bar I_2 - 3
+
+    Parameters
+    ----------
+    c10_mpa, c01_mpa : float
+        MPa; their sum, half the shear modulus at rest, is > 0.
+    c20_mpa, c11_mpa, c02_mpa : float
+        MPa, of either sign.
+
+    Raises
+    ------
+    InputError
+        If c10 + c01 is not positive, or a constant is no finite number.
+
+    Notes
+    -----
+    Constants of five terms fitted to one kind of test often predict nonsense in
+    another; fit several kinds together (`workers.mechanics.materials.fit`). With a constant below
+    zero the energy may fall without bound at large strains, and a body then collapses.
+
+    References
+    ----------
+    M. Mooney, J. Appl. Phys. 11 (1940) 582-592.
+    R. S. Rivlin and D. W. Saunders, Phil. Trans. R. Soc. A 243 (1951) 251-288.
+
+    Examples
+    --------
+    In simple shear by gamma both x and y are gamma^2:
+
+    >>> import numpy as np
+    >>> F = np.eye(3)
+    >>> F[0, 1] = 2.0
+    >>> round(float(MooneyRivlin(1.0, 2.0, 3.0, 4.0, 5.0).energy(F)), 12)
+    204.0
+    """
+
+    c10_mpa: float
+    c01_mpa: float = 0.0
+    c20_mpa: float = 0.0
+    c11_mpa: float = 0.0
+    c02_mpa: float = 0.0
+
+    def __post_init__(self) -> None:
+        require(
+            "A Mooney-Rivlin law",
+            self,
+            {"c10 + c01": self.c10_mpa + self.c01_mpa},
+            (self.c20_mpa, self.c11_mpa, self.c02_mpa),
+        )
+
+    @property
+    def shear_modulus_mpa(self) -> float:
+        """Return the shear modulus at rest, 2 (c10 + c01)."""
+        return 2 * (self.c10_mpa + self.c01_mpa)
+
+    def energy(self, F: FloatArray) -> FloatArray:
+        """Return the energy, see `Law.energy`."""
+        shape = shape_of(F)
+        x, y = shape.I1 - 3, shape.I2 - 3
+        return x * (self.c10_mpa + self.c20_mpa * x + self.c11_mpa * y) + y * (
+            self.c01_mpa + self.c02_mpa * y
+        )
+
+    def stress(self, F: FloatArray) -> FloatArray:
+        """Return the stress, see `Law.stress`."""
+        shape = shape_of(F)
+        return stress(shape, *self._slopes(shape))
+
+    def tangent(self, F: FloatArray) -> FloatArray:
+        """Return the tangent, see `Law.tangent`."""
+        shape = shape_of(F)
+        curvatures = 2 * self.c20_mpa, self.c11_mpa, 2 * self.c02_mpa
+        return tangent_of_both(shape, *self._slopes(shape), *curvatures)
+
+    def _slopes(self, shape: Shape) -> tuple[FloatArray, FloatArray]:
+        x, y = shape.I1 - 3, shape.I2 - 3
+        return (
+            self.c10_mpa + 2 * self.c20_mpa * x + self.c11_mpa * y,
+            self.c01_mpa + self.c11_mpa * x + 2 * self.c02_mpa * y,
+        )

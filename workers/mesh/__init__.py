@@ -1,1 +1,0 @@
-"""Tetrahedra from voxels."""

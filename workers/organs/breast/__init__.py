@@ -1,0 +1,1 @@
+"""A breast between two plates: its problem for the solver, and imaged cases of it."""

@@ -1,0 +1,40 @@
+"""The acquisition that a case describes: its body, its loads and its noise."""
+
+from storage.values import Volume
+from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.comparison.observation.smooth_outline import smooth_outline
+from workers.diagnosis.acquisition import Acquisition
+from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
+from workers.organs.breast.scanned_case import ScannedCase
+
+
+def acquisition_of(case: ScannedCase) -> Acquisition:
+    """Return what is known of a case without looking at its loaded scans.
+
+    Raises
+    ------
+    InputError
+        If the case lacks the noise of the segmentation.
+    """
+    return Acquisition(
+        name=case.file.name,
+        reference=case.reference,
+        mesh=lambda nodes: mesh_of(case, nodes),
+        noise=case.noise,
+        free=case.free,
+        loads=case.names,
+        problem=case.problem,
+        effects=BREAST_EFFECTS,
+    )
+
+
+def mesh_of(case: ScannedCase, nodes: int) -> Hierarchy:
+    """Mesh the body of a case with about so many nodes."""
+    return build_hierarchy(body_of(case), nodes=nodes)
+
+
+def body_of(case: ScannedCase) -> Volume:
+    """Return what is meshed: the reference scan without the roughness of its segmentation."""
+    if not case.noise.reference_sd_mm:
+        return case.reference
+    return smooth_outline(case.reference, case.noise.correlation_mm)

@@ -1,0 +1,170 @@
+"""A case as files: what it says, the scan at rest and the scans under load.
+
+::
+
+    case.yaml           loads, nominal model, noise: all that may be known; see `case_spec`.
+                        Or case.json, the same as JSON or in prose; see `case_prose`
+    reference.nrrd      labels of the body at rest; a second segmentation of it, if there is
+                        one, measures the noise
+    deformed_40N.nrrd   labels between the plates, one file for each load and direction
+
+The only file that opens a case; all others get what stands in it.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from storage.errors import InputError
+from storage.values import Volume
+from workers.body.images.labels import relabel
+from workers.body.images.largest_component import in_air, one_body
+from workers.body.images.read import read_volume
+from workers.organs.breast.case_prose import from_prose, is_prose
+from workers.organs.breast.case_source import PlannedCaseSource, ScannedCaseSource
+from workers.organs.breast.case_spec import CaseFile
+from workers.organs.breast.case_table import understood
+from workers.organs.breast.case_yaml import case_yaml
+from workers.organs.breast.scanned_case import ScannedCase, above_wall
+from workers.spec import validated
+
+# Where a folder has both, the structured file is the case.
+CASE_FILES = ("case.yaml", "case.json")
+YAML = (".yaml", ".yml")
+TISSUES = {"air", "fat", "glandular"}
+
+
+def read_case(path: Path, *, loaded: bool = True) -> ScannedCase:
+    """Read a case and its scans.
+
+    Parameters
+    ----------
+    path : Path
+        The file of a case, or the folder that it lies in.
+    loaded : bool
+        False reads the scan at rest only; those under load need not exist.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, or the case lacks something, says something that is not known
+        or makes no sense.
+    """
+    path = case_file(path)
+    file = read_case_file(path)
+    scans = file.scans
+    return ScannedCase(
+        file,
+        _scan(path, file, scans.reference),
+        _scan(path, file, scans.reference_repeat) if scans.reference_repeat else None,
+        [_scan(path, file, load.file) for load in scans.loads] if loaded else [],
+        str(path),
+    )
+
+
+def case_file(path: Path) -> Path:
+    """Return the file of a case, from the file itself or its folder.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    if path.is_file():
+        return path
+    for name in CASE_FILES:
+        if (path / name).is_file():
+            return path / name
+    raise InputError(
+        f"{path} is no case: it has neither {' nor '.join(CASE_FILES)}. `palpate new diagnosis "
+        "NAME` writes one."
+    )
+
+
+def read_case_file(path: Path) -> CaseFile:
+    """Return what the file of a case says, structured or in prose.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or says something that is not known.
+    """
+    data = _data(path)
+    return from_prose(data, str(path)) if is_prose(data) else validated(CaseFile, data, str(path))
+
+
+def _data(path: Path) -> Mapping[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is no text: {error}.") from error
+    kind = "YAML" if path.suffix in YAML else "JSON"
+    try:
+        data = yaml.safe_load(text) if kind == "YAML" else json.loads(text)
+    except (yaml.YAMLError, json.JSONDecodeError) as error:
+        raise InputError(f"{path} is no {kind}: {error}.") from error
+    if not isinstance(data, Mapping):
+        raise InputError(f"{path} is no case: expected keys such as scans, found {text[:40]!r}.")
+    return data
+
+
+def _scan(case: Path, file: CaseFile, name: str) -> Volume:
+    """Read a scan as one body of `Tissue` labels, in air and above the chest wall."""
+    path = case.parent / name
+    if not path.is_file():
+        raise InputError(f"{case} names {name}, which is not in the folder.")
+    volume = read_volume(path)
+    meanings = file.scans.labels
+    found = {int(label) for label in np.unique(volume.values)}
+    if not found <= set(meanings) or {meanings[n] for n in found} != TISSUES:
+        raise InputError(
+            f"{path} has the labels {sorted(found)}; a case has 0 background, 1 fat and "
+            f"2 glandular, all of them, or what {case.name} says under labels. Relabel the "
+            "scan, or segment what is missing."
+        )
+    tissues = relabel(volume, {label: meanings[label] for label in found})
+    return in_air(one_body(above_wall(tissues, file.wall.z_mm)))
+
+
+class CaseReader:
+    """See `workers.organs.source_registry.Reader`."""
+
+    plans = True
+
+    def knows(self, path: Path) -> bool:
+        """Return whether a path is a case, or a folder with one."""
+        if path.is_dir():
+            return any((path / name).is_file() for name in CASE_FILES)
+        if not path.is_file() or path.suffix not in (*YAML, ".json"):
+            return False
+        try:
+            data = _data(path)
+        except InputError:
+            return False
+        return is_prose(data) or data.get("organ") == "breast" or "scans" in data
+
+    def read(self, path: Path) -> ScannedCaseSource:
+        """Read a case with its loaded scans."""
+        return ScannedCaseSource(read_case(path))
+
+    def read_planned(self, path: Path) -> PlannedCaseSource:
+        """Read a case whose loaded scans need not exist."""
+        return PlannedCaseSource(read_case(path, loaded=False))
+
+    def understood(self, path: Path) -> list[tuple[str, str]]:
+        """Return what the case was understood to say."""
+        file = case_file(path)
+        return [("read from", str(file)), *understood(read_case_file(file))]
+
+    def structured(self, path: Path) -> str:
+        """Return the case as YAML."""
+        return case_yaml(read_case_file(case_file(path)))
+
+
+READER = CaseReader()

@@ -1,0 +1,144 @@
+"""A case of segmented scans as the source of a diagnosis, and of a plan before it is scanned."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from workers.diagnosis.acquisition import Acquisition, inverse_problem_of
+from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.pictures.scan_pictures import Displacements, pictures_of_scans
+from workers.diagnosis.source import SourceContent
+from workers.diagnosis.summary import Summary
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
+from workers.mechanics.fem.model import Model, prepare
+from workers.organs.breast.case_acquisition import acquisition_of, mesh_of
+from workers.organs.breast.case_checks import check_case
+from workers.organs.breast.case_spec import CaseFile
+from workers.organs.breast.scanned_case import ScannedCase, above_wall
+from workers.spec import validated
+
+# Names of the volumes of a case in its content; loaded scans follow by their number.
+REFERENCE, REPEAT, LOADED = "reference", "repeat", "loaded_"
+
+
+class ScannedCaseSource:
+    """A case with its loaded scans; see `workers.diagnosis.source.Source`.
+
+    Parameters
+    ----------
+    case : ScannedCase
+    """
+
+    kind = "scanned case"
+
+    def __init__(self, case: ScannedCase) -> None:
+        self.case = case
+
+    @classmethod
+    def from_content(cls, content: SourceContent) -> "ScannedCaseSource":
+        """Make it again from what the store holds."""
+        return cls(_case_from(content))
+
+    @property
+    def content(self) -> SourceContent:
+        """What its file says, and all scans."""
+        return _content(self.kind, self.case)
+
+    @property
+    def name(self) -> str:
+        """The name that its file gives."""
+        return self.case.file.name
+
+    @property
+    def scans(self) -> Sequence[str]:
+        """Names of the loaded scans."""
+        return self.case.names
+
+    @property
+    def effects(self) -> Sequence[Effect]:
+        """What may be missing from the model of a breast."""
+        return BREAST_EFFECTS
+
+    def check(self) -> None:
+        """Refuse scans that cannot be one body under these loads."""
+        check_case(self.case)
+
+    def inverse_problem(self, nodes: int, spacing_mm: float) -> InverseProblem:
+        """Mesh the body, put points on its interfaces and compare them with the scans."""
+        return inverse_problem_of(acquisition_of(self.case), nodes, spacing_mm, self.case.deformed)
+
+    def finer(self, nodes: int) -> Model:
+        """Return another mesh of the same outline."""
+        return prepare(mesh_of(self.case, nodes))
+
+    def describe(
+        self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
+    ) -> tuple[dict[str, NDArray[Any]], Summary]:
+        """Draw bodies, maps and overlaps."""
+        case = self.case
+        return pictures_of_scans(
+            diagnosis,
+            displacements,
+            summary,
+            case.reference,
+            case.deformed,
+            lambda volume: above_wall(volume, case.wall_mm),
+        )
+
+
+class PlannedCaseSource:
+    """A case whose loaded scans need not exist; see `workers.diagnosis.source.PlannedSource`.
+
+    Parameters
+    ----------
+    case : ScannedCase
+        Whose body at rest stands for its loaded scans.
+    """
+
+    kind = "planned case"
+
+    def __init__(self, case: ScannedCase) -> None:
+        self.case = case
+
+    @classmethod
+    def from_content(cls, content: SourceContent) -> "PlannedCaseSource":
+        """Make it again from what the store holds."""
+        return cls(_case_from(content))
+
+    @property
+    def content(self) -> SourceContent:
+        """What its file says, and the scan at rest."""
+        return _content(self.kind, self.case.unloaded)
+
+    @property
+    def acquisition(self) -> Acquisition:
+        """The body, its loads and its noise."""
+        return acquisition_of(self.case)
+
+
+SOURCES = {
+    ScannedCaseSource.kind: ScannedCaseSource.from_content,
+    PlannedCaseSource.kind: PlannedCaseSource.from_content,
+}
+
+
+def _content(kind: str, case: ScannedCase) -> SourceContent:
+    volumes = {REFERENCE: case.reference}
+    if case.repeat is not None:
+        volumes[REPEAT] = case.repeat
+    if case.is_scanned:
+        volumes |= {f"{LOADED}{number}": scan for number, scan in enumerate(case.deformed)}
+    return SourceContent(kind, case.file.model_dump(mode="json"), volumes, {})
+
+
+def _case_from(content: SourceContent) -> ScannedCase:
+    file, volumes = validated(CaseFile, content.record, "The case in the store"), content.volumes
+    loaded = [volumes[name] for name in sorted(volumes, key=_number) if name.startswith(LOADED)]
+    return ScannedCase(file, volumes[REFERENCE], volumes.get(REPEAT), loaded)
+
+
+def _number(name: str) -> int:
+    return int(name.removeprefix(LOADED)) if name.startswith(LOADED) else -1

@@ -1,0 +1,262 @@
+"""What a case of a diagnosis says: its scans and loads, and what the nominal model knows.
+
+The words are those of a study, every number carries its unit in its name, and a key that is
+not known is refused. A case in prose becomes one of these; see `case_prose`.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+
+from storage.values import Triple
+from workers.mechanics.parameters import unknown_name
+from workers.spec import Door, Finite, Positive, require_one_of
+
+ALONG_X: Triple = (1.0, 0.0, 0.0)
+ALONG_Y: Triple = (0.0, 1.0, 0.0)
+AXES = {"x": ALONG_X, "y": ALONG_Y}
+# Names at the door of the constants of the model, and inside it.
+CONSTANTS = {"E_fat_kpa": "E_fat", "E_glandular_kpa": "E_gl", "eta_kpa": "eta"}
+# By how much the given places of the plates may differ from the given distance.
+DISTANCE_SLACK_MM = 0.5
+
+
+def _constant(given: Any) -> Any:
+    """Return a value as a float, an interval as two."""
+    many = given if isinstance(given, list | tuple) else [given]
+    numbers = [v for v in many if isinstance(v, int | float) and not isinstance(v, bool)]
+    if len(numbers) != len(many) or not all(math.isfinite(v) and v > 0 for v in numbers):
+        raise ValueError(
+            "expected a value above zero, such as 10, which is held, or an interval to search, "
+            f"such as [7, 14]; found {given!r}"
+        )
+    if len(many) == 1 and many is not given:
+        return float(numbers[0])
+    if len(many) != 2 or not numbers[0] < numbers[1]:
+        raise ValueError(f"expected an interval [lower, upper], lower < upper; found {given!r}")
+    return float(numbers[0]), float(numbers[1])
+
+
+def _axis(given: Any) -> Any:
+    """Let x and y stand for their directions."""
+    if isinstance(given, str):
+        if given not in AXES:
+            raise ValueError(f"expected x, y or a direction such as [1, 1, 0]; found {given!r}")
+        return AXES[given]
+    return given
+
+
+Constant = Annotated[float | tuple[float, float], BeforeValidator(_constant)]
+Axis = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(_axis)]
+LabelName = Literal["air", "fat", "glandular"]
+
+
+class CaseModel(Door):
+    """The law of the tissue.
+
+    Parameters
+    ----------
+    law : str
+        A neo-Hookean solid, or one with fibres of stiffness eta.
+    nu : float
+        Poisson's ratio.
+    fibres, fibre_invariant : str
+        As in a study: whether fibres resist compression too, and whether their stretch is
+        I4 or its isochoric part.
+    fibre_direction : tuple of float
+        Anywhere in the body; from the chest wall to the nipple is z.
+    """
+
+    law: Literal["neo-hookean", "fibre-neo-hookean"] = "fibre-neo-hookean"
+    nu: Annotated[float, Field(gt=0, lt=0.5)] = 0.49
+    fibres: Literal["tension-only", "literal"] = "tension-only"
+    fibre_invariant: Literal["I4", "isochoric"] = "isochoric"
+    fibre_direction: tuple[Finite, Finite, Finite] = (0.0, 0.0, 1.0)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if not any(self.fibre_direction):
+            raise ValueError("fibre_direction must not be zero")
+        given = {"fibres", "fibre_invariant", "fibre_direction"} & self.model_fields_set
+        defaults = type(self).model_fields
+        changed = [k for k in sorted(given) if getattr(self, k) != defaults[k].default]
+        if self.law == "neo-hookean" and changed:
+            raise ValueError(
+                f"{', '.join(changed)} are for the law fibre-neo-hookean, found law: neo-hookean"
+            )
+        return self
+
+
+class CaseWall(Door):
+    """The chest wall: where it is, and what holds the body along it.
+
+    Away from the wall nothing moves. Along it the body is held, or on springs: force per
+    area and displacement, of which zero lets it slide.
+    """
+
+    z_mm: Finite
+    held: bool = False
+    kx_kpa_per_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    ky_kpa_per_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+
+    @model_validator(mode="after")
+    def _held_or_sprung(self) -> Self:
+        if self.held and (self.kx_kpa_per_mm or self.ky_kpa_per_mm):
+            raise ValueError("a wall that is held has no springs: give held or kx and ky")
+        return self
+
+
+class CasePlates(Door):
+    """Where the plates start along the direction of compression."""
+
+    lower_mm: Finite
+    upper_mm: Finite
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        if not self.lower_mm < self.upper_mm:
+            raise ValueError(
+                f"lower_mm ({self.lower_mm:g}) must be less than upper_mm ({self.upper_mm:g})"
+            )
+        return self
+
+
+class CaseNoise(Door):
+    """How segmentations err: a smooth field of signed distances.
+
+    `in_scans` says which of them err: all, or only the loaded ones.
+    """
+
+    sd_mm: Positive
+    correlation_mm: Positive
+    in_scans: Literal["all", "loaded"] = "all"
+
+
+class CaseLoad(Door):
+    """One loaded scan.
+
+    Plates start at `lower_mm` and `upper_mm` along their axis if the force is known; without
+    them where `plates` says. With `plate_distance_mm` they end there; by default where the
+    body in the scan does.
+    """
+
+    file: str
+    force_n: Positive | None = None
+    plate_distance_mm: Positive | None = None
+    axis: Axis = ALONG_Y
+    lower_mm: Finite | None = None
+    upper_mm: Finite | None = None
+
+    @model_validator(mode="after")
+    def _one_load(self) -> Self:
+        require_one_of(self, "force_n", "plate_distance_mm")
+        if self.axis[2] or not any(self.axis):
+            raise ValueError("axis must lie across z, such as x, y or [1, 1, 0]")
+        if self.lower_mm is None or self.upper_mm is None:
+            return self
+        CasePlates(lower_mm=self.lower_mm, upper_mm=self.upper_mm)
+        distance, apart = self.plate_distance_mm, self.upper_mm - self.lower_mm
+        if distance is not None and abs(distance - apart) > DISTANCE_SLACK_MM:
+            raise ValueError(
+                f"lower_mm and upper_mm are {apart:g} mm apart, but plate_distance_mm is "
+                f"{distance:g}: leave one of them out"
+            )
+        return self
+
+    @property
+    def name(self) -> str:
+        """Return what the report calls it."""
+        loaded = (
+            f"{self.force_n:g} N" if self.force_n is not None else f"{self.plate_distance_mm:g} mm"
+        )
+        if self.axis == ALONG_Y:
+            return loaded
+        x, y, _ = self.axis
+        known = {axis: name for name, axis in AXES.items()}
+        along = known.get(self.axis, f"{np.degrees(np.arctan2(y, x)):.0f} degrees")
+        return f"{loaded} along {along}"
+
+
+def _usual_labels() -> dict[int, LabelName]:
+    return {0: "air", 1: "fat", 2: "glandular"}
+
+
+class CaseScans(Door):
+    """The scan at rest, a second segmentation of it, and the scans under load."""
+
+    reference: str
+    reference_repeat: str | None = None
+    labels: dict[int, LabelName] = Field(default_factory=_usual_labels)
+    loads: Annotated[tuple[CaseLoad, ...], Field(min_length=1)]
+
+
+class CaseFile(Door):
+    """A breast that was scanned at rest and under load, to be diagnosed."""
+
+    organ: Literal["breast"] = "breast"
+    name: Annotated[str, Field(min_length=1)]
+    model: CaseModel = CaseModel()
+    wall: CaseWall
+    plates: CasePlates | None = None
+    constants: dict[str, Constant]
+    noise: CaseNoise | None = None
+    scans: CaseScans
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_constants(cls, data: Any) -> Any:
+        constants = data.get("constants") if isinstance(data, Mapping) else None
+        if isinstance(constants, Mapping):
+            wrong = [
+                unknown_name("key", str(k), CONSTANTS) for k in constants if k not in CONSTANTS
+            ]
+            if wrong:
+                raise ValueError(f"constants: {'; '.join(wrong)}")
+        return data
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        missing = {"E_fat_kpa", "E_glandular_kpa"} - set(self.constants)
+        if self.model.law == "fibre-neo-hookean":
+            missing |= {"eta_kpa"} - set(self.constants)
+        elif "eta_kpa" in self.constants:
+            raise ValueError("constants: eta_kpa is for fibres, but model.law is neo-hookean")
+        if missing:
+            raise ValueError(
+                f"constants: no value of {', '.join(sorted(missing))}: hold it, as in "
+                "E_fat_kpa: 10, or give an interval to search, as in E_fat_kpa: [7, 14]"
+            )
+        if not self.free:
+            raise ValueError(
+                "constants: all are held, at least one is to be searched, as in E_fat_kpa: [7, 14]"
+            )
+        if self.noise is None and self.scans.reference_repeat is None:
+            raise ValueError(
+                "noise: give sd_mm and correlation_mm of the segmentation, or a second "
+                "segmentation of the reference scan as scans.reference_repeat"
+            )
+        for load in self.scans.loads:
+            placed = load.lower_mm is not None and load.upper_mm is not None
+            if load.force_n is not None and self.plates is None and not placed:
+                raise ValueError(
+                    f"plates: {load.file} is pressed with a force, so say where the plates start: "
+                    "plates: {lower_mm: -50, upper_mm: 50}"
+                )
+        return self
+
+    @property
+    def free(self) -> dict[str, tuple[float, float]]:
+        """Return the searched intervals in kPa, by names inside, in one order."""
+        given = self.constants
+        chosen = [(n, given[d]) for d, n in CONSTANTS.items() if d in given]
+        return {name: value for name, value in chosen if isinstance(value, tuple)}
+
+    @property
+    def held(self) -> dict[str, float]:
+        """Return the held constants in kPa, by names inside."""
+        given = self.constants
+        chosen = [(n, given[d]) for d, n in CONSTANTS.items() if d in given]
+        return {name: value for name, value in chosen if isinstance(value, float)}

@@ -1,0 +1,87 @@
+"""What a case was understood to say, as rows for a reader."""
+
+from workers.organs.breast.case_spec import CONSTANTS, CaseFile, CaseLoad
+
+Rows = list[tuple[str, str]]
+
+
+def understood(file: CaseFile) -> Rows:
+    """Return a name and a text for all that the diagnosis will rest on.
+
+    Examples
+    --------
+    >>> case = CaseFile.model_validate({
+    ...     "name": "mine", "wall": {"z_mm": 0}, "plates": {"lower_mm": -50, "upper_mm": 50},
+    ...     "constants": {"E_fat_kpa": 10, "E_glandular_kpa": [20, 50], "eta_kpa": 80},
+    ...     "noise": {"sd_mm": 0.3, "correlation_mm": 4},
+    ...     "scans": {"reference": "rest.nrrd", "loads": [{"file": "a.nrrd", "force_n": 40}]}})
+    >>> dict(understood(case))["E_glandular"]
+    'searched from 20 to 50 kPa'
+    """
+    return [
+        ("case", file.name),
+        ("law", _law(file)),
+        ("Poisson's ratio", f"{file.model.nu:g}"),
+        ("chest wall", _wall(file)),
+        ("plates", "rigid, flat, without friction"),
+        *(
+            (key.removesuffix("_kpa"), _constant(file, key))
+            for key in CONSTANTS
+            if key in file.constants
+        ),
+        ("gravity, skin", "not in the model"),
+        ("segmentation noise", _noise(file)),
+        ("labels", ", ".join(f"{n} {name}" for n, name in file.scans.labels.items())),
+        ("scan at rest", file.scans.reference),
+        *((f"scan {n}", _load(file, load)) for n, load in enumerate(file.scans.loads, start=1)),
+    ]
+
+
+def _law(file: CaseFile) -> str:
+    model = file.model
+    if model.law == "neo-hookean":
+        return "neo-Hookean, without fibres"
+    pulled = "in tension only" if model.fibres == "tension-only" else "in compression as well"
+    stretch = "isochoric" if model.fibre_invariant == "isochoric" else "full (I4)"
+    direction = ", ".join(f"{c:g}" for c in model.fibre_direction)
+    return f"neo-Hookean, fibres along ({direction}) that act {pulled}, {stretch} stretch"
+
+
+def _wall(file: CaseFile) -> str:
+    wall = file.wall
+    if wall.held:
+        return f"z = {wall.z_mm:g} mm, held in all directions"
+    if not wall.kx_kpa_per_mm and not wall.ky_kpa_per_mm:
+        return f"z = {wall.z_mm:g} mm, held along z, slides along x and y"
+    return (
+        f"z = {wall.z_mm:g} mm, held along z, springs of {wall.kx_kpa_per_mm:g} kPa/mm along x and "
+        f"{wall.ky_kpa_per_mm:g} kPa/mm along y"
+    )
+
+
+def _constant(file: CaseFile, key: str) -> str:
+    value = file.constants[key]
+    if isinstance(value, tuple):
+        return f"searched from {value[0]:g} to {value[1]:g} kPa"
+    return f"held at {value:g} kPa"
+
+
+def _noise(file: CaseFile) -> str:
+    if file.scans.reference_repeat is not None:
+        return f"measured from {file.scans.reference_repeat}, a second segmentation at rest"
+    if file.noise is None:
+        return "not stated"
+    scans = "in all scans" if file.noise.in_scans == "all" else "in the loaded scans alone"
+    return f"sd {file.noise.sd_mm:g} mm, correlated over {file.noise.correlation_mm:g} mm, {scans}"
+
+
+def _load(file: CaseFile, load: CaseLoad) -> str:
+    text = f"{load.file}: {load.name}"
+    lower, upper = load.lower_mm, load.upper_mm
+    if load.force_n is not None and file.plates is not None and (lower is None or upper is None):
+        lower, upper = file.plates.lower_mm, file.plates.upper_mm
+    if lower is None and upper is None:
+        return f"{text}, plates where the body in the scan ends"
+    known = ((n, p) for n, p in (("lower", lower), ("upper", upper)) if p is not None)
+    verb = "start" if load.force_n is not None else "end"
+    return f"{text}, plates {verb} at " + " and ".join(f"{n} {p:g} mm" for n, p in known)

@@ -1,0 +1,284 @@
+"""The breast as an organ of a study: label volumes, tetrahedra, two plates."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray, Tissue, Volume
+from workers.body.images.labels import (
+    crop_to_body,
+    default_map,
+    label_counts,
+    relabel,
+    resample_labels,
+)
+from workers.body.images.read import read_volume
+from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy, from_arrays, to_arrays
+from workers.body.phantom.breast import generate_breast
+from workers.comparison.similarity.score import Scorer, Surface, score_labels
+from workers.comparison.warp.warp_volume import warp_labels
+from workers.mechanics.effects.breast_catalogue import (
+    BREAST_EFFECTS,
+    BREAST_MODEL,
+    NOT_SIMULATED,
+)
+from workers.mechanics.fem.fields import frame_of
+from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.fem.outcome import Solution
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.fem.solve import solve
+from workers.organs.breast.problem import (
+    Extent,
+    check_skin_layer,
+    extent_of,
+    materials_of,
+    problem_of,
+)
+from workers.organs.breast.spec import (
+    BreastCase,
+    BreastScore,
+    BreastTarget,
+    ImageSpec,
+    PhantomSpec,
+    ReferenceSpec,
+)
+from workers.organs.organ import Arrays, Facts, Scores
+from workers.spec import Door
+
+OUTLINE = "outline"
+
+
+class Breast:
+    """See `workers.organs.organ.Organ`; a body is a `Volume` of `Tissue` labels."""
+
+    name = "breast"
+    case_spec = BreastCase
+    target_spec = BreastTarget
+    score_spec = BreastScore
+    parameters = BREAST_MODEL
+    effects = BREAST_EFFECTS
+    not_simulated = NOT_SIMULATED
+    picture_labels: Mapping[int, str] = {int(t): t.name.lower() for t in Tissue if t}
+    load_direction = "The plates press along y."
+
+    def body_files(self, spec: Door) -> Sequence[Path]:
+        """See `Organ.body_files`."""
+        return [] if _phantom_of(spec) else [Path(str(_image_of(spec).volume))]
+
+    def body_settings(self, spec: Door) -> Facts:
+        """See `Organ.body_settings`."""
+        phantom = _phantom_of(spec)
+        if phantom is not None:
+            return asdict(phantom.settings) | {"seed": phantom.seed}
+        image = _image_of(spec)
+        how = image.model_dump(mode="json", include={"labels", "spacing_mm", "axes"})
+        return how | {"suffix": Path(str(image.volume)).suffix}
+
+    def make_body(self, spec: Door) -> Volume:
+        """See `Organ.make_body`."""
+        phantom = _phantom_of(spec)
+        if phantom is not None:
+            return generate_breast(phantom.settings, phantom.seed).labels
+        return read_image(_image_of(spec))
+
+    def stored_name(self, spec: Door) -> str | None:
+        """See `Organ.stored_name`."""
+        if _phantom_of(spec):
+            return None
+        given = str(_image_of(spec).volume)
+        return None if Path(given).exists() else given
+
+    def adapt_stored(self, body: Volume, spec: Door) -> Volume | None:
+        """See `Organ.adapt_stored`."""
+        image = _image_of(spec)
+        if image.spacing_mm is not None or image.axes is not None:
+            raise InputError(
+                f"{image.volume} is a volume of the store, which has its spacing and axes: take "
+                "spacing_mm and axes out, or give the file."
+            )
+        if image.labels is None:
+            default_map(body)
+            return None
+        return as_tissues(body, image)
+
+    def body_to_arrays(self, body: Volume) -> Volume:
+        """See `Organ.body_to_arrays`."""
+        return body
+
+    def body_from_arrays(self, arrays: Arrays | Volume) -> Volume:
+        """See `Organ.body_from_arrays`."""
+        if not isinstance(arrays, Volume):
+            raise TypeError("the body of a breast is stored as a volume")
+        return arrays
+
+    def simulated_case(self, case: BreastCase, target: BreastTarget) -> BreastCase:
+        """See `Organ.simulated_case`."""
+        return case if target.mesh is None else case.model_copy(update={"mesh": target.mesh})
+
+    def mesh_settings(self, case: BreastCase) -> Facts:
+        """See `Organ.mesh_settings`."""
+        return {"mesh": case.mesh.model_dump(mode="json"), "layer": case.model.skin == "layer"}
+
+    def make_mesh(self, body: Volume, case: BreastCase) -> Hierarchy:
+        """See `Organ.make_mesh` and `workers.organs.breast.problem.materials_of`."""
+        return build_hierarchy(
+            materials_of(body, case.model),
+            element_size_mm=case.mesh.element_size_mm,
+            nodes=case.mesh.nodes,
+        )
+
+    def mesh_to_arrays(self, mesh: Hierarchy) -> Arrays:
+        """See `Organ.mesh_to_arrays`."""
+        return to_arrays(mesh)
+
+    def mesh_from_arrays(self, arrays: Arrays) -> Hierarchy:
+        """See `Organ.mesh_from_arrays`."""
+        return from_arrays(arrays)
+
+    def facts(self, body: Volume, mesh: Hierarchy) -> Facts:
+        """See `Organ.facts`."""
+        count = {Tissue(t): n for t, n in label_counts(body).items() if t != Tissue.AIR}
+        ml = {t.name.lower(): n * body.voxel_mm3 / 1000 for t, n in count.items()}
+        inside = sum(n for t, n in count.items() if t != Tissue.SKIN)
+        finest = mesh.finest
+        return {
+            "voxels": sum(count.values()),
+            "spacing_mm": list(body.spacing_mm),
+            "body_y_mm": list(extent_of(body)),
+            "volume_ml": sum(ml.values()),
+            "tissue_ml": ml,
+            "glandular_fraction": count.get(Tissue.GLANDULAR, 0) / max(inside, 1),
+            "nodes": len(finest.mesh.nodes),
+            "tets": len(finest.mesh.tets),
+            "levels": [len(level.mesh.nodes) for level in mesh.levels],
+            "element_size_mm": mesh.element_size_mm,
+        }
+
+    def check(self, case: BreastCase, body: Volume, mesh_facts: Mapping[str, Any]) -> None:
+        """See `Organ.check`."""
+        if case.model.skin == "layer":
+            check_skin_layer(body, mesh_facts["element_size_mm"])
+
+    def prepare(self, mesh: Hierarchy) -> Model:
+        """See `Organ.prepare`."""
+        return prepare(mesh)
+
+    def landmarks(self, body: Volume, case: BreastCase) -> Extent:
+        """Return where the body begins and ends along the axis of compression, in mm."""
+        return extent_of(body, case.load.oblique_deg)
+
+    def landmarks_depend_on(self, case: BreastCase) -> str:
+        """See `Organ.landmarks_depend_on`."""
+        return f"{case.load.oblique_deg:g}"
+
+    def problem(
+        self,
+        model: Model,
+        case: BreastCase,
+        constants: Mapping[str, float],
+        landmarks: Extent,
+        target_landmarks: Extent | None = None,
+    ) -> Problem:
+        """See `Organ.problem` and `workers.organs.breast.problem.problem_of`."""
+        frame = frame_of(model.finest.nodes)
+        return problem_of(case.model, case.load, constants, landmarks, target_landmarks, frame)
+
+    def solve(self, model: Model, problem: Problem) -> Solution:
+        """See `Organ.solve`."""
+        return solve(model, problem)
+
+    def deform(
+        self,
+        body: Volume,
+        mesh: Hierarchy,
+        displacement_mm: FloatArray,
+        target: Volume | None = None,
+    ) -> Volume:
+        """See `Organ.deform`."""
+        return warp_labels(body, mesh.finest.mesh, displacement_mm, target)
+
+    def scorer(self, target: Volume, spec: BreastScore) -> Scorer:
+        """See `Organ.scorer`; candidates lie on the lattice of the target, see `on_lattice`."""
+        return Scorer(target, labels=spec.tissues, surface=spec.surface)
+
+    def picture(self, body: Volume) -> Volume:
+        """See `Organ.picture`."""
+        return body
+
+    def scores_by_part(
+        self, target: Volume, candidate: Volume, spec: BreastScore
+    ) -> dict[str, Scores]:
+        """See `Organ.scores_by_part`: each tissue of the target, and the whole `OUTLINE`."""
+        return score_by_tissue(target, candidate, spec.surface)
+
+
+ORGAN = Breast()
+
+
+def read_image(spec: ImageSpec) -> Volume:
+    """Read an image file or folder as tissue labels, cropped to the body.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or its labels have no meaning.
+    """
+    path = Path(str(spec.volume))
+    return as_tissues(read_volume(path, spacing_mm=spec.spacing_mm, axes=spec.axes), spec)
+
+
+def as_tissues(volume: Volume, spec: ImageSpec) -> Volume:
+    """Return a label map of any meaning as tissues, cropped to the body.
+
+    Without a map, labels must be the numbers of `storage.values.Tissue`.
+    """
+    names = default_map(volume) if spec.labels is None else spec.labels
+    return crop_to_body(relabel(volume, names))
+
+
+def score_by_tissue(
+    target: Volume, candidate: Volume, surface: Surface = "boundary"
+) -> dict[str, Scores]:
+    """Return the score of each tissue of the target on its own, by name, and of `OUTLINE`."""
+    body = on_lattice(candidate, target)
+    solid = [Tissue(label) for label in label_counts(target) if label != Tissue.AIR]
+    alone = score_labels(target, body, solid, surface)
+    scores: dict[str, Scores] = {
+        tissue.name.lower(): score.as_dict() for tissue, score in alone.items()
+    }
+    whole = tuple(tissue for tissue in Tissue if tissue != Tissue.AIR)
+    return scores | {OUTLINE: Scorer(target, whole, surface).score(body).as_dict()}
+
+
+def on_lattice(volume: Volume, lattice: Volume) -> Volume:
+    """Return `volume` on the voxels of `lattice`: itself, or its nearest-neighbour image.
+
+    The box is that of `volume`, not that of `lattice`: nothing is cut off.
+    """
+    if volume.on_lattice_of(lattice):
+        return volume
+    spacing = np.asarray(lattice.spacing_mm)
+    count = np.asarray(volume.shape_xyz)
+    half = np.asarray(volume.spacing_mm) / 2
+    lower = np.asarray(volume.origin_mm) - half
+    upper = lower + 2 * half * count
+    first = np.floor((lower - lattice.origin_mm) / spacing)
+    last = np.ceil((upper - lattice.origin_mm) / spacing)
+    nx, ny, nz = (int(n) for n in last - first + 1)
+    ox, oy, oz = (float(o) for o in lattice.origin_mm + first * spacing)
+    empty = Volume(np.empty((nz, ny, nx), np.uint8), lattice.spacing_mm, (ox, oy, oz))
+    return resample_labels(volume, empty)
+
+
+def _image_of(spec: Door) -> ImageSpec:
+    if not isinstance(spec, ImageSpec):
+        raise TypeError(f"a breast is described by an ImageSpec, found {type(spec).__name__}")
+    return spec
+
+
+def _phantom_of(spec: Door) -> PhantomSpec | None:
+    return spec.phantom if isinstance(spec, ReferenceSpec) else None

@@ -1,0 +1,164 @@
+"""The breast: its materials, the constants that they take, and how two plates press it.
+
+Ligaments behave as fat (thesis section 4.5); muscle does too, unless its own
+constants are stated. Skin is fat (``none``), fat under a membrane
+(``membrane``), or a tissue of its own in the mesh (``layer``). Fibres run from
+chest wall to nipple, along z.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import Tissue, Triple, Volume
+from workers.body.mesh.skin_thickness import skin_thickness_mm
+from workers.mechanics.effects.breast_catalogue import BREAST_MODEL, with_effects
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Load
+from workers.mechanics.fem.problem import Constants, Membrane, Problem
+from workers.mechanics.parameters import BREAST
+from workers.organs.breast.spec import LoadSpec, ModelSpec
+
+Extent = tuple[float, float]
+"""From here to there along the axis of compression, in mm."""
+
+UNIT_FRAME = Frame()
+_EFFECT_NAMES = tuple(name for name in BREAST_MODEL.names if name not in BREAST)
+
+
+def materials_of(labels: Volume, model: ModelSpec) -> Volume:
+    """Labels in which tissues that behave alike are one, to be meshed.
+
+    An element takes the tissue of most of its five points. Fat, ligament and skin
+    that is no layer are one material; as three tissues they would lose votes that
+    they win together.
+    """
+    alike = np.arange(256, dtype=np.uint8)
+    alike[Tissue.LIGAMENT] = Tissue.FAT
+    if model.skin != "layer":
+        alike[Tissue.SKIN] = Tissue.FAT
+    return Volume(alike[labels.values], labels.spacing_mm, labels.origin_mm)
+
+
+def problem_of(
+    model: ModelSpec,
+    load: LoadSpec,
+    constants: Mapping[str, float],
+    body: Extent,
+    target: Extent | None = None,
+    frame: Frame = UNIT_FRAME,
+) -> Problem:
+    """What the solver is asked.
+
+    Parameters
+    ----------
+    model, load : ModelSpec and LoadSpec
+    constants : mapping of str to float
+        Every parameter of `workers.mechanics.parameters.BREAST`, inside names and units, and
+        those of the effects that the model has.
+    body : tuple of float
+        Where the undeformed body begins and ends along the axis of compression, in mm.
+    target : tuple of float, optional
+        The same of an imaged target; see `plates_of`.
+    frame : Frame
+        Of the undeformed body.
+    """
+    fat = Constants(constants["E_fat"], constants["nu"], constants["eta_fat"])
+    skin = Constants(constants["E_skin"], constants["nu"])
+    tissues = {
+        Tissue.FAT: fat,
+        Tissue.LIGAMENT: fat,
+        Tissue.SKIN: skin if model.skin == "layer" else fat,
+        Tissue.MUSCLE: Constants(constants["E_muscle"], constants["nu"], constants["eta_muscle"]),
+        Tissue.GLANDULAR: Constants(
+            constants["E_glandular"], constants["nu"], constants["eta_glandular"]
+        ),
+    }
+    effects = {name: constants[name] for name in _EFFECT_NAMES if name in constants}
+    membrane = Membrane(constants["E_skin"], model.skin_thickness_mm)
+    problem = Problem(
+        constants=tissues,
+        load=plates_of(load, body, target, frame),
+        membrane=membrane if model.skin == "membrane" else None,
+        literal_fibre=model.fibres == "literal",
+        isochoric_fibre=model.fibre_invariant == "isochoric",
+    )
+    return with_effects(problem, effects, frame)
+
+
+def plates_of(
+    load: LoadSpec, body: Extent, target: Extent | None = None, frame: Frame = UNIT_FRAME
+) -> Load:
+    """Where the plates stand.
+
+    Under a force they start at the ends of the undeformed body. At a distance
+    they end centred on the imaged target when there is one, because that is where
+    the device held it, and else centred on the undeformed body.
+    """
+    device = Device(
+        axis=compression_axis(load.oblique_deg),
+        pivot_mm=frame.centre_mm,
+        lower_share=0.5 if load.moving == "both" else 0.0,
+    )
+    if load.force_n is not None:
+        return ForceControl(load.force_n, *body, device)
+    distance = load.plate_distance_mm
+    if distance is None:
+        raise AssertionError("a load has a force or a distance")
+    if distance.lower is not None and distance.upper is not None:
+        return DistanceControl(distance.lower, distance.upper, device)
+    if distance.final is None:
+        raise AssertionError("plates end at a distance or at two positions")
+    centre = sum(body if target is None else target) / 2
+    return DistanceControl(centre - distance.final / 2, centre + distance.final / 2, device)
+
+
+def compression_axis(oblique_deg: float) -> Triple:
+    """From the lower to the upper plate."""
+    angle = np.radians(oblique_deg)
+    return -float(np.sin(angle)), float(np.cos(angle)), 0.0
+
+
+def extent_of(volume: Volume, oblique_deg: float = 0.0) -> Extent:
+    """Where the body begins and ends along the axis of compression, in mm.
+
+    Along y these are the outer faces of its outermost voxels, along an oblique axis
+    the same of its voxels' projections.
+
+    Raises
+    ------
+    InputError
+        If the volume is all air.
+    """
+    y, x = np.nonzero((volume.values != Tissue.AIR).any(axis=0))
+    if not len(y):
+        raise InputError("The volume is all air: there is no body in it. Check its label map.")
+    ax, ay, _ = compression_axis(oblique_deg)
+    dx, dy, _ = volume.spacing_mm
+    along = (volume.origin_mm[0] + x * dx) * ax + (volume.origin_mm[1] + y * dy) * ay
+    half = (abs(ax) * dx + abs(ay) * dy) / 2
+    return float(along.min() - half), float(along.max() + half)
+
+
+def check_skin_layer(labels: Volume, element_size_mm: float) -> None:
+    """Refuse to model skin by elements that cannot resolve it.
+
+    Raises
+    ------
+    InputError
+        If the elements are larger than the skin is thick, or no voxel is skin.
+    """
+    thickness = skin_thickness_mm(labels)
+    if not thickness:
+        raise InputError(
+            "skin: layer needs skin voxels, but the body has none. Label its skin, or use "
+            "skin: membrane, which needs no voxels, or skin: none."
+        )
+    if element_size_mm > thickness:
+        raise InputError(
+            f"skin: layer needs elements no larger than the skin is thick: the skin is "
+            f"{thickness:.2g} mm thick, the elements are {element_size_mm:.2g} mm. "
+            f"Use skin: membrane with skin_thickness_mm: {thickness:.2g}, or "
+            f"mesh: {{element_size_mm: {thickness:.2g}}}."
+        )

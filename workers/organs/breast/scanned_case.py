@@ -1,0 +1,173 @@
+"""A case to be diagnosed: what its file says, the scan at rest and the scans under load.
+
+Plates press with a known force, or stand at a known distance.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import Tissue, Triple, Volume
+from workers.comparison.observation.noise import SegmentationNoise
+from workers.comparison.observation.noise_estimation import from_repeat
+from workers.diagnosis.inverse_problem import FreeConstant, Values
+from workers.mechanics.fem.fields import FibreField, Frame
+from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Load, Wall
+from workers.mechanics.fem.problem import Constants, Problem
+from workers.organs.breast.case_spec import CaseFile, CaseWall
+from workers.units import KPA, KPA_PER_MM
+
+# What voxels leave of an interface, see `workers.comparison.observation.noise`.
+NUGGET_VOXELS = 0.08
+# Points this near to the chest wall sit where the image was cut.
+WALL_MARGIN_MM = 4.0
+
+
+class ScannedCase:
+    """A case with its scans.
+
+    Parameters
+    ----------
+    file : CaseFile
+        What its file says.
+    reference : Volume
+        `Tissue` labels of the body at rest, in air and above the chest wall.
+    repeat : Volume or None
+        A second segmentation of it.
+    loaded : sequence of Volume
+        The same under each load; empty if the scans are not made, for which the body at rest
+        then stands: plates at a distance close around its middle.
+    where : str
+        The path of the file, for messages.
+    """
+
+    def __init__(
+        self,
+        file: CaseFile,
+        reference: Volume,
+        repeat: Volume | None,
+        loaded: Sequence[Volume],
+        where: str = "the case",
+    ) -> None:
+        self.file = file
+        self.reference = reference
+        self.repeat = repeat
+        self.where = where
+        self.loads = list(file.scans.loads)
+        self.is_scanned = bool(loaded)
+        self.deformed = list(loaded) if loaded else [reference] * len(self.loads)
+
+    @property
+    def names(self) -> list[str]:
+        """Of the loaded scans."""
+        return [load.name for load in self.loads]
+
+    @property
+    def free(self) -> list[FreeConstant]:
+        """The unknown constants with their plausible intervals."""
+        return [
+            FreeConstant(name, KPA.to_inside(low), KPA.to_inside(high))
+            for name, (low, high) in self.file.free.items()
+        ]
+
+    @cached_property
+    def noise(self) -> SegmentationNoise:
+        """Of the segmentation, every scan alike: as two of one image differ, or as stated."""
+        if self.repeat is not None:
+            return from_repeat(self.reference, self.repeat, wall_margin_mm=WALL_MARGIN_MM)
+        stated = self.file.noise
+        if stated is None:
+            raise InputError(f"{self.where} says nothing of noise, and has no second segmentation.")
+        of_reference = stated.sd_mm if stated.in_scans == "all" else 0.0
+        nugget = NUGGET_VOXELS * max(self.reference.spacing_mm)
+        return SegmentationNoise(stated.sd_mm, stated.correlation_mm, of_reference, nugget)
+
+    def problem(self, number: int, frame: Frame) -> Callable[[Values], Problem]:
+        """Return the nominal model of one loaded scan, from the values of the free constants."""
+        model = self.file.model
+        has_fibres = model.law == "fibre-neo-hookean"
+        load = self._load(number, frame)
+        wall = _wall(self.file.wall)
+        held = {name: KPA.to_inside(value) for name, value in self.file.held.items()}
+
+        def build(values: Values) -> Problem:
+            known = held | dict(values)
+            return Problem(
+                {
+                    Tissue.FAT: _constants(known, "E_fat", model.nu),
+                    Tissue.GLANDULAR: _constants(known, "E_gl", model.nu),
+                },
+                load,
+                fibres=FibreField(axis=model.fibre_direction),
+                isochoric_fibre=has_fibres and model.fibre_invariant == "isochoric",
+                literal_fibre=not has_fibres or model.fibres == "literal",
+                wall=wall,
+            )
+
+        return build
+
+    def _load(self, number: int, frame: Frame) -> Load:
+        stated = self.loads[number]
+        device = Device(stated.axis, frame.centre_mm)
+        if stated.force_n is not None:
+            lower, upper = stated.lower_mm, stated.upper_mm
+            if lower is None or upper is None:
+                lower, upper = self._plates()
+            return ForceControl(stated.force_n, lower, upper, device)
+        lower, upper = extent_mm(self.deformed[number], stated.axis)
+        if stated.plate_distance_mm is not None:
+            spare = (upper - lower - stated.plate_distance_mm) / 2
+            lower, upper = lower + spare, upper - spare
+        return DistanceControl(
+            lower if stated.lower_mm is None else stated.lower_mm,
+            upper if stated.upper_mm is None else stated.upper_mm,
+            device,
+        )
+
+    def _plates(self) -> tuple[float, float]:
+        plates = self.file.plates
+        if plates is None:
+            raise InputError(f"{self.where} does not say where the plates start.")
+        return plates.lower_mm, plates.upper_mm
+
+    @property
+    def wall_mm(self) -> float:
+        """The z of the chest wall."""
+        return self.file.wall.z_mm
+
+    @property
+    def unloaded(self) -> "ScannedCase":
+        """The same case before its loaded scans are made."""
+        return ScannedCase(self.file, self.reference, self.repeat, [], self.where)
+
+
+def above_wall(labels: Volume, wall_mm: float) -> Volume:
+    """Return the slices whose centres lie above the chest wall; segmentation may spill below it."""
+    z = labels.origin_mm[2] + labels.spacing_mm[2] * np.arange(labels.values.shape[0])
+    first = int(np.searchsorted(z, wall_mm + 1e-6))
+    x0, y0, _ = labels.origin_mm
+    return Volume(labels.values[first:], labels.spacing_mm, (x0, y0, float(z[first])))
+
+
+def extent_mm(labels: Volume, axis: Triple) -> tuple[float, float]:
+    """Return from where to where the body reaches along an axis across z: faces of its voxels."""
+    along = np.asarray(axis[:2]) / np.linalg.norm(axis)
+    _, y, x = np.nonzero(labels.values != Tissue.AIR)
+    spacing = np.asarray(labels.spacing_mm[:2])
+    places = np.asarray(labels.origin_mm[:2]) + spacing * np.column_stack([x, y])
+    heights = places @ along
+    half = float(np.abs(along) @ spacing) / 2
+    return float(heights.min()) - half, float(heights.max()) + half
+
+
+def _constants(values: Values, young: str, poisson: float) -> Constants:
+    return Constants(values[young], poisson, fibre_mpa=values.get("eta", 0.0))
+
+
+def _wall(stated: CaseWall) -> Wall:
+    if stated.held:
+        return Wall((True, True, True))
+    springs = KPA_PER_MM.to_inside(stated.kx_kpa_per_mm), KPA_PER_MM.to_inside(stated.ky_kpa_per_mm)
+    return Wall((False, False, True), (*springs, 0.0))

@@ -1,0 +1,243 @@
+"""What may be stated of a breast: the case, the target and the score of a study."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, Field, StringConstraints, model_validator
+
+from storage.errors import InputError
+from storage.values import Tissue
+from workers.body.images.labels import tissue_named
+from workers.body.images.orient import parse_axes
+from workers.body.phantom.settings import BreastPhantom
+from workers.mechanics.effects.breast_catalogue import BREAST_MODEL
+from workers.mechanics.parameters import Vocabulary
+from workers.spec import (
+    CaseSpec,
+    Door,
+    Finite,
+    Positive,
+    ScoreSpec,
+    TargetSpec,
+    checked,
+    require_one_of,
+)
+
+
+def _three(given: Any) -> Any:
+    """Let one number stand for three."""
+    return (given, given, given) if isinstance(given, int | float) else given
+
+
+def _ascending(record: BaseModel, low: str, high: str, why: str) -> None:
+    below, above = getattr(record, low), getattr(record, high)
+    if below is not None and above is not None and not below < above:
+        raise ValueError(f"{low} ({below:g}) must be less than {high} ({above:g}): {why}")
+
+
+SpacingMm = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
+Axes = Annotated[str, checked(parse_axes)]
+TissueName = Annotated[
+    str, StringConstraints(to_lower=True, strip_whitespace=True), checked(tissue_named)
+]
+DoorConstants = Annotated[dict[str, float], checked(BREAST_MODEL.from_door)]
+
+
+class PhantomSpec(Door):
+    """A generated breast: a preset, some of its settings changed, and a seed.
+
+    The settings are those of `workers.body.phantom.settings.BreastPhantom`.
+    """
+
+    preset: str = "445ml"
+    seed: Annotated[int, Field(ge=0)] = 1
+    spacing_mm: float | None = None
+    glandular_fraction: float | None = None
+    lower_mm: float | None = None
+    upper_mm: float | None = None
+    half_width_mm: float | None = None
+    depth_mm: float | None = None
+    skin_mm: float | None = None
+    ligament_mm: float | None = None
+    compartments: int | None = None
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        try:
+            _ = self.settings
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    @property
+    def settings(self) -> BreastPhantom:
+        """What the generator is asked."""
+        changes = self.model_dump(exclude={"preset", "seed"}, exclude_none=True)
+        return BreastPhantom.preset(self.preset, **changes)
+
+
+class ImageSpec(Door):
+    """The keys that say how an image is read; see `workers.body.images.read.read_volume`."""
+
+    volume: str | None = None
+    labels: dict[int, TissueName] | None = None
+    spacing_mm: SpacingMm | None = None
+    axes: Axes | None = None
+
+    def _refuse_image_keys(self, instead: str) -> None:
+        given = [k for k in ("labels", "spacing_mm", "axes") if getattr(self, k) is not None]
+        if given:
+            raise ValueError(
+                f"{', '.join(given)} say how an image is read, but {instead} is given: "
+                "take them out, or give a volume"
+            )
+
+
+class ReferenceSpec(ImageSpec):
+    """The undeformed body: a phantom, or an image file, folder or volume of the store."""
+
+    phantom: PhantomSpec | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        require_one_of(self, "phantom", "volume")
+        if self.phantom is not None:
+            self._refuse_image_keys("a phantom")
+        return self
+
+
+class MeshSpec(Door):
+    """How fine the tetrahedra are: about so many nodes, or of this size."""
+
+    nodes: Annotated[int, Field(ge=100, le=5_000_000)] | None = None
+    element_size_mm: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_measure(self) -> Self:
+        require_one_of(self, "nodes", "element_size_mm")
+        return self
+
+
+class ModelSpec(Door):
+    """What the model of the tissue contains."""
+
+    skin: Literal["none", "membrane", "layer"] = "none"
+    skin_thickness_mm: Positive = 1.5
+    fibres: Literal["tension-only", "literal"] = "tension-only"
+    fibre_invariant: Literal["I4", "isochoric"] = "I4"
+
+
+class PlateDistanceSpec(Door):
+    """Where the plates end: at a distance, or at two positions along y."""
+
+    initial: Positive | None = None
+    final: Positive | None = None
+    lower: Finite | None = None
+    upper: Finite | None = None
+
+    @model_validator(mode="after")
+    def _distance_or_positions(self) -> Self:
+        distance = self.final is not None
+        positions = self.lower is not None and self.upper is not None
+        mixed = distance and (self.lower is not None or self.upper is not None)
+        if mixed or not (distance or positions) or (positions and self.initial is not None):
+            raise ValueError(
+                "give {final: 65} (and initial, if known), or the positions along y "
+                "{lower: 10, upper: 75}"
+            )
+        _ascending(self, "final", "initial", "the plates must come closer")
+        _ascending(self, "lower", "upper", "the upper plate lies at the higher y")
+        return self
+
+
+class LoadSpec(Door):
+    """What presses: a force on the plates, or where they end.
+
+    ``oblique_deg`` turns the direction of compression about z, from y towards -x: 0 is
+    cranio-caudal, 45 mediolateral oblique.
+    """
+
+    force_n: Positive | None = None
+    plate_distance_mm: PlateDistanceSpec | None = None
+    oblique_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    moving: Literal["upper", "both"] = "upper"
+
+    @model_validator(mode="after")
+    def _one_control(self) -> Self:
+        require_one_of(self, "force_n", "plate_distance_mm")
+        return self
+
+
+class BreastCase(CaseSpec):
+    """A breast, its mesh, its model and its load."""
+
+    organ: Literal["breast"] = "breast"
+    reference: ReferenceSpec
+    mesh: MeshSpec = MeshSpec(nodes=20_000)
+    model: ModelSpec = ModelSpec()
+    load: LoadSpec = LoadSpec(force_n=100.0)
+    constants: DoorConstants = Field(default_factory=dict)
+
+    @property
+    def parameters(self) -> Vocabulary:
+        """See `CaseSpec.parameters`."""
+        return BREAST_MODEL.without(["E_skin"]) if self.model.skin == "none" else BREAST_MODEL
+
+    def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
+        """See `CaseSpec.complete`."""
+        return BREAST_MODEL.complete(BREAST_MODEL.from_door(self.constants), constants or {})
+
+    def unused_parameter(self, name: str) -> str:
+        """See `CaseSpec.unused_parameter`."""
+        return "the case has no skin: case.model.skin is none" if name == "E_skin_kpa" else ""
+
+
+class BreastTarget(ImageSpec, TargetSpec):
+    """The deformed body to be explained: simulated with hidden constants, or an image."""
+
+    constants: DoorConstants | None = None
+    mesh: MeshSpec | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        require_one_of(self, "constants", "volume")
+        if self.constants is not None:
+            self._refuse_image_keys("constants")
+        elif self.mesh is not None:
+            raise ValueError("a mesh is for a simulated target, but a volume is given: take it out")
+        return self
+
+
+class BreastScore(ScoreSpec):
+    """Which tissues are compared, and which of their voxels measure the distance."""
+
+    labels: Annotated[tuple[TissueName, ...], Field(min_length=1)] = ("glandular",)
+    surface: Literal["boundary", "all"] = "boundary"
+
+    @model_validator(mode="after")
+    def _solid_and_once(self) -> Self:
+        if "air" in self.labels:
+            raise ValueError("labels: air is what is left over; name tissues")
+        if len(set(self.labels)) != len(self.labels):
+            raise ValueError(f"labels: each tissue once, found {list(self.labels)}")
+        return self
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """See `ScoreSpec.parts`."""
+        return self.labels
+
+    @property
+    def compared(self) -> str:
+        """See `ScoreSpec.compared`."""
+        return f"{' and '.join(self.labels)} tissue"
+
+    @property
+    def extent(self) -> tuple[str, str]:
+        """See `ScoreSpec.extent`."""
+        return "volume", "surfaces" if self.surface == "boundary" else "voxels"
+
+    @property
+    def tissues(self) -> tuple[Tissue, ...]:
+        """The tissues that `labels` name."""
+        return tuple(tissue_named(name) for name in self.labels)

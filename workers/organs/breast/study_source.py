@@ -1,0 +1,264 @@
+"""A study, a search for constants, as the source of a diagnosis.
+
+The model is that of the study. Parameters that were searched are the unknown constants,
+their intervals the plausible ones; a parameter that may be zero or negative has no
+logarithm and is held where the search has ended.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.values import Volume
+from workers.body.images.largest_component import in_air
+from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.comparison.observation.noise import SegmentationNoise
+from workers.comparison.observation.smooth_outline import smooth_outline
+from workers.diagnosis.acquisition import Acquisition, ProblemBuilder, inverse_problem_of
+from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Values
+from workers.diagnosis.pictures.scan_pictures import Displacements, pictures_of_scans
+from workers.diagnosis.source import FinishedStudy, SourceContent
+from workers.diagnosis.summary import Summary
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.parameters import Bounds
+from workers.organs.breast.problem import extent_of, materials_of, problem_of
+from workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
+from workers.spec import validated
+
+# Names of both volumes in the content of a study.
+REFERENCE, TARGET = "reference", "target"
+# What an image that somebody has drawn is taken to err by, in voxels, and over which length.
+DRAWN_VOXELS, DRAWN_LENGTH_MM = 0.5, 4.0
+# The same of labels that the model has moved: their voxels, and what its mesh cuts off the
+# body's rim (0.07 mm of a body of 1 mm voxels and 1,500 nodes).
+MOVED_VOXELS, MOVED_LENGTH_VOXELS = 0.25, 2.0
+NUGGET_VOXELS = 0.08
+# A stiffness that was searched from zero is plausible from this part of its upper end.
+LEAST_PART = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class StudyPieces:
+    """What a study says and has in its store.
+
+    Parameters
+    ----------
+    name : str
+    case : BreastCase
+    bounds : mapping of str to (float, float)
+        Searched intervals, inside names and units.
+    best : mapping of str to float
+        The searched parameters of the best candidate; empty if there is none.
+    reference, target : Volume
+        `Tissue` labels at rest and under the load.
+    target_mesh : MeshSpec or None
+        Of a target that was simulated; None for an image.
+    """
+
+    name: str
+    case: BreastCase
+    bounds: Mapping[str, Bounds]
+    best: Mapping[str, float]
+    reference: Volume
+    target: Volume
+    target_mesh: MeshSpec | None
+
+
+class StudySource:
+    """See `workers.diagnosis.source.Source`.
+
+    Parameters
+    ----------
+    pieces : StudyPieces
+    noise : SegmentationNoise, optional
+        Of both segmentations. Default: half a voxel over 4 mm for images, and what voxels
+        leave of an interface for a simulated target.
+    """
+
+    kind = "breast study"
+
+    def __init__(self, pieces: StudyPieces, noise: SegmentationNoise | None = None) -> None:
+        self.pieces = pieces
+        self.noise = noise or self._usual_noise()
+
+    @classmethod
+    def from_content(cls, content: SourceContent) -> "StudySource":
+        """Make it again from what the store holds."""
+        record, volumes = content.record, content.volumes
+        mesh = record["target_mesh"]
+        return cls(
+            StudyPieces(
+                name=record["name"],
+                case=validated(BreastCase, record["case"], "The study's case"),
+                bounds={name: (lower, upper) for name, (lower, upper) in record["bounds"].items()},
+                best=record["best"],
+                reference=volumes[REFERENCE],
+                target=volumes[TARGET],
+                target_mesh=None if mesh is None else validated(MeshSpec, mesh, "The target"),
+            ),
+            SegmentationNoise(**record["noise"]),
+        )
+
+    @property
+    def content(self) -> SourceContent:
+        """Case, intervals and best candidate of the study, and both volumes."""
+        pieces, mesh = self.pieces, self.pieces.target_mesh
+        case = pieces.case.model_dump(mode="json")
+        # The body is among the volumes; where it came from does not matter any more.
+        case["reference"] = {"volume": REFERENCE}
+        record = {
+            "name": pieces.name,
+            "case": case,
+            "bounds": {name: list(ends) for name, ends in pieces.bounds.items()},
+            "best": dict(pieces.best),
+            "target_mesh": None if mesh is None else mesh.model_dump(mode="json"),
+            "noise": asdict(self.noise),
+        }
+        volumes = {REFERENCE: pieces.reference, TARGET: pieces.target}
+        return SourceContent(self.kind, record, volumes, {})
+
+    @property
+    def name(self) -> str:
+        """The study's."""
+        return self.pieces.name
+
+    @property
+    def scans(self) -> Sequence[str]:
+        """The one load."""
+        load = self.pieces.case.load
+        if load.force_n is not None:
+            return [f"{load.force_n:g} N"]
+        distance = load.plate_distance_mm
+        known = distance is not None and distance.final is not None
+        return [f"{distance.final:g} mm" if distance is not None and known else "plates in place"]
+
+    @property
+    def effects(self) -> Sequence[Effect]:
+        """What may be missing from the model of a breast, less what was searched."""
+        free = {f.name for f in self.free}
+        return [e for e in BREAST_EFFECTS if not free & set(e.names)]
+
+    @cached_property
+    def free(self) -> list[FreeConstant]:
+        """The searched parameters that are positive."""
+        found = [_free(name, bounds) for name, bounds in self.pieces.bounds.items()]
+        return [f for f in found if f is not None]
+
+    @property
+    def start(self) -> Values:
+        """The free parameters of the best candidate; empty if there is none."""
+        return {f.name: self.pieces.best[f.name] for f in self.free if f.name in self.pieces.best}
+
+    def check(self) -> None:
+        """Refuse a study that left nothing to fit."""
+        if not self.free:
+            raise InputError(
+                f"The study {self.name} has searched {', '.join(self.pieces.bounds) or 'nothing'}; "
+                "a diagnosis needs a constant that is positive, such as E_fat_kpa, under "
+                "search.parameters."
+            )
+
+    def inverse_problem(self, nodes: int, spacing_mm: float) -> InverseProblem:
+        """Mesh the body, put points on its interfaces and compare them with the target."""
+        return inverse_problem_of(self.acquisition, nodes, spacing_mm, [self.pieces.target])
+
+    def finer(self, nodes: int) -> Model:
+        """Return a mesh of the same body: that of the study where the target shares it."""
+        return prepare(self._mesh(nodes))
+
+    def describe(
+        self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
+    ) -> tuple[dict[str, NDArray[Any]], Summary]:
+        """Draw bodies, maps and overlaps."""
+        pieces = self.pieces
+        return pictures_of_scans(
+            diagnosis, displacements, summary, pieces.reference, [pieces.target], lambda v: v
+        )
+
+    @property
+    def acquisition(self) -> Acquisition:
+        """What was known before the target was scanned."""
+        return Acquisition(
+            name=self.name,
+            reference=self.pieces.reference,
+            mesh=self._mesh,
+            noise=self.noise,
+            free=self.free,
+            loads=list(self.scans),
+            problem=self.problem,
+            effects=self.effects,
+        )
+
+    def problem(self, number: int, frame: Frame) -> ProblemBuilder:
+        """Return the study's model under its load, from the values of the free constants."""
+        case, imaged = self.pieces.case, self.pieces.target_mesh is None
+        oblique = case.load.oblique_deg
+        body = extent_of(self.pieces.reference, oblique)
+        target = extent_of(self.pieces.target, oblique) if imaged else None
+        held = {n: v for n, v in self.pieces.best.items() if n not in {f.name for f in self.free}}
+
+        def build(values: Values) -> Problem:
+            constants = case.complete(held | dict(values))
+            return problem_of(case.model, case.load, constants, body, target, frame)
+
+        return build
+
+    def _mesh(self, nodes: int) -> Hierarchy:
+        """Mesh the body; a target that the candidates' own mesh has made is fitted by that one."""
+        case = self.pieces.case
+        body = materials_of(self.pieces.reference, case.model)
+        if self.pieces.target_mesh == case.mesh:
+            size, count = case.mesh.element_size_mm, case.mesh.nodes
+            return build_hierarchy(body, element_size_mm=size, nodes=count)
+        if self.noise.reference_sd_mm:
+            body = smooth_outline(body, self.noise.correlation_mm)
+        return build_hierarchy(body, nodes=nodes)
+
+    def _usual_noise(self) -> SegmentationNoise:
+        voxel = max(*self.pieces.reference.spacing_mm, *self.pieces.target.spacing_mm)
+        nugget = NUGGET_VOXELS * voxel
+        if self.pieces.target_mesh is None:
+            drawn = DRAWN_VOXELS * voxel
+            return SegmentationNoise(drawn, DRAWN_LENGTH_MM, drawn, nugget)
+        return SegmentationNoise(MOVED_VOXELS * voxel, MOVED_LENGTH_VOXELS * voxel, 0.0, nugget)
+
+
+def from_study(study: FinishedStudy) -> StudySource:
+    """Return a study that has run as the source of a diagnosis.
+
+    Raises
+    ------
+    InputError
+        If its case or target makes no sense.
+    """
+    case = validated(BreastCase, study.case, "The study's case")
+    target = validated(BreastTarget, study.target, "The study's target")
+    pieces = StudyPieces(
+        name=study.name,
+        case=case,
+        bounds=case.parameters.bounds_from_door(study.parameters),
+        best=case.parameters.from_door(study.best),
+        reference=in_air(study.reference),
+        target=in_air(study.deformed),
+        target_mesh=None if target.constants is None else target.mesh or case.mesh,
+    )
+    return StudySource(pieces)
+
+
+SOURCES = {StudySource.kind: StudySource.from_content}
+
+
+def _free(name: str, bounds: Bounds) -> FreeConstant | None:
+    lower, upper = bounds
+    if lower == 0 < upper and name.startswith(("E_", "eta_")):
+        lower = LEAST_PART * upper
+    return FreeConstant(name, lower, upper) if lower > 0 else None

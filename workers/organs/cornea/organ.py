@@ -1,0 +1,206 @@
+"""The cornea as an organ of a study: sections, 6-node triangles, an air jet."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from storage.values import FloatArray, Volume
+from workers.mechanics.effects.base import Effect
+from workers.organs.cornea.candidate import Candidate
+from workers.organs.cornea.contour_distance import distances
+from workers.organs.cornea.deformed_section import deformed_section
+from workers.organs.cornea.generated_section import generated_section
+from workers.organs.cornea.imaged_section import imaged_section
+from workers.organs.cornea.mesh_quality import t6_quality
+from workers.organs.cornea.model_cache import MeshForModels
+from workers.organs.cornea.outcome import CorneaOutcome
+from workers.organs.cornea.parameters import CORNEA
+from workers.organs.cornea.problem import candidate_of, jet_nodes_x_mm, middle_of
+from workers.organs.cornea.section import Section
+from workers.organs.cornea.section_image import CORNEA_LABEL, section_image
+from workers.organs.cornea.section_mesh import mesh_section
+from workers.organs.cornea.section_scorer import SectionScorer
+from workers.organs.cornea.solve import solve_prepared
+from workers.organs.cornea.spec import (
+    CorneaCase,
+    CorneaReference,
+    CorneaScore,
+    CorneaTarget,
+    FrameSpec,
+    GeneratedSectionSpec,
+)
+from workers.organs.cornea.t6_mesh import T6Mesh
+from workers.organs.organ import Arrays, Facts, Scores
+from workers.spec import Door
+
+_MESH_ARRAYS = ("nodes_mm", "triangles", "anterior", "posterior", "left", "right")
+
+
+class Cornea:
+    """See `workers.organs.organ.Organ`; a body is a `Section`."""
+
+    name = "cornea"
+    case_spec = CorneaCase
+    target_spec = CorneaTarget
+    score_spec = CorneaScore
+    parameters = CORNEA
+    effects: Sequence[Effect] = ()
+    not_simulated = (
+        ("fibres", "the law of the thesis is isotropic"),
+        ("viscosity", "one image under the jet does not show how fast the cornea gives way"),
+    )
+    picture_labels: Mapping[int, str] = {CORNEA_LABEL: "cornea"}
+    load_direction = "The air jet presses against y, into the eye."
+
+    def body_files(self, spec: Door) -> Sequence[Path]:
+        """See `Organ.body_files`."""
+        frame = _frame_of(spec)
+        return [] if frame is None else [Path(frame.file)]
+
+    def body_settings(self, spec: Door) -> Facts:
+        """See `Organ.body_settings`."""
+        frame = _frame_of(spec)
+        if frame is None:
+            return _section_of(spec).model_dump(mode="json")
+        return frame.model_dump(mode="json", exclude={"file"})
+
+    def make_body(self, spec: Door) -> Section:
+        """See `Organ.make_body`."""
+        frame = _frame_of(spec)
+        if frame is not None:
+            return imaged_section(frame)
+        section = _section_of(spec)
+        return generated_section(
+            anterior_radius_mm=section.radius_mm,
+            diameter_mm=section.chord_mm,
+            central_thickness_mm=section.central_mm,
+            peripheral_thickness_mm=section.peripheral_mm,
+            asphericity=section.asphericity,
+        )
+
+    def stored_name(self, spec: Door) -> str | None:
+        """See `Organ.stored_name`: sections are made, never named."""
+        return None
+
+    def adapt_stored(self, body: Section, spec: Door) -> Section | None:
+        """See `Organ.adapt_stored`."""
+        return None
+
+    def body_to_arrays(self, body: Section) -> Arrays:
+        """See `Organ.body_to_arrays`."""
+        return {"anterior_mm": body.anterior_mm, "posterior_mm": body.posterior_mm}
+
+    def body_from_arrays(self, arrays: Arrays | Volume) -> Section:
+        """See `Organ.body_from_arrays`."""
+        if isinstance(arrays, Volume):
+            raise TypeError("the body of a cornea is stored as two surfaces")
+        return Section(anterior_mm=arrays["anterior_mm"], posterior_mm=arrays["posterior_mm"])
+
+    def simulated_case(self, case: CorneaCase, target: CorneaTarget) -> CorneaCase:
+        """See `Organ.simulated_case`."""
+        return case if target.mesh is None else case.model_copy(update={"mesh": target.mesh})
+
+    def mesh_settings(self, case: CorneaCase) -> Facts:
+        """See `Organ.mesh_settings`: the mesh has nodes at the edges of the jet."""
+        jet = case.load.jet
+        where = {"centre_mm": jet.centre_mm, "reach_mm": jet.reach_mm}
+        return {"mesh": case.mesh.model_dump(mode="json"), "jet": where}
+
+    def make_mesh(self, body: Section, case: CorneaCase) -> T6Mesh:
+        """See `Organ.make_mesh`."""
+        return mesh_section(body, case.mesh.elements, jet_nodes_x_mm(body, case))
+
+    def mesh_to_arrays(self, mesh: T6Mesh) -> Arrays:
+        """See `Organ.mesh_to_arrays`."""
+        return {name: getattr(mesh, name) for name in _MESH_ARRAYS}
+
+    def mesh_from_arrays(self, arrays: Arrays) -> T6Mesh:
+        """See `Organ.mesh_from_arrays`."""
+        return T6Mesh(**{name: arrays[name] for name in _MESH_ARRAYS})
+
+    def facts(self, body: Section, mesh: T6Mesh) -> Facts:
+        """See `Organ.facts`."""
+        anterior = body.anterior_mm
+        thickness = distances(anterior, body.posterior_mm)
+        middle = int(np.argmin(np.abs(anterior[:, 0] - middle_of(body))))
+        quality = t6_quality(mesh)
+        return {
+            "chord_mm": float(np.linalg.norm(anterior[-1] - anterior[0])),
+            "central_thickness_um": 1000 * float(thickness[middle]),
+            "thinnest_um": 1000 * float(thickness.min()),
+            "nodes": len(mesh.nodes_mm),
+            "triangles": len(mesh.triangles),
+            "smallest_shape": quality.smallest_shape,
+            "smallest_jacobian": quality.smallest_jacobian,
+        }
+
+    def check(self, case: CorneaCase, body: Section, mesh_facts: Mapping[str, Any]) -> None:
+        """Refuse nothing: `make_body` and `make_mesh` have refused what cannot be modelled."""
+
+    def prepare(self, mesh: T6Mesh) -> MeshForModels:
+        """See `Organ.prepare`."""
+        return MeshForModels(mesh)
+
+    def landmarks(self, body: Section, case: CorneaCase) -> float:
+        """Return the x of the middle of the section, in mm."""
+        return middle_of(body)
+
+    def landmarks_depend_on(self, case: CorneaCase) -> str:
+        """See `Organ.landmarks_depend_on`."""
+        return ""
+
+    def problem(
+        self,
+        model: MeshForModels,
+        case: CorneaCase,
+        constants: Mapping[str, float],
+        landmarks: float,
+        target_landmarks: float | None = None,
+    ) -> Candidate:
+        """See `Organ.problem`."""
+        return candidate_of(model, case, constants, landmarks)
+
+    def solve(self, model: MeshForModels, problem: Candidate) -> CorneaOutcome:
+        """See `Organ.solve`."""
+        return CorneaOutcome(solve_prepared(problem.prepared, problem.constants, problem.load))
+
+    def deform(
+        self,
+        body: Section,
+        mesh: T6Mesh,
+        displacement_mm: FloatArray,
+        target: Section | None = None,
+    ) -> Section:
+        """See `Organ.deform`."""
+        return deformed_section(body, mesh, displacement_mm)
+
+    def scorer(self, target: Section, spec: CorneaScore) -> SectionScorer:
+        """See `Organ.scorer`."""
+        return SectionScorer(target, spec)
+
+    def picture(self, body: Section) -> Volume:
+        """See `Organ.picture`."""
+        return section_image(body)
+
+    def scores_by_part(
+        self, target: Section, candidate: Section, spec: CorneaScore
+    ) -> dict[str, Scores]:
+        """See `Organ.scores_by_part`: a cornea is one part."""
+        return {"cornea": SectionScorer(target, spec).score(candidate).as_dict()}
+
+
+ORGAN = Cornea()
+
+
+def _frame_of(spec: Door) -> FrameSpec | None:
+    if not isinstance(spec, CorneaReference | CorneaTarget):
+        raise TypeError(f"a cornea is described by its own doors, found {type(spec).__name__}")
+    return spec.frame
+
+
+def _section_of(spec: Door) -> GeneratedSectionSpec:
+    if not isinstance(spec, CorneaReference) or spec.section is None:
+        raise TypeError("a section is generated from the geometry of a reference")
+    return spec.section

@@ -1,0 +1,236 @@
+"""What may be stated of a cornea: the case, the target and the score of a study."""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from storage.errors import InputError
+from workers.mechanics.parameters import Vocabulary
+from workers.organs.cornea.constants import Convention
+from workers.organs.cornea.load import MPA_PER_MMHG, JetProfile
+from workers.organs.cornea.model import Kind, PrestressMethod
+from workers.organs.cornea.parameters import CORNEA, TERMS
+from workers.organs.cornea.refraction import CAMERA_ANGLE_DEG, CORNEA_INDEX
+from workers.spec import (
+    CaseSpec,
+    Door,
+    Finite,
+    Positive,
+    ScoreSpec,
+    TargetSpec,
+    checked,
+    require_one_of,
+)
+
+DoorConstants = Annotated[dict[str, float], checked(CORNEA.from_door)]
+Zero = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Interval = tuple[Finite, Finite]
+
+
+class GeneratedSectionSpec(Door):
+    """A generated section; see `workers.organs.cornea.generated_section`."""
+
+    radius_mm: Positive = 7.8
+    chord_mm: Positive = 11.7
+    central_mm: Positive = 0.595
+    peripheral_mm: Positive = 0.70
+    asphericity: Finite = 0.0
+
+
+class RefractionSpec(Door):
+    """How the camera saw the posterior surface; see `workers.organs.cornea.refraction`."""
+
+    index: Annotated[float, Field(ge=1, allow_inf_nan=False)] = CORNEA_INDEX
+    camera_angle_deg: Annotated[float, Field(gt=0, lt=80)] = CAMERA_ANGLE_DEG
+
+
+class FrameSpec(Door):
+    """An image of a section and its scale; see `workers.organs.cornea.frame_reading`.
+
+    ``first_pixel`` is the column and row of its first pixel in the raster that both frames
+    of a pair share. ``refraction: null`` leaves the posterior surface where it appears.
+    """
+
+    file: str
+    pixel_mm: tuple[Positive, Positive]
+    first_pixel: Interval = (0.0, 0.0)
+    refraction: RefractionSpec | None = RefractionSpec()
+
+
+class CorneaReference(Door):
+    """The undeformed section, under the pressure of the eye: generated, or an image."""
+
+    section: GeneratedSectionSpec | None = None
+    frame: FrameSpec | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        require_one_of(self, "section", "frame")
+        return self
+
+
+class MeshSpec(Door):
+    """How many 6-node triangles there are, about."""
+
+    elements: Annotated[int, Field(ge=8, le=100_000)] = 960
+
+
+class ModelSpec(Door):
+    """How a section is modelled; see `workers.organs.cornea.model`.
+
+    Two terms of the law that change places are the same cornea. ``order_terms_by`` says by
+    which constant they are put in order, least first, before they are simulated and reported.
+    """
+
+    kind: Kind = "plane stress"
+    convention: Convention = "mu/alpha"
+    prestress: PrestressMethod = "additive"
+    order_terms_by: Literal["alpha", "mu", "nothing"] = "alpha"
+
+
+class JetProfileSpec(Door):
+    """Pressure of the jet over the distance from its centre, as a part of the whole."""
+
+    r_mm: Annotated[tuple[Zero, ...], Field(min_length=1)]
+    fraction: tuple[Zero, ...]
+
+    @model_validator(mode="after")
+    def _is_a_profile(self) -> Self:
+        try:
+            _ = self.profile
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    @property
+    def profile(self) -> JetProfile:
+        """Return the profile as the load takes it."""
+        return JetProfile(self.r_mm, self.fraction)
+
+
+class JetSpec(Door):
+    """The air jet: its pressure, and where it acts.
+
+    ``centre_mm`` is measured from the middle of the section. The default of 15 kPa is the
+    reading of the thesis' "15 mmHg" with which its corneas turn concave; see
+    `workers.organs.cornea.load.CorneaLoad`.
+    """
+
+    pressure_kpa: Zero | None = None
+    pressure_mmhg: Zero | None = None
+    diameter_mm: Positive = 3.0
+    centre_mm: Finite = 0.0
+    profile: JetProfileSpec | None = None
+
+    @model_validator(mode="after")
+    def _one_pressure(self) -> Self:
+        require_one_of(self, "pressure_kpa", "pressure_mmhg")
+        return self
+
+    @property
+    def pressure_mpa(self) -> float:
+        """Return the pressure, whichever way it is stated."""
+        if self.pressure_kpa is not None:
+            return self.pressure_kpa / 1000
+        return MPA_PER_MMHG * (self.pressure_mmhg or 0.0)
+
+    @property
+    def reach_mm(self) -> float:
+        """Return how far from its centre the jet acts."""
+        return self.diameter_mm / 2 if self.profile is None else self.profile.r_mm[-1]
+
+
+class LoadSpec(Door):
+    """The pressure of the eye and the air jet."""
+
+    iop_mmhg: Zero = 10.5
+    jet: JetSpec = JetSpec(pressure_kpa=15)
+
+
+class CorneaCase(CaseSpec):
+    """A section of a cornea, its mesh, its model and its load."""
+
+    organ: Literal["cornea"]
+    reference: CorneaReference = CorneaReference(section=GeneratedSectionSpec())
+    mesh: MeshSpec = MeshSpec()
+    model: ModelSpec = ModelSpec()
+    load: LoadSpec = LoadSpec()
+    constants: DoorConstants = Field(default_factory=dict)
+
+    @property
+    def parameters(self) -> Vocabulary:
+        """See `CaseSpec.parameters`."""
+        return CORNEA
+
+    def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
+        """See `CaseSpec.complete`; pressures and jet are what the load states.
+
+        The terms of the law stand in the order that the model states.
+        """
+        jet = self.load.jet
+        stated = {
+            "iop": MPA_PER_MMHG * self.load.iop_mmhg,
+            "jet_pressure": jet.pressure_mpa,
+            "jet_centre": jet.centre_mm,
+        }
+        given = CORNEA.from_door(self.constants)
+        return self._ordered(CORNEA.complete(stated, given, constants or {}), "mu{}", "alpha{}")
+
+    def canonical(self, genes: Mapping[str, float]) -> dict[str, float]:
+        """See `CaseSpec.canonical`: the terms stand in the order that the model states."""
+        return self._ordered(genes, "mu{}_pa", "alpha{}")
+
+    def _ordered(self, given: Mapping[str, float], mu: str, alpha: str) -> dict[str, float]:
+        values = dict(given)
+        if self.model.order_terms_by == "nothing":
+            return values
+        names = [(mu.format(n), alpha.format(n)) for n in range(1, TERMS + 1)]
+        present = [n for n in names if values.get(n[0], 0) > 0 and n[1] in values]
+        key = 0 if self.model.order_terms_by == "mu" else 1
+        terms = [tuple(values[name] for name in pair) for pair in present]
+        terms.sort(key=lambda term: (term[key], term[1 - key]))
+        for pair, term in zip(present, terms, strict=True):
+            values |= dict(zip(pair, term, strict=True))
+        return values
+
+
+class CorneaTarget(TargetSpec):
+    """The deformed section to be explained: simulated with hidden constants, or an image."""
+
+    constants: DoorConstants | None = None
+    frame: FrameSpec | None = None
+    mesh: MeshSpec | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        require_one_of(self, "constants", "frame")
+        if self.frame is not None and self.mesh is not None:
+            raise ValueError("a mesh is for a simulated target, but a frame is given: take it out")
+        return self
+
+
+class CorneaScore(ScoreSpec):
+    """How two sections are compared: in pixels of this size, between two vertical lines.
+
+    ``window_mm`` cuts both sections; an image shows less of a cornea than is simulated.
+    """
+
+    pixel_um: Positive = 2.0
+    window_mm: Interval | None = None
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        if self.window_mm is not None and not self.window_mm[0] < self.window_mm[1]:
+            raise ValueError(f"window_mm: give [left, right], found {list(self.window_mm)}")
+        return self
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """See `ScoreSpec.parts`."""
+        return ("cornea",)
+
+    @property
+    def compared(self) -> str:
+        """See `ScoreSpec.compared`."""
+        return "the corneal sections"

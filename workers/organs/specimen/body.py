@@ -1,0 +1,119 @@
+"""The body of an experiment: its shape, its mesh, and what stands on its surface."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from storage.values import FloatArray, TetMesh, Triple, Volume
+from workers.body.mesh.boundary import boundary_triangles
+from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.comparison.observation.point_interpolation import interpolation
+from workers.organs.specimen.block import block
+from workers.organs.specimen.problem import region_of
+from workers.organs.specimen.spec import FinitePoint, SpecimenSpec
+from workers.organs.specimen.surface_normal import outward_normals
+
+# A point off the mesh by more than this lies on another body.
+FARTHEST_MM = 3.0
+# The turn of the surface is read off this many elements below it.
+ELEMENTS_DEEP = 2.0
+
+
+class Body:
+    """A block, or what a mesh file holds.
+
+    Parameters
+    ----------
+    spec : SpecimenSpec
+    voxels : Volume or None
+        The body of a mesh file; None for a block. See `workers.organs.specimen.voxelised_mesh`.
+    """
+
+    def __init__(self, spec: SpecimenSpec, voxels: Volume | None) -> None:
+        self.spec = spec
+        self.voxels = voxels
+
+    def mesh(self, nodes: int) -> Hierarchy:
+        """Return nested meshes of about so many nodes.
+
+        Raises
+        ------
+        InputError
+            If there are too few, or the file holds no body.
+        """
+        box = self.spec.body.box_mm
+        if box is not None:
+            return block(box, nodes, self.spec.tissue_of(next(iter(self.spec.materials))))
+        return build_hierarchy(self._volume, nodes=nodes)
+
+    @cached_property
+    def box_mm(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner, shape (3,) each."""
+        if self.spec.body.box_mm is not None:
+            return np.zeros(3), np.asarray(self.spec.body.box_mm, np.float64)
+        places = np.argwhere(self._volume.values)[:, ::-1]
+        low, high = places.min(axis=0) - 0.5, places.max(axis=0) + 0.5
+        origin, step = np.asarray(self._volume.origin_mm), np.asarray(self._volume.spacing_mm)
+        return origin + low * step, origin + high * step
+
+    @property
+    def wall_mm(self) -> float:
+        """Lowest z."""
+        return float(self.box_mm[0][2])
+
+    @property
+    def base_mm(self) -> Triple:
+        """About the middle of what is held."""
+        low, high = self.box_mm
+        middles = []
+        for hold in self.spec.holds:
+            box = region_of(self.spec.regions[hold.region])
+            ends = [np.clip(corner, low, high) for corner in (box.lower_mm, box.upper_mm)]
+            middles.append((ends[0] + ends[1]) / 2)
+        x, y, z = np.mean(middles, axis=0)
+        return float(x), float(y), float(z)
+
+    @property
+    def _volume(self) -> Volume:
+        """Voxels of a body that comes from a file."""
+        if self.voxels is None:
+            raise AssertionError("a block has no voxels")
+        return self.voxels
+
+
+def arms(
+    mesh: TetMesh,
+    feet_mm: FloatArray,
+    outward: Sequence[FinitePoint | None],
+    names: Sequence[str],
+) -> csr_matrix:
+    """Return motion of the ends of arms of 1 mm on the surface against their feet, shape (k, n).
+
+    A marker is glued to a patch and turns as the material below does: the turn is a
+    difference over two elements along the normal, which also evens out what a load next
+    to the marker does to single elements.
+
+    Parameters
+    ----------
+    mesh : TetMesh
+        Of n nodes.
+    feet_mm : ndarray, shape (k, 3)
+    outward : sequence
+        Direction of each arm; None for the normal of the surface.
+    names : sequence of str
+        Of the points, for messages.
+
+    Raises
+    ------
+    InputError
+        If a point lies on an edge and has no direction.
+    """
+    triangles = boundary_triangles(mesh.tets)
+    normals = outward_normals(mesh.nodes, triangles, feet_mm, outward, names)
+    corners = mesh.nodes[mesh.tets]
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    depth = ELEMENTS_DEEP * float(np.cbrt(6 * volumes.mean()))
+    below = interpolation(mesh, feet_mm - depth * normals, FARTHEST_MM)
+    return csr_matrix((interpolation(mesh, feet_mm, FARTHEST_MM) - below) / depth)

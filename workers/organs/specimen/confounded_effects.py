@@ -1,0 +1,80 @@
+"""What hides in the constants: how far each effect that no data can show would move them."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.gauss_newton import Fit, fit
+from workers.diagnosis.inverse_problem import unknowns
+from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.summary import ConfoundedEffect
+from workers.mechanics.effects.base import Effect
+
+
+def confounded_effects(
+    diagnosis: Diagnosis, effects: Sequence[Effect]
+) -> tuple[ConfoundedEffect, ...]:
+    """Return the constants with and without each effect that they hide.
+
+    An effect whose size is known if it acts is fitted with it. Of the others the change is
+    that of the linear model, at one prior standard deviation.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    effects : sequence of Effect
+        The catalogue.
+    """
+    best = diagnosis.best
+    base = best.fit if best is not None else diagnosis.analysis.nominal
+    before = constants_kpa(base)
+    confounded = []
+    for effect in effects:
+        if effect.name not in diagnosis.verdict.hidden:
+            continue
+        size = dict(effect.plausible)
+        after: Mapping[str, float] = linear_change(diagnosis, effect, before)
+        if effect.if_present:
+            size = {n: v for n, (v, _) in zip(effect.names, effect.if_present, strict=True)}
+            after = fitted_with(diagnosis, base, effect, after) or after
+        confounded.append(
+            ConfoundedEffect(
+                effect.name,
+                {p.door_name: p.unit.to_door(size[p.name]) for p in effect.parameters},
+                {name: {"without": before[name], "with": after[name]} for name in before},
+            )
+        )
+    return tuple(confounded)
+
+
+def constants_kpa(at: Fit) -> dict[str, float]:
+    """Return the free constants of a fit, in kPa."""
+    return {name: 1e3 * v for name, v in at.unknowns.constants(at.z).items()}
+
+
+def linear_change(
+    diagnosis: Diagnosis, effect: Effect, before: Mapping[str, float]
+) -> dict[str, float]:
+    """Return constants in kPa that make good for an effect of its plausible size."""
+    analysis = diagnosis.analysis
+    columns = analysis.sensitivity_by_name[effect.name].places[0]
+    away = np.array([effect.plausible[n] - effect.neutral[n] for n in effect.names])
+    at: Linearised = analysis.linear
+    A = at.scaled_nominal
+    step = -np.linalg.solve(np.eye(A.shape[1]) + A.T @ A, A.T @ at.whiten(columns @ away))
+    logs = step * at.nominal_sd
+    return {name: v * float(np.exp(d)) for (name, v), d in zip(before.items(), logs, strict=True)}
+
+
+def fitted_with(
+    diagnosis: Diagnosis, base: Fit, effect: Effect, near: Mapping[str, float]
+) -> dict[str, float] | None:
+    """Return constants in kPa with the effect added to a fit; None if that was not solved."""
+    inverse = diagnosis.analysis.inverse
+    free = unknowns(inverse.free, (*base.unknowns.effects, effect))
+    z = free.mean.copy()
+    z[: len(base.z)] = base.z
+    z[: len(near)] = np.log([1e-3 * v for v in near.values()])
+    again = fit(inverse, free, z, [None] * len(inverse.scans))
+    return None if again is None else constants_kpa(again)

@@ -1,0 +1,74 @@
+"""A bench experiment as files: a YAML file, the recordings and the mesh that it names.
+
+The only file that opens them; all others get what stands in them.
+"""
+
+from pathlib import Path
+
+from storage.errors import InputError
+from workers.organs.specimen.experiment_table import understood
+from workers.organs.specimen.marker_data import observed
+from workers.organs.specimen.source import SpecimenSource
+from workers.organs.specimen.spec import SpecimenSpec, read_spec
+from workers.organs.specimen.voxelised_mesh import filled
+
+
+def read_experiment(path: Path) -> SpecimenSource:
+    """Read an experiment with its recordings and its mesh.
+
+    Parameters
+    ----------
+    path : Path
+        The YAML file; what it names lies relative to its folder.
+
+    Raises
+    ------
+    InputError
+        If the file does not make sense, or files, markers and body do not go together.
+    """
+    spec = read_spec(path)
+    for file in files_of(spec, path):
+        if not file.is_file():
+            raise InputError(
+                f"{path} names {file.name}, which is not at {file.parent}. Give paths "
+                "relative to the file that names them."
+            )
+    mesh = spec.body.mesh
+    voxels = None if mesh is None else filled(spec, path.parent / mesh)
+    return SpecimenSource(spec, observed(spec, path.parent), voxels)
+
+
+def files_of(spec: SpecimenSpec, path: Path) -> list[Path]:
+    """Return all files that the result depends on: the file itself, the mesh, the recordings."""
+    folder, mesh = path.parent, spec.body.mesh
+    recordings = [folder / file for state in spec.states for file in state.files]
+    return [path, *([folder / mesh] if mesh else []), *dict.fromkeys(recordings)]
+
+
+class ExperimentReader:
+    """See `workers.organs.source_registry.Reader`."""
+
+    plans = False
+
+    def knows(self, path: Path) -> bool:
+        """Return whether a path is a file that may describe an experiment."""
+        return path.suffix in (".yaml", ".yml") and path.is_file()
+
+    def read(self, path: Path) -> SpecimenSource:
+        """Read an experiment with its recordings and its mesh."""
+        return read_experiment(path)
+
+    def read_planned(self, path: Path) -> None:
+        """Return nothing: further scans are no measurements of a bench."""
+        return
+
+    def understood(self, path: Path) -> list[tuple[str, str]]:
+        """Return what the experiment was understood to say."""
+        return [("read from", str(path)), *understood(read_spec(path))]
+
+    def structured(self, path: Path) -> None:
+        """Return nothing: the file is structured already."""
+        return
+
+
+READER = ExperimentReader()

@@ -1,0 +1,84 @@
+"""What a fitted model expects of a state that was not measured."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray
+from workers.diagnosis.gauss_newton import Fit
+from workers.diagnosis.inverse_problem import InverseProblem, Scan
+from workers.diagnosis.scan_prediction import PredictedScan, predict_scan
+from workers.mechanics.fem.solve import Equilibrium
+
+# Of a parameter, in standard deviations of its posterior.
+STEP = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Displacements of k points, and how well the fit knows them.
+
+    Parameters
+    ----------
+    name : str
+        Of the state.
+    moved_mm, sd_mm : ndarray, shape (k, 3)
+        In the frame of the body. The standard deviation is that of the fitted parameters;
+        another recording scatters on top of it.
+    """
+
+    name: str
+    moved_mm: FloatArray
+    sd_mm: FloatArray
+
+
+def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[Prediction]:
+    """Simulate other states of a body with what was fitted.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+        Whose points are seen along x, y and z, one after another.
+    fit : Fit
+        Of the constants, and of effects where some act.
+    states : sequence of Scan
+        That compare with a body that has not moved.
+
+    Raises
+    ------
+    InputError
+        If a state cannot be simulated.
+    """
+    spread = posterior_factor(inverse, fit)
+    found = []
+    for scan in states:
+        at = _view(inverse, scan, fit, fit.z, None)
+        parts = []
+        for direction in STEP * spread.T:
+            z = np.clip(fit.z + direction, fit.unknowns.lower, fit.unknowns.upper)
+            parts.append((_view(inverse, scan, fit, z, at.at).residual - at.residual) / STEP)
+        sd = np.sqrt((np.array(parts) ** 2).sum(axis=0))
+        found.append(Prediction(scan.name, at.residual.reshape(-1, 3), sd.reshape(-1, 3)))
+    return found
+
+
+def posterior_factor(inverse: InverseProblem, fit: Fit) -> FloatArray:
+    """Return L with L L' the covariance of the fitted parameters, shape (p, p)."""
+    at = fit.linearised(inverse)
+    A = at.scaled_nominal
+    inner = np.linalg.inv(np.eye(A.shape[1]) + A.T @ A)
+    return np.asarray(at.nominal_sd[:, None] * np.linalg.cholesky(inner))
+
+
+def _view(
+    inverse: InverseProblem, scan: Scan, fit: Fit, z: FloatArray, start: Equilibrium | None
+) -> PredictedScan:
+    alone = replace(inverse, scans=[scan])
+    found = predict_scan(alone, scan, fit.unknowns, z, start)
+    if found is None:
+        raise InputError(
+            f"The state {scan.name} was not solved with the fitted constants. Check its loads."
+        )
+    return found

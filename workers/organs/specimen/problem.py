@@ -1,0 +1,125 @@
+"""A bench specimen: its materials, loads and holds as a problem for the solver."""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from storage.values import Tissue, Triple
+from workers.mechanics.fem.loads import DeadForce, Hold, NoPlates, Wall
+from workers.mechanics.fem.problem import GRAVITY_MM_PER_S2, Constants, Problem
+from workers.mechanics.fem.regions import Box
+from workers.organs.specimen.spec import (
+    Axis,
+    ForceSpec,
+    LoadsSpec,
+    RegionSpec,
+    SpecimenSpec,
+)
+from workers.units import KPA
+
+AXES = ("x", "y", "z")
+# A plane takes nodes this near to it.
+NEAR_MM = 1e-3
+KG_PER_M3 = 1e-12  # in t/mm^3
+T_PER_G = 1e-6
+
+
+def young_name(spec: SpecimenSpec, material: str) -> str:
+    """Return the searched constant of a material: E, with its name where there are several."""
+    return "E" if len(spec.materials) == 1 else f"E_{material}"
+
+
+def region_of(region: RegionSpec) -> Box:
+    """Return a place on the body as the solver takes it."""
+    if region.box_mm is not None:
+        low, high = region.box_mm.lower, region.box_mm.upper
+        return Box(_moved(low, -NEAR_MM), _moved(high, NEAR_MM))
+    if region.plane is None:
+        raise AssertionError("a region is a box or a plane")
+    axis = AXES.index(region.plane.axis)
+    lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
+    lower[axis], upper[axis] = region.plane.at_mm - NEAR_MM, region.plane.at_mm + NEAR_MM
+    return Box(_moved(lower, 0.0), _moved(upper, 0.0))
+
+
+def _moved(corner: Iterable[float], by_mm: float) -> Triple:
+    x, y, z = (float(v) + by_mm for v in corner)
+    return x, y, z
+
+
+def problem_of(
+    spec: SpecimenSpec, loads: LoadsSpec, values: Mapping[str, float], wall_mm: float
+) -> Problem:
+    """Return what the solver is asked in one state.
+
+    Parameters
+    ----------
+    spec : SpecimenSpec
+    loads : StateSpec or PredictSpec
+    values : mapping of str to float
+        Young's modulus of each material in MPa, see `young_name`.
+    wall_mm : float
+        Lowest z of the body. A hold on all of that plane is the wall of the solver, which
+        can be made to yield; other places are held by `Hold`.
+    """
+    places = {name: region_of(region) for name, region in spec.regions.items()}
+    wall, holds = Wall((False, False, False)), []
+    for hold in spec.holds:
+        axes = held_axes(hold.axes)
+        if is_wall(spec, hold.region, wall_mm):
+            wall = Wall(axes)
+        else:
+            holds.append(Hold(places[hold.region], axes=axes))
+    holds += [
+        Hold(places[move.region], move.displacement_mm, held_axes(move.axes))
+        for move in loads.moves
+    ]
+    return Problem(
+        constants=_constants(spec, values),
+        load=NoPlates(),
+        wall=wall,
+        gravity_g=spec.unit_down if spec.gravity == "modelled" else (0.0, 0.0, 0.0),
+        forces=tuple(
+            DeadForce(_force_n(force, spec.unit_down), places[force.region])
+            for force in loads.forces
+        ),
+        holds=tuple(holds),
+    )
+
+
+def is_wall(spec: SpecimenSpec, region: str, wall_mm: float) -> bool:
+    """Return whether a region is the whole lowest plane of the body, up to half a voxel."""
+    plane = spec.regions[region].plane
+    near = NEAR_MM + (spec.body.voxel_mm or 0.0) / 2
+    return plane is not None and plane.axis == "z" and abs(plane.at_mm - wall_mm) < near
+
+
+def held_axes(axes: tuple[Axis, ...]) -> tuple[bool, bool, bool]:
+    """Return which of x, y and z are named."""
+    return "x" in axes, "y" in axes, "z" in axes
+
+
+def _constants(spec: SpecimenSpec, values: Mapping[str, float]) -> dict[Tissue, Constants]:
+    return {
+        spec.tissue_of(name): Constants(
+            values[young_name(spec, name)],
+            material.nu,
+            density_t_per_mm3=material.density_kg_per_m3 * KG_PER_M3,
+        )
+        for name, material in spec.materials.items()
+    }
+
+
+def _force_n(force: ForceSpec, down: Triple) -> Triple:
+    if force.force_n is not None:
+        return force.force_n
+    weight = (force.mass_g or 0.0) * T_PER_G * GRAVITY_MM_PER_S2
+    return down[0] * weight, down[1] * weight, down[2] * weight
+
+
+def bounds_mpa(spec: SpecimenSpec) -> dict[str, tuple[float, float]]:
+    """Return plausible interval of each searched constant, in MPa."""
+    return {
+        young_name(spec, name): (KPA.to_inside(m.E_kpa[0]), KPA.to_inside(m.E_kpa[1]))
+        for name, m in spec.materials.items()
+    }

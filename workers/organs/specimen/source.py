@@ -1,0 +1,270 @@
+"""A bench experiment as something that can be diagnosed."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from storage.values import FloatArray, TetMesh, Volume
+from workers.comparison.observation.interface import InterfacePoints
+from workers.comparison.observation.noise import SegmentationNoise
+from workers.comparison.observation.point_interpolation import interpolation
+from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.gauss_newton import Fit
+from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan
+from workers.diagnosis.pictures.scan_pictures import Displacements
+from workers.diagnosis.source import SourceContent
+from workers.diagnosis.summary import PredictedState, Summary
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.effects.specimen_catalogue import specimen_effects
+from workers.mechanics.fem.fields import frame_of
+from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.fem.problem import Problem
+from workers.organs.specimen.body import FARTHEST_MM, Body, arms
+from workers.organs.specimen.confounded_effects import confounded_effects
+from workers.organs.specimen.marker_data import Observed
+from workers.organs.specimen.mesh_error import part_of_compliance
+from workers.organs.specimen.prediction import predict
+from workers.organs.specimen.problem import bounds_mpa, is_wall, problem_of, region_of
+from workers.organs.specimen.spec import LoadsSpec, SpecimenSpec
+from workers.organs.specimen.summary_rows import marker_states, predicted_states
+from workers.spec import validated
+
+# Name of the volume in the content of an experiment.
+BODY = "body"
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """Differences between model and observation along x, y and z, point after point.
+
+    Parameters
+    ----------
+    seen_mm : ndarray, shape (k, 3)
+        Observed displacements of k points.
+    """
+
+    seen_mm: FloatArray
+
+    def __call__(
+        self, points: FloatArray, reference: InterfacePoints
+    ) -> tuple[FloatArray, FloatArray]:
+        """See `Scan.compare`."""
+        moved = ((points - reference.points) * reference.normals).sum(axis=1)
+        return moved - self.seen_mm.ravel(), reference.normals
+
+
+class SpecimenSource:
+    """A bench experiment; see `workers.diagnosis.source.Source`.
+
+    Parameters
+    ----------
+    spec : SpecimenSpec
+    observed : Observed
+        What its recordings show.
+    voxels : Volume or None
+        The body of its mesh file; None for a block.
+    """
+
+    kind = "specimen"
+
+    def __init__(self, spec: SpecimenSpec, observed: Observed, voxels: Volume | None) -> None:
+        self.spec = spec
+        self.observed = observed
+        self.body = Body(spec, voxels)
+        self._softer: dict[int, float] = {}
+
+    @classmethod
+    def from_content(cls, content: SourceContent) -> "SpecimenSource":
+        """Make it again from what the store holds."""
+        record, arrays = content.record, content.arrays
+        observed = Observed(
+            points_mm=arrays["points_mm"],
+            names=tuple(record["names"]),
+            moved_mm=arrays["moved_mm"],
+            covariance=arrays["covariance"],
+            sd_mm=record["sd_mm"],
+            misfit_mm=record["misfit_mm"],
+            repeats_mm=tuple(arrays["repeats_mm"].tolist()),
+        )
+        spec = validated(SpecimenSpec, record["spec"], "The experiment")
+        return cls(spec, observed, content.volumes.get(BODY))
+
+    @property
+    def content(self) -> SourceContent:
+        """What the file says, what the recordings show, and the body of the mesh file."""
+        observed, voxels = self.observed, self.body.voxels
+        record = {
+            "spec": self.spec.model_dump(mode="json"),
+            "names": list(observed.names),
+            "sd_mm": observed.sd_mm,
+            "misfit_mm": observed.misfit_mm,
+        }
+        arrays = {
+            "points_mm": observed.points_mm,
+            "moved_mm": observed.moved_mm,
+            "covariance": observed.covariance,
+            "repeats_mm": np.array(observed.repeats_mm, np.float64),
+        }
+        return SourceContent(self.kind, record, {} if voxels is None else {BODY: voxels}, arrays)
+
+    @property
+    def name(self) -> str:
+        """Of the experiment."""
+        return self.spec.name
+
+    @property
+    def scans(self) -> list[str]:
+        """Names of the loaded states."""
+        return [state.name for state in self.spec.states]
+
+    @property
+    def free(self) -> list[FreeConstant]:
+        """Young's modulus of each material."""
+        return [FreeConstant(name, *bounds) for name, bounds in bounds_mpa(self.spec).items()]
+
+    @cached_property
+    def effects(self) -> tuple[Effect, ...]:
+        """What the model of this experiment may lack."""
+        spec = self.spec
+        loaded = [f.region for load in (*spec.states, *spec.predict) for f in load.forces]
+        return specimen_effects(
+            spec.unit_down,
+            self.body.base_mm,
+            region_of(spec.regions[loaded[0]]) if loaded else None,
+            weightless=spec.gravity == "not modelled",
+            markers=spec.markers is not None,
+            clamped=any(is_wall(spec, h.region, self.body.wall_mm) for h in spec.holds),
+        )
+
+    def check(self) -> None:
+        """Do nothing: an experiment is checked where its files are read."""
+
+    def inverse_problem(self, nodes: int, spacing_mm: float = 0.0) -> InverseProblem:
+        """See `Source.inverse`; markers are where they are, so no spacing counts."""
+        hierarchy = self.body.mesh(nodes)
+        model, observed = prepare(hierarchy), self.observed
+        mesh, softer = hierarchy.finest.mesh, self.part_of_compliance(nodes)
+        at = interpolation(mesh, observed.points_mm, FARTHEST_MM)
+        return InverseProblem(
+            model=model,
+            frame=frame_of(mesh.nodes),
+            points=components(observed.points_mm),
+            at_points=_thrice(at),
+            free=self.free,
+            scans=[
+                Scan(state.name, self.problem(state, softer), Components(moved))
+                for state, moved in zip(self.spec.states, observed.moved_mm, strict=True)
+            ],
+            noise=SegmentationNoise(observed.sd_mm, 1.0, 0.0, observed.sd_mm),
+            covariance=observed.covariance,
+            bias=np.zeros(len(observed.covariance)),
+            arms=self._arms(mesh),
+        )
+
+    def finer(self, nodes: int) -> Model | None:
+        """Return another mesh of the same body, to see what the mesh adds.
+
+        None for a block, whose mesh is known to be too stiff and made good for.
+        """
+        return prepare(self.body.mesh(nodes)) if self.spec.body.box_mm is None else None
+
+    def problem(
+        self, loads: LoadsSpec, softer: float = 1.0
+    ) -> Callable[[Mapping[str, float]], Problem]:
+        """Return the nominal model of one state, from the values of the free constants.
+
+        Parameters
+        ----------
+        loads : StateSpec or PredictSpec
+        softer : float
+            By which the stiffness is multiplied; see `part_of_compliance`.
+        """
+        return partial(_problem, self.spec, loads, self.body.wall_mm, softer)
+
+    def predictions(self, inverse: InverseProblem, fit: Fit) -> tuple[PredictedState, ...]:
+        """Return what the fit expects of the states under ``predict``.
+
+        Parameters
+        ----------
+        inverse : InverseProblem
+            Of this source, as the fit had it.
+        fit : Fit
+
+        Raises
+        ------
+        InputError
+            If such a state cannot be simulated.
+        """
+        softer = self.part_of_compliance(len(inverse.model.finest.nodes))
+        still = Components(np.zeros_like(self.observed.points_mm))
+        states = [Scan(s.name, self.problem(s, softer), still) for s in self.spec.predict]
+        return predicted_states(self.observed, predict(inverse, fit, states))
+
+    def describe(
+        self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
+    ) -> tuple[dict[str, NDArray[Any]], Summary]:
+        """Add rows of the markers, of what hides, and of states to come; there are no pictures."""
+        analysis, best = diagnosis.analysis, diagnosis.best
+        fit = best.fit if best is not None else analysis.nominal
+        return {}, replace(
+            summary,
+            markers=marker_states(self.observed, self.scans, diagnosis),
+            hidden=confounded_effects(diagnosis, self.effects),
+            predictions=self.predictions(analysis.inverse, fit),
+        )
+
+    def part_of_compliance(self, nodes: int) -> float:
+        """See `workers.organs.specimen.mesh_error`; 1 for a body that comes from a file."""
+        box = self.spec.body.box_mm
+        if box is None:
+            return 1.0
+        if nodes not in self._softer:
+            points = self.observed.points_mm
+            self._softer[nodes] = part_of_compliance(box, nodes, points, self._heaviest())
+        return self._softer[nodes]
+
+    def _arms(self, mesh: TetMesh) -> csr_matrix | None:
+        """See `InverseProblem.arms`; None where no markers were observed."""
+        markers = self.spec.markers
+        if markers is None:
+            return None
+        stated = [marker.outward for marker in markers.markers.values()]
+        return _thrice(arms(mesh, self.observed.points_mm, stated, self.observed.names))
+
+    def _heaviest(self) -> Problem:
+        """Return the last state with its weight, of a material in the middle of its interval."""
+        middle = {free.name: float(np.exp(free.log_mean)) for free in self.free}
+        found = self.problem(self.spec.states[-1])(middle)
+        return replace(found, gravity_g=self.spec.unit_down)
+
+
+SOURCES = {SpecimenSource.kind: SpecimenSource.from_content}
+
+
+def components(points_mm: FloatArray) -> InterfacePoints:
+    """Return each point three times, along x, y and z; each axis is an interface of its own."""
+    k = len(points_mm)
+    axis = np.tile(np.arange(3, dtype=np.int32), k)
+    return InterfacePoints(
+        np.repeat(points_mm, 3, axis=0), np.eye(3)[axis], axis, np.ones(3 * k), axis
+    )
+
+
+def _thrice(matrix: csr_matrix) -> csr_matrix:
+    """Return each row three times."""
+    return csr_matrix(matrix)[np.repeat(np.arange(matrix.shape[0]), 3)]
+
+
+def _problem(
+    spec: SpecimenSpec,
+    loads: LoadsSpec,
+    wall_mm: float,
+    softer: float,
+    values: Mapping[str, float],
+) -> Problem:
+    return problem_of(spec, loads, {name: softer * E for name, E in values.items()}, wall_mm)

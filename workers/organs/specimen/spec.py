@@ -1,0 +1,293 @@
+"""What one file says of a bench experiment; see examples/beam.yaml.
+
+Every key carries its unit. InclusionGrid are in the frame of the body, directions too. A
+block has one corner at the origin and its lowest face in z first.
+"""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+import yaml
+from pydantic import Field, model_validator
+
+from storage.errors import InputError
+from storage.values import Tissue, Triple
+from workers.mechanics.parameters import unknown_name
+from workers.spec import Door, Finite, Positive, validated
+
+FinitePoint = tuple[Finite, Finite, Finite]
+Sizes = tuple[Positive, Positive, Positive]
+Axis = Literal["x", "y", "z"]
+# A body has as many materials as voxels have labels.
+MATERIALS = tuple(tissue for tissue in Tissue if tissue is not Tissue.AIR)
+
+
+class BodySpec(Door):
+    """A block, or a mesh file: the surface (.stl) or the volume (.vtk, .msh) of a body.
+
+    A body from a file is filled with voxels of ``voxel_mm`` and meshed like a scan.
+    ``labels`` says which material the cells of a volume carry; ``label_array`` names the
+    data that hold them.
+    """
+
+    box_mm: Sizes | None = None
+    mesh: str | None = None
+    mm_per_unit: Positive = 1.0
+    voxel_mm: Positive | None = None
+    labels: dict[int, str] | None = None
+    label_array: str | None = None
+
+    @model_validator(mode="after")
+    def _one_body(self) -> Self:
+        if (self.box_mm is None) == (self.mesh is None):
+            raise ValueError("give exactly one of box_mm and mesh")
+        if self.mesh is not None and self.voxel_mm is None:
+            raise ValueError("a mesh needs voxel_mm, about a tenth of its thinnest part")
+        if self.box_mm is not None and (self.voxel_mm or self.labels or self.label_array):
+            raise ValueError("voxel_mm, labels and label_array are for a mesh, not for box_mm")
+        return self
+
+
+class BoxSpec(Door):
+    """All points between two corners."""
+
+    lower: FinitePoint
+    upper: FinitePoint
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
+            raise ValueError(f"needs lower <= upper, found {self.lower} and {self.upper}")
+        return self
+
+
+class PlaneSpec(Door):
+    """All points of a plane normal to an axis."""
+
+    axis: Axis
+    at_mm: Finite
+
+
+class RegionSpec(Door):
+    """A place on the body: a box or a plane."""
+
+    box_mm: BoxSpec | None = None
+    plane: PlaneSpec | None = None
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if (self.box_mm is None) == (self.plane is None):
+            raise ValueError("give exactly one of box_mm and plane")
+        return self
+
+
+class MaterialSpec(Door):
+    """A material whose stiffness is searched in an interval."""
+
+    law: Literal["neo-hookean"] = "neo-hookean"
+    E_kpa: tuple[Positive, Positive]
+    nu: Annotated[float, Field(gt=0, lt=0.5)]
+    density_kg_per_m3: Positive
+
+    @model_validator(mode="after")
+    def _interval(self) -> Self:
+        low, high = self.E_kpa
+        if not low < high:
+            raise ValueError(f"E_kpa needs [lower, upper] with lower < upper, found {low}, {high}")
+        return self
+
+
+class HoldSpec(Door):
+    """Where the body is held, and along which axes."""
+
+    region: str
+    axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ("x", "y", "z")
+
+
+class ForceSpec(Door):
+    """A force or a hung mass on a region; it keeps its direction."""
+
+    region: str
+    force_n: FinitePoint | None = None
+    mass_g: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_load(self) -> Self:
+        if (self.force_n is None) == (self.mass_g is None):
+            raise ValueError("give exactly one of force_n and mass_g")
+        return self
+
+
+class MoveSpec(Door):
+    """A displacement prescribed on a region."""
+
+    region: str
+    displacement_mm: FinitePoint
+    axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ("x", "y", "z")
+
+
+class LoadsSpec(Door):
+    """What acts in one state; gravity is said once for all of them."""
+
+    forces: tuple[ForceSpec, ...] = ()
+    moves: tuple[MoveSpec, ...] = ()
+
+    @property
+    def regions(self) -> list[str]:
+        """Names of the regions that it needs."""
+        return [one.region for one in self.forces] + [one.region for one in self.moves]
+
+
+class StateSpec(LoadsSpec):
+    """One loaded state: what acts, and the files that say what was seen, one a repeat."""
+
+    name: Annotated[str, Field(min_length=1)]
+    files: Annotated[tuple[str, ...], Field(min_length=1)]
+
+
+class PredictSpec(LoadsSpec):
+    """A state that was not measured, or is kept aside."""
+
+    name: Annotated[str, Field(min_length=1)]
+
+
+class MarkerSpec(Door):
+    """Where a marker is believed to sit on the surface of the body.
+
+    ``outward`` is the normal of the surface there; without it that of the nearest face
+    counts.
+    """
+
+    at_mm: FinitePoint
+    outward: FinitePoint | None = None
+
+    @model_validator(mode="after")
+    def _some_direction(self) -> Self:
+        if self.outward is not None and not np.linalg.norm(self.outward) > 0:
+            raise ValueError("outward must not be zero")
+        return self
+
+
+class FrameSpec(Door):
+    """How the frame of the cameras lies to that of the body.
+
+    Places in the frame of the body that markers have at rest, the base included; a rigid
+    motion is fitted to them.
+    """
+
+    at_rest_mm: Annotated[dict[str, FinitePoint], Field(min_length=3)]
+
+
+Window = tuple[Finite, Finite]
+
+
+class MarkersSpec(Door):
+    """Recordings of markers: a table a file, a row a moment.
+
+    ``column`` names the columns, with the marker and the axis in it. A marker's
+    displacement is its mean place in ``loaded_s`` less that in ``rest_s``. Times below zero
+    count from the end of the recording.
+    """
+
+    time: str = "t_s"
+    column: str = "{marker}_{axis}_mm"
+    mm_per_unit: Positive = 1.0
+    rest_s: Window
+    loaded_s: Window
+    markers: Annotated[dict[str, MarkerSpec], Field(min_length=1)]
+    frame: FrameSpec | None = None
+    sd_mm: Positive = 0.1
+    common_sd_mm: Positive | None = None
+
+    @model_validator(mode="after")
+    def _named_places(self) -> Self:
+        if "{marker}" not in self.column or "{axis}" not in self.column:
+            raise ValueError("column needs {marker} and {axis} in it, as in '{marker}_{axis}_mm'")
+        return self
+
+
+class FieldSpec(Door):
+    """Displacements of landmarks or nodes: a table a file, a row a point.
+
+    Columns x_mm, y_mm, z_mm of the body at rest and ux_mm, uy_mm, uz_mm. All states list the
+    same points.
+    """
+
+    sd_mm: Positive
+    common_sd_mm: Positive | None = None
+
+
+class SpecimenSpec(Door):
+    """A bench experiment."""
+
+    organ: Literal["specimen"]
+    name: Annotated[str, Field(min_length=1)]
+    body: BodySpec
+    regions: dict[str, RegionSpec]
+    materials: Annotated[dict[str, MaterialSpec], Field(min_length=1, max_length=len(MATERIALS))]
+    down: FinitePoint
+    gravity: Literal["not modelled", "modelled"] = "not modelled"
+    holds: Annotated[tuple[HoldSpec, ...], Field(min_length=1)]
+    markers: MarkersSpec | None = None
+    field: FieldSpec | None = None
+    states: Annotated[tuple[StateSpec, ...], Field(min_length=1)]
+    predict: tuple[PredictSpec, ...] = ()
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> Self:
+        if (self.markers is None) == (self.field is None):
+            raise ValueError("give exactly one of markers and field")
+        if not np.linalg.norm(self.down) > 0:
+            raise ValueError("down must not be zero: give the direction of gravity")
+        wanted = [h.region for h in self.holds]
+        wanted += [name for load in (*self.states, *self.predict) for name in load.regions]
+        _all_known("region", wanted, self.regions)
+        _all_known("material", (self.body.labels or {}).values(), self.materials)
+        if self.body.labels is None and len(self.materials) > 1:
+            raise ValueError("several materials need body.labels, which label carries which")
+        _once("states", [one.name for one in self.states] + [one.name for one in self.predict])
+        return self
+
+    @property
+    def unit_down(self) -> Triple:
+        """Direction of gravity, of length 1."""
+        x, y, z = np.asarray(self.down) / np.linalg.norm(self.down)
+        return float(x), float(y), float(z)
+
+    def tissue_of(self, material: str) -> Tissue:
+        """Return the label under which a material is meshed."""
+        return MATERIALS[list(self.materials).index(material)]
+
+
+def read_spec(path: Path) -> SpecimenSpec:
+    """Return the experiment that a file describes.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or does not make sense.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is no YAML: {error}.") from error
+    if not isinstance(data, dict):
+        raise InputError(f"{path} is no experiment: expected keys such as organ: specimen.")
+    return validated(SpecimenSpec, data, str(path))
+
+
+def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:
+    names = list(known)
+    for name in wanted:
+        if name not in names:
+            raise ValueError(unknown_name(kind, name, names))
+
+
+def _once(what: str, names: Sequence[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"{what}: each name once, found {', '.join(twice)} again")

@@ -1,0 +1,87 @@
+"""Which way is out of a body at a point of its surface."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray, IntArray
+from workers.organs.specimen.spec import FinitePoint
+
+# Faces as near as the nearest one, up to this part of an element, count as touching.
+TOUCH = 1e-3
+# And say different things if their normals are further apart than 25 degrees.
+ALIKE = 0.9
+
+
+def outward_normals(
+    nodes: FloatArray,
+    triangles: IntArray,
+    points: FloatArray,
+    stated: Sequence[FinitePoint | None],
+    names: Sequence[str],
+) -> FloatArray:
+    """Return unit normals at points of a surface, shape (k, 3).
+
+    Parameters
+    ----------
+    nodes : ndarray, shape (n, 3)
+    triangles : ndarray of int, shape (m, 3)
+        Outward oriented.
+    points : ndarray, shape (k, 3)
+    stated : sequence
+        A direction for each point; None to ask the surface.
+    names : sequence of str
+        Of the points, for the message.
+
+    Raises
+    ------
+    InputError
+        If a point lies on an edge, where the surface has no normal, and none is stated.
+    """
+    corners = nodes[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    normal = normal / np.maximum(size, 1e-300)[:, None]
+    near = TOUCH * float(np.sqrt(size.mean()))
+    found = []
+    for point, direction, name in zip(points, stated, names, strict=True):
+        if direction is not None:
+            found.append(np.asarray(direction) / np.linalg.norm(direction))
+            continue
+        away = distances_to_triangles(point, corners)
+        there = normal[away <= away.min() + near]
+        mean = there.sum(axis=0)
+        mean = mean / max(float(np.linalg.norm(mean)), 1e-300)
+        if (there @ mean).min() < ALIKE:
+            raise InputError(
+                f"The marker {name} lies on an edge of the body, where nothing says which way is "
+                "out. Give its direction: outward: [x, y, z]."
+            )
+        found.append(mean)
+    return np.array(found)
+
+
+def distances_to_triangles(point: FloatArray, corners: FloatArray) -> FloatArray:
+    """Return distance of a point from each triangle, corners of shape (m, 3, 3), in mm."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    to_plane = _to_inside(point, a, b, c)
+    to_edges = [_to_segment(point, *ends) for ends in ((a, b), (b, c), (c, a))]
+    return np.minimum(to_plane, np.min(to_edges, axis=0))
+
+
+def _to_inside(point: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    """Return distance from the plane where the foot lies inside the triangle, else infinite."""
+    n = np.cross(b - a, c - a)
+    square = np.maximum((n**2).sum(axis=1), 1e-300)
+    u = (np.cross(point - a, c - a) * n).sum(axis=1) / square
+    v = (np.cross(b - a, point - a) * n).sum(axis=1) / square
+    height = np.abs(((point - a) * n).sum(axis=1)) / np.sqrt(square)
+    return np.where((u >= 0) & (v >= 0) & (u + v <= 1), height, np.inf)
+
+
+def _to_segment(point: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+    along = b - a
+    length = np.maximum((along**2).sum(axis=1), 1e-300)
+    t = np.clip(((point - a) * along).sum(axis=1) / length, 0, 1)
+    return np.asarray(np.linalg.norm(point - a - t[:, None] * along, axis=1))

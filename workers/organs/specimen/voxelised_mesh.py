@@ -1,0 +1,185 @@
+"""The body of a mesh file as labelled voxels, to be meshed like a scan."""
+
+import io
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import meshio
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from storage.values import FloatArray, IntArray, Volume
+from workers.compile_flags import CONTRACTED
+from workers.organs.specimen.spec import BodySpec, SpecimenSpec
+
+SOLID, SURFACE = "tetra", "triangle"
+# Rays run a little beside the centres of voxels, in parts of one: never along an edge.
+BESIDE = np.array([1.3e-4, 0.7e-4])
+ON_A_FACE = 1e-9  # barycentric weight that still counts as inside
+
+
+def filled(spec: SpecimenSpec, path: Path) -> Volume:
+    """Return voxels of the body in the file that `spec` names.
+
+    Parameters
+    ----------
+    spec : SpecimenSpec
+        Whose body is a mesh.
+    path : Path
+        The mesh file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds neither tetrahedra nor a closed surface.
+    """
+    body, mesh = spec.body, _read(path)
+    points: FloatArray = np.asarray(mesh.points, np.float64) * body.mm_per_unit
+    voxel = body.voxel_mm
+    if voxel is None:
+        raise AssertionError("a mesh comes with the size of its voxels")
+    low, count = _grid(points, voxel)
+    values = np.zeros(tuple(count[::-1]), np.uint8)
+    origin = low + voxel / 2
+    if SOLID in mesh.cells_dict:
+        corners = points[np.asarray(mesh.cells_dict[SOLID])]
+        _fill(corners, _tissues(spec, mesh, path, len(corners)), origin, voxel, values)
+    elif SURFACE in mesh.cells_dict:
+        if body.labels is not None:
+            raise InputError(f"{path} is a surface: its inside has no labels. Leave them out.")
+        crossings = np.zeros(values.shape[1:], np.int64)
+        beside = origin - np.append(BESIDE, 0.0) * voxel
+        _cross(points[np.asarray(mesh.cells_dict[SURFACE])], beside, voxel, values, crossings)
+        _closed(crossings, path)
+        values *= int(spec.tissue_of(next(iter(spec.materials))))
+    else:
+        found = ", ".join(mesh.cells_dict) or "no cells"
+        raise InputError(f"{path} must hold tetrahedra or a surface of triangles, found {found}.")
+    x, y, z = map(float, origin)
+    return Volume(values, (voxel, voxel, voxel), (x, y, z))
+
+
+def _read(path: Path) -> meshio.Mesh:
+    said = io.StringIO()
+    try:
+        # meshio prints what went wrong, and takes the header of a text for a count.
+        with redirect_stdout(said), redirect_stderr(said), np.errstate(over="ignore"):
+            return meshio.read(path)
+    except (OSError, meshio.ReadError, ValueError, KeyError, AssertionError, SystemExit) as error:
+        why = " ".join(said.getvalue().split()) or str(error)
+        raise InputError(f"{path} cannot be read as a mesh: {why}.") from error
+
+
+def _grid(points: FloatArray, voxel: float) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return the lowest corner and whole numbers of voxels, as near to the box as can be."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    count = np.maximum(1, np.rint((high - low) / voxel)).astype(np.int64)
+    if count.min() < 8:
+        raise InputError(
+            f"Voxels of {voxel:g} mm are too large for a body of {np.round(high - low, 3).tolist()}"
+            f" mm: its thinnest part needs 8. Set body.voxel_mm to {(high - low).min() / 10:.2g}."
+        )
+    return (low + high - count * voxel) / 2, count
+
+
+def _tissues(spec: SpecimenSpec, mesh: meshio.Mesh, path: Path, cells: int) -> NDArray[np.uint8]:
+    """Return the label of a voxel in each tetrahedron."""
+    body = spec.body
+    if body.labels is None:
+        return np.full(cells, int(spec.tissue_of(next(iter(spec.materials)))), np.uint8)
+    own = _labels(mesh, body, path)
+    unknown = sorted(set(own.tolist()) - set(body.labels))
+    if unknown:
+        raise InputError(f"{path} has the labels {unknown}, which body.labels does not name.")
+    found = np.zeros(cells, np.uint8)
+    for label, material in body.labels.items():
+        found[own == label] = int(spec.tissue_of(material))
+    return found
+
+
+def _labels(mesh: meshio.Mesh, body: BodySpec, path: Path) -> IntArray:
+    known = {name: found[SOLID] for name, found in mesh.cell_data_dict.items() if SOLID in found}
+    name = body.label_array or (next(iter(known)) if len(known) == 1 else None)
+    if name not in known:
+        raise InputError(
+            f"{path}: body.label_array must name one of the cells' data, found "
+            f"{body.label_array!r}; there are {', '.join(known) or 'none'}."
+        )
+    return np.asarray(known[name]).ravel().astype(np.int32)
+
+
+def _closed(crossings: NDArray[np.int64], path: Path) -> None:
+    """Refuse a surface that some ray does not leave as often as it enters."""
+    if not crossings.any() or (crossings % 2).any():
+        raise InputError(
+            f"{path} is no closed surface: {int((crossings % 2).sum())} of "
+            f"{int((crossings > 0).sum())} rays through it end inside. Close its holes."
+        )
+
+
+@njit(**CONTRACTED)
+def _fill(
+    corners: FloatArray,
+    tissue: NDArray[np.uint8],
+    origin: FloatArray,
+    voxel: float,
+    values: NDArray[np.uint8],
+) -> None:
+    """Give voxels whose centre lies in a tetrahedron its tissue."""
+    nz, ny, nx = values.shape
+    for m in range(len(corners)):
+        base = corners[m, 0]
+        inverse = np.linalg.inv((corners[m, 1:] - base).T)
+        first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+        for c in range(3):
+            first[c] = max(0, int(np.floor((corners[m, :, c].min() - origin[c]) / voxel)))
+            last[c] = int(np.ceil((corners[m, :, c].max() - origin[c]) / voxel))
+        for k in range(first[2], min(last[2] + 1, nz)):
+            for j in range(first[1], min(last[1] + 1, ny)):
+                for i in range(first[0], min(last[0] + 1, nx)):
+                    dx = origin[0] + i * voxel - base[0]
+                    dy = origin[1] + j * voxel - base[1]
+                    dz = origin[2] + k * voxel - base[2]
+                    least, total = 1.0, 0.0
+                    for c in range(3):
+                        w = inverse[c, 0] * dx + inverse[c, 1] * dy + inverse[c, 2] * dz
+                        least = min(least, w)
+                        total += w
+                    if min(least, 1.0 - total) >= -ON_A_FACE:
+                        values[k, j, i] = tissue[m]
+
+
+@njit(**CONTRACTED)
+def _cross(
+    triangles: FloatArray,
+    origin: FloatArray,
+    voxel: float,
+    values: NDArray[np.uint8],
+    crossings: NDArray[np.int64],
+) -> None:
+    """Turn voxels above each crossing of a ray along z inside out, and count crossings."""
+    nz, ny, nx = values.shape
+    for t in range(len(triangles)):
+        a, b, c = triangles[t]
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area == 0.0:
+            continue
+        low_x, high_x = min(a[0], b[0], c[0]), max(a[0], b[0], c[0])
+        low_y, high_y = min(a[1], b[1], c[1]), max(a[1], b[1], c[1])
+        i0, i1 = max(0, int((low_x - origin[0]) / voxel)), int((high_x - origin[0]) / voxel) + 2
+        j0, j1 = max(0, int((low_y - origin[1]) / voxel)), int((high_y - origin[1]) / voxel) + 2
+        for j in range(j0, min(j1, ny)):
+            y = origin[1] + j * voxel
+            for i in range(i0, min(i1, nx)):
+                x = origin[0] + i * voxel
+                u = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+                v = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+                if u < 0.0 or v < 0.0 or u + v > 1.0:
+                    continue
+                z = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
+                crossings[j, i] += 1
+                for k in range(nz):
+                    if origin[2] + k * voxel > z:
+                        values[k, j, i] ^= 1

@@ -1,1 +1,0 @@
-"""Labelled voxels from a seed."""

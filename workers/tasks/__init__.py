@@ -1,0 +1,1 @@
+"""The functions that Dask workers run, and the store that they share."""

@@ -1,0 +1,213 @@
+"""Bodies, meshes and what is prepared from them, by digest: made once, cached by each process.
+
+A body or a mesh is named after its content. What was asked for leads there through a small
+record under the digest of the request and of the code that makes it, so that code which
+changes without changing the content makes nothing else stale.
+"""
+
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from storage.arrays import Arrays, exists, load_arrays, load_meta, save_arrays
+from storage.digest import array_digest, digest, file_digest
+from storage.errors import InputError
+from storage.meshes import has_mesh, load_mesh, save_mesh
+from storage.stores import Store
+from storage.values import Volume
+from storage.volumes import has_volume, list_volumes, load_volume, save_volume, volume_meta
+from workers.organs.organ import Organ
+from workers.organs.registry import organ_module
+from workers.resources import CACHE
+from workers.spec import CaseSpec, Door, ScoreSpec
+from workers.tasks.code_version import code_version
+from workers.tasks.pipeline import Setup, Watch
+
+T = TypeVar("T")
+
+
+class BodyStore:
+    """The bodies and meshes of one organ in one store.
+
+    Parameters
+    ----------
+    store : Store
+    organ : Organ
+    """
+
+    def __init__(self, store: Store, organ: Organ[Any, Any, Any]) -> None:
+        self.store = store
+        self.organ = organ
+
+    def bring_body(self, spec: Door) -> str:
+        """Return the digest of the body that is described, which is then in the store.
+
+        Raises
+        ------
+        InputError
+            If it cannot be made, or is neither a file nor in the store.
+        """
+        given = self.organ.stored_name(spec)
+        if given is not None:
+            return self._stored(given, spec)
+        files = self.organ.body_files(spec)
+        settings = self.organ.body_settings(spec)
+        request = self._request("body", settings, [file_digest(file) for file in files])
+
+        def make() -> str:
+            kind = "image" if files else "generated"
+            about = {"file": files[0].name} if files else {"settings": settings}
+            return self.add(self.organ.make_body(spec), {"kind": kind} | about)
+
+        return self._made(request, self.has_body, make)
+
+    def bring_mesh(self, body: str, case: CaseSpec) -> tuple[str, dict[str, Any]]:
+        """Return the digest of the mesh of a stored body, and facts of both; it is then stored."""
+        request = self._request("mesh", body, self.organ.mesh_settings(case))
+
+        def make() -> str:
+            watch = Watch()
+            loaded = self.body(body)
+            with watch.stage("mesh"):
+                mesh = self.organ.make_mesh(loaded, case)
+            arrays = self.organ.mesh_to_arrays(mesh)
+            name = digest("mesh", body, {key: array_digest(a) for key, a in arrays.items()})
+            facts = {**self.organ.facts(loaded, mesh), "seconds": watch.seconds}
+            save_mesh(self.store, name, arrays, {"volume": body, "facts": facts})
+            return name
+
+        name = self._made(request, lambda made: has_mesh(self.store, made), make)
+        return name, load_meta(self.store.layout.mesh(name))["facts"]
+
+    def add(self, body: Any, meta: Mapping[str, Any]) -> str:
+        """Store a body under the digest of its content; images apart from simulated bodies."""
+        name = self._body_digest(body, meta.get("kind") == "image")
+        if not self.has_body(name):
+            self.save_body(name, body, meta)
+        return name
+
+    def has_body(self, name: str) -> bool:
+        """Return whether a body is in the store, complete."""
+        return has_volume(self.store, name)
+
+    def save_body(self, name: str, body: Any, meta: Mapping[str, Any]) -> None:
+        """Store a body under a digest that is known already, such as that of an evaluation."""
+        arrays = self.organ.body_to_arrays(body)
+        if isinstance(arrays, Volume):
+            save_volume(self.store, name, arrays, meta=meta)
+        else:
+            save_arrays(self.store.layout.volume(name), arrays, meta)
+
+    def body(self, name: str) -> Any:
+        """Return a stored body."""
+        return self._cached("body", name, lambda: self._load_body(name))
+
+    def mesh(self, name: str) -> Any:
+        """Return a stored mesh."""
+        return self._cached(
+            "mesh", name, lambda: self.organ.mesh_from_arrays(load_mesh(self.store, name)[0])
+        )
+
+    def model(self, name: str) -> Any:
+        """Return a stored mesh, prepared for the solver."""
+        return self._cached("model", name, lambda: self.organ.prepare(self.mesh(name)))
+
+    def landmarks(self, name: str, case: CaseSpec) -> Any:
+        """Return what the load must know of the place of a stored body."""
+        what = f"landmarks {self.organ.landmarks_depend_on(case)}"
+        return self._cached(what, name, lambda: self.organ.landmarks(self.body(name), case))
+
+    def scorer(self, target: str, spec: ScoreSpec) -> Any:
+        """Return what compares bodies with a stored target; each thread has its own."""
+        what = f"scorer {spec.model_dump_json()} {threading.get_ident()}"
+        return self._cached(what, target, lambda: self.organ.scorer(self.body(target), spec))
+
+    def imaged(self, name: str) -> bool:
+        """Return whether a stored body comes from an image rather than from a simulation."""
+        return volume_meta(self.store, name).get("kind") not in ("simulated", "evaluation")
+
+    def setup(
+        self,
+        case: CaseSpec,
+        prepared: Mapping[str, str],
+        target: str | None = None,
+        score: ScoreSpec | None = None,
+    ) -> Setup:
+        """Return what an evaluation needs beside the constants.
+
+        Parameters
+        ----------
+        case : CaseSpec
+        prepared : mapping
+            Digests: ``volume`` of the undeformed body and ``mesh``.
+        target : str, optional
+            Digest of the body to be explained.
+        score : ScoreSpec, optional
+            How it is compared; not at all by default.
+        """
+        body, mesh = prepared["volume"], prepared["mesh"]
+        imaged = target is not None and self.imaged(target)
+        return Setup(
+            organ=self.organ,
+            case=case,
+            body=self.body(body),
+            mesh=self.mesh(mesh),
+            model=self.model(mesh),
+            landmarks=self.landmarks(body, case),
+            target=None if target is None else self.body(target),
+            target_landmarks=self.landmarks(target, case) if target and imaged else None,
+            scorer=None if target is None or score is None else self.scorer(target, score),
+        )
+
+    def _stored(self, given: str, spec: Door) -> str:
+        name = self._find(given)
+        adapted = self.organ.adapt_stored(self.body(name), spec)
+        return name if adapted is None else self.add(adapted, {"kind": "image"})
+
+    def _find(self, given: str) -> str:
+        """Return the digest of the stored volume that has this digest or name."""
+        stored = list_volumes(self.store)
+        if given in stored:
+            return given
+        named = [v for v in stored if volume_meta(self.store, v).get("name") == given]
+        if len(named) == 1:
+            return named[0]
+        if named:
+            raise InputError(f"{given} names several volumes: give one of {', '.join(named)}.")
+        raise InputError(
+            f"{given} is neither a file or folder (looked up from {Path.cwd()}) nor a volume of "
+            f"the store {self.store.root}. Check the path, or import the image first."
+        )
+
+    def _load_body(self, name: str) -> Any:
+        if "spacing_mm" in volume_meta(self.store, name):
+            return self.organ.body_from_arrays(load_volume(self.store, name))
+        return self.organ.body_from_arrays(load_arrays(self.store.layout.volume(name))[0])
+
+    def _body_digest(self, body: Any, imaged: bool) -> str:
+        arrays = self.organ.body_to_arrays(body)
+        kind = "image" if imaged else "volume"
+        if isinstance(arrays, Volume):
+            place = [list(arrays.spacing_mm), list(arrays.origin_mm)]
+            return digest(kind, array_digest(arrays.values), place)
+        return digest(kind, {key: array_digest(a) for key, a in arrays.items()})
+
+    def _request(self, kind: str, *parts: Any) -> str:
+        return digest(f"{kind} request", *parts, code_version(organ_module(self.organ.name)))
+
+    def _made(self, request: str, has: Callable[[str], bool], make: Callable[[], str]) -> str:
+        """Return the name of what a request has made; make it unless the store has it."""
+        path = self.store.layout.field(request)
+        if exists(path):
+            name = str(load_meta(path)["made"])
+            if has(name):
+                return name
+        name = make()
+        if not exists(path):
+            nothing: Arrays = {}
+            save_arrays(path, nothing, {"made": name})
+        return name
+
+    def _cached(self, kind: str, name: str, make: Callable[[], T]) -> T:
+        return CACHE.get((kind, self.organ.name, str(self.store.root), name), make)

@@ -1,0 +1,120 @@
+"""The digest of the source code that a result depends on, derived from its imports.
+
+A result that is stored under the digest of its inputs alone becomes stale when the code
+changes. The code's part of that digest is found by following the import statements from
+the module that makes the result: what it reaches counts, what it does not reach does not.
+"""
+
+import ast
+from collections.abc import Iterable, Iterator
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+from storage.digest import digest, file_digest
+
+PACKAGES = ("workers", "storage")
+
+
+@cache
+def code_version(*modules: str) -> str:
+    """Return a digest of the source of all that some modules import, themselves included.
+
+    Parameters
+    ----------
+    *modules : str
+        Dotted names, such as ``"workers.tasks.evaluation"``.
+
+    Returns
+    -------
+    str
+        The same on every machine that has the same source, wherever it is installed.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If there is no such module.
+    """
+    files = reached(modules)
+    return digest(sorted((name, file_digest(file)) for name, file in files.items()))
+
+
+def reached(modules: Iterable[str], packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
+    """Return the modules of some packages that these modules reach by their imports.
+
+    Imports inside functions and for type checkers count. The ``__init__`` of every package
+    on the way counts, because Python runs it.
+
+    Parameters
+    ----------
+    modules : iterable of str
+        Where to begin.
+    packages : iterable of str
+        Top-level packages that are followed; others are left out.
+
+    Returns
+    -------
+    dict of str to Path
+        The file of each module that is reached.
+    """
+    roots = tuple(packages)
+    files: dict[str, Path] = {}
+    waiting = list(modules)
+    while waiting:
+        name = waiting.pop()
+        if name in files or name.split(".", 1)[0] not in roots:
+            continue
+        file = source_file(name)
+        if file is None:
+            raise ModuleNotFoundError(f"There is no module {name}.", name=name)
+        files[name] = file
+        waiting.extend(_parents(name))
+        waiting.extend(_imported(file, name))
+    return files
+
+
+@cache
+def source_file(module: str) -> Path | None:
+    """Return the file of a module or of a package's ``__init__``; None if there is none."""
+    top, *rest = module.split(".")
+    spec = find_spec(top)
+    if spec is None or spec.origin is None:
+        return None
+    place = Path(spec.origin).parent.joinpath(*rest)
+    for file in (place / "__init__.py", place.with_suffix(".py")):
+        if file.is_file():
+            return file
+    return None
+
+
+def _parents(module: str) -> Iterator[str]:
+    parts = module.split(".")
+    return (".".join(parts[:count]) for count in range(1, len(parts)))
+
+
+@cache
+def _imported(file: Path, module: str) -> tuple[str, ...]:
+    """Return the modules that a file names in import statements.
+
+    ``from package import name`` names the module ``package.name`` where there is one.
+    """
+    names: list[str] = []
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        if isinstance(node, ast.Import):
+            names.extend(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            if node.level:
+                raise ImportError(f"{module} has a relative import, which is not followed.")
+            base = node.module or ""
+            names.append(base)
+            names.extend(_submodules(base, node))
+    return tuple(names)
+
+
+def _submodules(base: str, node: ast.ImportFrom) -> Iterator[str]:
+    if base.split(".", 1)[0] not in PACKAGES:
+        return
+    for alias in node.names:
+        name = f"{base}.{alias.name}"
+        if source_file(name) is not None:
+            yield name

@@ -1,0 +1,211 @@
+"""What a diagnosis sends to Dask: a small request in, a small record out.
+
+::
+
+    build_problem      a case               > nothing: this process has its meshes and maps
+    calibrate_nominal  a case               > constants, points and noise in the store
+    analyse_effect     one effect, one scan > what it would do to the residuals
+    fit_effects        one effect or a pair > the most probable constants and magnitudes
+    weigh_hypotheses   all of these         > the joint fits still wanted, or the outcome
+
+Every task is idempotent: what the store has is not made again. A request names digests, so
+workers need the store and nothing else. `workers.tasks.diagnosis_store` knows what lies where.
+Nothing depends on which process runs which task.
+"""
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage.arrays import Arrays
+from storage.values import BoolArray
+from workers.comparison.observation.interface import InterfacePoints
+from workers.diagnosis.calibration import calibrate
+from workers.diagnosis.diagnosis import Combination, Course, Diagnosis, advance, diagnose
+from workers.diagnosis.joint_fit import fit_jointly
+from workers.diagnosis.pictures.scan_pictures import Displacements
+from workers.diagnosis.scan_prediction import predict_scan
+from workers.diagnosis.sensitivity_analysis import scan_sensitivity
+from workers.diagnosis.summarise import summarise
+from workers.tasks.diagnosis_store import (
+    CalibrationRecord,
+    DiagnosisRequest,
+    DiagnosisStore,
+    JointFitRecord,
+    Outcome,
+    SensitivityRecord,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class WeighingRecord:
+    """Joint fits that are still missing, by the names of their effects; empty at the end."""
+
+    wanted: tuple[tuple[str, ...], ...]
+
+
+def build_problem(request: DiagnosisRequest) -> None:
+    """Make what every task of a case needs, while another process calibrates it."""
+    _ = DiagnosisStore(request).uncalibrated
+
+
+def calibrate_nominal(request: DiagnosisRequest) -> CalibrationRecord:
+    """Find the nominal constants, the points that can be trusted and their noise.
+
+    Parameters
+    ----------
+    request : DiagnosisRequest
+        See `workers.tasks.diagnosis_store.named`.
+
+    Raises
+    ------
+    InputError
+        If the nominal model cannot be simulated.
+    """
+    store = DiagnosisStore(request)
+    part = store.calibration
+    if not part.is_finished:
+        begun = time.perf_counter()
+        whole = store.uncalibrated
+        inverse, fit = calibrate(whole, store.finer())
+        arrays = {
+            "kept": kept_of(whole.points, inverse.points),
+            "covariance": inverse.covariance,
+            "bias": inverse.bias,
+            "z": fit.z,
+            "jacobian": fit.jacobian,
+        }
+        record = CalibrationRecord(
+            points=len(inverse.points),
+            constants_kpa={name: 1e3 * value for name, value in fit.values().items()},
+            scans=len(inverse.scans),
+            cost=fit.cost,
+            converged=fit.converged,
+            iterations=fit.iterations,
+            seconds=time.perf_counter() - begun,
+        )
+        part.save(record, arrays)
+    return part.record(CalibrationRecord)
+
+
+def analyse_effect(request: DiagnosisRequest, effect: str, scan: int) -> SensitivityRecord:
+    """Find what one effect would do to the residuals of one scan."""
+    store = DiagnosisStore(request)
+    part = store.sensitivity(effect, scan)
+    if not part.is_finished:
+        begun = time.perf_counter()
+        (one,) = store.combination([effect])
+        found = scan_sensitivity(store.inverse, store.nominal, scan, one)
+        arrays = {} if found.columns is None else {"columns": found.columns}
+        spent = time.perf_counter() - begun
+        part.save(SensitivityRecord(found.columns is not None, found.idle, spent), arrays)
+    return part.record(SensitivityRecord)
+
+
+def fit_effects(request: DiagnosisRequest, effects: tuple[str, ...]) -> JointFitRecord:
+    """Fit the constants and the parameters of one effect or of a pair."""
+    store = DiagnosisStore(request)
+    part = store.joint_fit(effects)
+    if not part.is_finished:
+        begun = time.perf_counter()
+        fitted = fit_jointly(store.analysis, store.combination(effects))
+        store.save_joint_fit(effects, fitted, time.perf_counter() - begun)
+    return part.record(JointFitRecord)
+
+
+def weigh_hypotheses(request: DiagnosisRequest) -> WeighingRecord:
+    """Advance the diagnosis as far as the stored joint fits allow.
+
+    Without a missing fit it ends, and its outcome is in the store with the residuals on the
+    interfaces.
+    """
+    store = DiagnosisStore(request)
+    part = store.outcome
+    if part.is_finished:
+        return WeighingRecord(())
+    reached = replay(store, diagnose(store.analysis, store.effects))
+    if not isinstance(reached, Diagnosis):
+        return WeighingRecord(tuple(tuple(e.name for e in effects) for effects in reached))
+    summary = summarise(reached, store.effects, store.source.name)
+    displacements = _displacements(store, reached)
+    drawn, summary = store.source.describe(reached, displacements, summary)
+    part.save(Outcome(summary, tuple(store.source.scans)), residual_maps(reached) | drawn)
+    return WeighingRecord(())
+
+
+def replay(store: DiagnosisStore, course: Course) -> Diagnosis | list[Combination]:
+    """Send stored joint fits to a diagnosis: it, or the first fits that are missing."""
+    reached = advance(course)
+    while not isinstance(reached, Diagnosis):
+        missing = [effects for effects in reached if not store.has_joint_fit(effects)]
+        if missing:
+            return missing
+        reached = advance(course, [store.load_joint_fit(effects) for effects in reached])
+    return reached
+
+
+def _displacements(store: DiagnosisStore, diagnosis: Diagnosis) -> Displacements:
+    """Return those of the nodes before, and after where an effect is accused and simulated.
+
+    What the store has of a joint fit are its points; the body is solved once more.
+    """
+    inverse, nominal = store.inverse, store.nominal
+    found = {"before": [one.at.solution.displacement_mm for one in nominal.predictions]}
+    if diagnosis.best is not None:
+        fit = diagnosis.best.fit
+        again = [
+            predict_scan(inverse, scan, fit.unknowns, fit.z, one.at)
+            for scan, one in zip(inverse.scans, nominal.predictions, strict=True)
+        ]
+        solved = [one.at.solution.displacement_mm for one in again if one is not None]
+        if len(solved) == len(again):
+            found["after"] = solved
+    return found
+
+
+def residual_maps(diagnosis: Diagnosis) -> Arrays:
+    """Return residuals on the interfaces, (scans, points) in mm, before and after.
+
+    Their noise too, where the points go, ``moved_``, and the observed normals there.
+    """
+    analysis = diagnosis.analysis
+    inverse, nominal = analysis.inverse, analysis.nominal
+    shape = (len(inverse.scans), len(inverse.points))
+    noise = np.sqrt((analysis.linear.covariance_factor**2).sum(axis=1))
+    maps = {
+        "points": inverse.points.points,
+        "interface": inverse.points.interface,
+        "before": analysis.linear.residual.reshape(shape),
+        "noise": noise.reshape(shape),
+        "moved_before": np.stack([one.points for one in nominal.predictions]),
+        "normals_before": np.stack([one.normals for one in nominal.predictions]),
+    }
+    if diagnosis.best is not None:
+        fit = diagnosis.best.fit
+        maps["after"] = fit.linearised(inverse).residual.reshape(shape)
+        maps["moved_after"] = np.stack([one.points for one in fit.predictions])
+        maps["normals_after"] = np.stack([one.normals for one in fit.predictions])
+    return maps
+
+
+def kept_of(before: InterfacePoints, after: InterfacePoints) -> BoolArray:
+    """Return which points of `before` are still in `after`, shape (k,).
+
+    Raises
+    ------
+    ValueError
+        If `after` is not a part of `before`, in its order.
+    """
+    rows = {(int(i), *p): n for n, (i, p) in enumerate(_rows(before))}
+    index = np.array([rows[(int(i), *p)] for i, p in _rows(after)], dtype=np.intp)
+    if (np.diff(index) <= 0).any():
+        raise ValueError("calibration must keep points in their order")
+    kept = np.zeros(len(before), np.bool_)
+    kept[index] = True
+    return kept
+
+
+def _rows(points: InterfacePoints) -> Iterable[tuple[int, Sequence[float]]]:
+    return zip(points.interface.tolist(), points.points.tolist(), strict=True)

@@ -1,0 +1,317 @@
+"""The tasks of a study: a small record in, a small record out.
+
+::
+
+    prepare_case    a case                       > body and mesh in the store
+    make_target     a case and a target          > the deformed body to be explained
+    evaluate        a candidate                  > field, score and record in the store
+    keep_volume     an evaluation that is done   > its deformed body in the store
+    score_bodies    two stored bodies            > the score of each part
+
+Every task is idempotent: what the store has is not made again. Arrays never travel;
+workers read them by digest and hold those used last in `workers.resources.CACHE`. Tasks
+only load and save: `workers.tasks.pipeline` says what happens in between. Constants in
+these records have inside names and units, ``{"E_fat": 0.01}``.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from storage.digest import digest
+from storage.errors import InputError, StoreError
+from storage.evaluations import load_evaluation, save_evaluation
+from storage.fields import load_field, save_field
+from storage.stores import Store, open_store
+from storage.task_records import (
+    EvaluationRequest,
+    EvaluationResult,
+    PreparedBody,
+    PreparedTarget,
+    Scores,
+    SpecJson,
+)
+from workers.organs.organ import Organ, Solution
+from workers.organs.registry import DEFAULT, organ_module, organ_named
+from workers.resources import worker_name
+from workers.spec import CaseSpec, ScoreSpec, validated
+from workers.tasks import pipeline
+from workers.tasks.body_store import BodyStore
+from workers.tasks.code_version import code_version
+from workers.tasks.pipeline import Watch
+
+
+def case_organ(case: SpecJson) -> Organ[Any, Any, Any]:
+    """Return the organ that a case is about.
+
+    Raises
+    ------
+    InputError
+        If there is no such organ.
+    """
+    return organ_named(str(case.get("organ", DEFAULT)))
+
+
+def case_of(case: SpecJson) -> CaseSpec:
+    """Return a case as its organ understands it.
+
+    Raises
+    ------
+    InputError
+        If it makes no sense.
+    """
+    return validated(case_organ(case).case_spec, case, "The case")
+
+
+def prepare_case(case: SpecJson, store: str) -> PreparedBody:
+    """Bring the undeformed body and its mesh into the store.
+
+    Parameters
+    ----------
+    case : mapping
+        As `CaseSpec` writes it.
+    store : str
+        Where the store is.
+
+    Raises
+    ------
+    InputError
+        If the case makes no sense, or its image cannot be read or meshed.
+    """
+    organ, spec = case_organ(case), case_of(case)
+    bodies = BodyStore(open_store(store), organ)
+    body = bodies.bring_body(spec.reference)
+    mesh, facts = bodies.bring_mesh(body, spec)
+    organ.check(spec, bodies.body(body), facts)
+    return {"volume": body, "mesh": mesh, "facts": facts}
+
+
+def make_target(case: SpecJson, target: SpecJson, store: str) -> PreparedTarget:
+    """Bring the deformed body that is to be explained into the store.
+
+    A simulated target takes its constants from `target`, then from the case; an
+    image is read and its labels are named.
+
+    Raises
+    ------
+    InputError
+        If the target makes no sense, or its simulation does not converge.
+    """
+    organ = case_organ(case)
+    wanted = validated(organ.target_spec, target, "The target")
+    if wanted.constants is None:
+        name = BodyStore(open_store(store), organ).bring_body(wanted)
+        return {"target": name, "kind": "image"}
+    spec = organ.simulated_case(case_of(case), wanted)
+    made = simulate_once(
+        spec.model_dump(mode="json"), spec.parameters.from_door(wanted.constants), store
+    )
+    volume = made.get("volume")
+    if made["status"] != "done" or volume is None:
+        raise InputError(
+            f"The target cannot be simulated: {made['reason']}. Choose other constants, a "
+            "smaller load or another mesh for it."
+        )
+    return {
+        "target": volume,
+        "kind": "simulated",
+        "outcome": made["outcome"],
+        "constants": made["constants"],
+        "seconds": made["seconds"],
+    }
+
+
+def simulate_once(case: SpecJson, constants: Mapping[str, float], store: str) -> EvaluationResult:
+    """Deform the body of a case with these constants, compared with nothing.
+
+    Returns
+    -------
+    dict
+        ``digest``, under which the field is stored; ``volume``, the digest of the
+        deformed body, made from its content (None when diverged); the rest as for
+        `evaluate`.
+    """
+    spec = case_of(case)
+    bodies = BodyStore(open_store(store), case_organ(case))
+    prepared = prepare_case(case, store)
+    values = spec.complete(constants)
+    name = digest("simulation", *_dependencies(spec, prepared, values))
+    done = load_evaluation(bodies.store, name)
+    if done is None or not _has(bodies, done.get("volume")):
+        watch = Watch()
+        with watch.stage("load"):
+            setup = bodies.setup(spec, _digests(prepared))
+        evaluation = pipeline.evaluate(setup, values, watch)
+        volume = None
+        if evaluation.deformed is not None:
+            volume = bodies.add(evaluation.deformed, {"kind": "simulated", "constants": values})
+        result = _result(name, values, evaluation.solution, watch)
+        result["volume"] = volume
+        done = _save(bodies.store, result, evaluation.solution)
+    return done
+
+
+def evaluate(request: EvaluationRequest) -> EvaluationResult:
+    """Simulate one candidate and compare it with the target.
+
+    Returns
+    -------
+    dict
+        ``score`` is None when diverged and may hold -inf; ``reused`` says whether the
+        store had it; ``seconds`` are those of each stage.
+
+    Raises
+    ------
+    InputError
+        If the request makes no sense.
+    StoreError
+        If the driver runs another version, or the store lacks what the request names.
+    """
+    spec, score = case_of(request["case"]), _score_of(request)
+    bodies = BodyStore(open_store(request["store"]), case_organ(request["case"]))
+    name = _checked_digest(request)
+    done = load_evaluation(bodies.store, name)
+    if done is not None:
+        if request.get("keep_volume"):
+            keep_volume(request)
+        done["reused"] = True
+        return done
+    values = spec.complete(request["constants"])
+    watch = Watch()
+    with watch.stage("load"):
+        setup = bodies.setup(spec, _digests(request["prepared"]), request["target"], score)
+    evaluation = pipeline.evaluate(setup, values, watch)
+    if request.get("keep_volume") and evaluation.deformed is not None:
+        _save_body(bodies, name, evaluation.deformed, values)
+    result = _result(name, values, evaluation.solution, watch)
+    result["score"] = evaluation.scores
+    result = _save(bodies.store, result, evaluation.solution)
+    result["reused"] = False
+    return result
+
+
+def evaluation_digest(
+    case: SpecJson,
+    prepared: PreparedBody,
+    target: str,
+    constants: Mapping[str, float],
+    score: SpecJson | None = None,
+) -> str:
+    """Return the name of an evaluation: all that its result depends on, the code included."""
+    spec = case_of(case)
+    how = validated(case_organ(case).score_spec, score or {}, "The score")
+    parts = _dependencies(spec, prepared, spec.complete(constants))
+    return digest("evaluation", *parts, target, how.model_dump(mode="json"))
+
+
+def keep_volume(request: EvaluationRequest) -> str:
+    """Store the deformed body of an evaluation that is done, made from its stored field.
+
+    Parameters
+    ----------
+    request : dict
+        As it was evaluated.
+
+    Returns
+    -------
+    str
+        The digest of evaluation and body. A diverged evaluation has no body.
+
+    Raises
+    ------
+    StoreError
+        If the evaluation is not in the store.
+    """
+    organ, spec = case_organ(request["case"]), case_of(request["case"])
+    bodies = BodyStore(open_store(request["store"]), organ)
+    name = _checked_digest(request)
+    done = load_evaluation(bodies.store, name)
+    if done is None:
+        raise StoreError(
+            f"The evaluation {name} is not in the store {bodies.store.root}: run it first."
+        )
+    if done["status"] == "done" and not bodies.has_body(name):
+        setup = bodies.setup(spec, _digests(request["prepared"]), request["target"])
+        field = load_field(bodies.store, name)
+        deformed = organ.deform(setup.body, setup.mesh, field, setup.target)
+        _save_body(bodies, name, deformed, done["constants"])
+    return name
+
+
+def score_bodies(
+    case: SpecJson, store: str, target: str, candidate: str, score: SpecJson | None = None
+) -> Mapping[str, Scores]:
+    """Compare two stored bodies part by part; see `Organ.scores_by_part`."""
+    organ = case_organ(case)
+    how = validated(organ.score_spec, score or {}, "The score")
+    bodies = BodyStore(open_store(store), organ)
+    return organ.scores_by_part(bodies.body(target), bodies.body(candidate), how)
+
+
+def _dependencies(spec: CaseSpec, prepared: PreparedBody, values: Mapping[str, float]) -> list[Any]:
+    """Return all that a simulation depends on: bodies by content, the case, constants, code."""
+    asked = spec.model_dump(mode="json", exclude={"reference", "mesh", "constants"})
+    code = code_version(__name__, organ_module(spec.organ))
+    return [prepared["volume"], prepared["mesh"], asked, dict(values), code]
+
+
+def _digests(prepared: PreparedBody) -> dict[str, str]:
+    return {"volume": prepared["volume"], "mesh": prepared["mesh"]}
+
+
+def _score_of(request: EvaluationRequest) -> ScoreSpec:
+    organ = case_organ(request["case"])
+    return validated(organ.score_spec, request.get("score") or {}, "The score")
+
+
+def _checked_digest(request: EvaluationRequest) -> str:
+    name = evaluation_digest(
+        request["case"],
+        request["prepared"],
+        request["target"],
+        request["constants"],
+        request.get("score"),
+    )
+    if request.get("digest", name) != name:
+        raise StoreError(
+            f"The driver calls this evaluation {request['digest']}, this worker {name}: they run "
+            "different versions. `palpate doctor` shows which; install the same everywhere."
+        )
+    return name
+
+
+def _result(
+    name: str, values: Mapping[str, float], solution: Solution, watch: Watch
+) -> EvaluationResult:
+    outcome = solution.outcome
+    return {
+        "digest": name,
+        "status": "done" if outcome.converged else "diverged",
+        "reason": outcome.reason,
+        "outcome": outcome.as_dict(),
+        "constants": dict(values),
+        "seconds": dict(watch.seconds),
+        "worker": worker_name(),
+    }
+
+
+def _save(store: Store, result: EvaluationResult, solution: Solution) -> EvaluationResult:
+    """Store the field first, the record last: it vouches for the rest.
+
+    What comes back is what a later reader will find.
+    """
+    name = result["digest"]
+    if np.isfinite(solution.displacement_mm).all():
+        save_field(store, name, solution.displacement_mm)
+    save_evaluation(store, name, result)
+    return load_evaluation(store, name) or result
+
+
+def _has(bodies: BodyStore, body: str | None) -> bool:
+    """Return whether a body is there, where one is expected: somebody may have removed it."""
+    return body is None or bodies.has_body(body)
+
+
+def _save_body(bodies: BodyStore, name: str, body: Any, values: Mapping[str, float]) -> None:
+    bodies.save_body(name, body, {"kind": "evaluation", "constants": dict(values)})

@@ -1,0 +1,165 @@
+"""What a plan sends to Dask: a small request in, a small record out.
+
+::
+
+    list_loads      a case or a study    > the planned loads, and those that could be added
+    analyse_load    one of them          > what its scan will show of constants and effects
+    weigh_plan      all of them          > what can be told, and what would tell more
+
+Every task is idempotent: what the store has is not made again. A request names digests, so
+workers need the store and nothing else.
+"""
+
+import time
+from dataclasses import dataclass, replace
+
+from storage.digest import digest
+from storage.errors import InputError
+from workers.diagnosis.acquisition import Acquisition, inverse_problem_of
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.planning.candidate_loads import CandidateLoad, candidate_loads
+from workers.diagnosis.planning.load_sensitivity import LoadSensitivity, load_sensitivity
+from workers.diagnosis.planning.plan import make_plan
+from workers.diagnosis.planning.summary import PlanSummary
+from workers.organs.source_registry import source_module
+from workers.tasks.code_version import code_version
+from workers.tasks.sources import SourceName, stored_planned
+from workers.tasks.task_store import Part, TaskStore
+
+NOMINAL = "nominal"
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRequest:
+    """What is asked of a plan: all that a task needs to find the rest in the store.
+
+    Parameters
+    ----------
+    store : str
+        Folder that all workers see.
+    source : SourceName
+        What is planned; see `workers.tasks.sources.add_source`.
+    nodes : int
+        Of the mesh.
+    spacing_mm : float
+        Between points on the interfaces.
+    name : str
+        Digest of all of these and of the code; see `named`.
+    """
+
+    store: str
+    source: SourceName
+    nodes: int
+    spacing_mm: float
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadsRecord:
+    """Names of the loads, the planned ones first, and the number of points."""
+
+    loads: tuple[str, ...]
+    points: int
+
+
+@dataclass(frozen=True, slots=True)
+class LoadRecord:
+    """Whether the nominal model converges under one load, and how far the plates travel."""
+
+    name: str
+    simulated: bool
+    travel_mm: float | None
+    seconds: float
+
+
+def named(request: PlanRequest) -> PlanRequest:
+    """Return the request under the digest of all that its result depends on, code included."""
+    how = [request.nodes, request.spacing_mm, _code(request.source.kind)]
+    return replace(request, name=digest("plan", request.source.digest, *how))
+
+
+def _code(kind: str) -> str:
+    return code_version("workers.tasks.planning", source_module(kind))
+
+
+def list_loads(request: PlanRequest) -> LoadsRecord:
+    """List the planned loads, then those that could be added."""
+    unloaded, loads = _body(request)
+    return LoadsRecord(tuple(load.name for load in loads), len(unloaded.points))
+
+
+def analyse_load(request: PlanRequest, number: int) -> LoadRecord:
+    """Simulate one load, and what every effect would do to its scan."""
+    part = _part(request, "load", number)
+    if not part.is_finished:
+        begun = time.perf_counter()
+        unloaded, loads = _body(request)
+        load = loads[number]
+        found = load_sensitivity(unloaded, load.name, load.problem, _acquisition(request).effects)
+        travel_mm = None if found is None else found.travel_mm
+        arrays = {} if found is None else {NOMINAL: found.nominal, **found.columns}
+        spent = time.perf_counter() - begun
+        part.save(LoadRecord(load.name, found is not None, travel_mm, spent), arrays)
+    return part.record(LoadRecord)
+
+
+def weigh_plan(request: PlanRequest) -> PlanSummary:
+    """Find what the acquisition can tell, and what else would tell more.
+
+    Raises
+    ------
+    InputError
+        If a planned load cannot be simulated.
+    """
+    part = _part(request, "summary")
+    if not part.is_finished:
+        unloaded, loads = _body(request)
+        known = {
+            number: found
+            for number in range(len(loads))
+            if (found := _stored(request, number)) is not None
+        }
+        lost = [one.name for n, one in enumerate(loads) if one.kind == "planned" and n not in known]
+        if lost:
+            raise InputError(
+                f"The nominal model does not converge at {', '.join(lost)} in the middle of the "
+                "plausible intervals: check loads, units and constants."
+            )
+        acquisition = _acquisition(request)
+        plan = make_plan(acquisition.name, unloaded, loads, known, acquisition.effects)
+        part.save(plan, {})
+    return part.record(PlanSummary)
+
+
+def stored_plan(request: PlanRequest) -> PlanSummary | None:
+    """Return the plan if the store has it."""
+    part = _part(request, "summary")
+    return part.record(PlanSummary) if part.is_finished else None
+
+
+def _stored(request: PlanRequest, number: int) -> LoadSensitivity | None:
+    record, arrays = _part(request, "load", number).load(LoadRecord)
+    if record.travel_mm is None:
+        return None
+    columns = {name: values for name, values in arrays.items() if name != NOMINAL}
+    return LoadSensitivity(arrays[NOMINAL], columns, record.travel_mm)
+
+
+def _body(request: PlanRequest) -> tuple[InverseProblem, list[CandidateLoad]]:
+    """Return the body at rest and all loads; made once by each process."""
+
+    def make() -> tuple[InverseProblem, list[CandidateLoad]]:
+        acquisition = _acquisition(request)
+        unloaded = inverse_problem_of(acquisition, request.nodes, request.spacing_mm)
+        nodes_mm = unloaded.model.finest.nodes
+        return unloaded, candidate_loads(acquisition, unloaded.frame, nodes_mm)
+
+    return TaskStore(request.store).cached(("plan", request.name), make)
+
+
+def _acquisition(request: PlanRequest) -> Acquisition:
+    return stored_planned(request.source, TaskStore(request.store)).acquisition
+
+
+def _part(request: PlanRequest, *which: str | int) -> Part:
+    return Part(TaskStore(request.store), digest("plan", request.name, *which))

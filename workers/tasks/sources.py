@@ -1,0 +1,204 @@
+"""What a path is to a diagnosis or a plan, and how it enters the store: once, by content.
+
+Only these functions and `workers.tasks.studies` look at a path. What a task is told is the
+digest under which all of a source lies in the store, and its kind.
+"""
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from storage.digest import array_digest, digest
+from storage.errors import InputError
+from storage.plain import dumps, loads, to_plain
+from workers.diagnosis.source import HasContent, PlannedSource, Source, SourceContent
+from workers.organs.source_registry import Reader, planned_source_of, readers, source_of
+from workers.tasks.studies import is_study, open_study
+from workers.tasks.task_store import TaskStore
+
+
+@dataclass(frozen=True, slots=True)
+class SourceName:
+    """A source in a store: its kind, and the digest of its content."""
+
+    kind: str
+    digest: str
+
+
+@dataclass(frozen=True, slots=True)
+class StoredContent:
+    """A source in the store; its arrays lie beside this record.
+
+    Parameters
+    ----------
+    kind : str
+        See `SourceContent`.
+    text : str
+        Its record as JSON.
+    volumes : mapping of str to str
+        Digests of its volumes.
+    """
+
+    kind: str
+    text: str
+    volumes: Mapping[str, str]
+
+
+def open_source(path: Path) -> Source:
+    """Read what lies at a path as the source of a diagnosis.
+
+    Parameters
+    ----------
+    path : Path
+        A case or its folder, the folder of a study that has run, or the file of a bench
+        experiment.
+
+    Raises
+    ------
+    InputError
+        If it is nothing that can be diagnosed.
+    """
+    if is_study(path):
+        return open_study(path)
+    refuse_study_file(path)
+    reader = _reader_of(path)
+    if reader is not None:
+        return reader.read(path)
+    raise InputError(
+        f"{path} cannot be diagnosed: expected a folder with case.json or case.yaml and its "
+        "scans, or the folder of a study that `palpate run` has made. `palpate new diagnosis "
+        "NAME` writes a case."
+    )
+
+
+def _reader_of(path: Path) -> Reader | None:
+    return next((reader for reader in readers() if reader.knows(path)), None)
+
+
+def understood(path: Path) -> list[tuple[str, str]]:
+    """Return what a case or an experiment was understood to say; nothing for a study.
+
+    Raises
+    ------
+    InputError
+        If it does not make sense.
+    """
+    refuse_study_file(path)
+    reader = None if is_study(path) else _reader_of(path)
+    return [] if reader is None else reader.understood(path)
+
+
+def is_plannable(path: Path) -> bool:
+    """Return whether further scans can be planned for what lies at a path."""
+    reader = None if is_study(path) else _reader_of(path)
+    return is_study(path) or (reader is not None and reader.plans)
+
+
+def structured(path: Path) -> str:
+    """Return a case as the YAML file that a user would have written.
+
+    Raises
+    ------
+    InputError
+        If there is no case, or it says something that is not understood.
+    """
+    reader = None if is_study(path) else _reader_of(path)
+    text = None if reader is None else reader.structured(path)
+    if text is None:
+        raise InputError(f"{path} is no case: expected a case.json or the folder that it lies in.")
+    return text
+
+
+def refuse_study_file(path: Path) -> None:
+    """Say that a study file has to run before it can be diagnosed or planned.
+
+    Raises
+    ------
+    InputError
+        If a path is a study file.
+    """
+    if not path.is_file() or path.suffix not in (".yaml", ".yml"):
+        return
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return
+    if isinstance(data, Mapping) and "case" in data and "search" in data:
+        folder = f"runs/{data.get('name', 'NAME')}"
+        raise InputError(
+            f"{path} is a study file, expected a case, an experiment or the folder of a study "
+            f"that has run. Run it, `palpate run {shlex.quote(str(path))}`, then give its folder: "
+            f"{folder}."
+        )
+
+
+def open_planned(path: Path) -> PlannedSource:
+    """Read what is known of an acquisition before its loaded scans.
+
+    Raises
+    ------
+    InputError
+        If `path` is neither the folder of a case nor that of a study.
+    """
+    if is_study(path):
+        study = open_study(path)
+        study.check()
+        return study
+    refuse_study_file(path)
+    reader = _reader_of(path)
+    planned = None if reader is None else reader.read_planned(path)
+    if planned is not None:
+        return planned
+    raise InputError(
+        f"{path} cannot be planned: expected a folder with case.json or case.yaml and its "
+        "reference scan, or the folder of a study that has run."
+    )
+
+
+def add_source(source: HasContent, store: TaskStore) -> SourceName:
+    """Bring a source into the store and return its name; what is there is kept.
+
+    Raises
+    ------
+    StoreError
+        If the store cannot be written.
+    """
+    content = source.content
+    volumes = {name: store.add_volume(volume) for name, volume in content.volumes.items()}
+    arrays = {name: array_digest(array) for name, array in content.arrays.items()}
+    record = to_plain(content.record, finite=True, where=content.kind)
+    name = digest("source", content.kind, record, volumes, arrays)
+    stored = StoredContent(content.kind, dumps(record), volumes)
+    store.save(name, stored, content.arrays)
+    return SourceName(content.kind, name)
+
+
+def stored_source(name: SourceName, store: TaskStore) -> Source:
+    """Make a source again from the store; once in each process.
+
+    Raises
+    ------
+    StoreError
+        If it is not there.
+    """
+    return store.cached(("source", name), lambda: source_of(_content(name, store)))
+
+
+def stored_planned(name: SourceName, store: TaskStore) -> PlannedSource:
+    """Make again from the store what is known before the loaded scans; once in each process.
+
+    Raises
+    ------
+    StoreError
+        If it is not there.
+    """
+    return store.cached(("planned", name), lambda: planned_source_of(_content(name, store)))
+
+
+def _content(name: SourceName, store: TaskStore) -> SourceContent:
+    stored, arrays = store.load(name.digest, StoredContent)
+    volumes = {key: store.volume(volume) for key, volume in stored.volumes.items()}
+    return SourceContent(stored.kind, loads(stored.text), volumes, arrays)

@@ -1,0 +1,72 @@
+"""The folder of a study, as far as a diagnosis needs it: what was asked, found and stored."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from storage.errors import InputError
+from storage.journal import Journal
+from storage.layout import StudyLayout
+from storage.records import EvaluationRecord, SessionRecord, StudyRecord, record_of
+from storage.status import Status
+from storage.stores import open_store
+from storage.volumes import load_volume
+from workers.diagnosis.source import FinishedStudy
+from workers.organs.registry import DEFAULT
+from workers.organs.source_registry import StudySource, source_of_study
+
+
+def is_study(folder: Path) -> bool:
+    """Return whether `palpate run` has made this folder."""
+    return StudyLayout(folder).journal.is_file()
+
+
+def open_study(folder: Path) -> StudySource:
+    """Read a study that has run, as the source of a diagnosis.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the study. Its store must still hold the volumes that it was run with.
+
+    Raises
+    ------
+    InputError
+        If there is no study, or it has not begun to evaluate.
+    JournalError, StoreError
+        If journal or store are damaged, or a volume is missing.
+    """
+    layout = StudyLayout(folder)
+    if not is_study(folder):
+        raise InputError(f"{folder} is no study: it has no {layout.journal.name}.")
+    records = [record_of(line) for line in Journal.read(layout.journal)]
+    sessions = [r for r in records if isinstance(r, SessionRecord)]
+    studies = [r for r in records if isinstance(r, StudyRecord)]
+    evaluations = [r for r in records if isinstance(r, EvaluationRecord)]
+    if not sessions or not studies:
+        raise InputError(
+            f"The study {folder} has not run: nothing is known of its body. Run it first with "
+            f"`palpate run {folder}`."
+        )
+    spec = studies[0].spec
+    prepared, target = sessions[-1].prepared["volume"], sessions[-1].target["target"]
+    store = open_store(sessions[-1].store)
+    study = FinishedStudy(
+        name=spec["name"],
+        case=spec["case"],
+        target=spec["target"],
+        parameters=spec["search"]["parameters"],
+        best=_best_genes(evaluations),
+        reference=load_volume(store, prepared),
+        deformed=load_volume(store, target),
+    )
+    return source_of_study(spec["case"].get("organ", DEFAULT), study)
+
+
+def _best_genes(records: Iterable[EvaluationRecord]) -> Mapping[str, float]:
+    """Return those of the candidate with the least score; empty if none has one."""
+    scored = [
+        (float(r.score["gsf"]), r.candidate, r.genes)
+        for r in records
+        if r.status is Status.DONE and r.score
+    ]
+    return min(scored)[2] if scored else {}

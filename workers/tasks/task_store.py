@@ -1,0 +1,151 @@
+"""What tasks keep: a record and arrays under the digest of all that they depend on.
+
+A part is written whole or not at all, so what has its name is finished, and whoever asks for
+the same name anywhere gets the same thing. Records are frozen dataclasses; see
+`storage.typed_json`.
+"""
+
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from numpy.typing import NDArray
+
+from storage.arrays import Arrays, exists, load_arrays, load_meta, save_arrays
+from storage.digest import array_digest, digest
+from storage.errors import StoreError
+from storage.stores import open_store
+from storage.typed_json import from_json, to_json
+from storage.values import Volume
+from storage.volumes import has_volume, load_volume, save_volume
+from workers.resources import CACHE
+
+R = TypeVar("R")
+T = TypeVar("T")
+
+
+class TaskStore:
+    """The results of tasks in one store.
+
+    Parameters
+    ----------
+    location : str or Path
+        Folder of the store, which is made where it is missing.
+
+    Raises
+    ------
+    StoreError
+        If the store cannot be used.
+    """
+
+    def __init__(self, location: str | Path) -> None:
+        self.store = open_store(location)
+
+    def path(self, name: str) -> Path:
+        """Return where the part with this digest lies."""
+        return self.store.layout.field(name)
+
+    def has(self, name: str) -> bool:
+        """Return whether a part is finished."""
+        return exists(self.path(name))
+
+    def save(self, name: str, record: object, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Write a part that is finished; one that is there is kept.
+
+        Parameters
+        ----------
+        name : str
+            Digest of all that the part depends on.
+        record : dataclass
+        arrays : mapping of str to ndarray
+
+        Raises
+        ------
+        StoreError
+            If the file system refuses.
+        """
+        save_arrays(self.path(name), arrays, to_json(record))
+
+    def record(self, name: str, kind: type[R]) -> R:
+        """Read the record of a part, without its arrays.
+
+        Raises
+        ------
+        StoreError
+            If the part is missing or damaged, or its record is not of this kind.
+        """
+        return self._typed(name, kind, load_meta(self.path(name)))
+
+    def load(self, name: str, kind: type[R]) -> tuple[R, Arrays]:
+        """Read record and arrays of a part.
+
+        Raises
+        ------
+        StoreError
+            If the part is missing or damaged, or its record is not of this kind.
+        """
+        arrays, meta = load_arrays(self.path(name))
+        return self._typed(name, kind, meta), arrays
+
+    def add_volume(self, volume: Volume) -> str:
+        """Store a volume under the digest of its content, and return that."""
+        place = [list(volume.spacing_mm), list(volume.origin_mm)]
+        name = digest("image", array_digest(volume.values), place)
+        if not has_volume(self.store, name):
+            save_volume(self.store, name, volume, meta={"kind": "image"})
+        return name
+
+    def volume(self, name: str) -> Volume:
+        """Return a stored volume; read once by each process."""
+        return self.cached(("volume", name), lambda: load_volume(self.store, name))
+
+    def cached(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return a value that this process makes once for this store."""
+        return CACHE.get(("task", str(self.store.root), key), make)
+
+    def _typed(self, name: str, kind: type[R], meta: Mapping[str, Any]) -> R:
+        try:
+            return from_json(kind, meta)
+        except ValueError as error:
+            raise StoreError(
+                f"{self.path(name)} does not hold what was expected: {error}. Remove that folder "
+                "and run the same command again: it is made again."
+            ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One part of a task store, finished or not.
+
+    Parameters
+    ----------
+    store : TaskStore
+    name : str
+        Digest of all that the part depends on.
+    """
+
+    store: TaskStore
+    name: str
+
+    @property
+    def path(self) -> Path:
+        """Where it lies."""
+        return self.store.path(self.name)
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether it is there."""
+        return self.store.has(self.name)
+
+    def save(self, record: object, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Write it; see `TaskStore.save`."""
+        self.store.save(self.name, record, arrays)
+
+    def record(self, kind: type[R]) -> R:
+        """Read its record; see `TaskStore.record`."""
+        return self.store.record(self.name, kind)
+
+    def load(self, kind: type[R]) -> tuple[R, Arrays]:
+        """Read its record and arrays; see `TaskStore.load`."""
+        return self.store.load(self.name, kind)

@@ -1,0 +1,214 @@
+"""The cantilever bar of thesis section 3.3.2: a gold deformation and eight wrong ones.
+
+The thesis prints neither size, material nor force of its bar, and the directions of F0
+to F4 were in a figure that is lost. Here they are, stated once: a soft square bar that
+the gold force bends by about its own thickness; F0 and F1 along -x, F2 against them, F3
+and F4 along -y and y. This is the reading under which the deformations that the thesis
+numbers 1 to 8, from best to worst, are further and further from the gold one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import FloatArray, TetMesh, Tissue, Triple, Volume
+from workers.comparison.coefficients.coefficients import Coefficients, coefficients
+from workers.comparison.similarity.score import Surface
+from workers.comparison.warp.warp_volume import warp_labels
+from workers.mechanics.fem.loads import DeadForce, NoPlates, Wall
+from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.fem.outcome import Outcome
+from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.fem.regions import Box
+from workers.mechanics.fem.solve import solve
+from workers.organs.specimen.block import block
+from workers.thesis.scale import Scale, check_scale
+
+LENGTH_MM, SIDE_MM = 100.0, 20.0
+# A gel of 30 kPa, nearly incompressible as all tissues of the thesis.
+GEL = Constants(young_mpa=0.03, poisson=0.49)
+# Bends the tip by about one side: F L^3 / 3 E I = 22 mm by beam theory.
+GOLD_FORCE_N = 0.026
+WRONG = 1.2  # F1 to F4 in parts of F0
+
+# Directions of the forces in parts of F0; the thesis' table of configurations.
+_F0, _F1, _F2 = (-1.0, 0.0), (-WRONG, 0.0), (WRONG, 0.0)
+_F3, _F4 = (0.0, -WRONG), (0.0, WRONG)
+DEFORMATIONS: dict[int, tuple[str, tuple[tuple[float, float], ...]]] = {
+    1: ("110 % F0", ((-1.1, 0.0),)),
+    2: ("F1", (_F1,)),
+    3: ("F1 and F4", (_F1, _F4)),
+    4: ("F1 and F3", (_F1, _F3)),
+    5: ("F2", (_F2,)),
+    6: ("F3", (_F3,)),
+    7: ("F4", (_F4,)),
+    8: ("F3 and F2", (_F3, _F2)),
+}
+# From best to worst; within a group the thesis does not rank.
+GROUPS: tuple[tuple[int, ...], ...] = ((1, 2), (3, 4), (5, 6, 7), (8,))
+
+NODES = {"reduced": 3_000, "full": 30_000}
+VOXEL_MM = {"reduced": 1.0, "full": 0.5}
+
+
+@dataclass(frozen=True, eq=False)
+class Bar:
+    """A meshed bar and its undeformed voxels; z runs along it, z = 0 is clamped.
+
+    Parameters
+    ----------
+    mesh : TetMesh
+    model : Model
+        Prepared for the solver.
+    voxels : Volume
+        Glandular inside, which is the label that scores compare.
+    """
+
+    mesh: TetMesh
+    model: Model
+    voxels: Volume
+
+
+@dataclass(frozen=True)
+class BarRow:
+    """One wrong deformation against the gold one.
+
+    Parameters
+    ----------
+    number : int
+        1 to 8, from best to worst.
+    forces : str
+        What is applied, in the words of the thesis.
+    force_n : tuple of float
+        The sum of the forces on the free end.
+    tip_mm : tuple of float
+        Mean displacement of the free end.
+    outcome : Outcome
+        How the simulation ended.
+    coefficients : Coefficients or None
+        None if it did not converge.
+    """
+
+    number: int
+    forces: str
+    force_n: Triple
+    tip_mm: Triple
+    outcome: Outcome
+    coefficients: Coefficients | None
+
+
+@dataclass(frozen=True)
+class BarExperiment:
+    """All rows of the bar, in the order of `DEFORMATIONS`.
+
+    Parameters
+    ----------
+    scale : {"reduced", "full"}
+    nodes : int
+        Of the finest mesh.
+    voxel_mm : float
+    gold_tip_mm : tuple of float
+        Mean displacement of the free end under F0.
+    rows : tuple of BarRow
+    """
+
+    scale: Scale
+    nodes: int
+    voxel_mm: float
+    gold_tip_mm: Triple
+    rows: tuple[BarRow, ...]
+
+
+def make_bar(scale: Scale) -> Bar:
+    """Mesh the bar.
+
+    Raises
+    ------
+    InputError
+        If the scale is unknown.
+    """
+    check_scale(scale)
+    size = (SIDE_MM, SIDE_MM, LENGTH_MM)
+    hierarchy = block(size, NODES[scale], Tissue.GLANDULAR)
+    h = VOXEL_MM[scale]
+    nx, ny, nz = (round(s / h) for s in size)
+    solid = np.full((nz, ny, nx), Tissue.GLANDULAR, np.uint8)
+    voxels = Volume(solid, (h, h, h), (h / 2, h / 2, h / 2))
+    return Bar(hierarchy.finest.mesh, prepare(hierarchy), voxels)
+
+
+def bend(bar: Bar, force_n: Triple, material: Constants = GEL) -> tuple[FloatArray, Outcome]:
+    """Load the free end of the bar by a force that keeps its direction.
+
+    Parameters
+    ----------
+    bar : Bar
+    force_n : tuple of float
+        Along x, y and z.
+    material : Constants
+
+    Returns
+    -------
+    displacement_mm : ndarray, shape (n, 3)
+    outcome : Outcome
+    """
+    end = Box((-np.inf, -np.inf, LENGTH_MM - 1e-3), (np.inf, np.inf, np.inf))
+    problem = Problem(
+        constants={Tissue.GLANDULAR: material},
+        load=NoPlates(),
+        wall=Wall((True, True, True)),
+        forces=(DeadForce(force_n, end),),
+    )
+    solution = solve(bar.model, problem)
+    return solution.displacement_mm, solution.outcome
+
+
+def force_of(number: int) -> Triple:
+    """Sum of the forces of deformation `number` in N; 0 is the gold one."""
+    parts = (_F0,) if number == 0 else DEFORMATIONS[number][1]
+    total = np.sum(parts, axis=0) * GOLD_FORCE_N
+    return float(total[0]), float(total[1]), 0.0
+
+
+def bar_experiment(scale: Scale = "reduced", surface: Surface = "boundary") -> BarExperiment:
+    """Compare the eight wrong deformations of the bar with the gold one.
+
+    Parameters
+    ----------
+    scale : {"reduced", "full"}
+        3,000 nodes and 1 mm voxels, or 30,000 nodes and 0.5 mm voxels.
+    surface : {"boundary", "all"}
+        See `workers.comparison.coefficients.coefficients.coefficients`.
+
+    Raises
+    ------
+    InputError
+        If the scale is unknown, or the gold deformation does not converge.
+    """
+    bar = make_bar(scale)
+    displacement, outcome = bend(bar, force_of(0))
+    if not outcome.converged:
+        raise InputError(f"The gold deformation of the bar does not converge: {outcome.reason}.")
+    gold = warp_labels(bar.voxels, bar.mesh, displacement)
+    rows = tuple(bar_row(bar, gold, number, surface) for number in DEFORMATIONS)
+    tip = _tip(bar, displacement)
+    return BarExperiment(scale, len(bar.mesh.nodes), VOXEL_MM[scale], tip, rows)
+
+
+def bar_row(bar: Bar, gold: Volume, number: int, surface: Surface = "boundary") -> BarRow:
+    """Simulate wrong deformation `number` and compare it with the voxels of the gold one."""
+    force = force_of(number)
+    displacement, outcome = bend(bar, force)
+    compared = None
+    if outcome.converged:
+        wrong = warp_labels(bar.voxels, bar.mesh, displacement, gold)
+        compared = coefficients(wrong, gold, (Tissue.GLANDULAR,), surface)
+    forces = DEFORMATIONS[number][0]
+    return BarRow(number, forces, force, _tip(bar, displacement), outcome, compared)
+
+
+def _tip(bar: Bar, displacement: FloatArray) -> Triple:
+    end = bar.mesh.nodes[:, 2] > LENGTH_MM - 1e-6
+    x, y, z = displacement[end].mean(axis=0)
+    return float(x), float(y), float(z)

@@ -1,0 +1,112 @@
+"""Mammograms of one phantom compressed on two meshes (thesis section 4.4, Fig. 4.18)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import InputError
+from workers.comparison.mammogram.exposure import Mammogram, Noise, expose
+from workers.comparison.mammogram.geometry import Unit, geometry_of
+from workers.comparison.mammogram.picture import difference_picture, grey_picture
+from workers.comparison.mammogram.spectrum import Beam, spectrum_of
+from workers.thesis.compression import AXES, Compressed, LawName, View, compress
+from workers.thesis.mesh_quality import mesh_of
+from workers.thesis.phantoms import thesis_phantom, two_materials
+from workers.thesis.scale import Scale
+
+PIXEL_MM = {"reduced": 0.3, "full": 0.2}
+
+
+@dataclass(frozen=True, eq=False)
+class MammogramPair:
+    """Adaptive and homogeneous mesh, seen by one unit.
+
+    Parameters
+    ----------
+    adaptive, homogeneous : Mammogram
+        With different noise of one strength.
+    adaptive_picture, homogeneous_picture, difference : ndarray of uint8
+        Bright where tissue is dense; grey where both agree.
+    attenuation_rms : float
+        Root mean square of the difference of ln(open / energy) behind the body.
+    quantum_rms : float
+        What noise alone contributes to it.
+    """
+
+    adaptive: Mammogram
+    homogeneous: Mammogram
+    adaptive_picture: NDArray[np.uint8]
+    homogeneous_picture: NDArray[np.uint8]
+    difference: NDArray[np.uint8]
+    attenuation_rms: float
+    quantum_rms: float
+
+
+def mammogram_experiment(
+    number: int,
+    view: View,
+    scale: Scale = "reduced",
+    *,
+    law: LawName = "neo-Hookean",
+    beam: Beam = "w_rh",
+    seed: int = 0,
+) -> MammogramPair:
+    """Compress phantom `number` on both meshes and take a mammogram of each.
+
+    Raises
+    ------
+    InputError
+        If an argument is unknown, or a compression does not converge.
+    """
+    phantom = thesis_phantom(number, scale)
+    materials = two_materials(phantom.labels)
+    adaptive, homogeneous = (
+        compress(phantom, mesh_of(materials, kind), view, law)
+        for kind in ("adaptive", "homogeneous")
+    )
+    return mammogram_pair(adaptive, homogeneous, view, PIXEL_MM[scale], beam=beam, seed=seed)
+
+
+def mammogram_pair(
+    adaptive: Compressed,
+    homogeneous: Compressed,
+    view: View,
+    pixel_mm: float,
+    *,
+    beam: Beam = "w_rh",
+    seed: int = 0,
+) -> MammogramPair:
+    """Take mammograms of two compressions in the geometry of the first.
+
+    Raises
+    ------
+    InputError
+        If one of them did not converge.
+    """
+    first, second = adaptive.labels, homogeneous.labels
+    if first is None or second is None:
+        reasons = [c.outcome.reason for c in (adaptive, homogeneous) if c.labels is None]
+        raise InputError(f"There is no mammogram of a body that diverged: {'; '.join(reasons)}.")
+    geometry = geometry_of(first, AXES[view], Unit(pixel_mm=pixel_mm))
+    spectrum = spectrum_of(beam)
+    clean = [expose(body, geometry, spectrum) for body in (first, second)]
+    noisy = [
+        expose(body, geometry, spectrum, noise=Noise(seed + k))
+        for k, body in enumerate((first, second))
+    ]
+    behind = clean[0].log_attenuation > 0.05
+
+    def rms(a: Mammogram, b: Mammogram) -> float:
+        apart = (a.log_attenuation - b.log_attenuation)[behind]
+        return float(np.sqrt(np.mean(apart**2)))
+
+    return MammogramPair(
+        adaptive=noisy[0],
+        homogeneous=noisy[1],
+        adaptive_picture=grey_picture(noisy[0]),
+        homogeneous_picture=grey_picture(noisy[1]),
+        difference=difference_picture(noisy[0], noisy[1]),
+        attenuation_rms=rms(noisy[0], noisy[1]),
+        quantum_rms=float(np.hypot(rms(noisy[0], clean[0]), rms(noisy[1], clean[1]))),
+    )

@@ -1,0 +1,141 @@
+"""Quality of homogeneous and adaptive meshes (thesis section 4.4, Fig. 4.15 and Table 4.2)."""
+
+import time
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from storage.errors import InputError
+from storage.values import Tissue, Volume
+from workers.body.mesh.adaptive.agreement import Agreement, agreement
+from workers.body.mesh.adaptive.nested import adaptive_hierarchy
+from workers.body.mesh.adaptive.sizing import Sizes
+from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.body.mesh.quality import measures, summarise
+from workers.thesis.phantoms import thesis_phantom, two_materials
+from workers.thesis.scale import Scale
+
+MeshKind = Literal["adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm", "homogeneous"]
+KINDS: tuple[MeshKind, ...] = get_args(MeshKind)
+# Smallest cells of each adaptive mesh in mm. The first resolves ligaments of 0.6 mm
+# between glandular compartments; edges reach from half of it to 5 mm.
+SMALLEST_MM: dict[MeshKind, float] = {
+    "adaptive": 0.7,
+    "adaptive 1 mm": 1.0,
+    "adaptive 2 mm": 2.0,
+    "adaptive 3 mm": 3.0,
+}
+# 425,000 tetrahedra in 250 ml, 12 to a cell: 0.588 mm3 each (thesis section 4.4.3).
+HOMOGENEOUS_CELL_MM = float(np.cbrt(12 * 250_000 / 425_000))
+MEASURES = ("M1", "M2", "M3", "M4", "aspect")
+
+
+@dataclass(frozen=True)
+class QualityRow:
+    """One mesh of one phantom.
+
+    Parameters
+    ----------
+    phantom : int
+    kind : str
+        See `KINDS`.
+    tets, nodes : int
+    seconds : float
+        To make the mesh and the coarser ones below it.
+    mean : dict of str to float
+        Means of M1 to M4 and the aspect ratio, all 1 for a regular tetrahedron.
+    m5 : float
+        Smallest over largest volume.
+    worst_aspect : float
+    bad : int
+        Tetrahedra of aspect ratio 10 or more.
+    agreement : Agreement
+        With the voxels of the phantom.
+    """
+
+    phantom: int
+    kind: MeshKind
+    tets: int
+    nodes: int
+    seconds: float
+    mean: dict[str, float]
+    m5: float
+    worst_aspect: float
+    bad: int
+    agreement: Agreement
+
+
+@dataclass(frozen=True)
+class AspectRow:
+    """Average and worst aspect ratio of one kind over all phantoms (thesis Table 4.2)."""
+
+    kind: MeshKind
+    average: float
+    worst: float
+
+
+def mesh_of(materials: Volume, kind: MeshKind) -> Hierarchy:
+    """Mesh a phantom of two materials.
+
+    Raises
+    ------
+    InputError
+        If the kind is unknown.
+    """
+    if kind not in KINDS:
+        raise InputError(f"A mesh is one of {', '.join(KINDS)}; got {kind!r}.")
+    if kind == "homogeneous":
+        return build_hierarchy(materials, element_size_mm=HOMOGENEOUS_CELL_MM)
+    smallest = SMALLEST_MM[kind]
+    skin, largest = max(2.5, smallest), 5.0
+    return adaptive_hierarchy(materials, Sizes(smallest, skin_mm=skin, largest_mm=largest))
+
+
+def quality_row(number: int, kind: MeshKind, scale: Scale = "reduced") -> QualityRow:
+    """Mesh phantom `number` and measure the tetrahedra.
+
+    Parameters
+    ----------
+    number : int
+        1 to 10.
+    kind : str
+        See `KINDS`.
+    scale : {"reduced", "full"}
+        Of the phantom; cells are the same at both.
+
+    Raises
+    ------
+    InputError
+        If the number, the kind or the scale is unknown.
+    """
+    materials = two_materials(thesis_phantom(number, scale).labels)
+    started = time.perf_counter()
+    hierarchy = mesh_of(materials, kind)
+    seconds = time.perf_counter() - started
+    finest = hierarchy.finest
+    summary, measured = summarise(finest.mesh), measures(finest.mesh)
+    inside = finest.fractions[:, Tissue.GLANDULAR] > 0.5
+    return QualityRow(
+        phantom=number,
+        kind=kind,
+        tets=summary["tets"],
+        nodes=summary["nodes"],
+        seconds=seconds,
+        mean={name: float(measured[name].mean()) for name in MEASURES},
+        m5=summary["M5"],
+        worst_aspect=summary["aspect"]["max"],
+        bad=summary["bad"],
+        agreement=agreement(finest.mesh, inside, materials),
+    )
+
+
+def aspect_rows(rows: tuple[QualityRow, ...]) -> tuple[AspectRow, ...]:
+    """Average over the meshes' means, and the worst of all (thesis Table 4.2)."""
+    found = []
+    for kind in KINDS:
+        of_kind = [row for row in rows if row.kind == kind]
+        if of_kind:
+            average = float(np.mean([row.mean["aspect"] for row in of_kind]))
+            found.append(AspectRow(kind, average, max(row.worst_aspect for row in of_kind)))
+    return tuple(found)

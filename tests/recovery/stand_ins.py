@@ -149,7 +149,14 @@ def executions(folder: Path) -> list[str]:
     return path.read_text().split() if path.exists() else []
 
 
-def assert_each_ran_once(folder: Path) -> None:
+def assert_each_ran_once(folder: Path, cut_off: int = 0) -> None:
+    """No evaluation was computed twice, and each that the journal names was computed.
+
+    `cut_off`: how many workers were killed by signal; each may have died after its record
+    was in the store and before its line was in the log.
+    """
     ran = executions(folder)
     assert len(ran) == len(set(ran))
-    assert set(ran) == {ending[2] for ending in told(folder).values()}
+    finished = {ending[2] for ending in told(folder).values()}
+    assert set(ran) <= finished
+    assert len(finished - set(ran)) <= cut_off

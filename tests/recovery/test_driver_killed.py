@@ -12,4 +12,4 @@ def test_driver_killed_three_times(tmp_path: Path) -> None:
     set_manners(folder.parent / "store", seconds=0.1)
     kill_and_finish(folder, ["--workers", "2"], killed_after=[1, 8, 20])
     assert told(folder) == told(tmp_path / "undisturbed" / "demo")
-    assert_each_ran_once(folder)
+    assert_each_ran_once(folder, cut_off=6)  # two workers go down with each of the three

@@ -14,7 +14,7 @@ from service.report.study_pictures import best_tenth
 
 
 def test_the_examples_in_the_docstrings() -> None:
-    told = doctest.testmod(words)
+    told = doctest.testmod(formatting)
     assert told.failed == 0
     assert told.attempted >= 8
 

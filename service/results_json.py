@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from service.identification import Identification
 from service.quantities import quantities_at_door, quantities_json
 from service.results import (
     CandidateResults,
@@ -32,6 +33,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "state": results.state,
         "stopped": results.stop_reason,
         "estimates": {name: _estimate(e) for name, e in results.estimates.items()},
+        "identification": _identification(results.identification),
         "score": _score(results.best_score or {}),
         "best": None if results.best is None else _evaluation(results.best, spec),
         "evaluations": asdict(results.counts),
@@ -100,6 +102,10 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
         "unit": estimate.unit,
         "bounds": [estimate.lower, estimate.upper],
     }
+
+
+def _identification(found: Identification | None) -> dict[str, Any] | None:
+    return None if found is None else asdict(found) | {"weak": list(found.weak)}
 
 
 def _score(score: Scores) -> dict[str, float | None]:

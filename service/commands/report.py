@@ -54,7 +54,7 @@ def print_report(results: "StudyResults", console: "Console") -> None:
 
 
 def _estimates(results: "StudyResults") -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, e in results.estimates.items():
         unit = f" {e.unit}".rstrip()
         error = e.relative_error

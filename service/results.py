@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from service.study_log import StudyLog, read_study
 from storage.errors import InputError
 from storage.journal import Journal
 from storage.layout import StudyLayout
+from storage.plain import loads
 from storage.records import EvaluationRecord
 from storage.task_records import BodyFacts, Scores, TargetKind
 from workers.spec import validated
@@ -164,6 +165,8 @@ class StudyResults:
         Of Palpate, its code and the packages that results depend on.
     store : str or None
         Of the last run.
+    findings : mapping
+        What the fitted body tells; see `workers.organs.registry.Findings`. Maybe empty.
     """
 
     folder: Path
@@ -184,6 +187,7 @@ class StudyResults:
     sessions: int
     versions: Mapping[str, str]
     store: str | None
+    findings: Mapping[str, Any]
 
     @property
     def name(self) -> str:
@@ -260,6 +264,7 @@ def study_results(folder: Path) -> StudyResults:
         sessions=len(log.sessions),
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
+        findings=_findings(folder),
     )
 
 
@@ -298,6 +303,11 @@ def is_running(folder: Path) -> bool:
 
 def _no_such(what: str, folder: Path, why: str) -> InputError:
     return InputError(f"The study {folder} has no {what}: {why}.")
+
+
+def _findings(folder: Path) -> Mapping[str, Any]:
+    path = StudyLayout(folder).findings
+    return dict(loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
 
 
 def _state(folder: Path, log: StudyLog) -> StudyState:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from service.study_log import StudyLog, read_study
 from storage.errors import InputError
 from storage.journal import Journal
 from storage.layout import StudyLayout
+from storage.plain import loads
 from storage.records import EvaluationRecord
 from storage.task_records import BodyFacts, Scores, TargetKind
 from workers.organs.registry import organ_named
@@ -174,6 +175,8 @@ class StudyResults:
         Of the last run.
     identification : Identification or None
         How well the image determines each constant; None until the search has stopped.
+    findings : mapping
+        What the fitted body tells; see `workers.organs.registry.Findings`. Maybe empty.
     """
 
     folder: Path
@@ -194,6 +197,7 @@ class StudyResults:
     sessions: int
     versions: Mapping[str, str]
     store: str | None
+    findings: Mapping[str, Any]
     identification: Identification | None = None
 
     @property
@@ -290,6 +294,7 @@ def study_results(folder: Path) -> StudyResults:
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
         identification=_identification(spec, log, best),
+        findings=_findings(folder),
     )
 
 
@@ -328,6 +333,11 @@ def is_running(folder: Path) -> bool:
 
 def _no_such(what: str, folder: Path, why: str) -> InputError:
     return InputError(f"The study {folder} has no {what}: {why}.")
+
+
+def _findings(folder: Path) -> Mapping[str, Any]:
+    path = StudyLayout(folder).findings
+    return dict(loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
 
 
 def _state(folder: Path, log: StudyLog) -> StudyState:

@@ -42,6 +42,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "per_label_before": results.undeformed_scores,
         "per_label": results.best_scores,
         "seconds": results.wall_s,
+        "findings": results.findings,
         "stages": {stage: _stage(time) for stage, time in results.stages.items()},
         "facts": results.body_facts,
         "target_kind": results.target_kind,

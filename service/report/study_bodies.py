@@ -4,10 +4,13 @@ The undeformed body, the target, and the target as the best candidate explains i
 What is missing is said in words; a report without pictures is still a report.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from matplotlib.figure import Figure
 
 from service.spec import StudySpec
 from storage.errors import PalpateError
@@ -17,7 +20,7 @@ from storage.records import SessionRecord
 from storage.stores import open_store
 from storage.task_records import Scores
 from storage.values import Tissue, Volume
-from workers.organs.registry import organ_named
+from workers.organs.registry import findings_of, organ_named
 from workers.tasks.body_store import BodyStore
 
 TISSUE_NAMES = {int(tissue): tissue.name.lower() for tissue in Tissue if tissue}
@@ -39,6 +42,8 @@ class Bodies:
         What the numbers in the pictures mean.
     load_direction : str
         A sentence; see `workers.organs.organ.Organ`.
+    figures : callable
+        From findings to their figures; see `workers.organs.registry.Findings`.
     """
 
     reference: Volume | None = None
@@ -49,6 +54,7 @@ class Bodies:
     scores_after: Mapping[str, Scores] = field(default_factory=dict)
     labels: Mapping[int, str] = field(default_factory=lambda: TISSUE_NAMES)
     load_direction: str = ""
+    figures: Callable[[Mapping[str, Any]], Iterable[tuple[Figure, str]]] = lambda findings: ()
 
 
 def find_bodies(
@@ -90,6 +96,8 @@ def find_bodies(
     else:
         explained = _explained(bodies, session, best, reference, target, missing)
 
+    more = findings_of(spec.case.organ)
+
     def scores(body: Any | None) -> Mapping[str, Scores]:
         if body is None or target is None or not compare:
             return {}
@@ -107,6 +115,7 @@ def find_bodies(
         scores(explained),
         organ.picture_labels,
         organ.load_direction,
+        *([] if more is None else [partial(more.figures, spec, (reference, target, explained))]),
     )
 
 

@@ -10,6 +10,7 @@ from dataclasses import asdict
 from typing import Any
 
 from service.quantities import quantities_at_door, quantities_json
+from service.ratios import RatioEstimate
 from service.results import (
     CandidateResults,
     GenerationResult,
@@ -31,6 +32,8 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "study": results.name,
         "state": results.state,
         "stopped": results.stop_reason,
+        "identifiable": results.identifiable,
+        "ratios": {r.name: _ratio(r) for r in results.ratios},
         "estimates": {name: _estimate(e) for name, e in results.estimates.items()},
         "score": _score(results.best_score or {}),
         "best": None if results.best is None else _evaluation(results.best, spec),
@@ -99,6 +102,14 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
         "relative_error": estimate.relative_error,
         "unit": estimate.unit,
         "bounds": [estimate.lower, estimate.upper],
+    }
+
+
+def _ratio(ratio: RatioEstimate) -> dict[str, Any]:
+    return {
+        "estimate": ratio.estimate,
+        "target": ratio.target,
+        "relative_error": ratio.relative_error,
     }
 
 

@@ -6,6 +6,7 @@
       study.yaml                what was asked
       journal.jsonl             what has happened
       report.html               what came out
+      palpate.log               when, and why something failed
 
     <store>/                    shared by any number of studies
       palpate-store.json        says that this is a store, and of which schema
@@ -45,6 +46,11 @@ class StudyLayout:
     def journal(self) -> Path:
         """Return the path of the journal; see `storage.journal`."""
         return self.root / "journal.jsonl"
+
+    @property
+    def log(self) -> Path:
+        """Return the path of the log, for people to read."""
+        return self.root / "palpate.log"
 
     @property
     def report(self) -> Path:

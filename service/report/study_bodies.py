@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from service.report.study_surfaces import StudySurface, study_surfaces
 from service.spec import StudySpec
 from storage.errors import PalpateError
 from storage.fields import has_field, load_field
@@ -17,6 +18,7 @@ from storage.records import SessionRecord
 from storage.stores import open_store
 from storage.task_records import Scores
 from storage.values import Tissue, Volume
+from workers.body.mesh.hierarchy import Hierarchy
 from workers.organs.registry import organ_named
 from workers.tasks.body_store import BodyStore
 
@@ -39,6 +41,8 @@ class Bodies:
         What the numbers in the pictures mean.
     load_direction : str
         A sentence; see `workers.organs.organ.Organ`.
+    surfaces : tuple of StudySurface
+        Of a body that has three dimensions; empty where they are not wanted.
     """
 
     reference: Volume | None = None
@@ -49,6 +53,7 @@ class Bodies:
     scores_after: Mapping[str, Scores] = field(default_factory=dict)
     labels: Mapping[int, str] = field(default_factory=lambda: TISSUE_NAMES)
     load_direction: str = ""
+    surfaces: tuple[StudySurface, ...] = ()
 
 
 def find_bodies(
@@ -57,6 +62,7 @@ def find_bodies(
     session: SessionRecord | None,
     best: str | None,
     compare: bool,
+    in_3d: bool = True,
 ) -> Bodies:
     """Read what the store has.
 
@@ -71,6 +77,8 @@ def find_bodies(
         Digest of the best evaluation.
     compare : bool
         Whether the bodies are scored; a study that has ended holds these scores already.
+    in_3d : bool
+        Whether surfaces are wanted, which take a second or two.
     """
     if session is None:
         return Bodies(missing=("The body and its target have not been prepared yet.",))
@@ -107,7 +115,30 @@ def find_bodies(
         scores(explained),
         organ.picture_labels,
         organ.load_direction,
+        _surfaces(bodies, session, best, reference, target) if in_3d else (),
     )
+
+
+def _surfaces(
+    bodies: BodyStore,
+    session: SessionRecord,
+    best: str | None,
+    reference: Any | None,
+    target: Any | None,
+) -> tuple[StudySurface, ...]:
+    """Return the surfaces of a body in three dimensions, moved as the best candidate says."""
+    if not isinstance(reference, Volume) or 1 in reference.values.shape:
+        return ()
+    store, digest = bodies.store, session.prepared.get("mesh")
+    mesh = displacement_mm = None
+    if best is not None and digest and has_mesh(store, digest) and has_field(store, best):
+        try:
+            mesh, displacement_mm = bodies.mesh(digest), load_field(store, best)
+        except PalpateError:
+            mesh = None
+    tets = mesh.finest.mesh if isinstance(mesh, Hierarchy) else None
+    observed = target if isinstance(target, Volume) else None
+    return study_surfaces(reference, tets, displacement_mm, observed)
 
 
 def _stored(bodies: BodyStore, digest: str | None, what: str, missing: list[str]) -> Any | None:

@@ -12,8 +12,14 @@ from typing import Literal
 
 import numpy as np
 
+from service.identification import (
+    Identification,
+    SearchedConstants,
+    identification_from_scatter,
+    identification_from_tangents,
+)
 from service.search.base import Generation
-from service.search_replay import PendingGeneration, SearchReplay, best_of
+from service.search_replay import PendingGeneration, SearchReplay, best_of, equally_good
 from service.spec import StudySpec
 from service.study_log import StudyLog, read_study
 from storage.errors import InputError
@@ -164,6 +170,8 @@ class StudyResults:
         Of Palpate, its code and the packages that results depend on.
     store : str or None
         Of the last run.
+    identification : Identification or None
+        How well the image determines each constant; None until the search has stopped.
     """
 
     folder: Path
@@ -184,6 +192,7 @@ class StudyResults:
     sessions: int
     versions: Mapping[str, str]
     store: str | None
+    identification: Identification | None = None
 
     @property
     def name(self) -> str:
@@ -260,6 +269,7 @@ def study_results(folder: Path) -> StudyResults:
         sessions=len(log.sessions),
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
+        identification=_identification(spec, log, best),
     )
 
 
@@ -328,6 +338,26 @@ def _estimates(spec: StudySpec, best: EvaluationRecord | None) -> dict[str, Para
             gene, parameter.unit.symbol, lower, upper, estimate, target.get(gene)
         )
     return estimates
+
+
+def _identification(
+    spec: StudySpec, log: StudyLog, best: EvaluationRecord | None
+) -> Identification | None:
+    """Return what the image tells of the constants, once the search has stopped."""
+    if best is None or log.end is None:
+        return None
+    searched = SearchedConstants(
+        spec.case.parameters,
+        spec.case.parameters.bounds_from_door(spec.search.parameters),
+        spec.common_scale,
+    )
+    found = log.identification
+    if found is not None and found.fit is not None:
+        return identification_from_tangents(searched, found.candidate, found.fit)
+    note = "the study ran before there were tangents" if found is None else found.reason
+    alike = [spec.constants_of(record.genes) for record in equally_good(log.endings, best)]
+    here = spec.constants_of(best.genes)
+    return identification_from_scatter(searched, best.candidate, here, alike, note)
 
 
 def _generations(spec: StudySpec, log: StudyLog) -> Iterable[GenerationResult]:

@@ -7,6 +7,7 @@ Their keys are a promise to scripts that read them. Scores that are infinite are
 from dataclasses import asdict
 from typing import Any
 
+from service.identification import Identification
 from service.results import (
     CandidateResults,
     GenerationResult,
@@ -27,6 +28,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "state": results.state,
         "stopped": results.stop_reason,
         "estimates": {name: _estimate(e) for name, e in results.estimates.items()},
+        "identification": _identification(results.identification),
         "score": _score(results.best_score or {}),
         "best": None if results.best is None else _evaluation(results.best),
         "evaluations": asdict(results.counts),
@@ -87,6 +89,10 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
         "unit": estimate.unit,
         "bounds": [estimate.lower, estimate.upper],
     }
+
+
+def _identification(found: Identification | None) -> dict[str, Any] | None:
+    return None if found is None else asdict(found) | {"weak": list(found.weak)}
 
 
 def _score(score: Scores) -> dict[str, float | None]:

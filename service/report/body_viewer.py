@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from service.report.packed import Json, packed, packed_points, packed_triangles, script
-from service.report.words import number
+from service.formatting import number
 from storage.values import FloatArray, IntArray, Triple
 
 SEQUENTIAL = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
@@ -113,8 +113,7 @@ def body_viewer(
         "states": [list(one) for one in states],
         "colourings": _colourings(scans, surfaces, gap_about, gap_mm, first),
         "middle": ((low + high) / 2).round(2).tolist(),
-        "reach": [round(1.05 * size, 2), round(0.95 * size, 2)],
-        **_triad(low, high, size),
+        "reach": [round(0.98 * size, 2), round(0.78 * size, 2)],
     }
     return script("body", told)
 
@@ -199,26 +198,21 @@ def _stage(vertices: FloatArray, pressed: Pressed, size: float, loads: bool) -> 
         arrows.append({"from": _rounded(tail), "to": _rounded(tip)})
         if pressed.force_n is not None:
             text = f"{number(pressed.force_n, 3)} N"
-            labels.append({"text": text, "at": _rounded(tail), "kind": "load"})
+            labels.append(
+                {"text": text, "at": _rounded(tail - way * 0.03 * size * axis), "kind": "load"}
+            )
     low, high = along.min() - beyond, along.max() + beyond
     wall = [
         h * axis + a * wide + floor * deep
         for a, h in ((ends[0], low), (ends[1], low), (ends[1], high), (ends[0], high))
     ]
     sheets.append({"kind": "wall", "corners": _rounded(wall)})
-    labels.append({"text": "chest wall", "at": _rounded(wall[0]), "kind": "wall"})
+    below = wall[0] - 0.03 * size * axis
+    labels.append({"text": "chest wall", "at": _rounded(below), "kind": "wall"})
     plate = "plate" if pressed.force_n is not None else "plate, held at a distance"
-    labels.append({"text": plate, "at": sheets[1]["corners"][2], "kind": "plate"})
+    before = along.max() * axis + ends[1] * wide + (top + 0.05 * size) * deep
+    labels.append({"text": plate, "at": _rounded(before), "kind": "plate"})
     return {"sheets": sheets, "arrows": arrows, "labels": labels}
-
-
-def _triad(low: FloatArray, high: FloatArray, size: float) -> Json:
-    start = low - 0.04 * size
-    start[0] = high[0] + 0.08 * size
-    length = 0.09 * size
-    tips = [start + length * way for way in np.eye(3)]
-    axes = [{"name": name, "to": _rounded(tip)} for name, tip in zip("xyz", tips, strict=True)]
-    return {"triad": axes, "triadAt": _rounded(start)}
 
 
 def _rounded(points: object) -> list[object]:

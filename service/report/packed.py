@@ -89,5 +89,5 @@ def body_box_mm(volume: Volume) -> tuple[Triple, Triple]:
 def script(name: str, told: Mapping[str, Any]) -> Markup:
     """Return data as an element of a page that the script finds by its name."""
     text = json.dumps(told, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    head = Markup('<script type="application/json" id="{}">').format(name)
+    head = Markup('<script type="application/json" id="{}-data">').format(name)
     return head + Markup(text.replace("</", "<\\/")) + Markup("</script>")

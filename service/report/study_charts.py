@@ -17,7 +17,7 @@ from service.report.svg import (
     text_width,
     vertical_axis,
 )
-from service.report.words import number
+from service.formatting import number
 
 GSF_AXIS = "GSF, lower is better"
 SHADES = 5  # of dots in a scatter, from the first generation to the last
@@ -220,7 +220,7 @@ def _range(
         x = scale.at(parameter.estimate)
         svg.mark("dot", x, y, "dot estimate", 5.5)
         beside = min(max(x, left + 24), right - 24)
-        svg.text(beside, y - 11, number(parameter.estimate), text_anchor="middle", class_="value")
+        svg.text(beside, y - 11, number(parameter.estimate, 3), text_anchor="middle", class_="value")
 
 
 def _limits(values: Sequence[float]) -> tuple[float, float]:

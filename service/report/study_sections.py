@@ -11,6 +11,7 @@ from service.report.slices import (
     AXES,
     Section,
     View,
+    clipped,
     difference,
     frame_mm,
     middle_mm,
@@ -21,6 +22,7 @@ from service.report.svg import Scale, Svg, tick_text
 from storage.values import Tissue, Triple
 
 PANEL_PX = 230.0
+WIDE = 1.4
 _TISSUES = palette.lookup({int(t): c for t, c in palette.TISSUES.items()})
 _DIFFERENCES = palette.lookup({int(d): c for d, c in palette.DIFFERENCES.items()})
 
@@ -40,6 +42,12 @@ def side_by_side(bodies: Bodies, view: View, tissues: Sequence[int]) -> list[tup
         (title, _panel(cut, frame, view, f"{title}, {view.name}", is_difference))
         for title, cut, is_difference in shown
     ]
+
+
+def are_wide(bodies: Bodies, view: View, tissues: Sequence[int]) -> bool:
+    """Return whether sections are so wide that two of them fill a row."""
+    left, right, bottom, top = frame_mm([cut for _, cut, _ in _sections(bodies, view, tissues)])
+    return right - left > WIDE * (top - bottom)
 
 
 def middles(bodies: Bodies, tissues: Sequence[int]) -> tuple[Triple | None, Triple | None]:

@@ -62,6 +62,7 @@ def study_surfaces(
         `Tissue` labels of the body that is explained.
     """
     found = []
+    reference = _in_air(reference)
     for interface in INTERFACES:
         try:
             drawn = shape(reference, interface.inside)
@@ -79,11 +80,19 @@ def study_surfaces(
     return tuple(found)
 
 
+def _in_air(labels: Volume) -> Volume:
+    """Return a body with air around it but below the chest wall, so that its surface is closed."""
+    around = ((0, 1), (1, 1), (1, 1))
+    (dx, dy, _), (x, y, z) = labels.spacing_mm, labels.origin_mm
+    return Volume(np.pad(labels.values, around), labels.spacing_mm, (x - dx, y - dy, z))
+
+
 def _gap(
     interface: Interface, rest: FloatArray, moved: FloatArray, target: Volume
 ) -> FloatArray | None:
     try:
-        apart, _ = signed_distance(target, interface.inside, band_mm=BAND_MM).at(moved)
+        observed = signed_distance(_in_air(target), interface.inside, band_mm=BAND_MM)
+        apart, _ = observed.at(moved)
     except InputError:
         return None
     at_wall = rest[:, 2] < rest[:, 2].min() + WALL_MARGIN_MM

@@ -12,7 +12,7 @@ from typing import Literal
 
 from markupsafe import Markup, escape
 
-from service.report.words import MINUS
+from service.formatting import MINUS
 
 # What a letter of the page's font takes, as a share of its size: a little more than it does.
 LETTER = 0.56

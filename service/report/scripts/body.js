@@ -167,6 +167,7 @@ const showBody = async (root) => {
     drawApparatus(raster, camera, place, ratio);
     context.putImageData(raster.image, 0, 0);
     drawLabels(place, ratio);
+    drawAxes(camera, ratio);
     root.dataset.azimuth = state.azimuth.toFixed(1);
     root.dataset.elevation = state.elevation.toFixed(1);
     root.dataset.zoom = state.zoom.toFixed(2);
@@ -236,8 +237,6 @@ const showBody = async (root) => {
         [back[0] - side[0], back[1] - side[1], to[2], 1, 0], paint, false,
       );
     }
-    const soft = rgba(colourOf("--soft"));
-    for (const axis of told.triad) raster.line(place(told.triadAt), place(axis.to), soft, 1.2 * ratio);
   };
 
   const drawLabels = (place, ratio) => {
@@ -254,7 +253,22 @@ const showBody = async (root) => {
       context.fillText(text, inside, Math.min(Math.max(y, 14 * ratio), canvas.height - 6 * ratio));
     };
     for (const label of stageOf().labels) write(label.text, label.at, label.kind === "load" ? "--vermilion" : "--soft");
-    for (const axis of told.triad) write(axis.name, axis.to, "--soft");
+  };
+
+  // The axes of space, in the lower left corner.
+  const drawAxes = (camera, ratio) => {
+    const [x, y, long] = [38 * ratio, canvas.height - 38 * ratio, 22 * ratio];
+    context.strokeStyle = context.fillStyle = colourOf("--soft");
+    context.lineWidth = 1.2 * ratio;
+    context.textAlign = "center";
+    ["x", "y", "z"].forEach((name, k) => {
+      const [dx, dy] = [camera.across[k], -camera.up[k]];
+      context.beginPath();
+      context.moveTo(x, y);
+      context.lineTo(x + long * dx, y + long * dy);
+      context.stroke();
+      if (Math.hypot(dx, dy) > 0.25) context.fillText(name, x + 1.4 * long * dx, y + 1.4 * long * dy + 4 * ratio);
+    });
   };
 
   const drawScale = () => {

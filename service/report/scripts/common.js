@@ -30,7 +30,7 @@ const unpack = async (packed) => {
 };
 
 const payload = (id) => {
-  const script = document.getElementById(id);
+  const script = document.getElementById(`${id}-data`);
   return script ? JSON.parse(script.textContent) : null;
 };
 

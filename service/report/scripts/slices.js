@@ -2,6 +2,7 @@
 
 const AXES = ["x", "y", "z"];
 // Of a comparison: outside, rest of the body, in both, only in the first, only in the second.
+const WIDE = 1.4; // slices wider than this are drawn two in a row
 const [OUTSIDE, BODY, BOTH, FIRST, SECOND] = [0, 1, 2, 3, 4];
 
 // Labels of a plane, rows from the bottom, on the lattice of `frame`.
@@ -87,6 +88,8 @@ const showSlices = async (root) => {
     place.value = `${AXES[view.normal]} = ${rounded(state.at[view.normal], 1)} mm`;
     root.dataset.at = state.at[view.normal];
     root.dataset.view = view.name;
+    const aspect = (box[view.across][1] - box[view.across][0]) / (box[view.up][1] - box[view.up][0]);
+    panels.classList.toggle("wide-ones", aspect > WIDE);
     panels.replaceChildren(...shown().map((panel) => drawPanel(panel, view)));
   };
 

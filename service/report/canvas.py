@@ -91,10 +91,11 @@ def svg(drawn: Figure) -> str:
     return _FONT_LIST.sub(FONTS, text)
 
 
-def inline_svg(drawn: Figure, label: str, width_px: int) -> Markup:
+def inline_svg(drawn: Figure, label: str, width_px: int, *, on_paper: bool = False) -> Markup:
     """Return the figure as an element of a page, in the colours of the page's style sheet.
 
-    Its names are made its own, since all drawings of a page share them.
+    Its names are made its own, since all drawings of a page share them. A figure `on_paper` keeps
+    its own colours, on white, because it writes on coloured cells.
     """
     text = svg(drawn)
     own = f"f{zlib.crc32(text.encode()):08x}"
@@ -104,11 +105,13 @@ def inline_svg(drawn: Figure, label: str, width_px: int) -> Markup:
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r'\bid="', f'id="{own}', body)
     body = re.sub(r'(href="#|url\(#)', rf"\g<1>{own}", body).replace("xlink:href", "href")
-    for colour, variable in _THEMED.items():
+    for colour, variable in ({} if on_paper else _THEMED).items():
         body = body.replace(colour, f"var(--{variable})")
     return (
-        Markup('<svg class="chart drawn" {} style="max-width:{}px" role="img" aria-label="{}">')
-    ).format(Markup(box[0] if box else ""), width_px, label) + Markup(body)
+        Markup('<svg class="chart {}" {} style="max-width:{}px" role="img" aria-label="{}">')
+    ).format(
+        "paper" if on_paper else "drawn", Markup(box[0] if box else ""), width_px, label
+    ) + Markup(body)
 
 
 def limits(values: Sequence[float], margin: float = 0.06) -> tuple[float, float]:

@@ -23,12 +23,14 @@ class Picture:
     caption: str | Markup = ""
 
 
-def picture(drawn: Figure, alt: str, caption: str | Markup = "") -> Picture:
-    """Put a figure of matplotlib into the page."""
+def picture(
+    drawn: Figure, alt: str, caption: str | Markup = "", *, on_paper: bool = False
+) -> Picture:
+    """Put a figure of matplotlib into the page; see `service.report.canvas.inline_svg`."""
     from service.report.canvas import inline_svg
 
     width = round(SCREEN_DPI * drawn.get_figwidth())
-    return Picture(inline_svg(drawn, alt, width), alt, width, caption)
+    return Picture(inline_svg(drawn, alt, width, on_paper=on_paper), alt, width, caption)
 
 
 def chart(

@@ -167,7 +167,8 @@ def horizontal_axis(
         svg.add("path", d=f"M{x:.1f} {y:.1f}v4", class_="axis")
         svg.text(x, y + 16, tick_text(value), text_anchor="middle", class_="tick")
     svg.add("path", d=f"M{scale.start:.1f} {y:.1f}H{scale.end:.1f}", class_="axis")
-    svg.text((scale.start + scale.end) / 2, y + 34, label, text_anchor="middle")
+    if label:
+        svg.text((scale.start + scale.end) / 2, y + 34, label, text_anchor="middle")
 
 
 def vertical_axis(

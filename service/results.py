@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from service.identification import (
     identification_from_scatter,
     identification_from_tangents,
 )
+from service.quantities import Quantity, not_neutral, quantities_inside
 from service.search.base import Generation
 from service.search_replay import PendingGeneration, SearchReplay, best_of, equally_good
 from service.spec import StudySpec
@@ -25,8 +26,10 @@ from service.study_log import StudyLog, read_study
 from storage.errors import InputError
 from storage.journal import Journal
 from storage.layout import StudyLayout
+from storage.plain import loads
 from storage.records import EvaluationRecord
 from storage.task_records import BodyFacts, Scores, TargetKind
+from workers.organs.registry import organ_named
 from workers.spec import validated
 
 StudyState = Literal["running", "stopped", "interrupted"]
@@ -172,6 +175,8 @@ class StudyResults:
         Of the last run.
     identification : Identification or None
         How well the image determines each constant; None until the search has stopped.
+    findings : mapping
+        What the fitted body tells; see `workers.organs.registry.Findings`. Maybe empty.
     """
 
     folder: Path
@@ -192,6 +197,7 @@ class StudyResults:
     sessions: int
     versions: Mapping[str, str]
     store: str | None
+    findings: Mapping[str, Any]
     identification: Identification | None = None
 
     @property
@@ -216,9 +222,10 @@ class CandidateResults:
 
     Parameters
     ----------
-    study : str
-        Name of the study.
+    spec : StudySpec
+        Of the study.
     candidate, generation : int
+        Generations from 0.
     evaluated_as : int
         The candidate whose evaluation it shares: an elite has the ending of the candidate that
         it was carried over from.
@@ -228,12 +235,29 @@ class CandidateResults:
         Its ending; None while it has none.
     """
 
-    study: str
+    spec: StudySpec
     candidate: int
     generation: int
     evaluated_as: int
     genes: Mapping[str, float]
     evaluation: EvaluationRecord | None
+
+    def held(self, *, everything: bool) -> dict[str, Quantity]:
+        """Return the constants that it was simulated with and that are not searched.
+
+        Parameters
+        ----------
+        everything : bool
+            Those at their neutral values as well.
+        """
+        case = self.spec.case
+        vocabulary = organ_named(case.organ).parameters
+        searched = self.spec.constants_of(self.genes)
+        constants = case.complete(searched)
+        stated = case.parameters.from_door(case.constants)
+        kept = constants if everything else not_neutral(vocabulary, constants, stated)
+        held = {name: value for name, value in kept.items() if name not in searched}
+        return quantities_inside(vocabulary, held)
 
 
 def study_results(folder: Path) -> StudyResults:
@@ -270,6 +294,7 @@ def study_results(folder: Path) -> StudyResults:
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
         identification=_identification(spec, log, best),
+        findings=_findings(folder),
     )
 
 
@@ -298,7 +323,7 @@ def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
     while (before := generations[origin // size].carried_from(origin)) is not None:
         origin = before
     genes, ending = generation.genes(candidate), log.endings.get(origin)
-    return CandidateResults(spec.name, candidate, generation.number, origin, genes, ending)
+    return CandidateResults(spec, candidate, generation.number, origin, genes, ending)
 
 
 def is_running(folder: Path) -> bool:
@@ -308,6 +333,11 @@ def is_running(folder: Path) -> bool:
 
 def _no_such(what: str, folder: Path, why: str) -> InputError:
     return InputError(f"The study {folder} has no {what}: {why}.")
+
+
+def _findings(folder: Path) -> Mapping[str, Any]:
+    path = StudyLayout(folder).findings
+    return dict(loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
 
 
 def _state(folder: Path, log: StudyLog) -> StudyState:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from service.dispatch import Dispatcher, Ending
 from service.errors import ClusterError
@@ -23,8 +24,10 @@ from service.spec import StudySpec
 from service.study_folder import StudyFolder
 from service.study_log import StudyLog
 from service.versions import versions
+from storage.atomic import write_file
 from storage.evaluations import load_evaluation
 from storage.journal import Journal
+from storage.plain import dumps
 from storage.records import EndRecord, EvaluationRecord, GenerationRecord, SessionRecord
 from storage.status import Status
 from storage.stores import Store, open_store
@@ -37,6 +40,7 @@ from storage.task_records import (
 )
 from storage.volumes import has_volume
 from workers.tasks import evaluation as evaluation_tasks
+from workers.tasks.findings import find
 
 # A generation that loses more than this share of its candidates accuses the cluster.
 MAX_LOST_SHARE = 0.2
@@ -53,6 +57,7 @@ class Tasks:
     digest: Callable[..., str] = evaluation_tasks.evaluation_digest
     keep_volume: Callable[..., str] = evaluation_tasks.keep_volume
     compare: Callable[..., Mapping[str, Scores]] = evaluation_tasks.score_bodies
+    find: Callable[..., Mapping[str, Any]] = find
 
 
 @dataclass(frozen=True)
@@ -220,6 +225,8 @@ class _Run:
         evaluation.make_volumes(generations[best.generation], [best.candidate])
         before = evaluation.compare_with_target(evaluation.prepared.body["volume"])
         after = evaluation.compare_with_target(best.digest)
+        found = evaluation.findings(generations[best.generation], best.candidate)
+        write_file(self.study.folder.layout.findings, dumps(found).encode())
         reason, elapsed_s = stopped.reason, self._elapsed_s()
         return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)
 
@@ -290,6 +297,10 @@ class _GenerationRun:
         store, target = str(self.store.root), self.prepared.target["target"]
         case, score = self.run.case, self.run.score
         return self.dispatcher.call(self.tasks.compare, case, store, target, volume, score)
+
+    def findings(self, pending: PendingGeneration, candidate: int) -> Mapping[str, Any]:
+        """Find out what the body of a candidate tells beside its constants."""
+        return self.dispatcher.call(self.tasks.find, self._request(pending, candidate))
 
     def _journal(
         self, pending: PendingGeneration, candidates: list[int], ending: Ending, *, reused: bool

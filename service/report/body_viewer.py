@@ -113,7 +113,7 @@ def body_viewer(
         "states": [list(one) for one in states],
         "colourings": _colourings(scans, surfaces, gap_about, gap_mm, first),
         "middle": ((low + high) / 2).round(2).tolist(),
-        "reach": [round(0.98 * size, 2), round(0.78 * size, 2)],
+        "reach": [round(0.98 * size, 2), round(0.88 * size, 2)],
     }
     return script("body", told)
 

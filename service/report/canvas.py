@@ -51,6 +51,7 @@ def figure(width_in: float, height_in: float) -> Figure:
 
 def calm(axes: Axes, *, grid: str = "y") -> Axes:
     """Take away from `axes` what says nothing; `grid` is "x", "y" or "both", or "" for none."""
+    axes.set_facecolor("none")
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(GRID_EDGE)
     axes.tick_params(colors=SOFT_INK, labelsize=SMALL_PT, length=3, width=0.8)

@@ -30,6 +30,8 @@ OVERLAY = (
 )
 # Neighbours by which a displacement is interpolated between points.
 NEIGHBOURS = 12
+# The same of a residual.
+NEAREST = 4
 
 
 def body_data(
@@ -141,15 +143,19 @@ def _gaps(
     vertices: FloatArray,
     models: Sequence[tuple[str, str]],
 ) -> dict[str, FloatArray]:
-    """Return residuals at the vertices: of the nearest point, zero within the noise, nan far off."""
+    """Return residuals at the vertices, those within the noise as zero; nan where no point is near."""
     own = np.asarray(found["interface"]) == number
     if not own.any():
         return {}
-    away, nearest = KDTree(found["points"][own]).query(vertices)
+    near = min(NEAREST, int(own.sum()))
+    away, which = (a.reshape(-1, near) for a in KDTree(found["points"][own]).query(vertices, near))
+    weights = 1 / np.maximum(away, 0.1) ** 2
+    weights /= weights.sum(axis=1, keepdims=True)
     gaps = {}
     for when, _ in models:
         value = found[f"local_{when}"][scan, own]
         sd = found[f"local_{when}_sd"][scan, own]
-        loud = np.where(np.abs(value) >= SIGNIFICANT * sd, value, 0.0)[nearest]
-        gaps[when] = np.asarray(np.where(away > FARTHEST_MM, np.nan, loud))
+        loud = np.where(np.abs(value) >= SIGNIFICANT * sd, value, 0.0)
+        there = (weights * loud[which]).sum(axis=1)
+        gaps[when] = np.asarray(np.where(away[:, 0] > FARTHEST_MM, np.nan, there))
     return gaps

@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from service.report.svg import Svg
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCREEN_DPI = 96
 # Widths in pixels of the two forms of a chart; the style sheet shows the one that fits.
@@ -24,7 +27,7 @@ class Picture:
 
 
 def picture(
-    drawn: Figure, alt: str, caption: str | Markup = "", *, on_paper: bool = False
+    drawn: "Figure", alt: str, caption: str | Markup = "", *, on_paper: bool = False
 ) -> Picture:
     """Put a figure of matplotlib into the page; see `service.report.canvas.inline_svg`."""
     from service.report.canvas import inline_svg

@@ -4,10 +4,11 @@ The undeformed body, the target, and the target as the best candidate explains i
 What is missing is said in words; a report without pictures is still a report.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from service.report.study_surfaces import StudySurface, study_surfaces
 from service.spec import StudySpec
@@ -19,10 +20,17 @@ from storage.stores import open_store
 from storage.task_records import Scores
 from storage.values import Tissue, Volume
 from workers.body.mesh.hierarchy import Hierarchy
-from workers.organs.registry import organ_named
+from workers.organs.registry import findings_of, organ_named
 from workers.tasks.body_store import BodyStore
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 TISSUE_NAMES = {int(tissue): tissue.name.lower() for tissue in Tissue if tissue}
+
+
+def _no_figures(findings: Mapping[str, Any]) -> "Iterable[tuple[Figure, str]]":
+    return ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +51,8 @@ class Bodies:
         A sentence; see `workers.organs.organ.Organ`.
     surfaces : tuple of StudySurface
         Of a body that has three dimensions; empty where they are not wanted.
+    figures : callable
+        From findings to their figures; see `workers.organs.registry.Findings`.
     """
 
     reference: Volume | None = None
@@ -54,6 +64,7 @@ class Bodies:
     labels: Mapping[int, str] = field(default_factory=lambda: TISSUE_NAMES)
     load_direction: str = ""
     surfaces: tuple[StudySurface, ...] = ()
+    figures: Callable[[Mapping[str, Any]], "Iterable[tuple[Figure, str]]"] = _no_figures
 
 
 def find_bodies(
@@ -98,6 +109,8 @@ def find_bodies(
     else:
         explained = _explained(bodies, session, best, reference, target, missing)
 
+    more = findings_of(spec.case.organ)
+
     def scores(body: Any | None) -> Mapping[str, Scores]:
         if body is None or target is None or not compare:
             return {}
@@ -115,7 +128,10 @@ def find_bodies(
         scores(explained),
         organ.picture_labels,
         organ.load_direction,
-        _surfaces(bodies, session, best, reference, target) if in_3d else (),
+        surfaces=_surfaces(bodies, session, best, reference, target) if in_3d else (),
+        figures=_no_figures
+        if more is None
+        else partial(more.figures, spec, (reference, target, explained)),
     )
 
 

@@ -21,6 +21,7 @@ from service.report import study_tables
 from service.report.glossary import STUDY
 from service.report.provenance import study_provenance
 from service.report.study_consequence import about_intervals, next_step, quotable
+from service.report.pictures import picture
 from service.report.study_data import StudyData
 from service.report.study_pictures import (
     best_tenth,
@@ -51,6 +52,7 @@ def context(data: StudyData) -> dict[str, Any]:
         **_head(data),
         **_parameters(data),
         **_bodies(data),
+        **_findings(data),
         **_search(data),
         **_simulation(data),
         **_time(data),
@@ -217,6 +219,15 @@ def _bodies(data: StudyData) -> dict[str, Any]:
         "similarities": study_tables.similarities(before, after, labels),
         "about_similarity": "From the undeformed body, where the fit begins, to the best "
         f"candidate. The search compared the shaded row{'s' if len(labels) > 1 else ''}.",
+    }
+
+
+def _findings(data: StudyData) -> dict[str, Any]:
+    findings = data.results.findings
+    drawn = data.bodies.figures(findings)
+    return {
+        "findings": findings.get("notes", ()),
+        "findings_pictures": [picture(shown, said, said) for shown, said in drawn],
     }
 
 

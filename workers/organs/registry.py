@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
-
 from storage.errors import InputError
 from workers.mechanics.parameters import unknown_name
 from workers.organs.organ import Organ

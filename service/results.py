@@ -12,8 +12,15 @@ from typing import Any, Literal
 
 import numpy as np
 
+from service.identification import (
+    Identification,
+    SearchedConstants,
+    identification_from_scatter,
+    identification_from_tangents,
+)
+from service.quantities import Quantity, not_neutral, quantities_inside
 from service.search.base import Generation
-from service.search_replay import PendingGeneration, SearchReplay, best_of
+from service.search_replay import PendingGeneration, SearchReplay, best_of, equally_good
 from service.spec import StudySpec
 from service.study_log import StudyLog, read_study
 from storage.errors import InputError
@@ -22,6 +29,7 @@ from storage.layout import StudyLayout
 from storage.plain import loads
 from storage.records import EvaluationRecord
 from storage.task_records import BodyFacts, Scores, TargetKind
+from workers.organs.registry import organ_named
 from workers.spec import validated
 
 StudyState = Literal["running", "stopped", "interrupted"]
@@ -167,6 +175,8 @@ class StudyResults:
         Of the last run.
     findings : mapping
         What the fitted body tells; see `workers.organs.registry.Findings`. Maybe empty.
+    identification : Identification or None
+        How well the image determines each constant; None until the search has stopped.
     """
 
     folder: Path
@@ -188,6 +198,7 @@ class StudyResults:
     versions: Mapping[str, str]
     store: str | None
     findings: Mapping[str, Any]
+    identification: Identification | None = None
 
     @property
     def name(self) -> str:
@@ -211,9 +222,10 @@ class CandidateResults:
 
     Parameters
     ----------
-    study : str
-        Name of the study.
+    spec : StudySpec
+        Of the study.
     candidate, generation : int
+        Generations from 0.
     evaluated_as : int
         The candidate whose evaluation it shares: an elite has the ending of the candidate that
         it was carried over from.
@@ -223,12 +235,29 @@ class CandidateResults:
         Its ending; None while it has none.
     """
 
-    study: str
+    spec: StudySpec
     candidate: int
     generation: int
     evaluated_as: int
     genes: Mapping[str, float]
     evaluation: EvaluationRecord | None
+
+    def held(self, *, everything: bool) -> dict[str, Quantity]:
+        """Return the constants that it was simulated with and that are not searched.
+
+        Parameters
+        ----------
+        everything : bool
+            Those at their neutral values as well.
+        """
+        case = self.spec.case
+        vocabulary = organ_named(case.organ).parameters
+        searched = self.spec.constants_of(self.genes)
+        constants = case.complete(searched)
+        stated = case.parameters.from_door(case.constants)
+        kept = constants if everything else not_neutral(vocabulary, constants, stated)
+        held = {name: value for name, value in kept.items() if name not in searched}
+        return quantities_inside(vocabulary, held)
 
 
 def study_results(folder: Path) -> StudyResults:
@@ -265,6 +294,7 @@ def study_results(folder: Path) -> StudyResults:
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
         findings=_findings(folder),
+        identification=_identification(spec, log, best),
     )
 
 
@@ -293,7 +323,7 @@ def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
     while (before := generations[origin // size].carried_from(origin)) is not None:
         origin = before
     genes, ending = generation.genes(candidate), log.endings.get(origin)
-    return CandidateResults(spec.name, candidate, generation.number, origin, genes, ending)
+    return CandidateResults(spec, candidate, generation.number, origin, genes, ending)
 
 
 def is_running(folder: Path) -> bool:
@@ -338,6 +368,26 @@ def _estimates(spec: StudySpec, best: EvaluationRecord | None) -> dict[str, Para
             gene, parameter.unit.symbol, lower, upper, estimate, target.get(gene)
         )
     return estimates
+
+
+def _identification(
+    spec: StudySpec, log: StudyLog, best: EvaluationRecord | None
+) -> Identification | None:
+    """Return what the image tells of the constants, once the search has stopped."""
+    if best is None or log.end is None:
+        return None
+    searched = SearchedConstants(
+        spec.case.parameters,
+        spec.case.parameters.bounds_from_door(spec.search.parameters),
+        spec.common_scale,
+    )
+    found = log.identification
+    if found is not None and found.fit is not None:
+        return identification_from_tangents(searched, found.candidate, found.fit)
+    note = "the study ran before there were tangents" if found is None else found.reason
+    alike = [spec.constants_of(record.genes) for record in equally_good(log.endings, best)]
+    here = spec.constants_of(best.genes)
+    return identification_from_scatter(searched, best.candidate, here, alike, note)
 
 
 def _generations(spec: StudySpec, log: StudyLog) -> Iterable[GenerationResult]:

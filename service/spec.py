@@ -139,6 +139,12 @@ class StudySpec(Door):
         """Return the search, ready to propose."""
         return GeneticSearch(self.search.space, self.search.settings, self.seed)
 
+    @property
+    def common_scale(self) -> tuple[str, ...]:
+        """Return the searched stiffnesses of which only ratios can be found, inside names."""
+        names = [self.case.parameters.at_door(name).name for name in self.search.parameters]
+        return self.case.common_scale(names)
+
     def constants_of(self, genes: Mapping[str, float]) -> dict[str, float]:
         """Convert searched parameters from the door (kPa) to names and units inside (MPa)."""
         return self.case.parameters.from_door(genes)

@@ -11,6 +11,7 @@ from storage.layout import StudyLayout
 from storage.records import (
     EndRecord,
     EvaluationRecord,
+    IdentificationRecord,
     SessionRecord,
     StudyRecord,
     record_of,
@@ -31,6 +32,8 @@ class StudyLog:
         By candidate.
     end : EndRecord or None
         If the search has stopped.
+    identification : IdentificationRecord or None
+        What the image tells of the constants, once that is known.
     seconds : float
         Wall time of all runs, as far as they noted it.
     """
@@ -40,6 +43,7 @@ class StudyLog:
     endings: Mapping[int, EvaluationRecord] = field(default_factory=dict)
     end: EndRecord | None = None
     seconds: float = 0.0
+    identification: IdentificationRecord | None = None
 
     @classmethod
     def read(cls, journal: Path) -> Self:
@@ -54,6 +58,7 @@ class StudyLog:
         """
         study: StudyRecord | None = None
         end: EndRecord | None = None
+        identification: IdentificationRecord | None = None
         sessions: list[SessionRecord] = []
         endings: dict[int, EvaluationRecord] = {}
         session_seconds: list[float] = []
@@ -68,6 +73,8 @@ class StudyLog:
                 if record.candidate in endings:
                     raise _two_endings(journal, record.candidate)
                 endings[record.candidate] = record
+            elif isinstance(record, IdentificationRecord):
+                identification = record
             else:
                 if session_seconds:
                     session_seconds[-1] = record.elapsed_s
@@ -78,7 +85,8 @@ class StudyLog:
                 f"{journal} does not begin with its study: its head was cut off. Start a new "
                 "study; evaluations in the store are used again."
             )
-        return cls(study, tuple(sessions), endings, end, sum(session_seconds))
+        seconds = sum(session_seconds)
+        return cls(study, tuple(sessions), endings, end, seconds, identification)
 
     @property
     def last_session(self) -> SessionRecord | None:

@@ -6,7 +6,7 @@ raises it as an `InputError`. The keys of one organ stand in its own ``spec.py``
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -92,6 +92,18 @@ class CaseSpec(Door):
     def canonical(self, genes: Mapping[str, float]) -> dict[str, float]:
         """Return parameters at the door such that equal models have equal ones."""
         return dict(genes)
+
+    def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
+        """Return the searched stiffnesses that can all grow by one factor without any effect.
+
+        Of these only ratios can be found. None by default.
+
+        Parameters
+        ----------
+        searched : sequence of str
+            Inside names.
+        """
+        return ()
 
     def unused_parameter(self, name: str) -> str:
         """Return why a parameter of the organ cannot be searched in this case, or ""."""

@@ -6,7 +6,7 @@ running meanwhile. `service.results_json` writes the same as JSON.
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -197,7 +197,7 @@ class StudyResults:
     sessions: int
     versions: Mapping[str, str]
     store: str | None
-    findings: Mapping[str, Any]
+    findings: Mapping[str, Any] = field(default_factory=dict)
     identification: Identification | None = None
 
     @property

@@ -6,7 +6,7 @@ running meanwhile. `service.results_json` writes the same as JSON.
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -175,10 +175,10 @@ class StudyResults:
         Of Palpate, its code and the packages that results depend on.
     store : str or None
         Of the last run.
-    identification : Identification or None
-        How well the image determines each constant; None until the search has stopped.
     findings : mapping
         What the fitted body tells; see `workers.organs.registry.Findings`. Maybe empty.
+    identification : Identification or None
+        How well the image determines each constant; None until the search has stopped.
     """
 
     folder: Path
@@ -199,7 +199,7 @@ class StudyResults:
     sessions: int
     versions: Mapping[str, str]
     store: str | None
-    findings: Mapping[str, Any]
+    findings: Mapping[str, Any] = field(default_factory=dict)
     identification: Identification | None = None
 
     @property
@@ -305,8 +305,8 @@ def study_results(folder: Path) -> StudyResults:
         sessions=len(log.sessions),
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
-        identification=_identification(spec, log, best),
         findings=_findings(folder),
+        identification=_identification(spec, log, best),
     )
 
 

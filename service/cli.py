@@ -28,9 +28,11 @@ from service.commands import (
     plan,
     report,
     run,
+    serve,
     show,
     simulate,
     status,
+    token,
 )
 from service.commands.settings import remember_command
 from storage.errors import PalpateError
@@ -93,6 +95,8 @@ app.command("phantom")(phantom.phantom)
 app.command("mesh")(mesh.mesh)
 app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
+app.command("serve")(serve.serve)
+app.add_typer(token.app, name="token")
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
 

@@ -32,6 +32,7 @@ from service.commands import (
     show,
     simulate,
     status,
+    thesis,
     token,
 )
 from service.commands.settings import remember_command
@@ -97,6 +98,7 @@ app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
 app.command("serve")(serve.serve)
 app.add_typer(token.app, name="token")
+app.command("thesis")(thesis.thesis)
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
 

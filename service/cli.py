@@ -21,6 +21,7 @@ from service.commands import (
     doctor,
     import_,
     import_case,
+    mammogram,
     mesh,
     new,
     parameters,
@@ -99,6 +100,7 @@ app.command("simulate")(simulate.simulate)
 app.command("serve")(serve.serve)
 app.add_typer(token.app, name="token")
 app.command("thesis")(thesis.thesis)
+app.command("mammogram")(mammogram.mammogram)
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from service.formatting import label
 from service.report.canvas import SMALL_PT, TEXT_PT, calm, figure, legend
-from service.report.palette import BLUE, GREY, INK, ORANGE, SOFT_INK, STAGES, VERMILION
+from service.report.palette import BLUE, GREY, INK, ORANGE, SOFT_INK, VERMILION
 from service.thesis import printed
 from service.thesis.results import FoundSearch, Varied
 from workers.comparison.coefficients.coefficients import HAUSDORFF_NAMES
@@ -21,10 +21,12 @@ from workers.thesis.selection import Selection
 
 WIDTH_IN = 10.4
 TARGET_LINE: Mapping[str, Any] = {"color": INK, "linewidth": 1.1, "linestyle": (0, (2, 2))}
+# Okabe and Ito (2008), beside the blue, orange and grey of all charts.
+LINES = (BLUE, ORANGE, "#009e73", "#cc79a7", VERMILION, GREY)
 KIND_COLOURS = dict(
     zip(
         ("homogeneous", "adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm", "fTetWild"),
-        (BLUE, ORANGE, *STAGES[1:2], *STAGES[3:5], GREY),
+        LINES,
         strict=True,
     )
 )
@@ -51,7 +53,7 @@ def coefficient_curves(selection: Selection) -> Figure:
             axes.plot(
                 selection.numbers,
                 selection.curves[name],
-                color=STAGES[n % len(STAGES)],
+                color=LINES[n % len(LINES)],
                 linewidth=bold,
                 marker="o",
                 markersize=3,

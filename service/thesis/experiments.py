@@ -1,4 +1,4 @@
-"""Which parts each experiment of the thesis consists of, in the order in which they need each other.
+"""Which parts each experiment of the thesis consists of, in the order of their needs.
 
 ::
 

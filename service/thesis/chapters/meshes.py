@@ -25,6 +25,9 @@ THESIS_TIME = (
     + ("FEBio on 12 cores")
 )
 
+# Red, green, blue and opacity of what both slices hold, and of what only one does.
+THERE, DIFFERS = (138, 148, 161, 60), (196, 78, 0, 255)
+
 
 def chapter(found: MeshResult, cost: Cost | None, store: str, scale: Scale) -> Chapter:
     """Return the chapter of thesis section 4.4."""
@@ -202,20 +205,18 @@ def _differences(scale: Scale, found: MeshResult) -> tuple[str, ...]:
         "a handful, and which they are moves the body between the plates: held over 2 mm here, "
         "from the voxels, so that both meshes are held at one place. Centroid distances and JC "
         "follow that choice more than any other.",
-        "CC is printed as 100 mm to 50 mm, which is the lateral width; so the plates press along y.",
+        "CC is printed as 100 mm to 50 mm, the lateral width; so the plates press along y.",
         "The Mooney-Rivlin constants are not printed. The shear moduli of Table 4.1 are kept, two "
         "thirds of them in C10.",
         "A volume difference of 0.0065 % is the Mooney-Rivlin one; the neo-Hookean 14.08 mm³ are "
         "0.0056 % of 250 ml.",
     ]
     if scale != "full":
-        texts.insert(
-            0,
-            (
-                "The reduced bodies are half as wide. Compartments have the size of the full body, so "
-                "they are moved less far (smaller centroid distances) and are a larger part of it."
-            ),
+        smaller = (
+            "The reduced bodies are half as wide. Compartments have the size of those of the full "
+            "body: they are moved less far, and each is a larger part of it."
         )
+        texts.insert(0, smaller)
     worst = min((r.agreement.labels for r in _of(found.quality, "adaptive")), default=1.0)
     if worst < 0.985:
         texts.append(
@@ -246,9 +247,10 @@ def slices(store: str, scale: Scale) -> list[Picture]:
         (f"{title} mesh", colours[plane][::-1])
         for title, plane in zip(("Adaptive", "Homogeneous"), planes, strict=True)
     ]
-    differs = np.where(planes[0] == planes[1], 238, 30).astype(np.uint8)
-    differs[(planes[0] == 0) & (planes[1] == 0)] = 255
-    pictures.append(("Where they differ", np.repeat(differs[::-1, :, None], 3, axis=2)))
+    differs = np.zeros((*planes[0].shape, 4), np.uint8)
+    differs[(planes[0] > 0) | (planes[1] > 0)] = THERE
+    differs[planes[0] != planes[1]] = DIFFERS
+    pictures.append(("Where they differ", differs[::-1]))
     return [
         picture(
             charts.pictures_in_a_row(pictures, labels=True),

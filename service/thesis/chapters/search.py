@@ -115,7 +115,7 @@ def _errors(target: TargetName, searches: Sequence[FoundSearch]) -> Table:
                 _percent(fmean(before)) if before else "–",
                 _percent(fmean(c.error for c in every)),
                 _percent(fmean(bounds)) if bounds else "–",
-                coverage([c for c in every]),
+                coverage(every),
             ]
         )
     headings = (
@@ -152,17 +152,16 @@ def _percent(share: float) -> str:
 
 
 def _spent(found: SearchResult) -> Table:
-    rows = []
-    for s in found.searches:
-        rows.append(
-            [
-                f"{s.target}, {s.phantom}",
-                count(s.evaluations),
-                duration(s.cpu_s),
-                duration(s.wall_s),
-                s.stopped,
-            ]
-        )
+    rows = [
+        [
+            f"{s.target}, {s.phantom}",
+            count(s.evaluations),
+            duration(s.cpu_s),
+            duration(s.wall_s),
+            s.stopped,
+        ]
+        for s in found.searches
+    ]
     headings = ("Search", "Evaluations", "Workers' time", "On the clock", "Why it stopped")
     return Table("What each search cost", headings, rows, (4,))
 
@@ -192,12 +191,10 @@ def _differences(scale: Scale, found: SearchResult) -> list[str]:
         "The skin of the thesis has no printed thickness; here it is a membrane of 1.5 mm.",
     ]
     if scale != "full":
-        texts.insert(
-            0,
-            (
-                "The reduced search has bodies of an eighth of the volume, a coarser mesh, larger "
-                f"voxels and {found.population} instead of 84 candidates. Its hours are not those of "
-                "the thesis' scale; run with --full for these."
-            ),
+        smaller = (
+            "The reduced search has bodies of an eighth of the volume, a coarser mesh, larger "
+            f"voxels and {found.population} instead of 84 candidates. Its hours are not those of "
+            "the thesis' scale; run with --full for these."
         )
+        texts.insert(0, smaller)
     return texts

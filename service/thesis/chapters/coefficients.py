@@ -66,7 +66,7 @@ def _bar(found: CoefficientsResult) -> Table:
     rows = []
     for row in found.bar.rows:
         c = row.coefficients
-        end = " ".join(f"{v:.1f}" for v in row.tip_mm)
+        end = ", ".join(f"{v:.1f}" for v in row.tip_mm).replace("-", "−")
         values = ["–"] * 5
         if c is not None:
             distances = (c.by_name["D18"], c.mhd_mm, c.volume_difference_mm3)

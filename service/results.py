@@ -18,6 +18,7 @@ from service.identification import (
     identification_from_scatter,
     identification_from_tangents,
 )
+from service.quantities import Quantity, not_neutral, quantities_inside
 from service.search.base import Generation
 from service.search_replay import PendingGeneration, SearchReplay, best_of, equally_good
 from service.spec import StudySpec
@@ -27,6 +28,7 @@ from storage.journal import Journal
 from storage.layout import StudyLayout
 from storage.records import EvaluationRecord
 from storage.task_records import BodyFacts, Scores, TargetKind
+from workers.organs.registry import organ_named
 from workers.spec import validated
 
 StudyState = Literal["running", "stopped", "interrupted"]
@@ -216,9 +218,10 @@ class CandidateResults:
 
     Parameters
     ----------
-    study : str
-        Name of the study.
+    spec : StudySpec
+        Of the study.
     candidate, generation : int
+        Generations from 0.
     evaluated_as : int
         The candidate whose evaluation it shares: an elite has the ending of the candidate that
         it was carried over from.
@@ -228,12 +231,29 @@ class CandidateResults:
         Its ending; None while it has none.
     """
 
-    study: str
+    spec: StudySpec
     candidate: int
     generation: int
     evaluated_as: int
     genes: Mapping[str, float]
     evaluation: EvaluationRecord | None
+
+    def held(self, *, everything: bool) -> dict[str, Quantity]:
+        """Return the constants that it was simulated with and that are not searched.
+
+        Parameters
+        ----------
+        everything : bool
+            Those at their neutral values as well.
+        """
+        case = self.spec.case
+        vocabulary = organ_named(case.organ).parameters
+        searched = self.spec.constants_of(self.genes)
+        constants = case.complete(searched)
+        stated = case.parameters.from_door(case.constants)
+        kept = constants if everything else not_neutral(vocabulary, constants, stated)
+        held = {name: value for name, value in kept.items() if name not in searched}
+        return quantities_inside(vocabulary, held)
 
 
 def study_results(folder: Path) -> StudyResults:
@@ -298,7 +318,7 @@ def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
     while (before := generations[origin // size].carried_from(origin)) is not None:
         origin = before
     genes, ending = generation.genes(candidate), log.endings.get(origin)
-    return CandidateResults(spec.name, candidate, generation.number, origin, genes, ending)
+    return CandidateResults(spec, candidate, generation.number, origin, genes, ending)
 
 
 def is_running(folder: Path) -> bool:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -178,9 +178,9 @@ def score(
     if as_json:
         print_json(record(scored))
         return
-    from rich.console import Console
+    from service.commands.tables import make_console
 
-    _print(scored, Console(highlight=False))
+    _print(scored, make_console())
     if page is not None:
         typer.echo(f"page: {page}")
 
@@ -234,16 +234,12 @@ def _put_into(text: Path, scored: "ScoredSet") -> None:
     write_file(text, filled(text.read_text(encoding="utf-8"), scored).encode())
 
 
-def _print(scored: "ScoredSet", console: Any) -> None:
+def _print(scored: "ScoredSet", console: "Console") -> None:
     """Print all metrics on a console, those with a target first."""
-    from rich.table import Table
+    from service.commands.tables import print_table
 
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for heading in ("figure", "value", "95 %", "cases", "target", ""):
-        table.add_column(heading, justify="right" if heading in ("value", "cases") else "left")
-    for metric in scored.targets_first:
-        table.add_row(*_cells(metric))
-    console.print(table)
+    rows = [_cells(metric) for metric in scored.targets_first]
+    print_table(console, ("figure", "value", "95 %", "cases", "target", ""), rows, right=(1, 3))
     if scored.floor_mm is not None:
         console.print(f"Floor: {scored.floor_mm:.3f} mm of true gap in the median control.")
 

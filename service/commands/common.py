@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 RUNS = Path("runs")
 
+AllOption = Annotated[bool, typer.Option("--all", help="Constants at their neutral values, too.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON record on standard output.")]
 StoreOption = Annotated[
     Path | None,

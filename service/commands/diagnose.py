@@ -86,9 +86,9 @@ def diagnose(
     if as_json:
         print_json(to_json(diagnosis.summary))
         return
-    from rich.console import Console
+    from service.commands.tables import make_console
 
-    print_verdict(diagnosis.summary, Console(highlight=False))
+    print_verdict(diagnosis.summary, make_console())
     typer.echo(f"page: {page}")
 
 
@@ -175,26 +175,22 @@ def _write(diagnosis: "FinishedDiagnosis", folder: Path) -> Path:
 
 def print_verdict(summary: "Summary", console: "Console") -> None:
     """Print a sentence, and the most probable causes."""
-    from rich.table import Table
-
+    from service.commands.tables import print_table
     from service.diagnosis.advice import worth
     from service.diagnosis.experiment import experiment_lines
     from service.diagnosis.words import likely, measured, sentence, spoken
 
     console.print(sentence(summary), soft_wrap=True)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("cause")
-    table.add_column("probability", justify="right")
-    table.add_column("magnitude")
-    table.add_column("absorbed", justify="right")
-    table.add_row(spoken("no-gap"), likely(summary.no_gap_probability), "", "")
-    table.add_row(spoken("none-of-these"), likely(summary.none_of_these_probability), "", "")
+    rows = [
+        (spoken("no-gap"), likely(summary.no_gap_probability), "", ""),
+        (spoken("none-of-these"), likely(summary.none_of_these_probability), "", ""),
+    ]
     ranked = sorted(summary.effects, key=lambda e: -e.probability)
     for e in [e for e in ranked if e.name not in summary.absorbed][:SHOWN]:
         magnitude = measured(e.magnitude, e.sd, e.unit)
         share = f"{100 * e.absorbed_share:.0f} %"
-        table.add_row(spoken(e.name), likely(e.probability), magnitude, share)
-    console.print(table)
+        rows.append((spoken(e.name), likely(e.probability), magnitude, share))
+    print_table(console, ("cause", "probability", "magnitude", "absorbed"), rows, right=(1, 3))
     if summary.absorbed:
         names = ", ".join(spoken(name) for name in summary.absorbed)
         console.print(

@@ -67,9 +67,8 @@ def run(
 
 
 def _print(home: Path, as_json: bool) -> None:
-    from rich.console import Console
-
     from service.commands.report import print_report
+    from service.commands.tables import make_console
     from service.results import study_results
     from service.results_json import study_json
 
@@ -77,7 +76,7 @@ def _print(home: Path, as_json: bool) -> None:
     if as_json:
         print_json(study_json(results))
     else:
-        print_report(results, Console(highlight=False))
+        print_report(results, make_console())
 
 
 def _completed(

@@ -1,6 +1,5 @@
 """`palpate simulate` computes one compression, outside of any search."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,6 +7,7 @@ import typer
 
 from service.commands.common import (
     RUNS,
+    AllOption,
     JsonOption,
     StoreOption,
     constants_option,
@@ -16,6 +16,7 @@ from service.commands.common import (
 )
 
 if TYPE_CHECKING:
+    from service.quantities import Quantity
     from storage.task_records import EvaluationResult
 
 
@@ -29,10 +30,14 @@ def simulate(
         Path | None,
         typer.Option(help="Write the deformed mesh (.vtu, .vtk, .msh) or volume (.nrrd)."),
     ] = None,
+    everything: AllOption = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compress the body of a study once; constants not set are the case's own."""
+    """Compress the body of a study once; constants not set are the case's own.
+
+    Of the constants those are printed that are stated or differ from their neutral values.
+    """
     from service.export import (
         MESH_SUFFIXES,
         VOLUME_SUFFIXES,
@@ -40,9 +45,11 @@ def simulate(
         export_stored_mesh,
         export_volume,
     )
+    from service.quantities import not_neutral, quantities_inside, quantities_json
     from storage.fields import load_field
     from storage.stores import open_store
     from storage.volumes import load_volume
+    from workers.organs.registry import organ_named
     from workers.tasks.evaluation import prepare_case, simulate_once
 
     check_suffix(out, MESH_SUFFIXES + VOLUME_SUFFIXES)
@@ -58,22 +65,27 @@ def simulate(
         else:
             mesh = prepare_case(case, str(opened))["mesh"]
             export_stored_mesh(out, opened, mesh, load_field(opened, result["digest"]))
+    vocabulary = organ_named(spec.case.organ).parameters
+    held = spec.case.parameters.from_door(spec.case.constants)
+    kept = not_neutral(vocabulary, result["constants"], {*held, *stated})
+    shown = quantities_inside(vocabulary, result["constants"] if everything else kept)
     if as_json:
-        print_json(result)
+        print_json(result | {"constants": quantities_json(shown)})
     else:
-        _print(result)
+        _print(result, shown, len(result["constants"]) - len(shown))
 
 
-def _print(result: "EvaluationResult") -> None:
+def _print(result: "EvaluationResult", constants: "dict[str, Quantity]", neutral: int) -> None:
+    from service.commands.tables import echo_table
+    from service.quantities import named_quantity
+
     typer.echo(result["status"] + (f": {result['reason']}" if result["reason"] else ""))
-    tables: dict[str, Mapping[str, object]] = {
-        "constants": result["constants"],
-        "outcome": result["outcome"],
-        "seconds": result["seconds"],
-    }
-    for title, values in tables.items():
-        typer.echo(title)
-        for name, value in values.items():
-            text = f"{value:.6g}" if isinstance(value, float) else value
-            unit = " MPa" if title == "constants" and name != "nu" else ""
-            typer.echo(f"  {name:<24}{text}{unit}")
+    typer.echo("constants")
+    echo_table(None, [(f"  {name}", str(quantity)) for name, quantity in constants.items()])
+    if neutral:
+        typer.echo(f"  {neutral} more at their neutral values: --all shows them")
+    outcome = [named_quantity(name, value) for name, value in result["outcome"].items()]
+    typer.echo("outcome")
+    echo_table(None, [(f"  {name}", text) for name, text in outcome if text])
+    typer.echo("time")
+    echo_table(None, [(f"  {name}", f"{s:.3g} s") for name, s in result["seconds"].items()])

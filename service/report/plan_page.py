@@ -15,10 +15,10 @@ from service.diagnosis.plan_words import (
     silence,
 )
 from service.diagnosis.words import spoken, together
+from service.formatting import NONE, number
 from service.report.pictures import Picture, picture
 from service.report.plan_figures import alikeness, gains
 from service.report.template import filled
-from service.report.words import NONE, number
 from service.versions import palpate_version
 from storage.plain import to_plain
 from storage.typed_json import to_json

@@ -7,6 +7,16 @@ from typing import Any
 import yaml
 from markupsafe import Markup
 
+from service.formatting import (
+    at_edge,
+    count,
+    duration,
+    joined,
+    number,
+    percent,
+    signed_error,
+    symbol,
+)
 from service.report import study_tables
 from service.report.study_data import StudyData
 from service.report.study_pictures import (
@@ -20,16 +30,6 @@ from service.report.study_pictures import (
     stage_picture,
 )
 from service.report.study_sections import difference_legend, present
-from service.report.words import (
-    at_edge,
-    count,
-    duration,
-    joined,
-    number,
-    percent,
-    signed_error,
-    symbol,
-)
 from service.results import ParameterEstimate
 from service.results_json import study_json
 from storage.plain import to_plain

@@ -12,10 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from service.formatting import number
 from service.report import palette
 from service.report.canvas import SMALL_PT, TEXT_PT, calm, figure, legend, limits
 from service.report.palette import BLUE, GREY, INK, SOFT_INK, VERMILION
-from service.report.words import number
 
 Curve = NDArray[np.float64]
 GSF_AXIS = "GSF, lower is better"

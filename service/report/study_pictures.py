@@ -5,12 +5,12 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from markupsafe import Markup
 
+from service.formatting import label, number
 from service.report import study_figures, study_sections
 from service.report.pictures import Picture, picture
 from service.report.slices import AXES, VIEWS
 from service.report.study_bodies import Bodies
 from service.report.study_figures import EvaluationPoint, SearchedParameter
-from service.report.words import label, number
 from service.results import GenerationScores, ParameterEstimate
 from storage.records import EvaluationRecord
 from storage.status import Status

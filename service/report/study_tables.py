@@ -6,7 +6,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from service.report.words import (
+from service.formatting import (
     at_edge,
     count,
     duration,

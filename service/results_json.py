@@ -11,6 +11,7 @@ from typing import Any
 
 from service.identification import Identification
 from service.quantities import quantities_at_door, quantities_json
+from service.ratios import RatioEstimate
 from service.results import (
     CandidateResults,
     GenerationResult,
@@ -32,6 +33,8 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "study": results.name,
         "state": results.state,
         "stopped": results.stop_reason,
+        "identifiable": results.identifiable,
+        "ratios": {r.name: _ratio(r) for r in results.ratios},
         "estimates": {name: _estimate(e) for name, e in results.estimates.items()},
         "identification": _identification(results.identification),
         "score": _score(results.best_score or {}),
@@ -42,6 +45,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "per_label_before": results.undeformed_scores,
         "per_label": results.best_scores,
         "seconds": results.wall_s,
+        "findings": results.findings,
         "stages": {stage: _stage(time) for stage, time in results.stages.items()},
         "facts": results.body_facts,
         "target_kind": results.target_kind,
@@ -108,6 +112,14 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
 
 def _identification(found: Identification | None) -> dict[str, Any] | None:
     return None if found is None else asdict(found) | {"weak": list(found.weak)}
+
+
+def _ratio(ratio: RatioEstimate) -> dict[str, Any]:
+    return {
+        "estimate": ratio.estimate,
+        "target": ratio.target,
+        "relative_error": ratio.relative_error,
+    }
 
 
 def _score(score: Scores) -> dict[str, float | None]:

@@ -26,6 +26,7 @@ from service.commands import (
     parameters,
     phantom,
     plan,
+    profile,
     report,
     run,
     serve,
@@ -87,6 +88,7 @@ app.command("run")(run.run)
 app.command("status")(status.status)
 app.command("show")(show.show)
 app.command("report")(report.report)
+app.command("profile")(profile.profile)
 app.command("diagnose")(diagnose.diagnose)
 app.command("plan")(plan.plan)
 app.add_typer(blind.app, name="blind")

@@ -113,7 +113,7 @@ class StudySpec(Door):
         genetic = GeneticSearch(space, self.search.settings, self.seed)
         if strategy == "genetic":
             return genetic
-        fit = LeastSquaresSearch(space, self._fitted_names, self._fit_settings, self.seed)
+        fit = LeastSquaresSearch(space, self.fitted_names, self._fit_settings, self.seed)
         return fit if strategy == "least-squares" else PolishedSearch(genetic, fit)
 
     @property
@@ -158,7 +158,8 @@ class StudySpec(Door):
         return [{"name": n, "lower": lo, "upper": hi} for n, (lo, hi) in bounds.items()]
 
     @property
-    def _fitted_names(self) -> FittedNames:
+    def fitted_names(self) -> FittedNames:
+        """Return how the genes stand in the least-squares problem of an evaluation."""
         genes = [self.case.parameters.at_door(name) for name in self.search.parameters]
         return FittedNames(tuple(p.name for p in genes), tuple(p.unit.to_door(1.0) for p in genes))
 

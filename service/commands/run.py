@@ -48,6 +48,7 @@ def run(
         from rich.console import Console
 
         from service.progress import progress_observer
+        from service.report.live import LivePage
         from service.study import Study
 
         spec = load_spec(study)
@@ -57,13 +58,28 @@ def run(
         if opened.ended:
             typer.echo(f"{home} is complete: nothing to run.", err=True)
         else:
-            with progress:
+            page = LivePage(home)
+            opened.hooks.add(page)
+            typer.echo(f"page: {page.path}, written after every generation", err=True)
+            with page, progress:
                 completed = _completed(opened, scheduler, workers, requests)
+            _write_page(home, quick=not completed)
             if not completed:
                 again = f"palpate run {study}" + (f" --study {folder}" if folder else "")
                 typer.echo(f"Interrupted; what is finished is kept. To continue: {again}", err=True)
                 raise typer.Exit(INTERRUPTED)
     _print(home, as_json)
+
+
+def _write_page(home: Path, *, quick: bool) -> None:
+    """Write the page at the end of a run; what hinders it is no fault of the search."""
+    from service.report.study_page import write_report
+    from storage.errors import PalpateError
+
+    try:
+        typer.echo(f"page: {write_report(home, quick=quick)}", err=True)
+    except PalpateError as error:
+        typer.echo(f"The page was not written. {error}", err=True)
 
 
 def _print(home: Path, as_json: bool) -> None:

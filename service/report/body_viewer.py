@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from markupsafe import Markup
 
-from service.report.packed import Json, packed, packed_points, packed_triangles, script
 from service.formatting import number
+from service.report.packed import Json, packed, packed_points, packed_triangles, script
 from storage.values import FloatArray, IntArray, Triple
 
 SEQUENTIAL = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")

@@ -28,9 +28,9 @@ def quotable(summary: Summary) -> Markup:
     if summary.verdict == "cannot-be-told-apart" or _is_lead(summary):
         rest = [n for n in after if n not in same]
         if not rest:
-            return Markup("Quote {}: no cause that comes into question changes it by more than {:.0f} %.").format(
-                _values(same), 100 * SAME
-            )
+            return Markup(
+                "Quote {}: no cause that comes into question changes it by more than {:.0f} %."
+            ).format(_values(same), 100 * SAME)
         quote = Markup("Quote {}; do not").format(_values(same)) if same else Markup("Do not")
         return Markup("{} quote {}: they depend on a cause that is not sure.").format(
             quote, _names(rest)
@@ -60,9 +60,7 @@ def next_step(summary: Summary, command: str) -> Markup:
             "Find the measurement that would tell the causes apart: <code>{}</code>"
         ).format(f"palpate plan {source}".strip())
     if summary.verdict == "none-of-these":
-        return Markup(
-            "Look where model and data differ, and at what is not in the catalogue."
-        )
+        return Markup("Look where model and data differ, and at what is not in the catalogue.")
     if _is_lead(summary):
         return Markup("Confirm {} by a scan under another load.").format(together(summary.primary))
     return Markup("Put {} into the model, or measure it, and fit again.").format(

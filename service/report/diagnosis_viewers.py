@@ -62,7 +62,8 @@ def body_data(
         for _, name, vertices, triangles in shapes
     ]
     models = [
-        (when, title) for when, title in titled({w: 0 for w in WHEN}, accused)
+        (when, title)
+        for when, title in titled(dict.fromkeys(WHEN, 0), accused)
         if f"local_{when}" in found
     ]
     told = [
@@ -97,7 +98,7 @@ def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | No
         spacing: Triple = (dx, dy, dz)
         names = ("scan", *WHEN)[: len(stack)]
         volumes = {n: Volume(v, spacing, (x, y, z)) for n, v in zip(names, stack, strict=True)}
-        models = list(titled({n: 0 for n in names[1:]}, accused))
+        models = list(titled(dict.fromkeys(names[1:], 0), accused))
         sets.append(SliceSet(name, volumes, middle_mm(volumes["scan"], (Tissue.GLANDULAR,))))
     if not sets:
         return None
@@ -143,7 +144,7 @@ def _gaps(
     vertices: FloatArray,
     models: Sequence[tuple[str, str]],
 ) -> dict[str, FloatArray]:
-    """Return residuals at the vertices, those within the noise as zero; nan where no point is near."""
+    """Return residuals at vertices, those within the noise as zero; nan where no point is near."""
     own = np.asarray(found["interface"]) == number
     if not own.any():
         return {}

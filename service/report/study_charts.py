@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from service.formatting import number
 from service.report.svg import (
     Mark,
     Scale,
@@ -17,7 +18,6 @@ from service.report.svg import (
     text_width,
     vertical_axis,
 )
-from service.formatting import number
 
 GSF_AXIS = "GSF, lower is better"
 SHADES = 5  # of dots in a scatter, from the first generation to the last
@@ -132,7 +132,9 @@ def ranges(
         if narrow:
             svg.text(left, y + 14, parameter.label, class_="name")
         else:
-            svg.text(left - 18, y + row_px / 2 + 4, parameter.label, text_anchor="end", class_="name")
+            svg.text(
+                left - 18, y + row_px / 2 + 4, parameter.label, text_anchor="end", class_="name"
+            )
         centre = y + row_px / 2 + (10 if narrow else 0)
         _range(svg, parameter, cloud.get(parameter.name, ()), left, width - 10, centre)
         y += row_px
@@ -220,7 +222,9 @@ def _range(
         x = scale.at(parameter.estimate)
         svg.mark("dot", x, y, "dot estimate", 5.5)
         beside = min(max(x, left + 24), right - 24)
-        svg.text(beside, y - 11, number(parameter.estimate, 3), text_anchor="middle", class_="value")
+        svg.text(
+            beside, y - 11, number(parameter.estimate, 3), text_anchor="middle", class_="value"
+        )
 
 
 def _limits(values: Sequence[float]) -> tuple[float, float]:

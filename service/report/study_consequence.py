@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from markupsafe import Markup
 
 from service.formatting import at_edge, joined, number, symbol
-from service.identification import IdentifiedConstant, Identification
+from service.identification import Identification, IdentifiedConstant
 from service.results import ParameterEstimate, StudyResults
 from storage.task_records import TargetKind
 
@@ -127,7 +127,9 @@ def _ratios(known: Identification | None) -> Markup:
     if known is None or not any(c.identifiable == "ratio" for c in known.constants.values()):
         return Markup("")
     ratios = [
-        Markup("{} / {} = {}").format(symbol(r.numerator), symbol(r.denominator), number(r.estimate, 3))
+        Markup("{} / {} = {}").format(
+            symbol(r.numerator), symbol(r.denominator), number(r.estimate, 3)
+        )
         for r in known.ratios
     ]
     told = Markup(": {}").format(joined(ratios)) if ratios else Markup("")

@@ -17,11 +17,12 @@ from service.formatting import (
     signed_error,
     symbol,
 )
+from service.identification import Direction
 from service.report import study_tables
 from service.report.glossary import STUDY
+from service.report.pictures import picture
 from service.report.provenance import study_provenance
 from service.report.study_consequence import about_intervals, next_step, quotable
-from service.report.pictures import picture
 from service.report.study_data import StudyData
 from service.report.study_pictures import (
     best_tenth,
@@ -37,7 +38,6 @@ from service.report.study_pictures import (
     stage_picture,
 )
 from service.report.study_sections import difference_legend, present
-from service.identification import Direction
 from service.results import ParameterEstimate
 from service.results_json import study_json
 from storage.plain import to_plain

@@ -46,8 +46,8 @@ def test_the_verdict_is_a_sentence_with_signed_errors(page: Page) -> None:
 
 
 def test_parameters_with_bounds_target_and_unit(page: Page) -> None:
-    assert page.row("Efat") == ["Efat", "10.12", "10", "+1.2 %", "5 … 20", "kPa"]
-    assert page.row("ηfat") == ["ηfat", "93", "–", "–", "50 … 200", "kPa"]
+    assert page.row("Efat") == ["Efat", "10.1", "–", "10", "+1.2 %", "5 … 20", "kPa"]
+    assert page.row("ηfat") == ["ηfat", "93", "–", "–", "–", "50 … 200", "kPa"]
 
 
 def test_every_number_of_the_results_is_in_the_page(page: Page) -> None:

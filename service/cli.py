@@ -23,6 +23,7 @@ from service.commands import (
     import_case,
     mesh,
     new,
+    open_,
     parameters,
     phantom,
     plan,
@@ -86,6 +87,7 @@ app.command("run")(run.run)
 app.command("status")(status.status)
 app.command("show")(show.show)
 app.command("report")(report.report)
+app.command("open")(open_.open_)
 app.command("diagnose")(diagnose.diagnose)
 app.command("plan")(plan.plan)
 app.add_typer(blind.app, name="blind")

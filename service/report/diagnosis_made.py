@@ -49,7 +49,8 @@ def origin_of(
     volumes = source.content.volumes
     inputs = [(f"{request.source.kind} {source.name}", request.source.digest)]
     inputs += [(name.replace("_", " "), array_digest(v.values)) for name, v in volumes.items()]
-    mesh = f"about {count(nodes or request.nodes)} nodes; points {number(request.spacing_mm, 2)} mm apart"
+    points = f"points {number(request.spacing_mm, 2)} mm apart"
+    mesh = f"about {count(nodes or request.nodes)} nodes; {points}"
     return Origin(Made(when, command, seconds, inputs, mesh, _noise(source)), _loads(source))
 
 
@@ -62,8 +63,9 @@ def _noise(source: Source) -> str:
     if noise is None:
         return ""
     return (
-        f"standard deviation {number(noise.sd_mm, 2)} mm over {number(noise.correlation_mm, 2)} mm; "
-        f"of the scan at rest {number(noise.reference_sd_mm, 2)} mm"
+        f"standard deviation {number(noise.sd_mm, 2)} mm over "
+        f"{number(noise.correlation_mm, 2)} mm; of the scan at rest "
+        f"{number(noise.reference_sd_mm, 2)} mm"
     )
 
 

@@ -144,7 +144,7 @@ def _gaps(
     vertices: FloatArray,
     models: Sequence[tuple[str, str]],
 ) -> dict[str, FloatArray]:
-    """Return residuals at the vertices, those within the noise as zero; nan where no point is near."""
+    """Return residuals at vertices, those within the noise as zero; nan where no point is near."""
     own = np.asarray(found["interface"]) == number
     if not own.any():
         return {}

@@ -134,7 +134,7 @@ def study_data(**changed: Any) -> StudyData:
     parts: dict[str, Any] = {
         "results": results(),
         "endings": ENDINGS,
-        "session": SESSION,
+        "sessions": (SESSION,),
         "bodies": BODIES,
     }
     return StudyData(**(parts | changed))
@@ -157,7 +157,7 @@ def nothing_yet() -> StudyData:
         stages={},
         body_facts={},
     )
-    return study_data(results=empty, endings=(), session=None, bodies=Bodies())
+    return study_data(results=empty, endings=(), sessions=(), bodies=Bodies())
 
 
 def perfect() -> StudyData:

@@ -78,7 +78,8 @@ def test_the_report_of_a_study_shows_its_results(made: Made) -> None:
     assert path == folder / "report.html"
     assert [p.name for p in folder.glob(".tmp*")] == []
     page = Page(path.read_text())
-    assert len(page.drawings()) == 1 + 3 + 1 + 2 + 1  # ranges, sections, search, scatter, stages
+    # Ranges, sections, search, scatter, stages.
+    assert len(page.drawings()) == 1 + 3 * 4 + 1 + 2 + 1
     found = study_json(study_results(folder))
     shown = json.JSONDecoder().raw_decode(page.text, page.text.index('{ "study": "small"'))[0]
     assert shown == found
@@ -86,7 +87,7 @@ def test_the_report_of_a_study_shows_its_results(made: Made) -> None:
     assert best is not None
     assert best.score is not None
     for symbol, name in (("Efat", "E_fat_kpa"), ("Eglandular", "E_glandular_kpa")):
-        assert page.row(symbol)[1] == f"{best.genes[name]:.4g}"
+        assert page.row(symbol)[1] == f"{best.genes[name]:.3g}"
     assert page.row("glandular")[1].endswith(f"→ {best.score['jc']:.4g}")
     for tissue, score in found["per_label"].items():
         assert page.row(tissue)[1].endswith(f"→ {score['jc']:.4g}")

@@ -102,6 +102,7 @@ def source_of(number):
             "organ": "cornea",
             "reference": {"section": {}},
             "mesh": {"elements": 240},
+            "model": {"prestress": "mulf"},
             "load": {"iop_mmhg": eye.iop_mmhg, "jet": {"pressure_kpa": 15}},
         },
     )

@@ -32,12 +32,13 @@ from workers.organs.cornea.diagnosed_problem import CorneaForward, CorneaProblem
 from workers.organs.cornea.effect_catalogue import CORNEA_EFFECTS, SEARCHED_AS
 from workers.organs.cornea.organ import ORGAN
 from workers.organs.cornea.problem import candidate_of
-from workers.organs.cornea.region_rows import region_rows
+from workers.organs.cornea.region_rows import SURFACES, region_rows
 from workers.organs.cornea.section import Section
 from workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget
 from workers.organs.cornea.surface_residual import ANTERIOR, POSTERIOR, SurfaceResidual
 from workers.organs.cornea.t6_mesh import T6Mesh
 from workers.spec import validated
+from workers.units import KPA, NUMBER, Unit
 
 # A constant that was searched from about zero is plausible from this part of its upper end.
 LEAST_PART = 0.1
@@ -149,9 +150,9 @@ class CorneaStudySource:
     @cached_property
     def free(self) -> list[FreeConstant]:
         """The searched constants of the law."""
-        vocabulary, bounds = self.study.case.parameters, self.study.bounds
+        bounds = self.study.bounds
         return [
-            FreeConstant(name, max(low, LEAST_PART * high), high, vocabulary[name].unit)
+            FreeConstant(name, max(low, LEAST_PART * high), high, _unit(name))
             for name, (low, high) in bounds.items()
             if name.startswith(("mu", "alpha"))
         ]
@@ -197,7 +198,14 @@ class CorneaStudySource:
         self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Name surfaces and regions as those of a cornea."""
-        return {}, replace(summary, where=tuple(region_rows(diagnosis)))
+        named = replace(
+            summary,
+            where=tuple(region_rows(diagnosis)),
+            surfaces=SURFACES,
+            compared="the outer and the inner surface of the cornea",
+            not_simulated=ORGAN.not_simulated,
+        )
+        return {}, named
 
     @property
     def acquisition(self) -> Acquisition:
@@ -276,6 +284,10 @@ def surface_points(
     own = np.concatenate(interfaces)
     points = InterfacePoints(places, np.concatenate(normals), own, np.concatenate(lengths), own)
     return points, chosen.astype(np.intp)
+
+
+def _unit(constant: str) -> Unit:
+    return KPA if constant.startswith("mu") else NUMBER
 
 
 def frame_of_section(mesh: T6Mesh) -> Frame:

@@ -27,6 +27,7 @@ from service.commands import (
     show,
     simulate,
     status,
+    store,
     token,
 )
 from storage.errors import PalpateError
@@ -74,6 +75,7 @@ app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
 app.command("serve")(serve.serve)
 app.add_typer(token.app, name="token")
+app.add_typer(store.app, name="store")
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
 

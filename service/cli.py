@@ -33,6 +33,7 @@ from service.commands import (
     show,
     simulate,
     status,
+    store,
     token,
 )
 from service.commands.settings import remember_command
@@ -99,6 +100,7 @@ app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
 app.command("serve")(serve.serve)
 app.add_typer(token.app, name="token")
+app.add_typer(store.app, name="store")
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
 

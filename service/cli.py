@@ -14,6 +14,7 @@ from service.commands import (
     blind,
     diagnose,
     doctor,
+    export,
     import_,
     import_case,
     mesh,
@@ -70,6 +71,7 @@ app.command("phantom")(phantom.phantom)
 app.command("mesh")(mesh.mesh)
 app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
+app.command("export")(export.export)
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
 

@@ -27,25 +27,20 @@ def simulate(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Write the deformed mesh (.vtu, .vtk, .msh) or volume (.nrrd)."),
+        typer.Option(
+            help="Write the deformed mesh (.vtu, .vtk, .msh), volume (.nrrd) or surface (.stl), or "
+            "the whole model (.inp, .feb); see `palpate export`."
+        ),
     ] = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compress the body of a study once; constants not set are the case's own."""
-    from service.export import (
-        MESH_SUFFIXES,
-        VOLUME_SUFFIXES,
-        check_suffix,
-        export_stored_mesh,
-        export_volume,
-    )
-    from storage.fields import load_field
+    from service.export.suffixes import SOLVED_SUFFIXES, VOLUME_SUFFIXES, check_suffix
     from storage.stores import open_store
-    from storage.volumes import load_volume
-    from workers.tasks.evaluation import prepare_case, simulate_once
+    from workers.tasks.evaluation import simulate_once
 
-    check_suffix(out, MESH_SUFFIXES + VOLUME_SUFFIXES)
+    check_suffix(out, SOLVED_SUFFIXES)
     spec = load_spec(study)
     case = spec.case.model_dump(mode="json")
     stated = constants_option(spec, constants or [])
@@ -54,10 +49,15 @@ def simulate(
     volume = result.get("volume")
     if out is not None and volume is not None:
         if out.suffix.lower() in VOLUME_SUFFIXES:
+            from service.export.stored import export_volume
+            from storage.volumes import load_volume
+
             export_volume(out, load_volume(opened, volume))
         else:
-            mesh = prepare_case(case, str(opened))["mesh"]
-            export_stored_mesh(out, opened, mesh, load_field(opened, result["digest"]))
+            from service.export.formats import export_solved
+            from service.export.solved_body import solve_body
+
+            export_solved([out], solve_body(case, stated, str(opened), spec.name))
     if as_json:
         print_json(result)
     else:

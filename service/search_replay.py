@@ -15,6 +15,9 @@ from storage.errors import JournalError
 from storage.records import EvaluationRecord
 from storage.status import Status
 
+# Candidates whose (1 - JC) MHD is at most a tenth above the best one's are equally good.
+EQUALLY_GOOD = math.log(1.1)
+
 
 @dataclass(frozen=True, eq=False)
 class PendingGeneration:
@@ -134,3 +137,11 @@ def best_of(endings: Mapping[int, EvaluationRecord]) -> EvaluationRecord | None:
     """Return the candidate with the lowest score, the first of equals; None if none has one."""
     scored = [endings[c] for c in sorted(endings) if score_of(endings[c]) < math.inf]
     return min(scored, key=score_of, default=None)
+
+
+def equally_good(
+    endings: Mapping[int, EvaluationRecord], best: EvaluationRecord
+) -> list[EvaluationRecord]:
+    """Return the candidates whose scores cannot be told from the best one's, itself included."""
+    limit = score_of(best) + EQUALLY_GOOD
+    return [endings[c] for c in sorted(endings) if score_of(endings[c]) <= limit]

@@ -7,6 +7,7 @@ reads YAML, and says in which keys two studies differ.
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, Literal, Self, cast
 
 import yaml
@@ -27,7 +28,7 @@ from storage.digest import digest
 from storage.errors import InputError
 from workers.mechanics.parameters import Bounds, unknown_name
 from workers.organs.registry import DEFAULT, MODULES, organ_named
-from workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec, validated
+from workers.spec import CaseSpec, Door, Identifiable, ScoreSpec, TargetSpec, validated
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 
@@ -139,9 +140,23 @@ class StudySpec(Door):
         """Return the search, ready to propose."""
         return GeneticSearch(self.search.space, self.search.settings, self.seed)
 
+    @property
+    def common_scale(self) -> tuple[str, ...]:
+        """Return the searched stiffnesses of which only ratios can be found, inside names."""
+        names = [self.case.parameters.at_door(name).name for name in self.search.parameters]
+        return self.case.common_scale(names)
+
     def constants_of(self, genes: Mapping[str, float]) -> dict[str, float]:
         """Convert searched parameters from the door (kPa) to names and units inside (MPa)."""
         return self.case.parameters.from_door(genes)
+
+    @property
+    def identifiable(self) -> Identifiable:
+        """Return whether stiffnesses can be found, or only their ratios."""
+        parameters = self.case.parameters
+        return self.case.identifiable(
+            {parameters.at_door(name).name for name in self.search.parameters}
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, defaults written out."""
@@ -214,7 +229,8 @@ def read_spec(path: Path) -> StudySpec:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(
-            f"There is no study file {path}. Write one with `palpate new breast {path.stem}`."
+            f"There is no study file {path}. Write one with `palpate new breast "
+            f"{quote(path.stem)}`."
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path} cannot be read as text: {error}.") from error

@@ -24,6 +24,7 @@ from service.cluster import open_cluster
 from service.dispatch import Dispatcher
 from service.results import StudyResults, study_results
 from service.study import Study
+from storage.stores import open_store
 from workers.organs.cornea.cohort import (
     AVERAGE_CORNEA_JC,
     AVERAGE_CORNEA_MHD_UM,
@@ -44,6 +45,7 @@ def main() -> None:
     """Run the batch, or continue it, and print the two tables."""
     wanted = arguments()
     eyes = TABLE_5_2[: wanted.eyes]
+    open_store(wanted.folder / "store")  # once, before studies that begin at the same time
     studies = [(eye, spec_of(eye, wanted), wanted.folder / name_of(eye)) for eye in eyes]
     with (
         open_cluster(wanted.scheduler, wanted.workers) as cluster,
@@ -72,6 +74,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, help="processes of this machine")
     parser.add_argument("--at-once", type=int, default=3, help="studies in flight")
     parser.add_argument("--eyes", type=int, default=len(TABLE_5_2), help="the first so many")
+    parser.add_argument("--elements", type=int, default=960, help="6-node triangles of an eye")
     parser.add_argument("--population", type=int, default=84)
     parser.add_argument("--generations", type=int, default=15)
     return parser.parse_args()
@@ -98,7 +101,7 @@ def spec_of(eye: CohortEye, wanted: argparse.Namespace) -> StudySpec:
     return study_spec(
         {
             "name": name_of(eye),
-            "case": case_of(eye),
+            "case": case_of(eye) | {"mesh": {"elements": wanted.elements}},
             "target": {"constants": eye.constants._asdict()},
             "search": {
                 "parameters": {"mu1_pa": MU_PA, "alpha1": ALPHA, "mu2_pa": MU_PA, "alpha2": ALPHA},

@@ -54,7 +54,7 @@ class Answering:
     declared: str | None = None
 
 
-def unanswered(asked: Answering) -> list[str]:
+def unanswered(answering: Answering) -> list[str]:
     """Check that the set is as sealed, and which cases wait for an answer.
 
     Raises
@@ -63,29 +63,30 @@ def unanswered(asked: Answering) -> list[str]:
         If a case has changed, or the diagnosis has and nobody says why, or there are
         answers of other code.
     """
-    blind = asked.blind
+    blind = answering.blind
     manifest = read_manifest(blind)
     check_cases(blind, manifest)
-    now = frozen(asked.nodes)
+    now = frozen(answering.nodes)
     changed = differences(manifest["diagnosis"], now)
-    if changed and not asked.declared:
+    if changed and not answering.declared:
         raise InputError(
             f"The diagnosis is not the one that {blind.manifest} was sealed against: "
             f"{', '.join(changed)} changed. Answer with that one, make a new set, or say why "
             'with --declare "..."; the score repeats it.'
         )
     names = sorted(manifest["cases"])
-    answered = [n for n in names if blind.answer(n, asked.directions).is_file()]
-    others = [n for n in answered if _code(asked, n) != now.code]
+    answered = [n for n in names if blind.answer(n, answering.directions).is_file()]
+    others = [n for n in answered if _code(answering, n) != now.code]
     if others:
         raise InputError(
-            f"{blind.answers(asked.directions)} has answers of other code: {', '.join(others)}. "
+            f"{blind.answers(answering.directions)} has answers of other code: "
+            f"{', '.join(others)}. "
             "Answer a set with one version: go back to that one, or remove these answers."
         )
     return [n for n in names if n not in answered]
 
 
-def answer(asked: Answering, names: Sequence[str], dispatcher: Dispatcher, tell: Tell) -> None:
+def answer(answering: Answering, names: Sequence[str], dispatcher: Dispatcher, tell: Tell) -> None:
     """Diagnose cases and keep the answers.
 
     Parameters
@@ -104,35 +105,37 @@ def answer(asked: Answering, names: Sequence[str], dispatcher: Dispatcher, tell:
     Interrupted
         If the dispatcher is told to stop.
     """
-    chosen = list(names[: asked.limit])
+    chosen = list(names[: answering.limit])
     workers = max(1, dispatcher.threads)
     rest = len(chosen) % workers
     together = rest if 2 * rest < workers else 0
     whole, last = chosen[: len(chosen) - together], chosen[len(chosen) - together :]
-    code = frozen(asked.nodes).code
-    for name, request, failed in _whole(asked, whole, dispatcher):
-        _keep(asked, name, request, failed, code)
+    code = frozen(answering.nodes).code
+    for name, request, failed in _whole(answering, whole, dispatcher):
+        _keep(answering, name, request, failed, code)
         tell(failed)
     for name in last:
-        asking, failed = _one(asked, name, dispatcher)
-        _keep(asked, name, asking, failed, code)
+        asking, failed = _one(answering, name, dispatcher)
+        _keep(answering, name, asking, failed, code)
         tell(failed)
 
 
-def seal(asked: Answering) -> str | None:
+def seal(answering: Answering) -> str | None:
     """Seal the answers if all are there; the hash of the seal, or None."""
-    if unanswered(asked):
+    if unanswered(answering):
         return None
-    path = asked.blind.sealed_answers(asked.directions)
-    manifest = read_manifest(asked.blind)
-    now = frozen(asked.nodes)
-    reason = asked.declared if differences(manifest["diagnosis"], now) else None
+    path = answering.blind.sealed_answers(answering.directions)
+    manifest = read_manifest(answering.blind)
+    now = frozen(answering.nodes)
+    reason = answering.declared if differences(manifest["diagnosis"], now) else None
     if path.is_file():
         return file_hash(path)
-    return seal_answers(asked.blind, asked.directions, sorted(manifest["cases"]), now, reason)
+    return seal_answers(
+        answering.blind, answering.directions, sorted(manifest["cases"]), now, reason
+    )
 
 
-def request_of(asked: Answering, name: str) -> DiagnosisRequest:
+def request_of(answering: Answering, name: str) -> DiagnosisRequest:
     """Return what is asked of the diagnosis: the folder of a case, or of its scans along y.
 
     Raises
@@ -142,10 +145,10 @@ def request_of(asked: Answering, name: str) -> DiagnosisRequest:
     StoreError
         If the store cannot be used.
     """
-    folder = asked.blind.case(name)
-    if asked.directions == "y":
-        folder = along_y(folder, open_store(asked.store).root / "along-y" / name)
-    return request_for(folder, asked.store, asked.nodes)
+    folder = answering.blind.case(name)
+    if answering.directions == "y":
+        folder = along_y(folder, open_store(answering.store).root / "along-y" / name)
+    return request_for(folder, answering.store, answering.nodes)
 
 
 def along_y(case: Path, copy: Path) -> Path:
@@ -173,7 +176,7 @@ def along_y(case: Path, copy: Path) -> Path:
 
 
 def _whole(
-    asked: Answering, names: Sequence[str], dispatcher: Dispatcher
+    answering: Answering, names: Sequence[str], dispatcher: Dispatcher
 ) -> Iterator[tuple[str, DiagnosisRequest | None, str]]:
     """Return cases in order of arrival: the name, what was asked, and why it failed if it did."""
     requests: dict[str, DiagnosisRequest] = {}
@@ -182,7 +185,7 @@ def _whole(
     def calls() -> Iterator[tuple[str, tuple[DiagnosisRequest]]]:
         for name in names:
             try:
-                requests[name] = request_of(asked, name)
+                requests[name] = request_of(answering, name)
             except InputError as error:
                 refused[name] = _sentence(error)
                 continue
@@ -204,11 +207,11 @@ def _reason(ending: Ending) -> str:
 
 
 def _one(
-    asked: Answering, name: str, dispatcher: Dispatcher
+    answering: Answering, name: str, dispatcher: Dispatcher
 ) -> tuple[DiagnosisRequest | None, str]:
     """Diagnose with all workers: what was asked, and why it failed if it did."""
     try:
-        request = request_of(asked, name)
+        request = request_of(answering, name)
         run(request, dispatcher)
     except (InputError, TaskError) as error:
         return None, _sentence(error)
@@ -220,10 +223,10 @@ def _sentence(error: Exception) -> str:
 
 
 def _keep(
-    asked: Answering, name: str, request: DiagnosisRequest | None, failed: str, code: str
+    answering: Answering, name: str, request: DiagnosisRequest | None, failed: str, code: str
 ) -> None:
     if failed or request is None:
-        write_failure(asked.blind, name, asked.directions, failed, code)
+        write_failure(answering.blind, name, answering.directions, failed, code)
         return
     found = finished(request)
     if found is None:
@@ -231,8 +234,8 @@ def _keep(
             f"The case {name} is diagnosed, but {request.store} does not hold it. Give a "
             "--store that workers and driver share."
         )
-    write_answer(asked.blind, name, asked.directions, request, found, code)
+    write_answer(answering.blind, name, answering.directions, request, found, code)
 
 
-def _code(asked: Answering, name: str) -> str:
-    return str(read_json(asked.blind.answer(name, asked.directions)).get("code"))
+def _code(answering: Answering, name: str) -> str:
+    return str(read_json(answering.blind.answer(name, answering.directions)).get("code"))

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.commands.common import (
-    RUNS,
     JsonOption,
     StoreOption,
     constants_option,
     load_spec,
     print_json,
 )
+from service.commands.settings import store_folder
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -63,10 +63,12 @@ def export(
 
     from service.export.formats import export_solved
     from service.export.solved_body import solve_body
+    from workers.tasks.study_checks import check_case
 
+    check_case(spec.case)
     case = spec.case.model_dump(mode="json")
     target = spec.target.model_dump(mode="json")
-    where = str(store or RUNS / "store")
+    where = str(store_folder(store))
     body = solve_body(case, stated, where, f"{spec.name}, {whose}", target)
     shown = export_solved(files, body, as_told=comparable)
     record = _record(shown, whose, files)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from service.diagnosis.words import likely, measured, millimetres, signed, spoken
-from service.report.words import NONE, number, percent, signed_error, symbol
+from service.formatting import NONE, number, percent, signed_error, symbol
 from workers.diagnosis import summary as schema
 
 Pair = tuple[str, str]

@@ -79,11 +79,11 @@ def sections(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Pict
         )
 
 
-def cause_picture(found: Arrays, told: CauseMapSummary | None, accused: str) -> Picture | None:
+def cause_picture(found: Arrays, causes: CauseMapSummary | None, accused: str) -> Picture | None:
     """Return the map of causes; None if there is none."""
-    if told is None or "cause_before" not in found:
+    if causes is None or "cause_before" not in found:
         return None
-    before = told.before
+    before = causes.before
     body = _volume(found["labels_rest"], found["labels_rest_frame"])
     keys = {key: found[f"cause_{key}"] for key in ("before", "after") if f"cause_{key}" in found}
     shown = {
@@ -91,12 +91,12 @@ def cause_picture(found: Arrays, told: CauseMapSummary | None, accused: str) -> 
     }
     at: Triple = (before.x_mm, before.y_mm, before.z_mm)
     drawn = cause_sections(shown, body, at, before.reached_by_noise)
-    return _captioned(drawn, "Map of causes", cause_words(told))
+    return _captioned(drawn, "Map of causes", cause_words(causes))
 
 
-def cause_words(told: CauseMapSummary) -> str:
+def cause_words(causes: CauseMapSummary) -> str:
     """Return where the map is loudest, and whether that is more than noise."""
-    before = told.before
+    before = causes.before
     way = "stiffer" if before.score > 0 else "softer"
     noise = before.reached_by_noise
     at = {"x": before.x_mm, "y": before.y_mm, "z": before.z_mm}

@@ -251,9 +251,9 @@ def score_bodies(
 
 def _dependencies(spec: CaseSpec, prepared: PreparedBody, values: Mapping[str, float]) -> list[Any]:
     """Return all that a simulation depends on: bodies by content, the case, constants, code."""
-    asked = spec.model_dump(mode="json", exclude={"reference", "mesh", "constants"})
+    settings = spec.model_dump(mode="json", exclude={"reference", "mesh", "constants"})
     code = code_version(__name__, organ_module(spec.organ))
-    return [prepared["volume"], prepared["mesh"], asked, dict(values), code]
+    return [prepared["volume"], prepared["mesh"], settings, dict(values), code]
 
 
 def _digests(prepared: PreparedBody) -> dict[str, str]:

@@ -89,7 +89,8 @@ def distances(points: FloatArray, polyline: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _squared_distances(points, xs, ys):  # type: ignore[no-untyped-def]
+def _squared_distances(points: FloatArray, xs: FloatArray, ys: FloatArray) -> FloatArray:
+    """Return the squares of the distances of points from a polyline, chunk by chunk."""
     sides = len(xs) - 1
     chunks = (sides + CHUNK - 1) // CHUNK
     box = np.empty((chunks, 4))
@@ -120,8 +121,10 @@ def _squared_distances(points, xs, ys):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _to_chunk(px, py, xs, ys, chunk, best):  # type: ignore[no-untyped-def]
-    """Smallest squared distance from the sides of one chunk, or `best` if that is smaller."""
+def _to_chunk(
+    px: float, py: float, xs: FloatArray, ys: FloatArray, chunk: int, best: float
+) -> float:
+    """Return the least squared distance from the sides of a chunk, or `best` if that is less."""
     for i in range(chunk * CHUNK, min(len(xs) - 1, (chunk + 1) * CHUNK)):
         ax = xs[i] - px
         ay = ys[i] - py

@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from storage.errors import InputError
+from storage.values import FloatArray
 from workers.organs.cornea.contour_distance import distances
 from workers.organs.cornea.section import Section
 
@@ -58,8 +59,8 @@ def check_section(section: Section) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _first_crossing(upper, lower):  # type: ignore[no-untyped-def]
-    """x of the first crossing of two polylines with ascending x, or infinity."""
+def _first_crossing(upper: FloatArray, lower: FloatArray) -> float:
+    """Return x of the first crossing of two polylines with ascending x, or infinity."""
     j = 0
     for i in range(len(upper) - 1):
         ax, ay = upper[i]

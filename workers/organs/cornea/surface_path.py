@@ -29,7 +29,8 @@ def best_path(gain: FloatArray, steepest: int, bend: float) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def _best_path(gain, steepest, bend):  # type: ignore[no-untyped-def]
+def _best_path(gain: FloatArray, steepest: int, bend: float) -> IntArray:
+    """Return the row of the path in every column; see `best_path`."""
     rows, columns = gain.shape
     total = gain[:, 0].copy()
     previous = np.zeros((rows, columns), dtype=np.int32)

@@ -6,14 +6,15 @@ import math
 import pytest
 from matplotlib import rcParams
 
-from service.report import study_figures, words
+from service import formatting
+from service.report import study_figures
 from service.report.canvas import svg
 from service.report.study_figures import EvaluationPoint, SearchedParameter
 from service.report.study_pictures import best_tenth
 
 
 def test_the_examples_in_the_docstrings() -> None:
-    told = doctest.testmod(words)
+    told = doctest.testmod(formatting)
     assert told.failed == 0
     assert told.attempted >= 8
 
@@ -30,20 +31,20 @@ def test_the_examples_in_the_docstrings() -> None:
     ],
 )
 def test_numbers(value: float, said: str) -> None:
-    assert words.number(value) == said
+    assert formatting.number(value) == said
 
 
 def test_the_sign_of_an_error_says_on_which_side() -> None:
-    assert words.signed_error(9.0, 10.0) == pytest.approx(-0.1)
-    assert words.signed_error(11.0, 10.0) == pytest.approx(0.1)
-    assert words.signed_error(1.0, 0.0) is None
-    assert words.signed_error(None, 1.0) is None
+    assert formatting.signed_error(9.0, 10.0) == pytest.approx(-0.1)
+    assert formatting.signed_error(11.0, 10.0) == pytest.approx(0.1)
+    assert formatting.signed_error(1.0, 0.0) is None
+    assert formatting.signed_error(None, 1.0) is None
 
 
 def test_an_edge_is_a_hundredth_of_the_interval() -> None:
-    assert words.at_edge(5.1, (5.0, 20.0))
-    assert not words.at_edge(5.2, (5.0, 20.0))
-    assert words.at_edge(19.9, (5.0, 20.0))
+    assert formatting.at_edge(5.1, (5.0, 20.0))
+    assert not formatting.at_edge(5.2, (5.0, 20.0))
+    assert formatting.at_edge(19.9, (5.0, 20.0))
 
 
 def points() -> list[EvaluationPoint]:

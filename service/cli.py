@@ -19,6 +19,7 @@ from service.commands import (
     blind,
     diagnose,
     doctor,
+    export,
     import_,
     import_case,
     mesh,
@@ -98,6 +99,7 @@ app.command("phantom")(phantom.phantom)
 app.command("mesh")(mesh.mesh)
 app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
+app.command("export")(export.export)
 app.command("serve")(serve.serve)
 app.add_typer(token.app, name="token")
 app.add_typer(store.app, name="store")

@@ -35,6 +35,7 @@ from service.commands import (
     simulate,
     status,
     store,
+    strategies,
     token,
 )
 from service.commands.settings import remember_command
@@ -105,6 +106,7 @@ app.add_typer(token.app, name="token")
 app.add_typer(store.app, name="store")
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
+app.command("strategies")(strategies.strategies)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

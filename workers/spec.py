@@ -90,6 +90,11 @@ class CaseSpec(Door):
             If a name in `constants` is unknown or a value is not admissible.
         """
 
+    @property
+    def mesh_nodes(self) -> int | None:
+        """Return about how many nodes the mesh has; None where the case does not say."""
+        return None
+
     def canonical(self, genes: Mapping[str, float]) -> dict[str, float]:
         """Return parameters at the door such that equal models have equal ones."""
         return dict(genes)

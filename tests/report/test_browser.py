@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis_bodies_at_hand import NOMINAL_MM, PRESSED_MM, SCANS, found
 from diagnosis_bodies_at_hand import HALF_AXES_MM as AT_REST_MM
+from diagnosis_bodies_at_hand import NOMINAL_MM, PRESSED_MM, SCANS, found
 from study_data_at_hand import BODIES, study_data
 
 from service.report import diagnosis_page, study_page

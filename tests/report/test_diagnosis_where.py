@@ -35,7 +35,6 @@ from service.report.palette import BLUE, VERMILION
 from service.report.slices import Section
 from storage.values import Volume
 
-
 CLEAR = "#00000000"
 
 

@@ -6,7 +6,8 @@ running meanwhile. `service.results_json` writes the same as JSON.
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,6 +20,7 @@ from service.identification import (
     identification_from_tangents,
 )
 from service.quantities import Quantity, not_neutral, quantities_inside
+from service.ratios import RatioEstimate, ratio_estimates
 from service.search.base import Generation
 from service.search_replay import PendingGeneration, SearchReplay, best_of, equally_good
 from service.spec import StudySpec
@@ -30,7 +32,7 @@ from storage.plain import loads
 from storage.records import EvaluationRecord
 from storage.task_records import BodyFacts, Scores, TargetKind
 from workers.organs.registry import organ_named
-from workers.spec import validated
+from workers.spec import Identifiable, validated
 
 StudyState = Literal["running", "stopped", "interrupted"]
 
@@ -173,10 +175,10 @@ class StudyResults:
         Of Palpate, its code and the packages that results depend on.
     store : str or None
         Of the last run.
-    identification : Identification or None
-        How well the image determines each constant; None until the search has stopped.
     findings : mapping
         What the fitted body tells; see `workers.organs.registry.Findings`. Maybe empty.
+    identification : Identification or None
+        How well the image determines each constant; None until the search has stopped.
     """
 
     folder: Path
@@ -197,13 +199,23 @@ class StudyResults:
     sessions: int
     versions: Mapping[str, str]
     store: str | None
-    findings: Mapping[str, Any]
+    findings: Mapping[str, Any] = field(default_factory=dict)
     identification: Identification | None = None
 
     @property
     def name(self) -> str:
         """Return the name of the study."""
         return self.spec.name
+
+    @property
+    def identifiable(self) -> Identifiable:
+        """Return whether the load tells the estimates or only their ratios."""
+        return self.spec.identifiable
+
+    @property
+    def ratios(self) -> tuple[RatioEstimate, ...]:
+        """Return the ratios of stiffnesses where these are all that can be found."""
+        return ratio_estimates(self.estimates) if self.identifiable == "ratio" else ()
 
     @property
     def best_score(self) -> Scores | None:
@@ -286,15 +298,15 @@ def study_results(folder: Path) -> StudyResults:
         failures=tuple(record for record in endings if record.reason),
         undeformed_scores={} if end is None else end.before,
         best_scores={} if end is None else end.per_label,
-        wall_s=log.seconds,
+        wall_s=log.wall_s(_last_sign(folder)),
         stages=_stages(log.endings.values()),
         body_facts={} if session is None else session.prepared["facts"],
         target_kind=None if session is None else session.target["kind"],
         sessions=len(log.sessions),
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
-        identification=_identification(spec, log, best),
         findings=_findings(folder),
+        identification=_identification(spec, log, best),
     )
 
 
@@ -338,6 +350,13 @@ def _no_such(what: str, folder: Path, why: str) -> InputError:
 def _findings(folder: Path) -> Mapping[str, Any]:
     path = StudyLayout(folder).findings
     return dict(loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+
+
+def _last_sign(folder: Path) -> datetime:
+    """Return until when a study has run: until now, or until it last wrote its journal."""
+    journal = StudyLayout(folder).journal
+    written = datetime.fromtimestamp(journal.stat().st_mtime, UTC)
+    return datetime.now(UTC) if is_running(folder) else written
 
 
 def _state(folder: Path, log: StudyLog) -> StudyState:

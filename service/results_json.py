@@ -11,6 +11,7 @@ from typing import Any
 
 from service.identification import Identification
 from service.quantities import quantities_at_door, quantities_json
+from service.ratios import RatioEstimate
 from service.results import (
     CandidateResults,
     GenerationResult,
@@ -32,6 +33,8 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "study": results.name,
         "state": results.state,
         "stopped": results.stop_reason,
+        "identifiable": results.identifiable,
+        "ratios": {r.name: _ratio(r) for r in results.ratios},
         "estimates": {name: _estimate(e) for name, e in results.estimates.items()},
         "identification": _identification(results.identification),
         "score": _score(results.best_score or {}),
@@ -107,6 +110,14 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
 
 def _identification(found: Identification | None) -> dict[str, Any] | None:
     return None if found is None else asdict(found) | {"weak": list(found.weak)}
+
+
+def _ratio(ratio: RatioEstimate) -> dict[str, Any]:
+    return {
+        "estimate": ratio.estimate,
+        "target": ratio.target,
+        "relative_error": ratio.relative_error,
+    }
 
 
 def _score(score: Scores) -> dict[str, float | None]:

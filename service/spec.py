@@ -7,6 +7,7 @@ reads YAML, and says in which keys two studies differ.
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, Literal, Self, cast
 
 import yaml
@@ -27,7 +28,7 @@ from storage.digest import digest
 from storage.errors import InputError
 from workers.mechanics.parameters import Bounds, unknown_name
 from workers.organs.registry import DEFAULT, MODULES, organ_named
-from workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec, validated
+from workers.spec import CaseSpec, Door, Identifiable, ScoreSpec, TargetSpec, validated
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 
@@ -149,6 +150,14 @@ class StudySpec(Door):
         """Convert searched parameters from the door (kPa) to names and units inside (MPa)."""
         return self.case.parameters.from_door(genes)
 
+    @property
+    def identifiable(self) -> Identifiable:
+        """Return whether stiffnesses can be found, or only their ratios."""
+        parameters = self.case.parameters
+        return self.case.identifiable(
+            {parameters.at_door(name).name for name in self.search.parameters}
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, defaults written out."""
         return self.model_dump(mode="json")
@@ -220,7 +229,8 @@ def read_spec(path: Path) -> StudySpec:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(
-            f"There is no study file {path}. Write one with `palpate new breast {path.stem}`."
+            f"There is no study file {path}. Write one with `palpate new breast "
+            f"{quote(path.stem)}`."
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path} cannot be read as text: {error}.") from error

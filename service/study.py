@@ -7,6 +7,7 @@ the number of workers nor an interruption changes what is proposed next.
 """
 
 import math
+import re
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from service.dispatch import Dispatcher, Ending
-from service.errors import ClusterError
+from service.errors import ClusterError, GenerationCrashError
 from service.hooks import Hooks, Observer, StudyFacts
 from service.search.base import Generation, Stopped
 from service.search_replay import PendingGeneration, SearchReplay, best_of
@@ -44,6 +45,8 @@ from workers.tasks.findings import find
 
 # A generation that loses more than this share of its candidates accuses the cluster.
 MAX_LOST_SHARE = 0.2
+# What differs between two reasons that are one.
+NUMBERS = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 NO_SHARED_TISSUE = "it has no score: candidate and target share no tissue compared"
 
 
@@ -98,6 +101,13 @@ class Study:
     accept_new_code : bool
         Continue although the code has changed since the last run.
 
+    Attributes
+    ----------
+    ended, begun : bool
+        Whether its search has stopped; whether body and target were ever prepared.
+    store : Path
+        Where volumes and evaluations go.
+
     Raises
     ------
     InputError
@@ -120,7 +130,10 @@ class Study:
         self.tasks = tasks or Tasks()
         self.hooks = Hooks(observers)
         self.folder = StudyFolder(folder, spec, accept_new_code=accept_new_code)
-        self.ended = self.folder.check().end is not None
+        log = self.folder.check()
+        self.ended = log.end is not None
+        self.begun = bool(log.sessions)
+        self.store = Path(store or self.folder.default_store(log))
         self._given_store = store
 
     def run(self, dispatcher: Dispatcher, dashboard: str = "") -> Conclusion:
@@ -266,14 +279,28 @@ class _GenerationRun:
                 ending = Ending(name, "returned", stored)
                 self._journal(pending, candidates, ending, reused=True)
         lost = []
+        crashed = []  # are not journalled while nothing but crashes has come
+        others = self._has_other_endings(pending)
         for ending in self.dispatcher.run(self.tasks.evaluate, calls):
             if ending.kind == "lost":
                 lost.append(ending)
                 _blame_cluster_if_many(lost, len(calls))
+            elif ending.kind == "crashed" and not others:
+                crashed.append(ending)
             else:
-                self._journal(pending, sharing[ending.key], ending, reused=False)
-        for ending in lost:
+                others = True
+                for earlier in [*crashed, ending]:
+                    self._journal(pending, sharing[earlier.key], earlier, reused=False)
+                crashed.clear()
+        if not lost:
+            _refuse_if_all_crashed(crashed, pending.number)
+        for ending in [*crashed, *lost]:
             self._journal(pending, sharing[ending.key], ending, reused=False)
+
+    def _has_other_endings(self, pending: PendingGeneration) -> bool:
+        """Return whether a candidate of a generation has ended otherwise than in a crash."""
+        ended = [self.endings[c] for c in pending.candidates if c in self.endings]
+        return any(record.status is not Status.CRASHED for record in ended)
 
     def keep_volumes(self, pending: PendingGeneration, generation: Generation) -> None:
         """Store the deformed volumes that the study file asks to keep."""
@@ -338,6 +365,18 @@ def _blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:
             f"{len(lost)} of {evaluations} candidates have lost their workers again and again: "
             f"{lost[0].reason}. The workers may have too little memory: start fewer with "
             "--workers, then run the study again; what is finished is kept."
+        )
+
+
+def _refuse_if_all_crashed(crashed: list[Ending], generation: int) -> None:
+    """Raise where all candidates crash for one reason: the search would learn nothing."""
+    reasons = {NUMBERS.sub("#", ending.reason) for ending in crashed}
+    if len(crashed) > 1 and len(reasons) == 1:
+        raise GenerationCrashError(
+            f"All {len(crashed)} candidates of generation {generation + 1} have crashed for one "
+            f"reason: {crashed[0].reason}. None of them is journalled: put it right, and the same "
+            "command continues the study.",
+            crashed[0].traceback,
         )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Self
 
@@ -34,16 +35,16 @@ class StudyLog:
         If the search has stopped.
     identification : IdentificationRecord or None
         What the image tells of the constants, once that is known.
-    seconds : float
-        Wall time of all runs, as far as they noted it.
+    session_seconds : tuple of float
+        Wall time of each run, as far as it noted it: at its last complete generation.
     """
 
     study: StudyRecord | None = None
     sessions: tuple[SessionRecord, ...] = ()
     endings: Mapping[int, EvaluationRecord] = field(default_factory=dict)
     end: EndRecord | None = None
-    seconds: float = 0.0
     identification: IdentificationRecord | None = None
+    session_seconds: tuple[float, ...] = ()
 
     @classmethod
     def read(cls, journal: Path) -> Self:
@@ -85,8 +86,22 @@ class StudyLog:
                 f"{journal} does not begin with its study: its head was cut off. Start a new "
                 "study; evaluations in the store are used again."
             )
-        seconds = sum(session_seconds)
-        return cls(study, tuple(sessions), endings, end, seconds, identification)
+        return cls(study, tuple(sessions), endings, end, identification, tuple(session_seconds))
+
+    def wall_s(self, until: datetime) -> float:
+        """Return the wall time of all runs.
+
+        Parameters
+        ----------
+        until : datetime
+            The moment to which the last run has come, if it has not noted its end.
+        """
+        noted = sum(self.session_seconds)
+        last = self.last_session
+        if last is None or self.end is not None:
+            return noted
+        since = (until - datetime.fromisoformat(last.began)).total_seconds()
+        return noted + max(0.0, last.seconds + since - self.session_seconds[-1])
 
     @property
     def last_session(self) -> SessionRecord | None:

@@ -6,8 +6,8 @@ raises it as an `InputError`. The keys of one organ stand in its own ``spec.py``
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, TypeVar
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -42,6 +42,7 @@ def require_one_of(record: BaseModel, first: str, second: str) -> None:
         raise ValueError(f"give exactly one of {first} and {second}, found {found}")
 
 
+Identifiable = Literal["absolute", "ratio"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -93,6 +94,16 @@ class CaseSpec(Door):
         """Return parameters at the door such that equal models have equal ones."""
         return dict(genes)
 
+    def identifiable(self, searched: Collection[str]) -> Identifiable:
+        """Return whether the load tells stiffnesses or only their ratios.
+
+        Parameters
+        ----------
+        searched : collection of str
+            Names inside of the parameters that are not held.
+        """
+        return "absolute"
+
     def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
         """Return the searched stiffnesses that can all grow by one factor without any effect.
 
@@ -101,7 +112,7 @@ class CaseSpec(Door):
         Parameters
         ----------
         searched : sequence of str
-            Inside names.
+            Names inside.
         """
         return ()
 

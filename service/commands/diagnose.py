@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import (
-    RUNS,
     JsonOption,
     SchedulerOption,
     StoreOption,
@@ -16,6 +15,7 @@ from service.commands.common import (
 )
 from service.commands.echo import folder_name, print_understood
 from service.commands.interrupts import interrupted, stop_requests
+from service.commands.settings import RUNS, cluster_options, store_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -73,6 +73,7 @@ def diagnose(
     from storage.typed_json import to_json
     from workers.tasks.sources import is_plannable, open_source
 
+    scheduler, workers = cluster_options(scheduler, workers)
     if plan and source.is_file() and not is_plannable(source):
         raise InputError(
             f"{source} is a bench experiment, and --plan knows further scans only. Leave it out."
@@ -80,7 +81,7 @@ def diagnose(
     opened = open_source(source)
     opened.check()
     print_understood(source)
-    request = request_for(opened, store or RUNS / "store", nodes)
+    request = request_for(opened, store_folder(store), nodes)
     began, when = time.monotonic(), datetime.now(UTC).isoformat()
     stored = finished(request) is not None
     with stop_requests() as requests:

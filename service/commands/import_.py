@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.commands.common import RUNS, JsonOption, StoreOption, print_json
+from service.commands.common import JsonOption, StoreOption, print_json
+from service.commands.settings import store_folder
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,13 +32,18 @@ def import_image(
     as_json: JsonOption = False,
 ) -> None:
     """Read a labelled image, name its tissues and keep it in the store."""
+    from service.spec import Name
     from storage.digest import array_digest, digest
     from storage.stores import open_store
     from storage.volumes import save_volume
     from workers.body.images.labels import summarise
     from workers.organs.registry import organ_named
-    from workers.spec import validated
+    from workers.spec import Door, validated
 
+    class Wanted(Door):
+        name: Name
+
+    validated(Wanted, {"name": name}, "The name (letters, digits, '.', '_' and '-')")
     breast = organ_named("breast")
     spec = validated(
         breast.target_spec,
@@ -50,7 +56,7 @@ def import_image(
         "The image's description",
     )
     volume = breast.make_body(spec)
-    opened = open_store(store or RUNS / "store")
+    opened = open_store(store_folder(store))
     digest_of_image = digest(
         "import", name, array_digest(volume.values), list(volume.spacing_mm), list(volume.origin_mm)
     )

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import (
-    RUNS,
     JsonOption,
     SchedulerOption,
     StoreOption,
@@ -16,6 +15,7 @@ from service.commands.common import (
 from service.commands.echo import folder_name, print_understood
 from service.commands.interrupts import interrupted, stop_requests
 from service.commands.planning import planned
+from service.commands.settings import RUNS, cluster_options, store_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,8 +48,9 @@ def plan(
     from service.diagnosis.planning import request_plan
     from storage.typed_json import to_json
 
+    scheduler, workers = cluster_options(scheduler, workers)
     print_understood(source)
-    request = request_plan(source, store or RUNS / "store", nodes)
+    request = request_plan(source, store_folder(store), nodes)
     with stop_requests() as requests:
         summary = planned(request, workers, scheduler, requests)
     if summary is None:

@@ -9,7 +9,13 @@ from service.commands.common import JsonOption, StudyArgument, find_study, print
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from service.results import StudyResults
+    from service.ratios import RatioEstimate
+    from service.results import ParameterEstimate, StudyResults
+
+ONLY_RATIOS = (
+    "Only ratios of the stiffnesses were found: the plates stood at a distance and no stiffness "
+    "was held. The values below have an arbitrary scale: do not quote them in kPa."
+)
 
 
 def report(study: StudyArgument = None, as_json: JsonOption = False) -> None:
@@ -35,6 +41,10 @@ def print_report(results: "StudyResults", console: "Console") -> None:
     from service.commands.tables import print_table
     from service.progress import clock
 
+    if results.identifiable == "ratio":
+        console.print(ONLY_RATIOS)
+        ratios = [(r.name, *_numbers(r, "")) for r in results.ratios]
+        print_table(console, ("ratio", "estimate", "target", "error"), ratios, right=(1, 2, 3))
     headings = ("parameter", "estimate", "target", "error", "searched")
     rows = _estimates(results)
     print_table(console, headings, rows, title=results.name, right=(1, 2, 3, 4))
@@ -57,14 +67,15 @@ def _estimates(results: "StudyResults") -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for name, e in results.estimates.items():
         unit = f" {e.unit}".rstrip()
-        error = e.relative_error
-        rows.append(
-            (
-                name,
-                "-" if e.estimate is None else f"{e.estimate:.4g}{unit}",
-                "-" if e.target is None else f"{e.target:.4g}{unit}",
-                "-" if error is None else f"{100 * error:.2g} %",
-                f"{e.lower:g} to {e.upper:g}{unit}",
-            )
-        )
+        rows.append((name, *_numbers(e, unit), f"{e.lower:g} to {e.upper:g}{unit}"))
     return rows
+
+
+def _numbers(e: "ParameterEstimate | RatioEstimate", unit: str) -> tuple[str, str, str]:
+    """Return estimate, target and error as texts."""
+    error = e.relative_error
+    return (
+        "-" if e.estimate is None else f"{e.estimate:.4g}{unit}",
+        "-" if e.target is None else f"{e.target:.4g}{unit}",
+        "-" if error is None else f"{100 * error:.2g} %",
+    )

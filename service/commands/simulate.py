@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import (
-    RUNS,
     AllOption,
     JsonOption,
     StoreOption,
@@ -14,6 +13,7 @@ from service.commands.common import (
     load_spec,
     print_json,
 )
+from service.commands.settings import store_folder
 
 if TYPE_CHECKING:
     from service.quantities import Quantity
@@ -51,12 +51,14 @@ def simulate(
     from storage.volumes import load_volume
     from workers.organs.registry import organ_named
     from workers.tasks.evaluation import prepare_case, simulate_once
+    from workers.tasks.study_checks import check_case
 
     check_suffix(out, MESH_SUFFIXES + VOLUME_SUFFIXES)
     spec = load_spec(study)
+    check_case(spec.case)
     case = spec.case.model_dump(mode="json")
     stated = constants_option(spec, constants or [])
-    opened = open_store(store or RUNS / "store")
+    opened = open_store(store_folder(store))
     result = simulate_once(case, stated, str(opened))
     volume = result.get("volume")
     if out is not None and volume is not None:

@@ -50,7 +50,8 @@ def _rows(results: "StudyResults") -> list[tuple[str, str]]:
         texts = (f"{name} {q.value:.4g} {q.unit}".rstrip() for name, q in genes.items())
         rows.append(("", ", ".join(texts)))
     runs = "1 run" if results.sessions == 1 else f"{results.sessions} runs"
-    rows.append(("time", f"{clock(results.wall_s)} in {runs}"))
+    time = f"{clock(results.wall_s)} in {runs}"
+    rows.append(("time", time if results.sessions else "body and target are being prepared"))
     return rows
 
 

@@ -139,6 +139,8 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "study": None,
     "state": None,
     "stopped": None,
+    "identifiable": None,
+    "ratios": [],
     "estimates": ["E_fat", "E_glandular"],
     "identification": None,
     "score": SCORE_KEYS,

@@ -1,6 +1,6 @@
 """What may be stated of a breast: the case, the target and the score of a study."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, Field, StringConstraints, model_validator
@@ -16,13 +16,14 @@ from workers.spec import (
     CaseSpec,
     Door,
     Finite,
+    Identifiable,
     Positive,
     ScoreSpec,
     TargetSpec,
     checked,
     require_one_of,
 )
-from workers.units import KPA, KPA_PER_MM, MM_PER_KPA, N_PER_M, G
+from workers.units import FORCE_UNITS, KPA
 
 
 def _three(given: Any) -> Any:
@@ -188,31 +189,32 @@ class BreastCase(CaseSpec):
         """See `CaseSpec.complete`."""
         return BREAST_MODEL.complete(BREAST_MODEL.from_door(self.constants), constants or {})
 
-    def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
-        """See `CaseSpec.common_scale`: with plates at a distance nothing fixes the forces.
+    def identifiable(self, searched: Collection[str]) -> Identifiable:
+        """See `CaseSpec.identifiable`.
 
-        A stiffness that is held, stated or neutral, fixes the others, if the body feels it.
+        Plates that stand at a distance deform a body alike when all its stiffnesses and all
+        forces on it are doubled, so without a force one of these has to be held.
         """
         if self.load.force_n is not None:
-            return ()
-        acting = {"E_fat", "eta_fat", "E_glandular", "eta_glandular"}
-        acting |= set() if self.model.skin == "none" else {"E_skin"}
+            return "absolute"
+        values = self.complete()
         stated = BREAST_MODEL.from_door(self.constants)
-        held = any(_has_force(n) and v != BREAST_MODEL[n].neutral for n, v in stated.items())
-        scaled = [n for n in searched if BREAST_MODEL[n].unit == KPA]
-        others = any(_has_force(n) for n in set(searched) - set(scaled))
-        if held or others or not acting <= set(scaled):
-            return ()
-        return tuple(scaled)
+        for p in self.parameters:
+            follows = p.follows in searched and p.name not in stated
+            if p.unit in FORCE_UNITS and values[p.name] and p.name not in searched and not follows:
+                return "absolute"
+        return "ratio"
+
+    def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
+        """See `CaseSpec.common_scale`: with plates at a distance nothing fixes the forces."""
+        scaled = [n for n in searched if BREAST_MODEL[n].unit in FORCE_UNITS]
+        stiffnesses = all(BREAST_MODEL[n].unit == KPA for n in scaled)
+        absolute = self.identifiable(searched) == "absolute"
+        return () if absolute or not stiffnesses else tuple(scaled)
 
     def unused_parameter(self, name: str) -> str:
         """See `CaseSpec.unused_parameter`."""
         return "the case has no skin: case.model.skin is none" if name == "E_skin_kpa" else ""
-
-
-def _has_force(name: str) -> bool:
-    """Return whether a parameter has the dimension of a force: a stiffness, or gravity."""
-    return BREAST_MODEL[name].unit in (KPA, KPA_PER_MM, MM_PER_KPA, N_PER_M, G)
 
 
 class BreastTarget(ImageSpec, TargetSpec):

@@ -32,6 +32,7 @@ from workers.organs.cornea.identifiability import (
     shear_modulus_bound,
     shear_modulus_slope,
     stress_curve,
+    stress_slope,
 )
 from workers.organs.cornea.load import MPA_PER_MMHG
 from workers.organs.cornea.model_cache import MeshForModels
@@ -43,7 +44,7 @@ from workers.organs.cornea.spec import CorneaCase, CorneaScore, FindingsSpec
 from workers.organs.cornea.thickness import thickness_change
 
 # The curve is drawn from rest to this part beyond the largest stretch.
-BEYOND = 1.5
+BEYOND = 1.25
 CURVE_POINTS = 41
 # Factors at which a constant is held for its profile.
 PROFILE_LOGARITHMS = np.log([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
@@ -85,14 +86,9 @@ def findings(
     """
     candidate = candidate_of(model, case, constants, middle_mm)
     names = law_names(candidate.constants)
-    changes: list[Change | str] = [
-        *names,
-        "iop_mpa",
-        "jet_pressure_mpa",
-        thickness_change(candidate),
-    ]
-    if candidate.load.iop_mpa == 0 or candidate.load.jet_pressure_mpa == 0:
-        changes = [*names]
+    changes: list[Change | str] = [*names]
+    if candidate.load.iop_mpa > 0 and candidate.load.jet_pressure_mpa > 0:
+        changes += ["iop_mpa", "jet_pressure_mpa", thickness_change(candidate)]
     result = sensitivity(candidate, changes)
     if not result.solution.converged:
         return {}
@@ -109,7 +105,9 @@ def findings(
     numbers["stress_curve"] = _curve(eye, numbers["attained_stretches"][1], noise)
     if len(changes) > k:
         others = replace(result, derivatives=result.derivatives[k:])
-        numbers["assumptions"] = _assumptions(eye, others.derivatives, score)
+        numbers["assumptions"] = _assumptions(
+            eye, others.derivatives, numbers["attained_stretches"][1]
+        )
     if case.findings.profiles:
         numbers["profiles"] = _profiles(eye, score)
     numbers["not_measured"] = list(case.findings.not_measured)
@@ -194,8 +192,10 @@ def _curve(eye: FittedEye, largest: float, noise: ContourNoise) -> dict[str, Any
     }
 
 
-def _assumptions(eye: FittedEye, others: FloatArray, score: CorneaScore) -> dict[str, Any]:
-    """Return the part by which G0 would change if what was assumed were wrong.
+def _assumptions(eye: FittedEye, others: FloatArray, largest: float) -> dict[str, Any]:
+    """Return the parts by which stiffness would change if what was assumed were wrong.
+
+    Of G0, and of the stress at the largest stretch in the eye, which an image knows best.
 
     The constants make good for it as far as they can, under `MODEL_ERROR` and `PRIOR_SD`.
     """
@@ -210,8 +210,11 @@ def _assumptions(eye: FittedEye, others: FloatArray, score: CorneaScore) -> dict
         size = 0.01 * scale_of(candidate, name) if by is None else by
         shift = 1e3 * size * np.einsum("ni,ni->n", derivative[nodes], contour.normal)
         step = -inner @ J.T @ (weight * shift)
-        slope = shear_modulus_slope(candidate.constants)
-        changed[key] = {"by": words, "shear_modulus_part": float(slope @ step)}
+        changed[key] = {
+            "by": words,
+            "shear_modulus_part": float(shear_modulus_slope(candidate.constants) @ step),
+            "stress_part": float(stress_slope(candidate.constants, largest) @ step),
+        }
     return changed
 
 

@@ -30,10 +30,11 @@ def _missing(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
     missing = numbers["not_measured"]
     if not missing:
         return []
-    what = " and ".join(NOT_MEASURED[one] for one in missing)
+    *others, last = [NOT_MEASURED[one] for one in missing]
+    what = f"{', '.join(others)} and {last}" if others else last
     verb = "was" if len(missing) == 1 else "were"
     sentence = (
-        f"{what[0].upper()}{what[1:]} {verb} not measured with these images: {verb} assumed "
+        f"{what[0].upper()}{what[1:]} {verb} not measured with these images but {verb} assumed "
         f"(IOP {case.load.iop_mmhg:g} mmHg, jet {1000 * case.load.jet.pressure_mpa:g} kPa). "
         "May be used: contours, displacements, the similarity, and how this eye compares with "
         "itself. May not be used as properties of the tissue: mu, alpha, G0 and the curve of "
@@ -43,9 +44,11 @@ def _missing(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
     if not changed:
         return [sentence]
     parts = ", ".join(
-        f"{one['by']} changes it by {100 * one['shear_modulus_part']:+.1f} %" for one in changed
+        f"{one['by']} changes G0 by {100 * one['shear_modulus_part']:+.1f} % and the stress at "
+        f"the largest stretch by {100 * one['stress_part']:+.1f} %"
+        for one in changed
     )
-    return [sentence, f"How much G0 hangs on them, the fit made again: {parts}."]
+    return [sentence, f"How much hangs on that, the constants fitted again: {parts}."]
 
 
 def _shear_modulus(numbers: Mapping[str, Any]) -> str:

@@ -219,6 +219,12 @@ def shear_modulus_slope(constants: CorneaConstants) -> FloatArray:
     return _gradient(constants, lambda c: np.array([np.log(c.shear_modulus_mpa)]))[0]
 
 
+def stress_slope(constants: CorneaConstants, stretch: float) -> FloatArray:
+    """Return the derivative of ln stress at a stretch by the logarithms of the constants."""
+    at = np.array([stretch])
+    return _gradient(constants, lambda c: np.log(uniaxial_stress_mpa(c, at)))[0]
+
+
 @dataclass(frozen=True, eq=False)
 class StressCurve:
     """The uniaxial law of a fitted cornea with its interval.

@@ -25,7 +25,7 @@ OVERLAY = (
     ("outside of both", "#ffffff00"),
     ("other tissue in both", "#8a94a12e"),
     ("glandular tissue in both", "#8a94a199"),
-    ("in the scan, not predicted", "#1c86d1ff"),
+    ("in the scan, not predicted", "#107ac0ff"),
     ("predicted, not in the scan", "#d9651fff"),
 )
 # Neighbours by which a displacement is interpolated between points.

@@ -113,6 +113,7 @@ def results(**changed: Any) -> StudyResults:
         "sessions": 1,
         "versions": {"palpate": "0.1.0", "numpy": "2.4.6"},
         "store": None,
+        "findings": {},
     }
     return StudyResults(**(parts | changed))
 

@@ -143,4 +143,4 @@ def _print(home: Path, as_json: bool) -> None:
         print_json(study_json(results))
         return
     print_report(results, make_console())
-    typer.echo(f"next: {join(['palpate', 'report', str(home)])}")
+    typer.echo(f"next: {join(['palpate', 'open', str(home)])}")

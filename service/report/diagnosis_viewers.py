@@ -110,7 +110,7 @@ def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | No
             SlicePanel("Model: $choice", "labels", ("$choice",)),
             SlicePanel("Difference: $choice", "overlay", ("scan", "$choice"), gland),
         ],
-        VIEWS,
+        VIEWS[:1] if next(iter(sets[0].volumes.values())).values.shape[0] == 1 else VIEWS,
         {int(t): (t.name.lower(), colour) for t, colour in TISSUES.items() if t},
         OVERLAY,
         models,

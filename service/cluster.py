@@ -4,6 +4,7 @@ One evaluation per process, one thread per evaluation. Worker processes are
 spawned, so a script that opens a cluster needs ``if __name__ == "__main__":``.
 """
 
+import logging
 import os
 import signal
 import socket
@@ -21,6 +22,7 @@ from distributed import Client, LocalCluster, Status
 from tornado.ioloop import PeriodicCallback
 
 from service.errors import ClusterError
+from service.scheduler_address import check_reachable
 from service.task_failures import sentence
 from storage.errors import InputError
 from workers import THREAD_ENVIRONMENT
@@ -29,6 +31,7 @@ from workers.resources import OneThread
 ALLOWED_FAILURES = 5
 DASHBOARD_PORT = 8787
 MEND_EVERY_S = 5.0
+HANDSHAKE_S = 10.0
 START_ATTEMPTS = 3
 GIVEN_UP = {Status.closed, Status.failed}
 
@@ -116,7 +119,7 @@ def open_cluster(
     workers: int | None = None,
     *,
     allowed_failures: int = ALLOWED_FAILURES,
-    connect_s: float = 20.0,
+    connect_s: float = 5.0,
 ) -> Iterator[Cluster]:
     """Start local workers, or connect to a scheduler; close again what was opened.
 
@@ -129,7 +132,7 @@ def open_cluster(
     allowed_failures : int
         Deaths of a worker after which the scheduler gives a task up (local only).
     connect_s : float
-        How long to try to reach `scheduler`.
+        How long to wait for somebody to listen at `scheduler`.
 
     Raises
     ------
@@ -145,7 +148,11 @@ def open_cluster(
             "--workers starts processes of this machine, --scheduler uses those of a running "
             "cluster: give one of them."
         )
-    opened = _existing(scheduler, connect_s) if scheduler else _local(workers, allowed_failures)
+    opened = (
+        _existing(scheduler, connect_s)
+        if scheduler is not None
+        else _local(workers, allowed_failures)
+    )
     with opened as cluster:
         cluster.client.register_plugin(OneThread())
         yield cluster
@@ -153,15 +160,31 @@ def open_cluster(
 
 @contextmanager
 def _existing(address: str, connect_s: float) -> Iterator[Cluster]:
-    try:
-        client = Client(address, timeout=connect_s, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise ClusterError(
-            f"There is no scheduler at {address} ({error}). Start one with `dask scheduler`, or "
-            "leave out --scheduler to use this machine."
-        ) from error
+    check_reachable(address, connect_s)
+    with _unlogged("distributed"):
+        try:
+            client = Client(address, timeout=HANDSHAKE_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise ClusterError(
+                f"There is no scheduler at {address}: somebody listens, who does not answer as "
+                f"Dask's scheduler of the same version does ({reason}). `dask scheduler` starts "
+                "one; without --scheduler this machine is used."
+            ) from error
     with client:
         yield Cluster(client, client.dashboard_link or "", local=False)
+
+
+@contextmanager
+def _unlogged(name: str) -> Iterator[None]:
+    """Keep a library's own account of an error that is explained to the user."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 @contextmanager

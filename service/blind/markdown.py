@@ -9,7 +9,7 @@ from service.blind.records import CaseRecord
 from service.blind.scored_set import ScoredSet
 from service.blind.words import answered, asked_for, interval, limit, millimetres, shown
 from service.diagnosis.words import spoken
-from service.report.words import NONE
+from service.formatting import NONE
 from storage.errors import InputError
 
 BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"

@@ -3,7 +3,7 @@
 from service.blind.metrics import Metric, Unit
 from service.blind.records import CaseRecord
 from service.diagnosis.words import NOT_EFFECTS, likely, signed, spoken, together
-from service.report.words import NONE
+from service.formatting import NONE
 
 
 def shown(value: float | None, unit: Unit) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from service.diagnosis.words import listed, spoken, together
-from service.report.words import NONE, number
+from service.formatting import NONE, number
 from workers.diagnosis.planning.summary import (
     FurtherMeasurement,
     ParameterPlan,

@@ -6,8 +6,8 @@ from rich.console import Console
 from rich.status import Status
 
 from service.diagnosis.run import Step
+from service.formatting import number
 from service.progress import clock
-from service.report.words import number
 from workers.tasks.diagnosis_store import CalibrationRecord, JointFitRecord
 
 LINE_EVERY_S = 10.0
@@ -67,7 +67,7 @@ class DiagnosisProgress:
 
 
 def _calibrated(record: CalibrationRecord) -> str:
-    constants = ", ".join(f"{n} {number(v)} kPa" for n, v in record.constants_kpa.items())
+    constants = ", ".join(f"{n} {number(v)}" for n, v in record.constants.items())
     return f"calibrated at {record.points} points: {constants}"
 
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
-from service.report.words import MINUS, NONE, number
+from service.formatting import MINUS, NONE, number
 from workers.diagnosis.summary import GapEstimate, GapSummary, Summary
 
 MOST_DIGITS = 4

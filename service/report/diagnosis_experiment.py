@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.diagnosis.words import measured, signed, spoken
-from service.report.words import NONE, number
+from service.formatting import NONE, number
 from workers.diagnosis.summary import PredictedPoint, Summary, Triple
 
 # Axes by how far a point has moved are told to a hundredth of a millimetre.

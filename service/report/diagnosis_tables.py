@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from service.diagnosis.words import likely, measured, millimetres, signed, spoken
-from service.report.words import NONE, number, percent, signed_error, symbol
+from service.formatting import NONE, number, percent, signed_error, symbol
 from workers.diagnosis import summary as schema
 
 Pair = tuple[str, str]
@@ -21,6 +21,7 @@ class ConstantRow:
     before: str
     after: str
     change: str
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ def constants(found: Mapping[str, schema.ConstantEstimate]) -> list[ConstantRow]
             number(value.before),
             number(value.after),
             percent(signed_error(value.after, value.before)),
+            "kPa" if name.endswith("_kpa") else "none",
         )
         for name, value in found.items()
     ]

@@ -1,0 +1,42 @@
+"""Words and numbers, as a reader wants them."""
+
+import doctest
+import math
+
+import pytest
+
+from service import formatting
+
+
+def test_the_examples_in_the_docstrings() -> None:
+    told = doctest.testmod(formatting)
+    assert told.failed == 0
+    assert told.attempted >= 8
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (0.0, "0"),
+        (-0.00012, "−1.20·10^−4"),
+        (99_996.0, "99996"),
+        (-math.inf, "−∞"),
+        (math.nan, "–"),
+        (0.1, "0.1"),
+    ],
+)
+def test_numbers(value: float, said: str) -> None:
+    assert formatting.number(value) == said
+
+
+def test_the_sign_of_an_error_says_on_which_side() -> None:
+    assert formatting.signed_error(9.0, 10.0) == pytest.approx(-0.1)
+    assert formatting.signed_error(11.0, 10.0) == pytest.approx(0.1)
+    assert formatting.signed_error(1.0, 0.0) is None
+    assert formatting.signed_error(None, 1.0) is None
+
+
+def test_an_edge_is_a_hundredth_of_the_interval() -> None:
+    assert formatting.at_edge(5.1, (5.0, 20.0))
+    assert not formatting.at_edge(5.2, (5.0, 20.0))
+    assert formatting.at_edge(19.9, (5.0, 20.0))

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from storage.errors import InputError
-from workers.mechanics.compression import Compression
 from workers.mechanics.parameters import Vocabulary, unknown_name
 
 
@@ -109,10 +108,6 @@ class CaseSpec(Door):
             Names inside of the parameters that are not held.
         """
         return "absolute"
-
-    def compression(self) -> Compression | None:
-        """Return how plates press the body; None where there are none."""
-        return None
 
     def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
         """Return the searched stiffnesses that can all grow by one factor without any effect.

@@ -4,10 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from service.formatting import count, number
+from service.report.body_viewer import Pressed
 from service.report.provenance import Made
 from storage.digest import array_digest
 from workers.diagnosis.source import Source
-from workers.mechanics.compression import Compression
+from workers.organs.breast.case_source import ScannedCaseSource
+from workers.organs.breast.problem import compression_axis
+from workers.organs.breast.study_source import StudySource
 from workers.tasks.diagnosis_store import DiagnosisRequest
 
 
@@ -16,7 +19,7 @@ class Origin:
     """How a diagnosis was made, and the loads of its scans by name."""
 
     made: Made = field(default_factory=Made)
-    loads: Mapping[str, Compression] = field(default_factory=dict)
+    loads: Mapping[str, Pressed] = field(default_factory=dict)
 
 
 def origin_of(
@@ -48,11 +51,15 @@ def origin_of(
     inputs += [(name.replace("_", " "), array_digest(v.values)) for name, v in volumes.items()]
     points = f"points {number(request.spacing_mm, 2)} mm apart"
     mesh = f"about {count(nodes or request.nodes)} nodes; {points}"
-    return Origin(Made(when, command, seconds, inputs, mesh, _noise(source)), source.compressions)
+    return Origin(Made(when, command, seconds, inputs, mesh, _noise(source)), _loads(source))
 
 
 def _noise(source: Source) -> str:
-    noise = source.noise
+    noise = None
+    if isinstance(source, ScannedCaseSource):
+        noise = source.case.noise
+    elif isinstance(source, StudySource):
+        noise = source.noise
     if noise is None:
         return ""
     return (
@@ -60,3 +67,13 @@ def _noise(source: Source) -> str:
         f"{number(noise.correlation_mm, 2)} mm; of the scan at rest "
         f"{number(noise.reference_sd_mm, 2)} mm"
     )
+
+
+def _loads(source: Source) -> dict[str, Pressed]:
+    if isinstance(source, ScannedCaseSource):
+        return {load.name: Pressed(load.axis, load.force_n) for load in source.case.loads}
+    if isinstance(source, StudySource):
+        load = source.pieces.case.load
+        pressed = Pressed(compression_axis(load.oblique_deg), load.force_n)
+        return dict.fromkeys(source.scans, pressed)
+    return {}

@@ -7,7 +7,7 @@ from markupsafe import Markup
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import KDTree
 
-from service.report.body_viewer import BodyScan, BodySurface, body_viewer
+from service.report.body_viewer import BodyScan, BodySurface, Pressed, body_viewer
 from service.report.diagnosis_maps import SIGNIFICANT, range_mm
 from service.report.diagnosis_slices import titled
 from service.report.diagnosis_surfaces import FARTHEST_MM
@@ -18,7 +18,6 @@ from service.report.slices import VIEWS, middle_mm
 from storage.arrays import Arrays
 from storage.values import FloatArray, Tissue, Triple, Volume
 from workers.diagnosis.acquisition import INTERFACES
-from workers.mechanics.compression import Compression
 
 WHEN = ("before", "after")
 COLOURS = {"outline": "#e9d3b4", "glandular": "#c2628f"}
@@ -36,7 +35,7 @@ NEAREST = 4
 
 
 def body_data(
-    found: Arrays, scans: Sequence[str], accused: str, loads: Mapping[str, Compression]
+    found: Arrays, scans: Sequence[str], accused: str, loads: Mapping[str, Pressed]
 ) -> Markup | None:
     """Return what the 3-D viewer shows; None if the store has no surfaces.
 
@@ -48,7 +47,7 @@ def body_data(
         Names of the loaded scans.
     accused : str
         Words for the effect; empty if there is none.
-    loads : mapping of str to Compression
+    loads : mapping of str to Pressed
         By the name of the scan, where they are known.
     """
     if not on_surfaces(found):
@@ -70,7 +69,7 @@ def body_data(
     told = [
         BodyScan(
             name,
-            loads.get(name, Compression()),
+            loads.get(name, Pressed()),
             [_moved(found, scan, vertices, models) for _, _, vertices, _ in shapes],
             [_gaps(found, scan, number, vertices, models) for number, _, vertices, _ in shapes],
         )

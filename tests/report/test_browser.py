@@ -13,11 +13,11 @@ from diagnosis_bodies_at_hand import NOMINAL_MM, PRESSED_MM, SCANS, found
 from study_data_at_hand import BODIES, study_data
 
 from service.report import diagnosis_page, study_page
+from service.report.body_viewer import Pressed
 from service.report.diagnosis_made import Origin
 from service.report.study_surfaces import StudySurface
 from workers.comparison.observation.interface import GLANDULAR, OUTLINE
 from workers.diagnosis.pictures.shapes import shape
-from workers.mechanics.compression import Compression
 
 api = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed: pip install .[dev]"
@@ -89,7 +89,7 @@ def diagnosis() -> str:
     points = told.maps["points"]
     for when, ends in (("before", NOMINAL_MM), ("after", PRESSED_MM)):
         told.maps[f"moved_{when}"] = np.stack([points / AT_REST_MM * end for end in ends])
-    loads = {SCANS[0]: Compression((0, 1, 0), 40.0), SCANS[1]: Compression((1, 0, 0), 40.0)}
+    loads = {SCANS[0]: Pressed((0, 1, 0), 40.0), SCANS[1]: Pressed((1, 0, 0), 40.0)}
     return diagnosis_page.render(told, Origin(loads=loads))
 
 

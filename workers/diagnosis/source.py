@@ -7,13 +7,11 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from storage.values import Volume
-from workers.comparison.observation.noise import SegmentationNoise
 from workers.diagnosis.acquisition import Acquisition
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.pictures.scan_pictures import Displacements
 from workers.diagnosis.summary import Summary
-from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.model import Model
 
@@ -93,14 +91,6 @@ class Source(HasContent, Protocol):
     @property
     def scans(self) -> Sequence[str]:
         """Names of the loaded states, in order."""
-
-    @property
-    def compressions(self) -> Mapping[str, Compression]:
-        """How plates press the body, by loaded state; empty where there are no plates."""
-
-    @property
-    def noise(self) -> SegmentationNoise | None:
-        """The error of its interfaces as stated or usual; None where it has another form."""
 
     @property
     def effects(self) -> Sequence[Effect]:

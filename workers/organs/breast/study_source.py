@@ -24,7 +24,6 @@ from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Valu
 from workers.diagnosis.pictures.scan_pictures import Displacements, pictures_of_scans
 from workers.diagnosis.source import FinishedStudy, SourceContent
 from workers.diagnosis.summary import Summary
-from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from workers.mechanics.fem.fields import Frame
@@ -136,11 +135,6 @@ class StudySource:
         distance = load.plate_distance_mm
         known = distance is not None and distance.final is not None
         return [f"{distance.final:g} mm" if distance is not None and known else "plates in place"]
-
-    @property
-    def compressions(self) -> Mapping[str, Compression]:
-        """The plates of the study's one load."""
-        return dict.fromkeys(self.scans, self.pieces.case.compression())
 
     @property
     def effects(self) -> Sequence[Effect]:

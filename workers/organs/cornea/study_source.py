@@ -25,7 +25,6 @@ from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan
 from workers.diagnosis.pictures.scan_pictures import Displacements
 from workers.diagnosis.source import FinishedStudy, SourceContent
 from workers.diagnosis.summary import Summary
-from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.parameters import Bounds
@@ -141,16 +140,6 @@ class CorneaStudySource:
     def scans(self) -> Sequence[str]:
         """The one jet."""
         return [f"{1000 * self.study.case.load.jet.pressure_mpa:g} kPa"]
-
-    @property
-    def compressions(self) -> Mapping[str, Compression]:
-        """None: air and eye pressure press."""
-        return {}
-
-    @property
-    def noise(self) -> SegmentationNoise:
-        """The error of its contours."""
-        return self.study.noise
 
     @property
     def effects(self) -> Sequence[Effect]:

@@ -52,14 +52,14 @@ def run(
     """
     with stop_requests() as requests:  # before the imports, which take a while
         scheduler, workers = cluster_options(scheduler, workers)
+        spec = load_spec(study)  # a slip is named before what takes a while is imported
+        home = folder or (study if study.is_dir() else RUNS / spec.name)
         from service.commands.tables import make_console
         from service.progress import progress_observer
         from service.run_log import logging_to
         from service.study import Study
         from storage.layout import StudyLayout
 
-        spec = load_spec(study)
-        home = folder or (study if study.is_dir() else RUNS / spec.name)
         progress = progress_observer(make_console(stderr=as_json))
         completed = True
         with logging_to(StudyLayout(home).log) as log:

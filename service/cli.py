@@ -19,18 +19,24 @@ from service.commands import (
     blind,
     diagnose,
     doctor,
+    export,
     import_,
     import_case,
     mesh,
     new,
+    open_,
     parameters,
     phantom,
     plan,
     report,
     run,
+    serve,
     show,
     simulate,
     status,
+    store,
+    strategies,
+    token,
 )
 from service.commands.settings import remember_command
 from storage.errors import PalpateError
@@ -84,6 +90,7 @@ app.command("run")(run.run)
 app.command("status")(status.status)
 app.command("show")(show.show)
 app.command("report")(report.report)
+app.command("open")(open_.open_)
 app.command("diagnose")(diagnose.diagnose)
 app.command("plan")(plan.plan)
 app.add_typer(blind.app, name="blind")
@@ -93,8 +100,13 @@ app.command("phantom")(phantom.phantom)
 app.command("mesh")(mesh.mesh)
 app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
+app.command("export")(export.export)
+app.command("serve")(serve.serve)
+app.add_typer(token.app, name="token")
+app.add_typer(store.app, name="store")
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
+app.command("strategies")(strategies.strategies)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

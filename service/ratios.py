@@ -2,12 +2,20 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from service.results import ParameterEstimate
+from typing import Protocol
 
 STIFFNESS_UNITS = ("kPa", "Pa")
+
+
+class Estimate(Protocol):
+    """What is read of a `service.results.ParameterEstimate`."""
+
+    @property
+    def unit(self) -> str: ...
+    @property
+    def estimate(self) -> float | None: ...
+    @property
+    def target(self) -> float | None: ...
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,7 @@ class RatioEstimate:
         return abs(self.estimate - self.target) / self.target
 
 
-def ratio_estimates(estimates: "Mapping[str, ParameterEstimate]") -> tuple[RatioEstimate, ...]:
+def ratio_estimates(estimates: Mapping[str, Estimate]) -> tuple[RatioEstimate, ...]:
     """Return the other stiffnesses over the first one that was searched."""
     stiff = [(name, e) for name, e in estimates.items() if e.unit in STIFFNESS_UNITS]
     if not stiff:

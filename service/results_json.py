@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from service.identification import Identification
 from service.quantities import quantities_at_door, quantities_json
 from service.ratios import RatioEstimate
 from service.results import (
@@ -35,6 +36,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "identifiable": results.identifiable,
         "ratios": {r.name: _ratio(r) for r in results.ratios},
         "estimates": {name: _estimate(e) for name, e in results.estimates.items()},
+        "identification": _identification(results.identification),
         "score": _score(results.best_score or {}),
         "best": None if results.best is None else _evaluation(results.best, spec),
         "evaluations": asdict(results.counts),
@@ -43,6 +45,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "per_label_before": results.undeformed_scores,
         "per_label": results.best_scores,
         "seconds": results.wall_s,
+        "findings": results.findings,
         "stages": {stage: _stage(time) for stage, time in results.stages.items()},
         "facts": results.body_facts,
         "target_kind": results.target_kind,
@@ -95,7 +98,9 @@ def candidate_json(results: CandidateResults, *, everything: bool = False) -> di
 
 
 def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
-    return {
+    before = estimate.before_polish
+    record = {} if before is None else {"before_polish": before}
+    return record | {
         "gene": estimate.gene,
         "estimate": estimate.estimate,
         "target": estimate.target,
@@ -103,6 +108,10 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
         "unit": estimate.unit,
         "bounds": [estimate.lower, estimate.upper],
     }
+
+
+def _identification(found: Identification | None) -> dict[str, Any] | None:
+    return None if found is None else asdict(found) | {"weak": list(found.weak)}
 
 
 def _ratio(ratio: RatioEstimate) -> dict[str, Any]:

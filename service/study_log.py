@@ -12,6 +12,7 @@ from storage.layout import StudyLayout
 from storage.records import (
     EndRecord,
     EvaluationRecord,
+    IdentificationRecord,
     SessionRecord,
     StudyRecord,
     record_of,
@@ -32,6 +33,8 @@ class StudyLog:
         By candidate.
     end : EndRecord or None
         If the search has stopped.
+    identification : IdentificationRecord or None
+        What the image tells of the constants, once that is known.
     session_seconds : tuple of float
         Wall time of each run, as far as it noted it: at its last complete generation.
     """
@@ -40,6 +43,7 @@ class StudyLog:
     sessions: tuple[SessionRecord, ...] = ()
     endings: Mapping[int, EvaluationRecord] = field(default_factory=dict)
     end: EndRecord | None = None
+    identification: IdentificationRecord | None = None
     session_seconds: tuple[float, ...] = ()
 
     @classmethod
@@ -55,6 +59,7 @@ class StudyLog:
         """
         study: StudyRecord | None = None
         end: EndRecord | None = None
+        identification: IdentificationRecord | None = None
         sessions: list[SessionRecord] = []
         endings: dict[int, EvaluationRecord] = {}
         session_seconds: list[float] = []
@@ -69,6 +74,8 @@ class StudyLog:
                 if record.candidate in endings:
                     raise _two_endings(journal, record.candidate)
                 endings[record.candidate] = record
+            elif isinstance(record, IdentificationRecord):
+                identification = record
             else:
                 if session_seconds:
                     session_seconds[-1] = record.elapsed_s
@@ -79,7 +86,7 @@ class StudyLog:
                 f"{journal} does not begin with its study: its head was cut off. Start a new "
                 "study; evaluations in the store are used again."
             )
-        return cls(study, tuple(sessions), endings, end, tuple(session_seconds))
+        return cls(study, tuple(sessions), endings, end, identification, tuple(session_seconds))
 
     def wall_s(self, until: datetime) -> float:
         """Return the wall time of all runs.

@@ -5,6 +5,7 @@
     <study>/                    one study, made by `palpate run`
       study.yaml                what was asked
       journal.jsonl             what has happened
+      findings.json             what the fitted body tells beside its constants
       report.html               what came out
       palpate.log               when, and why something failed
 
@@ -46,6 +47,11 @@ class StudyLayout:
     def journal(self) -> Path:
         """Return the path of the journal; see `storage.journal`."""
         return self.root / "journal.jsonl"
+
+    @property
+    def findings(self) -> Path:
+        """Return the path of what the fitted body tells; see `workers.organs.registry`."""
+        return self.root / "findings.json"
 
     @property
     def log(self) -> Path:

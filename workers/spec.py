@@ -7,7 +7,7 @@ raises it as an `InputError`. The keys of one organ stand in its own ``spec.py``
 
 import reprlib
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -91,6 +91,11 @@ class CaseSpec(Door):
             If a name in `constants` is unknown or a value is not admissible.
         """
 
+    @property
+    def mesh_nodes(self) -> int | None:
+        """Return about how many nodes the mesh has; None where the case does not say."""
+        return None
+
     def canonical(self, genes: Mapping[str, float]) -> dict[str, float]:
         """Return parameters at the door such that equal models have equal ones."""
         return dict(genes)
@@ -104,6 +109,18 @@ class CaseSpec(Door):
             Names inside of the parameters that are not held.
         """
         return "absolute"
+
+    def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
+        """Return the searched stiffnesses that can all grow by one factor without any effect.
+
+        Of these only ratios can be found. None by default.
+
+        Parameters
+        ----------
+        searched : sequence of str
+            Names inside.
+        """
+        return ()
 
     def unused_parameter(self, name: str) -> str:
         """Return why a parameter of the organ cannot be searched in this case, or ""."""

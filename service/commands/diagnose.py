@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from service.diagnosis.run import FinishedDiagnosis
+    from service.report.diagnosis_made import Origin
     from workers.diagnosis.summary import Summary
     from workers.tasks.diagnosis_store import DiagnosisRequest
 
@@ -63,7 +64,11 @@ def diagnose(
 
     Ctrl-C stops it at any time; the same command continues it.
     """
-    from service.diagnosis.run import request_for
+    import time
+    from datetime import UTC, datetime
+
+    from service.diagnosis.run import finished, request_for
+    from service.report.diagnosis_made import origin_of
     from storage.errors import InputError
     from storage.typed_json import to_json
     from workers.tasks.sources import is_plannable, open_source
@@ -77,13 +82,17 @@ def diagnose(
     opened.check()
     print_understood(source)
     request = request_for(opened, store_folder(store), nodes)
+    began, when = time.monotonic(), datetime.now(UTC).isoformat()
+    stored = finished(request) is not None
     with stop_requests() as requests:
         diagnosis = _diagnosed(request, workers, scheduler, requests)
         if diagnosis is not None and _to_be_planned(diagnosis.summary, source, plan):
             diagnosis = _with_plan(diagnosis, source, request, workers, scheduler, requests)
     if diagnosis is None:
         raise interrupted()
-    page = _write(diagnosis, out or RUNS / folder_name(source))
+    spent = None if stored else time.monotonic() - began
+    origin = origin_of(opened, request, when, f"palpate diagnose {source}", spent)
+    page = _write(diagnosis, origin, out or RUNS / folder_name(source))
     if as_json:
         print_json(to_json(diagnosis.summary))
         return
@@ -158,7 +167,7 @@ def _with_plan(
     return replace(diagnosis, summary=replace(diagnosis.summary, next_acquisitions=options))
 
 
-def _write(diagnosis: "FinishedDiagnosis", folder: Path) -> Path:
+def _write(diagnosis: "FinishedDiagnosis", origin: "Origin", folder: Path) -> Path:
     from service.report.diagnosis_page import render
     from storage.atomic import explained, write_file
     from storage.plain import to_plain
@@ -170,7 +179,7 @@ def _write(diagnosis: "FinishedDiagnosis", folder: Path) -> Path:
     text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)
     write_file(folder / "diagnosis.json", text.encode() + b"\n")
     page = folder / "diagnosis.html"
-    write_file(page, render(diagnosis).encode())
+    write_file(page, render(diagnosis, origin).encode())
     return page
 
 

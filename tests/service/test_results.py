@@ -17,6 +17,7 @@ from storage.layout import StudyLayout
 KEYS = {
     "study",
     "estimates",
+    "identification",
     "score",
     "evaluations",
     "seconds",
@@ -142,6 +143,7 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "identifiable": None,
     "ratios": [],
     "estimates": ["E_fat", "E_glandular"],
+    "identification": None,
     "score": SCORE_KEYS,
     "best": EVALUATION_KEYS,
     "evaluations": ["done", "diverged", "crashed", "lost", "reused"],
@@ -150,6 +152,7 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "per_label_before": [],
     "per_label": [],
     "seconds": None,
+    "findings": None,
     "stages": ["solve"],
     "facts": ["tissue_ml"],
     "target_kind": None,
@@ -164,6 +167,7 @@ GENERATION_KEYS = ["number", "asked", "ended", "complete"]
 SCORED_KEYS = ["best", "mean", "best_candidate", "best_genes", "failed"]
 CANDIDATE_KEYS = ["study", "candidate", "generation", "evaluated_as", "genes", "held", "status"]
 ENDED_KEYS = [
+    "identification",
     "score",
     "reason",
     "traceback",

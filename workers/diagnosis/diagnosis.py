@@ -167,7 +167,8 @@ def threshold_of(analysis: NominalAnalysis) -> float:
 def directions_of(inverse: InverseProblem) -> int:
     """Return in how many directions the body was loaded."""
     middle = {constant.name: math.exp(constant.log_mean) for constant in inverse.free}
-    axes = np.array([scan.problem(middle).load.device.axis for scan in inverse.scans], float)
+    direction = inverse.forward.direction
+    axes = np.array([direction(scan.problem(middle)) for scan in inverse.scans], float)
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     same = np.abs(axes @ axes.T) > SETTINGS.alarm.same_direction_cosine
     return len({tuple(row) for row in same.tolist()})

@@ -57,7 +57,9 @@ class NominalAnalysis:
         """The smooth field that stands for something else; seconds for 4,000 residuals."""
         normals = np.concatenate([scan.normals for scan in self.nominal.predictions])
         points = np.tile(self.inverse.points.points, (len(self.inverse.scans), 1))
-        return Discrepancy(points, normals, self.inverse.rows, self.inverse.covariance_factor)
+        inverse = self.inverse
+        at = points, normals, inverse.rows, inverse.covariance_factor
+        return Discrepancy(*at, inverse.something_else)
 
     @property
     def sensitivity_by_name(self) -> dict[str, EffectSensitivity]:

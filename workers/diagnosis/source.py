@@ -45,23 +45,24 @@ class FinishedStudy:
     Parameters
     ----------
     name : str
-    case, target : mapping
+    case, target, score : mapping
         As the study states them.
     parameters : mapping of str to (float, float)
         Searched intervals, names and units of the door.
     best : mapping of str to float
         Searched parameters of the best candidate, the same; empty if there is none.
-    reference, deformed : Volume
-        Labels at rest, and those to be explained.
+    reference, deformed
+        The body at rest and the one to be explained, as its organ has it.
     """
 
     name: str
     case: Mapping[str, Any]
     target: Mapping[str, Any]
+    score: Mapping[str, Any]
     parameters: Mapping[str, Any]
     best: Mapping[str, float]
-    reference: Volume
-    deformed: Volume
+    reference: Any
+    deformed: Any
 
 
 class HasContent(Protocol):

@@ -1,6 +1,6 @@
 """What may be stated of a breast: the case, the target and the score of a study."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, Field, StringConstraints, model_validator
@@ -23,7 +23,7 @@ from workers.spec import (
     checked,
     require_one_of,
 )
-from workers.units import FORCE_UNITS
+from workers.units import FORCE_UNITS, KPA
 
 
 def _three(given: Any) -> Any:
@@ -185,6 +185,11 @@ class BreastCase(CaseSpec):
         """See `CaseSpec.parameters`."""
         return BREAST_MODEL.without(["E_skin"]) if self.model.skin == "none" else BREAST_MODEL
 
+    @property
+    def mesh_nodes(self) -> int | None:
+        """See `CaseSpec.mesh_nodes`."""
+        return self.mesh.nodes
+
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
         """See `CaseSpec.complete`."""
         return BREAST_MODEL.complete(BREAST_MODEL.from_door(self.constants), constants or {})
@@ -204,6 +209,13 @@ class BreastCase(CaseSpec):
             if p.unit in FORCE_UNITS and values[p.name] and p.name not in searched and not follows:
                 return "absolute"
         return "ratio"
+
+    def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
+        """See `CaseSpec.common_scale`: with plates at a distance nothing fixes the forces."""
+        scaled = [n for n in searched if BREAST_MODEL[n].unit in FORCE_UNITS]
+        stiffnesses = all(BREAST_MODEL[n].unit == KPA for n in scaled)
+        absolute = self.identifiable(searched) == "absolute"
+        return () if absolute or not stiffnesses else tuple(scaled)
 
     def unused_parameter(self, name: str) -> str:
         """See `CaseSpec.unused_parameter`."""

@@ -1,0 +1,79 @@
+"""What is known of how a diagnosis was made, from its source and from what was asked."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from service.formatting import count, number
+from service.report.body_viewer import Pressed
+from service.report.provenance import Made
+from storage.digest import array_digest
+from workers.diagnosis.source import Source
+from workers.organs.breast.case_source import ScannedCaseSource
+from workers.organs.breast.problem import compression_axis
+from workers.organs.breast.study_source import StudySource
+from workers.tasks.diagnosis_store import DiagnosisRequest
+
+
+@dataclass(frozen=True)
+class Origin:
+    """How a diagnosis was made, and the loads of its scans by name."""
+
+    made: Made = field(default_factory=Made)
+    loads: Mapping[str, Pressed] = field(default_factory=dict)
+
+
+def origin_of(
+    source: Source,
+    request: DiagnosisRequest,
+    when: str,
+    command: str,
+    seconds: float | None,
+    nodes: int | None = None,
+) -> Origin:
+    """Return what the page says of where its numbers come from.
+
+    Parameters
+    ----------
+    source : Source
+        What was diagnosed.
+    request : DiagnosisRequest
+    when : str
+        Date and time, ISO 8601.
+    command : str
+        What was typed.
+    seconds : float or None
+        How long it took; None if the store had it.
+    nodes : int, optional
+        Of the mesh; by default those that were asked for.
+    """
+    volumes = source.content.volumes
+    inputs = [(f"{request.source.kind} {source.name}", request.source.digest)]
+    inputs += [(name.replace("_", " "), array_digest(v.values)) for name, v in volumes.items()]
+    points = f"points {number(request.spacing_mm, 2)} mm apart"
+    mesh = f"about {count(nodes or request.nodes)} nodes; {points}"
+    return Origin(Made(when, command, seconds, inputs, mesh, _noise(source)), _loads(source))
+
+
+def _noise(source: Source) -> str:
+    noise = None
+    if isinstance(source, ScannedCaseSource):
+        noise = source.case.noise
+    elif isinstance(source, StudySource):
+        noise = source.noise
+    if noise is None:
+        return ""
+    return (
+        f"standard deviation {number(noise.sd_mm, 2)} mm over "
+        f"{number(noise.correlation_mm, 2)} mm; of the scan at rest "
+        f"{number(noise.reference_sd_mm, 2)} mm"
+    )
+
+
+def _loads(source: Source) -> dict[str, Pressed]:
+    if isinstance(source, ScannedCaseSource):
+        return {load.name: Pressed(load.axis, load.force_n) for load in source.case.loads}
+    if isinstance(source, StudySource):
+        load = source.pieces.case.load
+        pressed = Pressed(compression_axis(load.oblique_deg), load.force_n)
+        return dict.fromkeys(source.scans, pressed)
+    return {}

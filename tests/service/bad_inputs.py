@@ -27,10 +27,9 @@ IMAGES = IMAGES.replace(
     "{constants: {E_fat_kpa: 10}}", "{volume: pressed.npy, spacing_mm: 2, LABELS}"
 )
 IMAGES = IMAGES.replace("LABELS", "labels: {0: air, 1: fat, 2: glandular}")
-# Nine lists of nine lists of nine lists ...: half a gigabyte if somebody writes it out.
-BOMB = "a0: &a0 [x]\n" + "".join(
-    f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 10)
-)
+# Lists of nine times the list before: four billion words if somebody writes them out.
+BOMB = "[&a0 [x], " + ", ".join(f"&a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 11))
+BOMB += "]"
 
 Prepare = Callable[[Path], object]
 
@@ -153,10 +152,11 @@ FILES = {
     "a list": BadInput(RUN, "found list", text("- a\n- b\n")),
     "a key twice": BadInput(RUN, "stands twice", text(STUDY + "name: again\n")),
     "brackets without end": BadInput(RUN, "nested too deeply", text("name: " + "[" * 20_000)),
-    "a YAML bomb": BadInput(RUN, "unknown key 'a0'", text(BOMB + STUDY)),
-    "a YAML bomb as a value": BadInput(
-        RUN, "population", text(BOMB + STUDY.replace("population: 12", "population: *a9"))
+    "a YAML bomb": BadInput(RUN, "unknown key 'a'", text(f"a: {BOMB}\n{STUDY}")),
+    "a YAML bomb as a number": BadInput(
+        RUN, "search.population", with_change("population: 12", f"population: {BOMB}")
     ),
+    "a YAML bomb as an interval": BadInput(RUN, "E_fat_kpa", with_change("[5, 20]", BOMB)),
     "an unknown key": BadInput(RUN, "did you mean 'search'", with_change("search:", "serach:")),
     "an unknown key within": BadInput(RUN, "did you mean 'nodes'", with_change("nodes", "node")),
     "an unknown organ": BadInput(RUN, "organ", with_change("case:\n", "case:\n  organ: liver\n")),
@@ -233,7 +233,7 @@ OPTIONS = {
     ),
     "an unknown option": BadInput(f"{RUN} --wrokers 2", "--wrokers"),
     "an unknown command": BadInput("palpate runn study.yaml", "runn"),
-    "nothing to run": BadInput("palpate run", "STUDY"),
+    "nothing to run": BadInput("palpate run", "Missing argument"),
     "a store on the web": BadInput(f"{RUN} --store s3://bucket/store", "is a URL"),
     "a candidate by name": BadInput("palpate show first", "give its number, or best"),
     "an unknown study": BadInput("palpate report nix", "There is no study nix"),
@@ -294,7 +294,7 @@ PLACES = {
         plain_user=True,
     ),
     "a study file that may not be read": BadInput(
-        RUN, "Permission denied", locked("study.yaml", 0o000), plain_user=True
+        RUN, "not readable", locked("study.yaml", 0o000), plain_user=True
     ),
     "a store that may not be written": BadInput(
         f"{RUN} --store locked", "locked", locked("locked", 0o555), plain_user=True
@@ -309,7 +309,6 @@ PLACES = {
         f"{RUN} --study taken", "is a file, expected a study folder", text("x", "taken")
     ),
     "a store that is a file": BadInput(f"{RUN} --store taken", "is a file", text("x", "taken")),
-    "a store that is a folder of something else": BadInput("palpate status --store x", "--store"),
     "a name too long for the disk": BadInput(f"palpate run {'n' * 300}.yaml", "n.yaml"),
     "links in a circle": BadInput(
         "palpate run circle.yaml",

@@ -127,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(typed: list[str]) -> int:
     try:
-        app(typed)
+        app(typed, prog_name="palpate")
     except PalpateError as error:
         return _explain(str(error))
     except SystemExit as ended:  # typer leaves so, with 2 for a wrong option and 130 for Ctrl-C

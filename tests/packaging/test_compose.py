@@ -138,6 +138,7 @@ def test_every_service_is_bounded_and_writes_where_it_may(compose: dict[str, Any
 def test_the_driver_runs_a_study_that_is_there(compose: dict[str, Any]) -> None:
     command = compose["services"]["driver"]["command"]
     assert command == [
+        *("python", "-m", "service.retry"),
         *("palpate", "run", "/studies/demo.yaml", "--study", "/data/runs/demo"),
         *("--scheduler", "tcp://scheduler:8786", "--store", "/data/store"),
     ]

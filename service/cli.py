@@ -33,6 +33,7 @@ from service.commands import (
     serve,
     show,
     simulate,
+    slurm,
     status,
     store,
     strategies,
@@ -102,6 +103,7 @@ app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
 app.command("export")(export.export)
 app.command("serve")(serve.serve)
+app.command("slurm")(slurm.slurm)
 app.add_typer(token.app, name="token")
 app.add_typer(store.app, name="store")
 app.command("doctor")(doctor.doctor)

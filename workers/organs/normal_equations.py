@@ -14,6 +14,7 @@ full. b is found by reweighting; the derivative of c by the parameters is 2 g.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from storage.values import FloatArray
 
@@ -54,7 +55,7 @@ def normal_equations(
     robust : bool
         Whether large residuals count less.
     """
-    b = np.zeros(common.shape[1])
+    b: NDArray[np.float64] = np.zeros(common.shape[1])
     for _ in range(ROUNDS):
         weight = _weight(r - common @ b, robust)
         weighted = common.T * weight

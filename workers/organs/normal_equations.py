@@ -14,7 +14,6 @@ full. b is found by reweighting; the derivative of c by the parameters is 2 g.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from storage.values import FloatArray
 
@@ -55,11 +54,12 @@ def normal_equations(
     robust : bool
         Whether large residuals count less.
     """
-    b: NDArray[np.float64] = np.zeros(common.shape[1])
+    b = np.zeros(common.shape[1])
     for _ in range(ROUNDS):
         weight = _weight(r - common @ b, robust)
         weighted = common.T * weight
-        before, b = b, np.linalg.solve(weighted @ common + np.eye(len(b)), weighted @ r)
+        information = weighted @ common + np.eye(len(b))
+        before, b = b, np.asarray(np.linalg.solve(information, weighted @ r), np.float64)
         if np.abs(b - before).max(initial=0.0) < 1e-9:
             break
     e = r - common @ b

@@ -277,6 +277,8 @@ def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
         data = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         raise InputError(f"{where} is not valid YAML: {error}") from error
+    except RecursionError:
+        raise InputError(f"{where} is not a study: its lists are nested too deeply.") from None
     if not isinstance(data, dict):
         kind = "nothing" if data is None else type(data).__name__
         raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")

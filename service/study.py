@@ -294,9 +294,13 @@ class _GenerationRun:
             self._journal(pending, sharing[ending.key], ending, reused=False)
 
     def _has_other_endings(self, pending: PendingGeneration) -> bool:
-        """Return whether a candidate of a generation has ended otherwise than in a crash."""
+        """Return whether a candidate of a generation has ended otherwise than in a crash.
+
+        One that an earlier generation had already says nothing of this one.
+        """
+        earlier = {r.digest for r in self.endings.values() if r.generation < pending.number}
         ended = [self.endings[c] for c in pending.candidates if c in self.endings]
-        return any(record.status is not Status.CRASHED for record in ended)
+        return any(r.status is not Status.CRASHED and r.digest not in earlier for r in ended)
 
     def keep_volumes(self, pending: PendingGeneration, generation: Generation) -> None:
         """Store the deformed volumes that the study file asks to keep."""

@@ -58,7 +58,8 @@ def normal_equations(
     for _ in range(ROUNDS):
         weight = _weight(r - common @ b, robust)
         weighted = common.T * weight
-        before, b = b, np.linalg.solve(weighted @ common + np.eye(len(b)), weighted @ r)
+        information = weighted @ common + np.eye(len(b))
+        before, b = b, np.asarray(np.linalg.solve(information, weighted @ r), np.float64)
         if np.abs(b - before).max(initial=0.0) < 1e-9:
             break
     e = r - common @ b

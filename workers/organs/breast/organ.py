@@ -33,6 +33,7 @@ from workers.mechanics.fem.model import Model, prepare
 from workers.mechanics.fem.outcome import Solution
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.solve import solve
+from workers.mechanics.pressed import Pressed
 from workers.organs.breast.interface_fit import (
     BreastObservation,
     FittedBreast,
@@ -44,6 +45,7 @@ from workers.organs.breast.problem import (
     check_skin_layer,
     extent_of,
     materials_of,
+    pressed_by,
     problem_of,
 )
 from workers.organs.breast.spec import (
@@ -246,6 +248,10 @@ class Breast:
     def scorer(self, target: Volume, spec: BreastScore) -> Scorer:
         """See `Organ.scorer`; candidates lie on the lattice of the target, see `on_lattice`."""
         return Scorer(target, labels=spec.tissues, surface=spec.surface)
+
+    def pressed(self, case: BreastCase) -> Pressed:
+        """Return how the plates press; see `workers.organs.registry.pressed_of`."""
+        return pressed_by(case.load)
 
     def picture(self, body: Volume) -> Volume:
         """See `Organ.picture`."""

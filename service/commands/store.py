@@ -6,13 +6,13 @@ from typing import Annotated
 import typer
 
 from service.commands.common import (
-    RUNS,
     JsonOption,
     StoreOption,
     StudyArgument,
     find_study,
     print_json,
 )
+from service.commands.settings import RUNS
 
 app = typer.Typer(
     no_args_is_help=True, help="Look after a store: check it, make room, move studies."

@@ -22,6 +22,7 @@ from service.commands import (
     export,
     import_,
     import_case,
+    mammogram,
     mesh,
     new,
     open_,
@@ -38,6 +39,7 @@ from service.commands import (
     status,
     store,
     strategies,
+    thesis,
     token,
 )
 from service.commands.settings import remember_command
@@ -108,6 +110,8 @@ app.command("serve")(serve.serve)
 app.command("slurm")(slurm.slurm)
 app.add_typer(token.app, name="token")
 app.add_typer(store.app, name="store")
+app.command("thesis")(thesis.thesis)
+app.command("mammogram")(mammogram.mammogram)
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
 app.command("strategies")(strategies.strategies)

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.commands.common import (
-    RUNS,
     JsonOption,
     StoreOption,
     StudyArgument,
     find_study,
     print_json,
 )
+from service.commands.settings import RUNS
 
 if TYPE_CHECKING:
     from workers.tasks.mammogram import TakenView

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import (
-    RUNS,
     JsonOption,
     SchedulerOption,
     StoreOption,
@@ -14,6 +13,7 @@ from service.commands.common import (
     print_json,
 )
 from service.commands.interrupts import interrupted, stop_requests
+from service.commands.settings import RUNS
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -8,7 +8,8 @@ from typing import Any
 from service.dispatch import Dispatcher
 from service.hooks import Observer, StudyFacts
 from service.results import StudyResults, study_results
-from service.spec import SearchSpec, StudySpec
+from service.search_spec import SearchSpec
+from service.spec import StudySpec
 from service.study import Study
 from service.study_log import StudyLog
 from service.versions import versions

@@ -8,7 +8,13 @@ from typing import Literal
 
 from service.formatting import number
 from service.thesis import printed
-from service.thesis.results import FoundSearch, MeshResult, ThesisResults
+from service.thesis.results import (
+    FoundSearch,
+    MeanCompression,
+    MeshResult,
+    SolverTime,
+    ThesisResults,
+)
 from workers.thesis.bar import GROUPS
 from workers.thesis.identification import TARGETS
 
@@ -205,7 +211,9 @@ def _mean_tets(meshes: MeshResult | None, kind: str) -> float | None:
 
 def _compression(results: ThesisResults) -> Iterator[Verdict]:
     meshes = results.meshes
-    means = {} if meshes is None else {(m.view, m.law): m for m in meshes.means}
+    means: dict[tuple[str, str], MeanCompression] = {}
+    if meshes is not None:
+        means = {(m.view, m.law): m for m in meshes.means}
     held = (
         "which nodes are held decides it: the thesis holds those that touch the fixed plate, and "
         "does not say which they are on a round body"
@@ -218,7 +226,7 @@ def _compression(results: ThesisResults) -> Iterator[Verdict]:
             place,
             f"centroid distance, {view}",
             wanted.centroid_mm,
-            mean and mean.centroid_mm,
+            None if mean is None else mean.centroid_mm,
             "mm",
             why,
         )
@@ -226,17 +234,24 @@ def _compression(results: ThesisResults) -> Iterator[Verdict]:
             place,
             f"volume difference, {view}",
             wanted.volume_mm3,
-            mean and mean.volume_mm3,
+            None if mean is None else mean.volume_mm3,
             "mm³",
             why,
         )
         if wanted.jc is not None and wanted.mhd_mm is not None:
-            yield equal(place, f"Jaccard coefficient, {view}", wanted.jc, mean and mean.jc, "", why)
+            yield equal(
+                place,
+                f"Jaccard coefficient, {view}",
+                wanted.jc,
+                None if mean is None else mean.jc,
+                "",
+                why,
+            )
             yield at_most(
                 place,
                 f"modified Hausdorff distance, {view}",
                 wanted.mhd_mm,
-                mean and mean.mhd_mm,
+                None if mean is None else mean.mhd_mm,
                 "mm",
                 why,
             )
@@ -247,7 +262,7 @@ def _compression(results: ThesisResults) -> Iterator[Verdict]:
             "4.4.4",
             f"centroid distance, Mooney-Rivlin, {view}",
             wanted.centroid_mm,
-            mean and mean.centroid_mm,
+            None if mean is None else mean.centroid_mm,
             "mm",
             why_law,
         )
@@ -255,7 +270,7 @@ def _compression(results: ThesisResults) -> Iterator[Verdict]:
             "4.4.4",
             f"volume difference, Mooney-Rivlin, {view}",
             wanted.volume_mm3,
-            mean and mean.volume_mm3,
+            None if mean is None else mean.volume_mm3,
             "mm³",
             why_law,
         )
@@ -263,14 +278,16 @@ def _compression(results: ThesisResults) -> Iterator[Verdict]:
     if ("CC", "neo-Hookean") in means and ("MLO", "neo-Hookean") in means:
         better = means["MLO", "neo-Hookean"].jc > means["CC", "neo-Hookean"].jc
     yield holds("4.4.4", "MLO agrees better than CC", "yes", better, "yes" if better else "no", why)
-    times = {} if meshes is None else {(t.mesh, t.view): t for t in meshes.times}
+    times: dict[tuple[str, str], SolverTime] = {}
+    if meshes is not None:
+        times = {(t.mesh, t.view): t for t in meshes.times}
     for kind, seconds in printed.SECONDS_PER_1000.items():
-        time = times.get((kind, "CC"))  # type: ignore[call-overload]
+        time = times.get((kind, "CC"))
         yield at_most(
             "Fig. 4.16",
             f"seconds per 1000 elements, CC, {kind}",
             seconds,
-            time and time.mean_s,
+            None if time is None else time.mean_s,
             "s",
             "",
         )

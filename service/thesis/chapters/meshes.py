@@ -241,7 +241,7 @@ def slices(store: str, scale: Scale) -> list[Picture]:
     view = VIEWS[0]
     at = middle_mm(first, [Tissue.GLANDULAR])[view.normal]
     cuts = [section(volume, view, at) for volume in (first, second)]
-    colours = lookup(TISSUES)
+    colours = lookup({int(tissue): colour for tissue, colour in TISSUES.items()})
     planes = _one_box([c.values for c in cuts], [c.origin_mm for c in cuts], cuts[0].spacing_mm)
     pictures: list[tuple[str, NDArray[np.generic]]] = [
         (f"{title} mesh", colours[plane][::-1])

@@ -20,69 +20,31 @@ from pydantic import (
     model_validator,
 )
 
-from service.search.genetic import GeneticSearch, GeneticSettings
-from service.search.operators import INITIAL, MUTATIONS
-from service.search.space import Space
-from service.search.stall import Stall
+from service.search.base import Search
+from service.search.cma_search import CmaSearch
+from service.search.genetic import GeneticSearch
+from service.search.least_squares import (
+    FittedNames,
+    LeastSquaresSearch,
+    LeastSquaresSettings,
+)
+from service.search.polished import PolishedSearch
+from service.search_spec import COARSE_LEVELS, LevelSpec, SearchSpec
 from storage.digest import digest
 from storage.errors import InputError
-from workers.mechanics.parameters import Bounds, unknown_name
+from storage.task_records import FreeParameter
+from workers.mechanics.parameters import unknown_name
 from workers.organs.registry import DEFAULT, MODULES, organ_named
-from workers.spec import CaseSpec, Door, Identifiable, ScoreSpec, TargetSpec, validated
+from workers.spec import (
+    CaseSpec,
+    Door,
+    Identifiable,
+    ScoreSpec,
+    TargetSpec,
+    validated,
+)
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
-
-
-class StallSpec(Door):
-    """When to stop because nothing gets better; see `service.search.stall`."""
-
-    generations: Annotated[int, Field(ge=1)] = 5
-    tolerance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-6
-    rule: Literal["relative", "weighted"] = "relative"
-
-
-class SearchSpec(Door):
-    """How the parameters are searched; the defaults are the thesis'.
-
-    ``stall: null`` never stops before the last generation.
-    """
-
-    parameters: Annotated[dict[str, Bounds], Field(min_length=1)]
-    population: Annotated[int, Field(ge=2)] = 84
-    generations: Annotated[int, Field(ge=1)] = 15
-    elite: Annotated[int, Field(ge=0)] = 2
-    crossover_fraction: Annotated[float, Field(ge=0, le=1)] = 0.8
-    mutation: Literal["adaptive-feasible", "gaussian"] = "adaptive-feasible"
-    initial: Literal["uniform", "latin-hypercube"] = "uniform"
-    stall: StallSpec | None = StallSpec()
-
-    @model_validator(mode="after")
-    def _somebody_is_new(self) -> Self:
-        if self.elite >= self.population:
-            raise ValueError(
-                f"elite ({self.elite}) must be less than population ({self.population}): "
-                "somebody has to be new in every generation"
-            )
-        return self
-
-    @property
-    def settings(self) -> GeneticSettings:
-        """Return the settings of `GeneticSearch`."""
-        stall = self.stall
-        return GeneticSettings(
-            population=self.population,
-            generations=self.generations,
-            elite=self.elite,
-            crossover_fraction=self.crossover_fraction,
-            stall=None if stall is None else Stall(**stall.model_dump()),
-            mutation=MUTATIONS[self.mutation],
-            initial=INITIAL[self.initial],
-        )
-
-    @property
-    def space(self) -> Space:
-        """Return the box that is searched, in the units at the door."""
-        return Space.from_bounds(self.parameters)
 
 
 class StudySpec(Door):
@@ -135,10 +97,76 @@ class StudySpec(Door):
                 reason = f" ({unused})" if unused else ""
                 raise ValueError(f"{where}: {unknown_name('parameter', name, known)}{reason}")
 
+    @model_validator(mode="after")
+    def _organ_has_derivatives(self) -> Self:
+        reason = organ_named(self.case.organ).no_derivatives
+        if self.search.by_derivatives and reason:
+            raise ValueError(f"search.strategy {self.search.strategy}: {reason}")
+        return self
+
     @property
-    def search_strategy(self) -> GeneticSearch:
+    def search_strategy(self) -> Search:
         """Return the search, ready to propose."""
-        return GeneticSearch(self.search.space, self.search.settings, self.seed)
+        space, strategy = self.search.space, self.search.strategy
+        if strategy == "cma":
+            return CmaSearch(space, self.search.cma_settings, self.seed)
+        genetic = GeneticSearch(space, self.search.settings, self.seed)
+        if strategy == "genetic":
+            return genetic
+        fit = LeastSquaresSearch(space, self.fitted_names, self._fit_settings, self.seed)
+        return fit if strategy == "least-squares" else PolishedSearch(genetic, fit)
+
+    @property
+    def most_evaluations(self) -> int:
+        """Return the number of evaluations if the search never stops early."""
+        fit = self._fit_settings.most_evaluations
+        genetic = self.search.settings.most_evaluations
+        return {
+            "genetic": genetic,
+            "least-squares": fit,
+            "genetic+least-squares": genetic + fit,
+            "cma": self.search.cma_settings.most_evaluations,
+        }[self.search.strategy]
+
+    @property
+    def most_generations(self) -> int:
+        """Return the number of generations if the search never stops early."""
+        fit = self.search.fit_evaluations * (1 + len(self.levels))
+        generations = self.search.generations
+        if not self.search.by_derivatives:
+            return generations
+        return fit if self.search.strategy == "least-squares" else generations + fit
+
+    @property
+    def levels(self) -> tuple[LevelSpec, ...]:
+        """Return the coarser resolutions in which constants are fitted first, coarse to fine.
+
+        Without ``search.levels`` a fit from scratch takes those of `COARSE_LEVELS` that have at
+        most half the nodes of the case.
+        """
+        if self.search.levels is not None:
+            return self.search.levels
+        nodes = self.case.mesh_nodes
+        if self.search.strategy != "least-squares" or nodes is None:
+            return ()
+        return tuple(level for level in COARSE_LEVELS if 2 * level.nodes <= nodes)
+
+    @property
+    def free_parameters(self) -> list[FreeParameter]:
+        """Return the searched parameters, inside names and units, as an evaluation needs them."""
+        bounds = self.case.parameters.bounds_from_door(self.search.parameters)
+        return [{"name": n, "lower": lo, "upper": hi} for n, (lo, hi) in bounds.items()]
+
+    @property
+    def fitted_names(self) -> FittedNames:
+        """Return how the genes stand in the least-squares problem of an evaluation."""
+        genes = [self.case.parameters.at_door(name) for name in self.search.parameters]
+        return FittedNames(tuple(p.name for p in genes), tuple(p.unit.to_door(1.0) for p in genes))
+
+    @property
+    def _fit_settings(self) -> LeastSquaresSettings:
+        search = self.search
+        return LeastSquaresSettings(search.starts, len(self.levels), search.fit_evaluations)
 
     @property
     def common_scale(self) -> tuple[str, ...]:
@@ -249,6 +277,8 @@ def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
         data = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         raise InputError(f"{where} is not valid YAML: {error}") from error
+    except RecursionError:
+        raise InputError(f"{where} is not a study: its lists are nested too deeply.") from None
     if not isinstance(data, dict):
         kind = "nothing" if data is None else type(data).__name__
         raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")

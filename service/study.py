@@ -6,61 +6,43 @@ ending is evaluated. Scores are handed to the search in the order of the candida
 the number of workers nor an interruption changes what is proposed next.
 """
 
-import math
-import re
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from service.dispatch import Dispatcher, Ending
-from service.errors import ClusterError, GenerationCrashError
+from service.endings import blame_cluster_if_many, evaluation_record, refuse_if_all_crashed
 from service.hooks import Hooks, Observer, StudyFacts
 from service.search.base import Generation, Stopped
 from service.search_replay import PendingGeneration, SearchReplay, best_of
 from service.spec import StudySpec
 from service.study_folder import StudyFolder
 from service.study_log import StudyLog
+from service.study_work import StudyWork, Tasks
 from service.versions import versions
 from storage.atomic import write_file
 from storage.evaluations import load_evaluation
 from storage.journal import Journal
 from storage.plain import dumps
-from storage.records import EndRecord, EvaluationRecord, GenerationRecord, SessionRecord
+from storage.records import (
+    EndRecord,
+    EvaluationRecord,
+    GenerationRecord,
+    IdentificationRecord,
+    SessionRecord,
+)
 from storage.status import Status
 from storage.stores import Store, open_store
 from storage.task_records import (
     EvaluationRequest,
-    EvaluationResult,
-    PreparedBody,
-    PreparedTarget,
-    Scores,
 )
 from storage.volumes import has_volume
-from workers.tasks import evaluation as evaluation_tasks
-from workers.tasks.findings import find
+from workers.organs.registry import organ_named
 
-# A generation that loses more than this share of its candidates accuses the cluster.
-MAX_LOST_SHARE = 0.2
-# What differs between two reasons that are one.
-NUMBERS = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
-NO_SHARED_TISSUE = "it has no score: candidate and target share no tissue compared"
-
-
-@dataclass(frozen=True)
-class Tasks:
-    """The functions that are sent to the workers; see `workers.tasks.evaluation`."""
-
-    prepare: Callable[..., PreparedBody] = evaluation_tasks.prepare_case
-    target: Callable[..., PreparedTarget] = evaluation_tasks.make_target
-    evaluate: Callable[..., EvaluationResult] = evaluation_tasks.evaluate
-    digest: Callable[..., str] = evaluation_tasks.evaluation_digest
-    keep_volume: Callable[..., str] = evaluation_tasks.keep_volume
-    compare: Callable[..., Mapping[str, Scores]] = evaluation_tasks.score_bodies
-    find: Callable[..., Mapping[str, Any]] = find
+__all__ = ["Conclusion", "Study", "Tasks"]
 
 
 @dataclass(frozen=True)
@@ -156,14 +138,6 @@ class Study:
             return _Run(self, journal, log, store, dispatcher).to_the_end(dashboard)
 
 
-@dataclass(frozen=True)
-class _Prepared:
-    """The body and the target of a run, in the store."""
-
-    body: PreparedBody
-    target: PreparedTarget
-
-
 class _Run:
     """One run of a study, its journal locked."""
 
@@ -175,13 +149,12 @@ class _Run:
         self.began = time.monotonic()
         self.endings = dict(log.endings)
         self.case = self.spec.case.model_dump(mode="json")
-        self.score = self.spec.score.model_dump(mode="json")
 
     def to_the_end(self, dashboard: str) -> Conclusion:
         self._announce(dashboard)
-        prepared = self._prepare()
+        work = self._prepare()
         search = SearchReplay(self.spec.search_strategy, self.spec.search.space)
-        evaluation = _GenerationRun(self, prepared)
+        evaluation = _GenerationRun(self, work)
         generations: list[PendingGeneration] = []
         while isinstance(pending := search.propose(), PendingGeneration):
             generations.append(pending)
@@ -194,24 +167,25 @@ class _Run:
                 self._append(GenerationRecord(pending.number, best, self._elapsed_s()))
             self.hooks.generation_ended(pending.number, generation)
         best_candidate = best_of(self.endings)
+        if best_candidate is not None and self.log.identification is None:
+            self._identify(generations[best_candidate.generation], best_candidate, evaluation)
         if self.log.end is None:
             self._append(self._end(pending, best_candidate, generations, evaluation))
         self.hooks.stopped(pending.reason)
         return Conclusion(pending.reason, best_candidate, tuple(search.history))
 
     def _announce(self, dashboard: str) -> None:
-        settings = self.spec.search.settings
         facts = StudyFacts(
             name=self.spec.name,
             folder=str(self.study.folder.root),
-            most_evaluations=settings.most_evaluations,
-            generations=settings.generations,
+            most_evaluations=self.spec.most_evaluations,
+            generations=self.spec.most_generations,
             workers=self.dispatcher.threads,
             dashboard=dashboard,
         )
         self.hooks.started(facts)
 
-    def _prepare(self) -> _Prepared:
+    def _prepare(self) -> StudyWork:
         """Bring case and target into the store, which is quick when they are there."""
         store, workers = str(self.store.root), self.dispatcher.threads
         body = self.dispatcher.call(self.tasks.prepare, self.case, store)
@@ -224,7 +198,8 @@ class _Run:
         self._append(
             SessionRecord(now, store, versions(), body, target, workers, self._elapsed_s())
         )
-        return _Prepared(body, target)
+        target_name = target["target"]
+        return StudyWork(self.spec, self.tasks, self.store, self.dispatcher, body, target_name)
 
     def _end(
         self,
@@ -236,14 +211,35 @@ class _Run:
         if best is None:
             return EndRecord(stopped.reason, None, None, {}, {}, self._elapsed_s())
         evaluation.make_volumes(generations[best.generation], [best.candidate])
-        before = evaluation.compare_with_target(evaluation.prepared.body["volume"])
-        after = evaluation.compare_with_target(best.digest)
+        work = evaluation.work
+        at = work.resolution(best.level)
+        before = work.compare_with_target(at, at.body["volume"])
+        after = work.compare_with_target(at, best.digest)
         found = evaluation.findings(generations[best.generation], best.candidate)
         write_file(self.study.folder.layout.findings, dumps(found).encode())
         reason, elapsed_s = stopped.reason, self._elapsed_s()
         return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)
 
-    def _append(self, record: SessionRecord | GenerationRecord | EndRecord) -> None:
+    def _identify(
+        self, pending: PendingGeneration, best: EvaluationRecord, evaluation: "_GenerationRun"
+    ) -> None:
+        """Find out what the image tells of the constants, from the tangents at the best one."""
+        reason = organ_named(self.spec.case.organ).no_derivatives
+        if best.fit is not None:
+            self._append(IdentificationRecord(best.candidate, best.fit))
+        elif reason:
+            self._append(IdentificationRecord(best.candidate, None, reason))
+        else:
+            ending = evaluation.differentiate(pending, best.candidate)
+            if ending.kind == "lost":  # of its workers; the next run tries again
+                return
+            fit = (ending.value or {}).get("fit")
+            why = "" if fit else ending.reason or "the simulation with tangents gave none"
+            self._append(IdentificationRecord(best.candidate, fit, why))
+
+    def _append(
+        self, record: SessionRecord | GenerationRecord | IdentificationRecord | EndRecord
+    ) -> None:
         self.journal.append(record.to_json())
 
     def _elapsed_s(self) -> float:
@@ -253,8 +249,8 @@ class _Run:
 class _GenerationRun:
     """Evaluates the candidates of a run's generations on the cluster."""
 
-    def __init__(self, run: _Run, prepared: _Prepared) -> None:
-        self.run, self.prepared = run, prepared
+    def __init__(self, run: _Run, work: StudyWork) -> None:
+        self.run, self.work = run, work
         self.spec, self.tasks, self.hooks = run.spec, run.tasks, run.hooks
         self.store, self.dispatcher, self.endings = run.store, run.dispatcher, run.endings
 
@@ -284,7 +280,7 @@ class _GenerationRun:
         for ending in self.dispatcher.run(self.tasks.evaluate, calls):
             if ending.kind == "lost":
                 lost.append(ending)
-                _blame_cluster_if_many(lost, len(calls))
+                blame_cluster_if_many(lost, len(calls))
             elif ending.kind == "crashed" and not others:
                 crashed.append(ending)
             else:
@@ -293,14 +289,18 @@ class _GenerationRun:
                     self._journal(pending, sharing[earlier.key], earlier, reused=False)
                 crashed.clear()
         if not lost:
-            _refuse_if_all_crashed(crashed, pending.number)
+            refuse_if_all_crashed(crashed, pending.number)
         for ending in [*crashed, *lost]:
             self._journal(pending, sharing[ending.key], ending, reused=False)
 
     def _has_other_endings(self, pending: PendingGeneration) -> bool:
-        """Return whether a candidate of a generation has ended otherwise than in a crash."""
+        """Return whether a candidate of a generation has ended otherwise than in a crash.
+
+        One that an earlier generation had already says nothing of this one.
+        """
+        earlier = {r.digest for r in self.endings.values() if r.generation < pending.number}
         ended = [self.endings[c] for c in pending.candidates if c in self.endings]
-        return any(record.status is not Status.CRASHED for record in ended)
+        return any(r.status is not Status.CRASHED and r.digest not in earlier for r in ended)
 
     def keep_volumes(self, pending: PendingGeneration, generation: Generation) -> None:
         """Store the deformed volumes that the study file asks to keep."""
@@ -319,11 +319,12 @@ class _GenerationRun:
                 calls.append((candidate, (self._request(pending, candidate),)))
         self.dispatcher.all(self.tasks.keep_volume, calls)
 
-    def compare_with_target(self, volume: str) -> Mapping[str, Scores]:
-        """Score a stored volume against the target, tissue by tissue."""
-        store, target = str(self.store.root), self.prepared.target["target"]
-        case, score = self.run.case, self.run.score
-        return self.dispatcher.call(self.tasks.compare, case, store, target, volume, score)
+    def differentiate(self, pending: PendingGeneration, candidate: int) -> Ending:
+        """Evaluate a candidate once more, with derivatives."""
+        request = self._request(pending, candidate, derivatives=True)
+        calls = [(request["digest"], (request,))]
+        (ending,) = self.dispatcher.run(self.tasks.evaluate, calls)
+        return ending
 
     def findings(self, pending: PendingGeneration, candidate: int) -> Mapping[str, Any]:
         """Find out what the body of a candidate tells beside its constants."""
@@ -334,7 +335,7 @@ class _GenerationRun:
     ) -> None:
         """Write down an ending for all candidates that share it, then tell the observers."""
         records = [
-            _evaluation_record(pending, candidate, ending, reused or position > 0)
+            evaluation_record(pending, candidate, ending, reused or position > 0)
             for position, candidate in enumerate(candidates)
         ]
         self.run.journal.append(*(record.to_json() for record in records))
@@ -342,69 +343,9 @@ class _GenerationRun:
             self.endings[record.candidate] = record
             self.hooks.evaluation_ended(record, False)
 
-    def _request(self, pending: PendingGeneration, candidate: int) -> EvaluationRequest:
-        constants = self.spec.constants_of(pending.genes(candidate))
-        body, target = self.prepared.body, self.prepared.target["target"]
-        case, score = self.run.case, self.run.score
-        return {
-            "store": str(self.store.root),
-            "case": case,
-            "prepared": body,
-            "target": target,
-            "constants": constants,
-            "score": score,
-            "keep_volume": self.spec.keep == "all",
-            "digest": self.tasks.digest(case, body, target, constants, score),
-        }
-
-
-def _blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:
-    """Raise where many are lost: then the cluster is to blame, and no candidate."""
-    if len(lost) > max(1, MAX_LOST_SHARE * evaluations):
-        raise ClusterError(
-            f"{len(lost)} of {evaluations} candidates have lost their workers again and again: "
-            f"{lost[0].reason}. The workers may have too little memory: start fewer with "
-            "--workers, then run the study again; what is finished is kept."
-        )
-
-
-def _refuse_if_all_crashed(crashed: list[Ending], generation: int) -> None:
-    """Raise where all candidates crash for one reason: the search would learn nothing."""
-    reasons = {NUMBERS.sub("#", ending.reason) for ending in crashed}
-    if len(crashed) > 1 and len(reasons) == 1:
-        raise GenerationCrashError(
-            f"All {len(crashed)} candidates of generation {generation + 1} have crashed for one "
-            f"reason: {crashed[0].reason}. None of them is journalled: put it right, and the same "
-            "command continues the study.",
-            crashed[0].traceback,
-        )
-
-
-def _evaluation_record(
-    pending: PendingGeneration, candidate: int, ending: Ending, reused: bool
-) -> EvaluationRecord:
-    """Make the journal's record of an ending."""
-    record = partial(
-        EvaluationRecord,
-        candidate=candidate,
-        generation=pending.number,
-        genes=pending.genes(candidate),
-        digest=ending.key,
-        attempts=max(1, ending.attempts),
-        reused=reused,
-    )
-    result: EvaluationResult | None = ending.value
-    if result is None:
-        status = Status.CRASHED if ending.kind == "crashed" else Status.LOST
-        traceback = ending.traceback if status is Status.CRASHED else ""
-        return record(status=status, reason=ending.reason, traceback=traceback)
-    record = partial(
-        record,
-        outcome=result.get("outcome"),
-        seconds=result.get("seconds", {}),
-        worker=result.get("worker", ""),
-    )
-    score = result.get("score")
-    if result["status"] == "done" and score is not None and score["gsf"] < math.inf:
-        return record(status=Status.DONE, score=score)
-    return record(status=Status.DIVERGED, reason=result.get("reason") or NO_SHARED_TISSUE)
+    def _request(
+        self, pending: PendingGeneration, candidate: int, *, derivatives: bool = False
+    ) -> EvaluationRequest:
+        proposal = pending.proposal
+        wanted = derivatives or proposal.derivatives
+        return self.work.request(pending.genes(candidate), proposal.level, derivatives=wanted)

@@ -28,7 +28,10 @@ def simulate(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Write the deformed mesh (.vtu, .vtk, .msh) or volume (.nrrd)."),
+        typer.Option(
+            help="Write the deformed mesh (.vtu, .vtk, .msh), volume (.nrrd) or surface (.stl), or "
+            "the whole model (.inp, .feb); see `palpate export`."
+        ),
     ] = None,
     everything: AllOption = False,
     store: StoreOption = None,
@@ -38,22 +41,14 @@ def simulate(
 
     Of the constants those are printed that are stated or differ from their neutral values.
     """
-    from service.export import (
-        MESH_SUFFIXES,
-        VOLUME_SUFFIXES,
-        check_suffix,
-        export_stored_mesh,
-        export_volume,
-    )
+    from service.export.suffixes import SOLVED_SUFFIXES, VOLUME_SUFFIXES, check_suffix
     from service.quantities import not_neutral, quantities_inside, quantities_json
-    from storage.fields import load_field
     from storage.stores import open_store
-    from storage.volumes import load_volume
     from workers.organs.registry import organ_named
-    from workers.tasks.evaluation import prepare_case, simulate_once
+    from workers.tasks.evaluation import simulate_once
     from workers.tasks.study_checks import check_case
 
-    check_suffix(out, MESH_SUFFIXES + VOLUME_SUFFIXES)
+    check_suffix(out, SOLVED_SUFFIXES)
     spec = load_spec(study)
     check_case(spec.case)
     case = spec.case.model_dump(mode="json")
@@ -63,10 +58,15 @@ def simulate(
     volume = result.get("volume")
     if out is not None and volume is not None:
         if out.suffix.lower() in VOLUME_SUFFIXES:
+            from service.export.stored import export_volume
+            from storage.volumes import load_volume
+
             export_volume(out, load_volume(opened, volume))
         else:
-            mesh = prepare_case(case, str(opened))["mesh"]
-            export_stored_mesh(out, opened, mesh, load_field(opened, result["digest"]))
+            from service.export.formats import export_solved
+            from service.export.solved_body import solve_body
+
+            export_solved([out], solve_body(case, stated, str(opened), spec.name))
     vocabulary = organ_named(spec.case.organ).parameters
     held = spec.case.parameters.from_door(spec.case.constants)
     kept = not_neutral(vocabulary, result["constants"], {*held, *stated})

@@ -8,7 +8,13 @@ from typing import Literal
 
 from service.formatting import number
 from service.thesis import printed
-from service.thesis.results import FoundSearch, MeshResult, ThesisResults
+from service.thesis.results import (
+    FoundSearch,
+    MeanCompression,
+    MeshResult,
+    SolverTime,
+    ThesisResults,
+)
 from workers.thesis.bar import GROUPS
 from workers.thesis.identification import TARGETS
 
@@ -202,7 +208,9 @@ def _mean_tets(meshes: MeshResult | None, kind: str) -> float | None:
 
 def _compression(results: ThesisResults) -> Iterator[Verdict]:
     meshes = results.meshes
-    means = {} if meshes is None else {(m.view, m.law): m for m in meshes.means}
+    means: dict[tuple[str, str], MeanCompression] = {}
+    if meshes is not None:
+        means = {(m.view, m.law): m for m in meshes.means}
     held = "which nodes are held at the fixed plate decides it, and is not printed"
     why = held if results.scale == "full" else f"{REDUCED_BODY}; and {held}"
     for view, wanted in printed.TABLE_43.items():
@@ -264,7 +272,9 @@ def _compression(results: ThesisResults) -> Iterator[Verdict]:
     if ("CC", "neo-Hookean") in means and ("MLO", "neo-Hookean") in means:
         better = means["MLO", "neo-Hookean"].jc > means["CC", "neo-Hookean"].jc
     yield holds("4.4.4", "MLO agrees better than CC", "yes", better, "yes" if better else "no", why)
-    times = {} if meshes is None else {t.mesh: t for t in meshes.times if t.view == "CC"}
+    times: dict[str, SolverTime] = {}
+    if meshes is not None:
+        times = {t.mesh: t for t in meshes.times if t.view == "CC"}
     for kind, seconds in printed.SECONDS_PER_1000.items():
         time = times.get(kind)
         yield at_most(

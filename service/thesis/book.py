@@ -94,6 +94,6 @@ def _tiles(results: ThesisResults, judged: Sequence[Verdict]) -> list[tuple[str,
         found = results.search.searches
         mean = sum(s.cpu_s for s in found) / len(found)
         core_hours = printed.HOURS * printed.CORES
-        tiles.append(("One search", duration(mean), "of one core"))
+        tiles.append(("One search", duration(mean), "of one worker"))
         tiles.append(("In the thesis", count(round(core_hours)), "core hours"))
     return tiles

@@ -50,7 +50,8 @@ def test_other_constants_and_views_give_others(
         assert taken.target is not None
         apart = taken.fitted.log_attenuation - taken.target.log_attenuation
         assert np.abs(apart).max() > 0.05
-    assert both["CC"].fitted.energy_kev.shape != both["MLO"].fitted.energy_kev.shape
+    across, oblique = (both[v].fitted.geometry.down_mm for v in ("CC", "MLO"))
+    assert across @ oblique == pytest.approx(np.cos(np.radians(45)) * across @ across)
 
 
 def test_an_eye_has_no_mammogram(tmp_path: Path) -> None:

@@ -172,11 +172,11 @@ def _costs(found: SearchResult, cost: Cost | None) -> list[tuple[str, Text]]:
     rows: list[tuple[str, Text]] = [
         ("the thesis, one search", f"48 h on 12 cores, {core_hours:g} core hours"),
         ("on", printed.MACHINE),
-        ("Palpate, one search", f"{duration(mean)} of one core"),
+        ("Palpate, one search", f"{duration(mean)} of one worker, on its clock"),
         ("ratio", f"{count(round(core_hours * 3600 / mean))} times less"),
     ]
     if cost is not None:
-        rows += [("all searches", duration(cost.cpu_s)), ("on", cost.machine)]
+        rows += [("all searches", f"{duration(cost.cpu_s)} of one worker"), ("on", cost.machine)]
     return rows
 
 

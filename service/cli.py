@@ -22,12 +22,14 @@ from service.commands import (
     export,
     import_,
     import_case,
+    mammogram,
     mesh,
     new,
     open_,
     parameters,
     phantom,
     plan,
+    profile,
     report,
     run,
     serve,
@@ -37,6 +39,7 @@ from service.commands import (
     status,
     store,
     strategies,
+    thesis,
     token,
 )
 from service.commands.settings import remember_command
@@ -91,6 +94,7 @@ app.command("run")(run.run)
 app.command("status")(status.status)
 app.command("show")(show.show)
 app.command("report")(report.report)
+app.command("profile")(profile.profile)
 app.command("open")(open_.open_)
 app.command("diagnose")(diagnose.diagnose)
 app.command("plan")(plan.plan)
@@ -106,6 +110,8 @@ app.command("serve")(serve.serve)
 app.command("slurm")(slurm.slurm)
 app.add_typer(token.app, name="token")
 app.add_typer(store.app, name="store")
+app.command("thesis")(thesis.thesis)
+app.command("mammogram")(mammogram.mammogram)
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
 app.command("strategies")(strategies.strategies)
@@ -129,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(typed: list[str]) -> int:
     try:
-        app(typed)
+        app(typed, prog_name="palpate")
     except PalpateError as error:
         return _explain(str(error))
     except SystemExit as ended:  # typer leaves so, with 2 for a wrong option and 130 for Ctrl-C

@@ -71,9 +71,9 @@ def doubt(volume: Volume) -> str:
         return ""
     pixel_cm2 = volume.spacing_mm[0] * volume.spacing_mm[1] / 100
     return (
-        f"The body is wider at the high end of z ({nipple * pixel_cm2:.3g} cm2) than at the low end "
-        f"({wall * pixel_cm2:.3g} cm2), where the chest wall should be. If z does not run from "
-        "chest wall to nipple, give --axes, such as -x,y,-z."
+        f"The body is wider at the high end of z ({nipple * pixel_cm2:.3g} cm2) than at the "
+        f"low end ({wall * pixel_cm2:.3g} cm2), where the chest wall should be. If z does not "
+        "run from chest wall to nipple, give --axes, such as -x,y,-z."
     )
 
 

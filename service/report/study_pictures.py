@@ -9,7 +9,7 @@ from markupsafe import Markup
 from service.formatting import bare, label, number
 from service.identification import Identification
 from service.report import study_charts, study_sections
-from service.report.body_viewer import BodyScan, BodySurface, Pressed, body_viewer
+from service.report.body_viewer import BodyScan, BodySurface, body_viewer
 from service.report.packed import script
 from service.report.palette import DIFFERENCES, TISSUES, Difference
 from service.report.pictures import Picture, chart, small_chart
@@ -21,8 +21,8 @@ from service.results import GenerationScores, ParameterEstimate
 from storage.records import EvaluationRecord
 from storage.status import Status
 from storage.values import Tissue
-from workers.organs.breast.problem import compression_axis
-from workers.organs.breast.spec import BreastCase
+from workers.mechanics.pressed import Pressed
+from workers.organs.registry import pressed_of
 from workers.spec import CaseSpec
 
 # Named in the script, which looks for charts of this kind.
@@ -206,7 +206,7 @@ def body_data(bodies: Bodies, case: CaseSpec) -> Markup | None:
     ]
     scan = BodyScan(
         "",
-        _pressed(case),
+        pressed_of(case) or Pressed(),
         [{} if s.moved is None else {BEST: s.moved} for s in bodies.surfaces],
         [{} if s.gap_mm is None else {BEST: s.gap_mm} for s in bodies.surfaces],
     )
@@ -237,12 +237,6 @@ _MEANING = (
     "only in the target",
     "only in the best candidate",
 )
-
-
-def _pressed(case: CaseSpec) -> Pressed:
-    if isinstance(case, BreastCase):
-        return Pressed(compression_axis(case.load.oblique_deg), case.load.force_n)
-    return Pressed()
 
 
 def _compared(bodies: Bodies, labels: Iterable[str]) -> list[int]:

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.report.body_viewer import BodyScan, BodySurface, Pressed, body_viewer
+from service.report.body_viewer import BodyScan, BodySurface, body_viewer
 from service.report.packed import TYPES, body_box_mm, packed, packed_volume, script, thinned
 from storage.values import FloatArray, Volume
+from workers.mechanics.pressed import Pressed
 
 
 def unpacked(told: dict[str, Any]) -> np.ndarray:

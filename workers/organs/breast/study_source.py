@@ -30,7 +30,8 @@ from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.model import Model, prepare
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.parameters import Bounds
-from workers.organs.breast.problem import extent_of, materials_of, problem_of
+from workers.mechanics.pressed import Pressed
+from workers.organs.breast.problem import extent_of, materials_of, pressed_by, problem_of
 from workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
 from workers.organs.breast.study_noise import study_noise
 from workers.spec import validated
@@ -135,6 +136,16 @@ class StudySource:
         distance = load.plate_distance_mm
         known = distance is not None and distance.final is not None
         return [f"{distance.final:g} mm" if distance is not None and known else "plates in place"]
+
+    @property
+    def pressed(self) -> Mapping[str, Pressed]:
+        """How the plates press it under the one load."""
+        return dict.fromkeys(self.scans, pressed_by(self.pieces.case.load))
+
+    @property
+    def segmentation_noise(self) -> SegmentationNoise:
+        """What its segmentations err by."""
+        return self.noise
 
     @property
     def effects(self) -> Sequence[Effect]:

@@ -24,6 +24,7 @@ from service.commands import (
     import_case,
     mesh,
     new,
+    open_,
     parameters,
     phantom,
     plan,
@@ -33,6 +34,8 @@ from service.commands import (
     show,
     simulate,
     status,
+    store,
+    strategies,
     token,
 )
 from service.commands.settings import remember_command
@@ -87,6 +90,7 @@ app.command("run")(run.run)
 app.command("status")(status.status)
 app.command("show")(show.show)
 app.command("report")(report.report)
+app.command("open")(open_.open_)
 app.command("diagnose")(diagnose.diagnose)
 app.command("plan")(plan.plan)
 app.add_typer(blind.app, name="blind")
@@ -99,8 +103,10 @@ app.command("simulate")(simulate.simulate)
 app.command("export")(export.export)
 app.command("serve")(serve.serve)
 app.add_typer(token.app, name="token")
+app.add_typer(store.app, name="store")
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
+app.command("strategies")(strategies.strategies)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -121,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(typed: list[str]) -> int:
     try:
-        app(typed)
+        app(typed, prog_name="palpate")
     except PalpateError as error:
         return _explain(str(error))
     except SystemExit as ended:  # typer leaves so, with 2 for a wrong option and 130 for Ctrl-C

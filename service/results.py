@@ -22,7 +22,13 @@ from service.identification import (
 from service.quantities import Quantity, not_neutral, quantities_inside
 from service.ratios import RatioEstimate, ratio_estimates
 from service.search.base import Generation
-from service.search_replay import PendingGeneration, SearchReplay, best_of, equally_good
+from service.search_replay import (
+    PendingGeneration,
+    SearchReplay,
+    best_of,
+    best_searched,
+    equally_good,
+)
 from service.spec import StudySpec
 from service.study_log import StudyLog, read_study
 from storage.errors import InputError
@@ -53,6 +59,9 @@ class ParameterEstimate:
         Of the best candidate; None if no candidate has a score.
     target : float or None
         What the target was simulated with; None if it comes from an image.
+    before_polish : float or None
+        Of the best candidate before the best were fitted by derivatives; None where that is
+        not what the study does.
     """
 
     gene: str
@@ -61,6 +70,7 @@ class ParameterEstimate:
     upper: float
     estimate: float | None
     target: float | None
+    before_polish: float | None = None
 
     @property
     def relative_error(self) -> float | None:
@@ -291,7 +301,7 @@ def study_results(folder: Path) -> StudyResults:
         spec=spec,
         state=_state(folder, log),
         stop_reason=None if end is None else end.reason,
-        estimates=_estimates(spec, best),
+        estimates=_estimates(spec, best, _before_polish(spec, log)),
         best=best,
         counts=_counts(endings),
         generations=tuple(_generations(spec, log)),
@@ -326,13 +336,13 @@ def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
             raise _no_such("best candidate", folder, "no candidate has a score yet")
         candidate = best.candidate
     generations = [pending for pending, _ in _replayed(spec, log)]
-    size = spec.search.population
-    if not 0 <= candidate < size * len(generations):
-        count = f"its candidates are 0 to {size * len(generations) - 1} so far"
+    by_candidate = {g.first + i: g for g in generations for i in range(len(g.proposal.genes))}
+    if candidate not in by_candidate:
+        count = f"its candidates are 0 to {len(by_candidate) - 1} so far"
         raise _no_such(f"candidate {candidate}", folder, count)
-    generation = generations[candidate // size]
+    generation = by_candidate[candidate]
     origin = candidate
-    while (before := generations[origin // size].carried_from(origin)) is not None:
+    while (before := by_candidate[origin].carried_from(origin)) is not None:
         origin = before
     genes, ending = generation.genes(candidate), log.endings.get(origin)
     return CandidateResults(spec, candidate, generation.number, origin, genes, ending)
@@ -371,7 +381,15 @@ def _replayed(
     return SearchReplay(spec.search_strategy, spec.search.space).replay(log.endings)
 
 
-def _estimates(spec: StudySpec, best: EvaluationRecord | None) -> dict[str, ParameterEstimate]:
+def _before_polish(spec: StudySpec, log: StudyLog) -> EvaluationRecord | None:
+    """Return the best candidate of the genetic part, where there is another part."""
+    polished = spec.search.strategy == "genetic+least-squares"
+    return best_searched(log.endings) if polished else None
+
+
+def _estimates(
+    spec: StudySpec, best: EvaluationRecord | None, before: EvaluationRecord | None
+) -> dict[str, ParameterEstimate]:
     parameters = spec.case.parameters
     target: dict[str, float] = {}
     if spec.target.constants is not None:
@@ -383,8 +401,9 @@ def _estimates(spec: StudySpec, best: EvaluationRecord | None) -> dict[str, Para
     for gene, (lower, upper) in spec.search.parameters.items():
         parameter = parameters.at_door(gene)
         estimate = None if genes is None else genes[gene]
+        unpolished = None if before is None else spec.case.canonical(before.genes)[gene]
         estimates[parameter.name] = ParameterEstimate(
-            gene, parameter.unit.symbol, lower, upper, estimate, target.get(gene)
+            gene, parameter.unit.symbol, lower, upper, estimate, target.get(gene), unpolished
         )
     return estimates
 

@@ -98,7 +98,9 @@ def candidate_json(results: CandidateResults, *, everything: bool = False) -> di
 
 
 def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
-    return {
+    before = estimate.before_polish
+    record = {} if before is None else {"before_polish": before}
+    return record | {
         "gene": estimate.gene,
         "estimate": estimate.estimate,
         "target": estimate.target,

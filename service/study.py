@@ -29,17 +29,25 @@ from storage.atomic import write_file
 from storage.evaluations import load_evaluation
 from storage.journal import Journal
 from storage.plain import dumps
-from storage.records import EndRecord, EvaluationRecord, GenerationRecord, SessionRecord
+from storage.records import (
+    EndRecord,
+    EvaluationRecord,
+    GenerationRecord,
+    IdentificationRecord,
+    SessionRecord,
+)
 from storage.status import Status
 from storage.stores import Store, open_store
 from storage.task_records import (
     EvaluationRequest,
     EvaluationResult,
     PreparedBody,
+    PreparedLevel,
     PreparedTarget,
     Scores,
 )
 from storage.volumes import has_volume
+from workers.organs.registry import organ_named
 from workers.tasks import evaluation as evaluation_tasks
 from workers.tasks.findings import find
 
@@ -60,6 +68,7 @@ class Tasks:
     digest: Callable[..., str] = evaluation_tasks.evaluation_digest
     keep_volume: Callable[..., str] = evaluation_tasks.keep_volume
     compare: Callable[..., Mapping[str, Scores]] = evaluation_tasks.score_bodies
+    level: Callable[..., PreparedLevel] = evaluation_tasks.prepare_level
     find: Callable[..., Mapping[str, Any]] = find
 
 
@@ -164,6 +173,15 @@ class _Prepared:
     target: PreparedTarget
 
 
+@dataclass(frozen=True)
+class _Resolution:
+    """Body, mesh and target of one level, and the case with that mesh."""
+
+    case: Mapping[str, Any]
+    body: PreparedBody
+    target: str
+
+
 class _Run:
     """One run of a study, its journal locked."""
 
@@ -194,18 +212,19 @@ class _Run:
                 self._append(GenerationRecord(pending.number, best, self._elapsed_s()))
             self.hooks.generation_ended(pending.number, generation)
         best_candidate = best_of(self.endings)
+        if best_candidate is not None and self.log.identification is None:
+            self._identify(generations[best_candidate.generation], best_candidate, evaluation)
         if self.log.end is None:
             self._append(self._end(pending, best_candidate, generations, evaluation))
         self.hooks.stopped(pending.reason)
         return Conclusion(pending.reason, best_candidate, tuple(search.history))
 
     def _announce(self, dashboard: str) -> None:
-        settings = self.spec.search.settings
         facts = StudyFacts(
             name=self.spec.name,
             folder=str(self.study.folder.root),
-            most_evaluations=settings.most_evaluations,
-            generations=settings.generations,
+            most_evaluations=self.spec.most_evaluations,
+            generations=self.spec.most_generations,
             workers=self.dispatcher.threads,
             dashboard=dashboard,
         )
@@ -236,14 +255,34 @@ class _Run:
         if best is None:
             return EndRecord(stopped.reason, None, None, {}, {}, self._elapsed_s())
         evaluation.make_volumes(generations[best.generation], [best.candidate])
-        before = evaluation.compare_with_target(evaluation.prepared.body["volume"])
-        after = evaluation.compare_with_target(best.digest)
+        at = evaluation.resolution(best.level)
+        before = evaluation.compare_with_target(at, at.body["volume"])
+        after = evaluation.compare_with_target(at, best.digest)
         found = evaluation.findings(generations[best.generation], best.candidate)
         write_file(self.study.folder.layout.findings, dumps(found).encode())
         reason, elapsed_s = stopped.reason, self._elapsed_s()
         return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)
 
-    def _append(self, record: SessionRecord | GenerationRecord | EndRecord) -> None:
+    def _identify(
+        self, pending: PendingGeneration, best: EvaluationRecord, evaluation: "_GenerationRun"
+    ) -> None:
+        """Find out what the image tells of the constants, from the tangents at the best one."""
+        reason = organ_named(self.spec.case.organ).no_derivatives
+        if best.fit is not None:
+            self._append(IdentificationRecord(best.candidate, best.fit))
+        elif reason:
+            self._append(IdentificationRecord(best.candidate, None, reason))
+        else:
+            ending = evaluation.differentiate(pending, best.candidate)
+            if ending.kind == "lost":  # of its workers; the next run tries again
+                return
+            fit = (ending.value or {}).get("fit")
+            why = "" if fit else ending.reason or "the simulation with tangents gave none"
+            self._append(IdentificationRecord(best.candidate, fit, why))
+
+    def _append(
+        self, record: SessionRecord | GenerationRecord | IdentificationRecord | EndRecord
+    ) -> None:
         self.journal.append(record.to_json())
 
     def _elapsed_s(self) -> float:
@@ -257,6 +296,7 @@ class _GenerationRun:
         self.run, self.prepared = run, prepared
         self.spec, self.tasks, self.hooks = run.spec, run.tasks, run.hooks
         self.store, self.dispatcher, self.endings = run.store, run.dispatcher, run.endings
+        self._resolutions: dict[int | None, _Resolution] = {}
 
     def evaluate(self, pending: PendingGeneration) -> None:
         """See that every candidate of a generation has an ending."""
@@ -298,9 +338,13 @@ class _GenerationRun:
             self._journal(pending, sharing[ending.key], ending, reused=False)
 
     def _has_other_endings(self, pending: PendingGeneration) -> bool:
-        """Return whether a candidate of a generation has ended otherwise than in a crash."""
+        """Return whether a candidate of a generation has ended otherwise than in a crash.
+
+        One that an earlier generation had already says nothing of this one.
+        """
+        earlier = {r.digest for r in self.endings.values() if r.generation < pending.number}
         ended = [self.endings[c] for c in pending.candidates if c in self.endings]
-        return any(record.status is not Status.CRASHED for record in ended)
+        return any(r.status is not Status.CRASHED and r.digest not in earlier for r in ended)
 
     def keep_volumes(self, pending: PendingGeneration, generation: Generation) -> None:
         """Store the deformed volumes that the study file asks to keep."""
@@ -319,11 +363,33 @@ class _GenerationRun:
                 calls.append((candidate, (self._request(pending, candidate),)))
         self.dispatcher.all(self.tasks.keep_volume, calls)
 
-    def compare_with_target(self, volume: str) -> Mapping[str, Scores]:
+    def compare_with_target(self, at: "_Resolution", volume: str) -> Mapping[str, Scores]:
         """Score a stored volume against the target, tissue by tissue."""
-        store, target = str(self.store.root), self.prepared.target["target"]
-        case, score = self.run.case, self.run.score
-        return self.dispatcher.call(self.tasks.compare, case, store, target, volume, score)
+        store, score = str(self.store.root), self.run.score
+        return self.dispatcher.call(self.tasks.compare, at.case, store, at.target, volume, score)
+
+    def differentiate(self, pending: PendingGeneration, candidate: int) -> Ending:
+        """Evaluate a candidate once more, with derivatives."""
+        request = self._request(pending, candidate, derivatives=True)
+        calls = [(request["digest"], (request,))]
+        (ending,) = self.dispatcher.run(self.tasks.evaluate, calls)
+        return ending
+
+    def resolution(self, level: int | None) -> "_Resolution":
+        """Return body, mesh and target of a level, made where they are missing."""
+        if level not in self._resolutions:
+            self._resolutions[level] = self._resolution(level)
+        return self._resolutions[level]
+
+    def _resolution(self, level: int | None) -> "_Resolution":
+        case, body, target = self.run.case, self.prepared.body, self.prepared.target["target"]
+        if level is None:
+            return _Resolution(case, body, target)
+        coarse, store = self.spec.levels[level], str(self.store.root)
+        made = self.dispatcher.call(
+            self.tasks.level, case, body, target, coarse.spacing_mm, coarse.nodes, store
+        )
+        return _Resolution(made["case"], made["prepared"], made["target"])
 
     def findings(self, pending: PendingGeneration, candidate: int) -> Mapping[str, Any]:
         """Find out what the body of a candidate tells beside its constants."""
@@ -342,20 +408,27 @@ class _GenerationRun:
             self.endings[record.candidate] = record
             self.hooks.evaluation_ended(record, False)
 
-    def _request(self, pending: PendingGeneration, candidate: int) -> EvaluationRequest:
+    def _request(
+        self, pending: PendingGeneration, candidate: int, *, derivatives: bool = False
+    ) -> EvaluationRequest:
         constants = self.spec.constants_of(pending.genes(candidate))
-        body, target = self.prepared.body, self.prepared.target["target"]
-        case, score = self.run.case, self.run.score
-        return {
+        at, score = self.resolution(pending.proposal.level), self.run.score
+        request: EvaluationRequest = {
             "store": str(self.store.root),
-            "case": case,
-            "prepared": body,
-            "target": target,
+            "case": at.case,
+            "prepared": at.body,
+            "target": at.target,
             "constants": constants,
             "score": score,
             "keep_volume": self.spec.keep == "all",
-            "digest": self.tasks.digest(case, body, target, constants, score),
         }
+        free = self.spec.free_parameters
+        more = [free] if derivatives or pending.proposal.derivatives else []
+        if more:
+            request["free"] = free
+        name = self.tasks.digest(at.case, at.body, at.target, constants, score, *more)
+        request["digest"] = name
+        return request
 
 
 def _blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:
@@ -392,6 +465,7 @@ def _evaluation_record(
         digest=ending.key,
         attempts=max(1, ending.attempts),
         reused=reused,
+        level=pending.proposal.level,
     )
     result: EvaluationResult | None = ending.value
     if result is None:
@@ -403,6 +477,7 @@ def _evaluation_record(
         outcome=result.get("outcome"),
         seconds=result.get("seconds", {}),
         worker=result.get("worker", ""),
+        fit=result.get("fit"),
     )
     score = result.get("score")
     if result["status"] == "done" and score is not None and score["gsf"] < math.inf:

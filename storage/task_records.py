@@ -60,6 +60,14 @@ class PreparedTarget(TypedDict):
     seconds: NotRequired[dict[str, float]]
 
 
+class PreparedLevel(TypedDict):
+    """Body, mesh and target in a coarser resolution, and the case with that mesh."""
+
+    case: dict[str, Any]
+    prepared: PreparedBody
+    target: str
+
+
 class FitJson(TypedDict):
     """The least-squares problem of a candidate: distances of interfaces and their derivatives.
 

@@ -5,6 +5,7 @@ Every key carries its unit. An unknown key is refused with the nearest known one
 raises it as an `InputError`. The keys of one organ stand in its own ``spec.py``.
 """
 
+import reprlib
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeVar
@@ -89,6 +90,11 @@ class CaseSpec(Door):
         InputError
             If a name in `constants` is unknown or a value is not admissible.
         """
+
+    @property
+    def mesh_nodes(self) -> int | None:
+        """Return about how many nodes the mesh has; None where the case does not say."""
+        return None
 
     def canonical(self, genes: Mapping[str, float]) -> dict[str, float]:
         """Return parameters at the door such that equal models have equal ones."""
@@ -189,12 +195,18 @@ def explain(error: ValidationError) -> str:
     return "\n".join(_line(dict(e)) for e in error.errors(include_url=False))
 
 
+# Lists that refer to lists can be longer than any memory when they are written out.
+_SHORT = reprlib.Repr()
+_SHORT.maxdict = _SHORT.maxlist = _SHORT.maxtuple = 10
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 60, 60
+
+
 def _line(error: dict[str, Any]) -> str:
     path = ".".join(str(part) for part in error["loc"]) or "the whole"
     if error["type"] == "value_error":
         return f"  {path}: {error['ctx']['error']}"
     if error["type"] == "missing":
         return f"  {path}: this key is missing"
-    found = repr(error["input"])
+    found = _SHORT.repr(error["input"])
     found = found if len(found) <= 60 else f"{found[:57]}..."
     return f"  {path}: {error['msg']}, found {found}"

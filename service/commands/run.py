@@ -52,22 +52,23 @@ def run(
     """
     with stop_requests() as requests:  # before the imports, which take a while
         scheduler, workers = cluster_options(scheduler, workers)
+        spec = load_spec(study)  # a slip is named before what takes a while is imported
+        home = folder or (study if study.is_dir() else RUNS / spec.name)
         from service.commands.tables import make_console
         from service.progress import progress_observer
+        from service.report.live import LivePage
         from service.run_log import logging_to
         from service.study import Study
         from storage.layout import StudyLayout
 
-        spec = load_spec(study)
-        home = folder or (study if study.is_dir() else RUNS / spec.name)
-        progress = progress_observer(make_console(stderr=as_json))
+        progress, page = progress_observer(make_console(stderr=as_json)), LivePage(home)
         completed = True
         with logging_to(StudyLayout(home).log) as log:
             opened = Study(
                 spec,
                 home,
                 stated_store(store),
-                observers=[progress, log],
+                observers=[progress, log, page],
                 accept_new_code=accept_new_code,
             )
             if opened.ended:
@@ -75,7 +76,11 @@ def run(
             else:
                 if not opened.begun:
                     _look_first(opened, accept_implausible, elsewhere=scheduler is not None)
-                completed = _completed(opened, progress, scheduler, workers, requests)
+                typer.echo(f"page: {page.path}, written after every generation", err=True)
+                with page:
+                    completed = _completed(opened, progress, scheduler, workers, requests)
+                if page.path.parent.is_dir():
+                    _write_page(home, quick=not completed)
                 if not completed:
                     log.note("interrupted")
         if not completed:
@@ -119,6 +124,17 @@ def _completed(
     return True
 
 
+def _write_page(home: Path, *, quick: bool) -> None:
+    """Write the page at the end of a run; what hinders it is no fault of the search."""
+    from service.report.study_page import write_report
+    from storage.errors import PalpateError
+
+    try:
+        typer.echo(f"page: {write_report(home, quick=quick)}", err=True)
+    except PalpateError as error:
+        typer.echo(f"The page was not written. {error}", err=True)
+
+
 def _print(home: Path, as_json: bool) -> None:
     from service.commands.report import print_report
     from service.commands.tables import make_console
@@ -130,4 +146,4 @@ def _print(home: Path, as_json: bool) -> None:
         print_json(study_json(results))
         return
     print_report(results, make_console())
-    typer.echo(f"next: {join(['palpate', 'report', str(home)])}")
+    typer.echo(f"next: {join(['palpate', 'open', str(home)])}")

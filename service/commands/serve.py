@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from service.commands.common import RUNS, SchedulerOption, WorkersOption
+from service.commands.common import SchedulerOption, WorkersOption
 from service.commands.interrupts import stop_requests
+from service.commands.settings import RUNS
 
 
 def serve(

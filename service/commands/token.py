@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.commands.common import RUNS, JsonOption, print_json
+from service.commands.common import JsonOption, print_json
+from service.commands.settings import RUNS
 
 if TYPE_CHECKING:
     from service.server.tokens import Tokens

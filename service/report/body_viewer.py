@@ -12,29 +12,13 @@ from markupsafe import Markup
 
 from service.formatting import number
 from service.report.packed import Json, packed, packed_points, packed_triangles, script
-from storage.values import FloatArray, IntArray, Triple
+from storage.values import FloatArray, IntArray
+from workers.mechanics.pressed import Pressed
 
 SEQUENTIAL = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
 SIGNED = ("#053c5e", "#0072b2", "#9fc3dc", "#c9c5bd", "#eeb083", "#c44e00", "#6b2500")
 # How far plates and wall reach beyond the body, and how long arrows are, as shares of its size.
 BEYOND, ARROW = 0.1, 0.22
-ALONG_Y: Triple = (0.0, 1.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Pressed:
-    """How plates press a body.
-
-    Parameters
-    ----------
-    axis : tuple of float
-        From the lower to the upper plate.
-    force_n : float or None
-        None where the plates stand at a distance.
-    """
-
-    axis: Triple = ALONG_Y
-    force_n: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

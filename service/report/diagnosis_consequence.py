@@ -81,7 +81,12 @@ def _change(constant: ConstantEstimate) -> float:
 
 def _values(constants: dict[str, float]) -> Markup:
     return joined(
-        [Markup("{} = {} kPa").format(symbol(n, "kPa"), number(v, 3)) for n, v in constants.items()]
+        [
+            Markup("{} = {}{}").format(
+                symbol(n, "kPa"), number(v, 3), " kPa" if n.endswith("_kpa") else ""
+            )
+            for n, v in constants.items()
+        ]
     )
 
 

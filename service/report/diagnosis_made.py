@@ -4,13 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from service.formatting import count, number
-from service.report.body_viewer import Pressed
 from service.report.provenance import Made
 from storage.digest import array_digest
-from workers.diagnosis.source import Source
-from workers.organs.breast.case_source import ScannedCaseSource
-from workers.organs.breast.problem import compression_axis
-from workers.organs.breast.study_source import StudySource
+from workers.diagnosis.source import PressedSource, Source
+from workers.mechanics.pressed import Pressed
 from workers.tasks.diagnosis_store import DiagnosisRequest
 
 
@@ -49,29 +46,18 @@ def origin_of(
     volumes = source.content.volumes
     inputs = [(f"{request.source.kind} {source.name}", request.source.digest)]
     inputs += [(name.replace("_", " "), array_digest(v.values)) for name, v in volumes.items()]
-    mesh = f"about {count(nodes or request.nodes)} nodes; points {number(request.spacing_mm, 2)} mm apart"
-    return Origin(Made(when, command, seconds, inputs, mesh, _noise(source)), _loads(source))
+    points = f"points {number(request.spacing_mm, 2)} mm apart"
+    mesh = f"about {count(nodes or request.nodes)} nodes; {points}"
+    loads = source.pressed if isinstance(source, PressedSource) else {}
+    return Origin(Made(when, command, seconds, inputs, mesh, _noise(source)), loads)
 
 
 def _noise(source: Source) -> str:
-    noise = None
-    if isinstance(source, ScannedCaseSource):
-        noise = source.case.noise
-    elif isinstance(source, StudySource):
-        noise = source.noise
-    if noise is None:
+    if not isinstance(source, PressedSource):
         return ""
+    noise = source.segmentation_noise
     return (
-        f"standard deviation {number(noise.sd_mm, 2)} mm over {number(noise.correlation_mm, 2)} mm; "
-        f"of the scan at rest {number(noise.reference_sd_mm, 2)} mm"
+        f"standard deviation {number(noise.sd_mm, 2)} mm over "
+        f"{number(noise.correlation_mm, 2)} mm; of the scan at rest "
+        f"{number(noise.reference_sd_mm, 2)} mm"
     )
-
-
-def _loads(source: Source) -> dict[str, Pressed]:
-    if isinstance(source, ScannedCaseSource):
-        return {load.name: Pressed(load.axis, load.force_n) for load in source.case.loads}
-    if isinstance(source, StudySource):
-        load = source.pieces.case.load
-        pressed = Pressed(compression_axis(load.oblique_deg), load.force_n)
-        return dict.fromkeys(source.scans, pressed)
-    return {}

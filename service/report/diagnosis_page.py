@@ -108,7 +108,9 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "states": experiment.states(summary),
         "hidden": experiment.hidden(summary),
         "expected": experiment.expected(summary),
-        "maps": [] if summary.markers is not None else list(where.maps(maps, scans, accused)),
+        "maps": []
+        if summary.markers is not None
+        else list(where.maps(maps, scans, accused, summary.surfaces)),
         "averaged": where.on_surfaces(maps),
         "sections": list(where.sections(maps, scans, accused)),
         "section_legend": overlay_legend(),
@@ -116,7 +118,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "overlap": tables.overlap(summary.overlap or ()),
         "percentiles": any(region.p95_mm is not None for region in summary.where),
         "regions": tables.regions(summary.where),
-        "not_simulated": NOT_SIMULATED,
+        "not_simulated": NOT_SIMULATED if summary.not_simulated is None else summary.not_simulated,
         "json": json.dumps(to_plain(to_json(summary)), indent=2, ensure_ascii=False),
         "closing": f"Made by Palpate {palpate_version()}.",
     }
@@ -131,10 +133,10 @@ def _lead(summary: Summary) -> str:
             f"err by {noise:.2f} mm; a gap is what differs beyond that. Intervals hold with 90 %."
         )
     return (
-        f"Model and scans were compared at {summary.points} points on the outline and on the "
-        "boundary of the glandular tissue, in every loaded scan, after the constants had been "
-        f"fitted. The segmentation alone makes a point err by {noise:.2f} mm; a gap is what "
-        "differs beyond that. Intervals hold with 90 %."
+        f"Model and scans were compared at {summary.points} points on {summary.compared}, "
+        "in every loaded scan, after the constants had been fitted. The segmentation alone makes "
+        f"a point err by {noise:.2f} mm; a gap is what differs beyond that. Intervals hold with "
+        "90 %."
     )
 
 

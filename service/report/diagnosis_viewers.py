@@ -7,7 +7,7 @@ from markupsafe import Markup
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import KDTree
 
-from service.report.body_viewer import BodyScan, BodySurface, Pressed, body_viewer
+from service.report.body_viewer import BodyScan, BodySurface, body_viewer
 from service.report.diagnosis_maps import SIGNIFICANT, range_mm
 from service.report.diagnosis_slices import titled
 from service.report.diagnosis_surfaces import FARTHEST_MM
@@ -18,6 +18,7 @@ from service.report.slices import VIEWS, middle_mm
 from storage.arrays import Arrays
 from storage.values import FloatArray, Tissue, Triple, Volume
 from workers.diagnosis.acquisition import INTERFACES
+from workers.mechanics.pressed import Pressed
 
 WHEN = ("before", "after")
 COLOURS = {"outline": "#e9d3b4", "glandular": "#c2628f"}
@@ -25,7 +26,7 @@ OVERLAY = (
     ("outside of both", "#ffffff00"),
     ("other tissue in both", "#8a94a12e"),
     ("glandular tissue in both", "#8a94a199"),
-    ("in the scan, not predicted", "#1c86d1ff"),
+    ("in the scan, not predicted", "#107ac0ff"),
     ("predicted, not in the scan", "#d9651fff"),
 )
 # Neighbours by which a displacement is interpolated between points.
@@ -52,15 +53,8 @@ def body_data(
     """
     if not on_surfaces(found):
         return None
-    shapes = [
-        (number, one.name, *(found[f"shape_{one.name}_{part}"] for part in PARTS))
-        for number, one in enumerate(INTERFACES)
-        if f"shape_{one.name}_vertices" in found
-    ]
-    surfaces = [
-        BodySurface(name, COLOURS[name], np.asarray(vertices, np.float64), triangles)
-        for _, name, vertices, triangles in shapes
-    ]
+    numbers = [n for n, i in enumerate(INTERFACES) if f"shape_{i.name}_vertices" in found]
+    surfaces = [_surface(found, INTERFACES[number].name) for number in numbers]
     models = [
         (when, title)
         for when, title in titled(dict.fromkeys(WHEN, 0), accused)
@@ -70,8 +64,11 @@ def body_data(
         BodyScan(
             name,
             loads.get(name, Pressed()),
-            [_moved(found, scan, vertices, models) for _, _, vertices, _ in shapes],
-            [_gaps(found, scan, number, vertices, models) for number, _, vertices, _ in shapes],
+            [_moved(found, scan, s.vertices, models) for s in surfaces],
+            [
+                _gaps(found, scan, number, s.vertices, models)
+                for number, s in zip(numbers, surfaces, strict=True)
+            ],
         )
         for scan, name in enumerate(scans)
     ]
@@ -110,11 +107,16 @@ def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | No
             SlicePanel("Model: $choice", "labels", ("$choice",)),
             SlicePanel("Difference: $choice", "overlay", ("scan", "$choice"), gland),
         ],
-        VIEWS,
+        VIEWS[:1] if next(iter(sets[0].volumes.values())).values.shape[0] == 1 else VIEWS,
         {int(t): (t.name.lower(), colour) for t, colour in TISSUES.items() if t},
         OVERLAY,
         models,
     )
+
+
+def _surface(found: Arrays, name: str) -> BodySurface:
+    vertices, triangles = (found[f"shape_{name}_{part}"] for part in PARTS)
+    return BodySurface(name, COLOURS[name], np.asarray(vertices, np.float64), triangles)
 
 
 def _moved(
@@ -144,12 +146,13 @@ def _gaps(
     vertices: FloatArray,
     models: Sequence[tuple[str, str]],
 ) -> dict[str, FloatArray]:
-    """Return residuals at the vertices, those within the noise as zero; nan where no point is near."""
+    """Return residuals at vertices, those within the noise as zero; nan where no point is near."""
     own = np.asarray(found["interface"]) == number
     if not own.any():
         return {}
     near = min(NEAREST, int(own.sum()))
-    away, which = (a.reshape(-1, near) for a in KDTree(found["points"][own]).query(vertices, near))
+    near_ones = KDTree(found["points"][own]).query(vertices, near)
+    away, which = (np.asarray(one).reshape(-1, near) for one in near_ones)
     weights = 1 / np.maximum(away, 0.1) ** 2
     weights /= weights.sum(axis=1, keepdims=True)
     gaps = {}

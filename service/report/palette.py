@@ -46,7 +46,7 @@ DIFFERENCES: dict[Difference, str] = {
     Difference.OUTSIDE: "#ffffff00",
     Difference.BODY: "#8a94a12e",
     Difference.BOTH: "#8a94a199",
-    Difference.ONLY_TARGET: "#1c86d1ff",
+    Difference.ONLY_TARGET: "#107ac0ff",
     Difference.ONLY_BEST: "#e69f00ff",
 }
 

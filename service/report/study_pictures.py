@@ -9,7 +9,7 @@ from markupsafe import Markup
 from service.formatting import bare, label, number
 from service.identification import Identification
 from service.report import study_charts, study_sections
-from service.report.body_viewer import BodyScan, BodySurface, Pressed, body_viewer
+from service.report.body_viewer import BodyScan, BodySurface, body_viewer
 from service.report.packed import script
 from service.report.palette import DIFFERENCES, TISSUES, Difference
 from service.report.pictures import Picture, chart, small_chart
@@ -21,8 +21,8 @@ from service.results import GenerationScores, ParameterEstimate
 from storage.records import EvaluationRecord
 from storage.status import Status
 from storage.values import Tissue
-from workers.organs.breast.problem import compression_axis
-from workers.organs.breast.spec import BreastCase
+from workers.mechanics.pressed import Pressed
+from workers.organs.registry import pressed_of
 from workers.spec import CaseSpec
 
 # Named in the script, which looks for charts of this kind.
@@ -35,8 +35,8 @@ class SectionRow:
     """Sections of all bodies in one view, each with its title, and what stands below them."""
 
     panels: tuple[tuple[str, Markup], ...]
-    caption: Markup
     wide: bool
+    caption: Markup
 
 
 def evaluated_points(endings: Iterable[EvaluationRecord]) -> list[EvaluationPoint]:
@@ -146,26 +146,21 @@ def scatter_pictures(
 def section_pictures(bodies: Bodies, labels: Iterable[str]) -> list[SectionRow]:
     """Draw three views of the bodies that are there."""
     tissues = _compared(bodies, labels)
-    undeformed, deformed = study_sections.middles(bodies, tissues)
+    middle = study_sections.middles(bodies, tissues)
     rows = []
     for view in VIEWS[:1] if _is_flat(bodies) else VIEWS:
-        panels = study_sections.side_by_side(bodies, view, tissues)
-        if not panels:
+        drawn = study_sections.side_by_side(bodies, view, tissues, middle)
+        if drawn is None:
             continue
         axis = AXES[view.normal]
         places = [
             f"{what} at {axis} = {number(at[view.normal], 3)} mm"
-            for what, at in (("undeformed", undeformed), ("deformed", deformed))
+            for what, at in zip(("undeformed", "deformed"), middle, strict=True)
             if at is not None
         ]
         name = "Section" if _is_flat(bodies) else view.name.capitalize()
-        rows.append(
-            SectionRow(
-                tuple(panels),
-                Markup("<b>{}</b>, {}").format(name, ", ".join(places)),
-                study_sections.are_wide(bodies, view, tissues),
-            )
-        )
+        caption = Markup("<b>{}</b>, {}").format(name, ", ".join(places))
+        rows.append(SectionRow(drawn.panels, drawn.wide, caption))
     return rows
 
 
@@ -186,7 +181,7 @@ def slice_data(bodies: Bodies, labels: Iterable[str]) -> Markup | None:
     if at is None:
         return None
     names = " + ".join(bodies.labels[t] for t in tissues)
-    meaning = {kind: text for kind, text in zip(Difference, _MEANING, strict=True)}
+    meaning = dict(zip(Difference, _MEANING, strict=True))
     return slice_viewer(
         [SliceSet("", volumes, at)],
         [
@@ -211,7 +206,7 @@ def body_data(bodies: Bodies, case: CaseSpec) -> Markup | None:
     ]
     scan = BodyScan(
         "",
-        _pressed(case),
+        pressed_of(case) or Pressed(),
         [{} if s.moved is None else {BEST: s.moved} for s in bodies.surfaces],
         [{} if s.gap_mm is None else {BEST: s.gap_mm} for s in bodies.surfaces],
     )
@@ -242,12 +237,6 @@ _MEANING = (
     "only in the target",
     "only in the best candidate",
 )
-
-
-def _pressed(case: CaseSpec) -> Pressed:
-    if isinstance(case, BreastCase):
-        return Pressed(compression_axis(case.load.oblique_deg), case.load.force_n)
-    return Pressed()
 
 
 def _compared(bodies: Bodies, labels: Iterable[str]) -> list[int]:

@@ -1,6 +1,7 @@
 """Draws reference, target, best candidate and difference side by side along one axis."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from markupsafe import Markup
 
@@ -27,31 +28,48 @@ _TISSUES = palette.lookup({int(t): c for t, c in palette.TISSUES.items()})
 _DIFFERENCES = palette.lookup({int(d): c for d, c in palette.DIFFERENCES.items()})
 
 
-def side_by_side(bodies: Bodies, view: View, tissues: Sequence[int]) -> list[tuple[str, Markup]]:
-    """Draw one view of all bodies that are there, each with its title; none if there is none.
+@dataclass(frozen=True)
+class SideBySide:
+    """Sections of one view, each with its title; `wide` ones are drawn two in a row."""
 
-    The planes pass through the middle of `tissues`: of the target for target and best
-    candidate, so that both are cut in the same place, and of the undeformed body for
-    itself.
+    panels: tuple[tuple[str, Markup], ...]
+    wide: bool
+
+
+def side_by_side(
+    bodies: Bodies,
+    view: View,
+    tissues: Sequence[int],
+    middle: tuple[Triple | None, Triple | None],
+) -> SideBySide | None:
+    """Draw one view of all bodies that are there; None if there is none.
+
+    Parameters
+    ----------
+    bodies : Bodies
+    view : View
+    tissues : sequence of int
+        That are compared.
+    middle : tuple
+        Where the planes pass: through the undeformed body, and through target and best
+        candidate; see `middles`.
     """
-    shown = _sections(bodies, view, tissues)
+    shown = _sections(bodies, view, tissues, middle)
     if not shown:
-        return []
-    frame = frame_mm([cut for _, cut, _ in shown])
-    return [
-        (title, _panel(cut, frame, view, f"{title}, {view.name}", is_difference))
-        for title, cut, is_difference in shown
+        return None
+    left, right, bottom, top = frame_mm([cut for _, cut, _ in shown])
+    panels = [
+        (title, _panel(cut, (left, right, bottom, top), view, f"{title}, {view.name}", differs))
+        for title, cut, differs in shown
     ]
-
-
-def are_wide(bodies: Bodies, view: View, tissues: Sequence[int]) -> bool:
-    """Return whether sections are so wide that two of them fill a row."""
-    left, right, bottom, top = frame_mm([cut for _, cut, _ in _sections(bodies, view, tissues)])
-    return right - left > WIDE * (top - bottom)
+    return SideBySide(tuple(panels), right - left > WIDE * (top - bottom))
 
 
 def middles(bodies: Bodies, tissues: Sequence[int]) -> tuple[Triple | None, Triple | None]:
-    """Return where the undeformed body and the target are cut."""
+    """Return where the undeformed body and the target are cut: in the middle of `tissues`.
+
+    Target and best candidate are cut in the same place.
+    """
     first = None if bodies.reference is None else middle_mm(bodies.reference, tissues)
     explained = bodies.target if bodies.target is not None else bodies.best
     return first, None if explained is None else middle_mm(explained, tissues)
@@ -76,18 +94,21 @@ def difference_legend() -> list[tuple[str, str]]:
 
 
 def _sections(
-    bodies: Bodies, view: View, tissues: Sequence[int]
+    bodies: Bodies,
+    view: View,
+    tissues: Sequence[int],
+    middle: tuple[Triple | None, Triple | None],
 ) -> list[tuple[str, Section, bool]]:
-    undeformed, deformed = middles(bodies, tissues)
+    undeformed, deformed = middle
     shown = []
     cuts: dict[str, Section] = {}
-    for title, volume, middle in (
+    for title, volume, at in (
         ("Undeformed", bodies.reference, undeformed),
         ("Target", bodies.target, deformed),
         ("Best candidate", bodies.best, deformed),
     ):
-        if volume is not None and middle is not None:
-            cuts[title] = section(volume, view, middle[view.normal])
+        if volume is not None and at is not None:
+            cuts[title] = section(volume, view, at[view.normal])
             shown.append((title, cuts[title], False))
     if "Target" in cuts and "Best candidate" in cuts:
         names = " + ".join(bodies.labels[t] for t in tissues)

@@ -35,7 +35,7 @@ class Svg:
     height: float
     parts: list[str] = field(default_factory=list)
 
-    def add(self, tag: str, text: str | None = None, **attributes: object) -> None:
+    def add(self, tag: str, text: str | None = None, /, **attributes: object) -> None:
         """Add an element; ``class_`` and ``stroke_width`` are written class and stroke-width."""
         head = "".join(
             f' {name.strip("_").replace("_", "-")}="{_written(value)}"'
@@ -78,7 +78,7 @@ class Svg:
         if not points:
             return
         places = "".join(f"M{_written(x)} {_written(y)}h0" for x, y in points)
-        told = {"data_i": " ".join(map(str, numbers))} if numbers else {}
+        told: dict[str, object] = {"data_i": " ".join(map(str, numbers))} if numbers else {}
         self.add("path", d=places, class_=f"dots {class_}", **told)
 
     def mark(self, kind: Mark, x: float, y: float, class_: str, size: float = 5.0) -> None:
@@ -90,7 +90,8 @@ class Svg:
             self.add("rect", x=x - 6, y=y - 5, width=12, height=10, rx=2, class_=class_)
         else:
             shape = {
-                "diamond": f"M{x - s:.1f} {y:.1f}l{s:.1f} {-s:.1f} {s:.1f} {s:.1f} {-s:.1f} {s:.1f}z",
+                "diamond": f"M{x - s:.1f} {y:.1f}l{s:.1f} {-s:.1f} {s:.1f} {s:.1f} {-s:.1f} "
+                f"{s:.1f}z",
                 "stroke": f"M{x:.1f} {y - s:.1f}v{2 * s:.1f}",
                 "cross": f"M{x - s:.1f} {y - s:.1f}l{2 * s:.1f} {2 * s:.1f}m0 {-2 * s:.1f}"
                 f"l{-2 * s:.1f} {2 * s:.1f}",
@@ -137,10 +138,10 @@ class Scale:
         return self.start + share * (self.end - self.start)
 
     def ticks(self, most: int) -> list[float]:
-        """Return at most so many round values inside the axis, in steps of 1, 2 or 5."""
+        """Return round values inside the axis, in at most so many steps of 1, 2 or 5."""
         span = self.upper - self.lower
         power = 10.0 ** math.floor(math.log10(span / max(1, most)))
-        step = next(s * power for s in (1, 2, 5, 10, 20) if span / (s * power) <= most)
+        step = next(s * power for s in (1, 2, 5, 10, 20) if span / (s * power) <= most + 1e-6)
         first = math.ceil(self.lower / step - 1e-9)
         last = math.floor(self.upper / step + 1e-9)
         return [k * step for k in range(first, last + 1)]

@@ -62,6 +62,7 @@ def create_app(
         openapi_url=f"{PREFIX}/openapi.json",
         docs_url=None,  # its page would load scripts from elsewhere
         redoc_url=None,
+        redirect_slashes=False,
         max_body_size=service.limits.body_bytes,
     )
     app.state.service, app.state.stopping, app.state.streams = service, stopping, 0

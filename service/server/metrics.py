@@ -26,14 +26,14 @@ def metrics(service: Service) -> str:
     by_kind = [({"kind": k, "state": s}, n) for (k, s), n in sorted(jobs.items())]
     ended = [({"ending": e}, evaluations[e]) for e in ENDINGS]
     spent = [({"stage": s}, seconds) for s, seconds in sorted(stages.items())]
-    held = [({}, service.runner.share.held)]
+    threads, held = service.runner.threads, service.runner.share.held
     return "".join(
         (
             _metric("palpate_jobs", "gauge", "Jobs by kind and state.", by_kind),
             _metric("palpate_evaluations_total", "counter", "Evaluations that ended.", ended),
             _metric("palpate_stage_seconds_total", "counter", "Seconds in each stage.", spent),
-            _metric("palpate_threads", "gauge", "Tasks at once.", [({}, service.runner.threads)]),
-            _metric("palpate_tasks", "gauge", "Tasks under way or queued.", held),
+            _metric("palpate_threads", "gauge", "Tasks at once.", [({}, threads)]),
+            _metric("palpate_tasks", "gauge", "Tasks under way or queued.", [({}, held)]),
         )
     )
 

@@ -1,6 +1,7 @@
 """Checks what is submitted, before it is queued: a study, or what is to be diagnosed."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from service.server.yaml_door import DEEPEST, depth_of, parsed_text, refuse_path
 from service.spec import StudySpec, parse_spec
 from storage.errors import InputError, StoreError
 from storage.stores import Store
-from storage.volumes import has_volume
+from storage.volumes import has_volume, list_volumes, volume_meta
 
 WHERE = "The study"
 IMAGE_KEYS = {"volume", "file"}
@@ -68,10 +69,15 @@ def _check_images(spec: StudySpec, uploads: Uploads, store: Store) -> None:
 
 
 def _in_store(name: str, store: Store) -> bool:
-    try:
-        return has_volume(store, name)
-    except StoreError:  # no name of a volume
-        return False
+    """Return whether the store has a volume of that digest or name."""
+    with suppress(StoreError):  # no name of a volume
+        if has_volume(store, name):
+            return True
+    for volume in list_volumes(store):
+        with suppress(StoreError):  # damaged
+            if volume_meta(store, volume).get("name") == name:
+                return True
+    return False
 
 
 def _check_size(spec: StudySpec, limits: Limits) -> None:

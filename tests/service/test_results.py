@@ -17,6 +17,7 @@ from storage.layout import StudyLayout
 KEYS = {
     "study",
     "estimates",
+    "identification",
     "score",
     "evaluations",
     "seconds",
@@ -166,6 +167,7 @@ GENERATION_KEYS = ["number", "asked", "ended", "complete"]
 SCORED_KEYS = ["best", "mean", "best_candidate", "best_genes", "failed"]
 CANDIDATE_KEYS = ["study", "candidate", "generation", "evaluated_as", "genes", "held", "status"]
 ENDED_KEYS = [
+    "identification",
     "score",
     "reason",
     "traceback",

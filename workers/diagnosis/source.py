@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
 from storage.values import Volume
+from workers.comparison.observation.noise import SegmentationNoise
 from workers.diagnosis.acquisition import Acquisition
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import InverseProblem
@@ -14,6 +15,7 @@ from workers.diagnosis.pictures.scan_pictures import Displacements
 from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.model import Model
+from workers.mechanics.pressed import Pressed
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +81,19 @@ class PlannedSource(HasContent, Protocol):
     @property
     def acquisition(self) -> Acquisition:
         """What is known before the loaded scans."""
+
+
+@runtime_checkable
+class PressedSource(Protocol):
+    """A source of segmented scans of a body between plates."""
+
+    @property
+    def pressed(self) -> Mapping[str, Pressed]:
+        """How the plates press it in each loaded scan, by name."""
+
+    @property
+    def segmentation_noise(self) -> SegmentationNoise:
+        """What its segmentations err by."""
 
 
 class Source(HasContent, Protocol):

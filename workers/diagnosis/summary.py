@@ -311,6 +311,10 @@ class Summary:
         Of a bench experiment.
     next_acquisitions : optional
         If further measurements were planned.
+    surfaces, compared : tuple of str, str
+        The interfaces, and where their points lie, in words.
+    not_simulated : optional
+        Causes that no effect stands for, and why; those of a breast where it is None.
     """
 
     case: str
@@ -336,6 +340,9 @@ class Summary:
     hidden: tuple[ConfoundedEffect, ...] | None = None
     predictions: tuple[PredictedState, ...] | None = None
     next_acquisitions: tuple[NextAcquisition, ...] | None = None
+    surfaces: tuple[str, ...] = ("outline", "glandular")
+    compared: str = "the outline and on the boundary of the glandular tissue"
+    not_simulated: tuple[tuple[str, str], ...] | None = None
 
     def effect(self, name: str) -> EffectSummary:
         """Return what is known of one effect.

@@ -12,7 +12,7 @@ const showCharts = () => {
       const points = path.getAttribute("d").split("M").slice(1).map((text) => text.split("h")[0].split(" ").map(Number));
       path.dataset.i.split(" ").forEach((i, k) => places.set(Number(i), points[k]));
     }
-    const ring = document.createElementNS("http://www.w3.org/2000/svg", "circle");
+    const ring = document.createElementNS(svg.namespaceURI, "circle");
     ring.setAttribute("r", "7");
     ring.setAttribute("class", "pointed");
     ring.style.display = "none";

@@ -1,10 +1,11 @@
 """A case of segmented scans as the source of a diagnosis, and of a plan before it is scanned."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from numpy.typing import NDArray
 
+from workers.comparison.observation.noise import SegmentationNoise
 from workers.diagnosis.acquisition import Acquisition, inverse_problem_of
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import InverseProblem
@@ -14,6 +15,7 @@ from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.pressed import Pressed
 from workers.organs.breast.case_acquisition import acquisition_of, mesh_of
 from workers.organs.breast.case_checks import check_case
 from workers.organs.breast.case_spec import CaseFile
@@ -61,6 +63,16 @@ class ScannedCaseSource:
     def effects(self) -> Sequence[Effect]:
         """What may be missing from the model of a breast."""
         return BREAST_EFFECTS
+
+    @property
+    def pressed(self) -> Mapping[str, Pressed]:
+        """How the plates press it in each loaded scan, by name."""
+        return {load.name: Pressed(load.axis, load.force_n) for load in self.case.loads}
+
+    @property
+    def segmentation_noise(self) -> SegmentationNoise:
+        """What its segmentations err by."""
+        return self.case.noise
 
     def check(self) -> None:
         """Refuse scans that cannot be one body under these loads."""

@@ -18,6 +18,7 @@ from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Load
 from workers.mechanics.fem.problem import Constants, Membrane, Problem
 from workers.mechanics.parameters import BREAST
+from workers.mechanics.pressed import Pressed
 from workers.organs.breast.spec import LoadSpec, ModelSpec
 
 Extent = tuple[float, float]
@@ -118,6 +119,11 @@ def compression_axis(oblique_deg: float) -> Triple:
     """From the lower to the upper plate."""
     angle = np.radians(oblique_deg)
     return -float(np.sin(angle)), float(np.cos(angle)), 0.0
+
+
+def pressed_by(load: LoadSpec) -> Pressed:
+    """How the plates of a load press a body."""
+    return Pressed(compression_axis(load.oblique_deg), load.force_n)
 
 
 def extent_of(volume: Volume, oblique_deg: float = 0.0) -> Extent:

@@ -185,6 +185,11 @@ class BreastCase(CaseSpec):
         """See `CaseSpec.parameters`."""
         return BREAST_MODEL.without(["E_skin"]) if self.model.skin == "none" else BREAST_MODEL
 
+    @property
+    def mesh_nodes(self) -> int | None:
+        """See `CaseSpec.mesh_nodes`."""
+        return self.mesh.nodes
+
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
         """See `CaseSpec.complete`."""
         return BREAST_MODEL.complete(BREAST_MODEL.from_door(self.constants), constants or {})

@@ -14,7 +14,7 @@ from workers.organs.cornea.model import CorneaModel
 from workers.organs.cornea.prepared_mesh import prepare
 from workers.organs.cornea.sensitivity import Change as CandidateChange
 from workers.organs.cornea.sensitivity import sensitivity
-from workers.organs.cornea.solve import solve_prepared
+from workers.organs.cornea.solve import CorneaSolution, Equilibrium, equilibrium, solve_prepared
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +58,11 @@ class PlaneSolution:
 
 @dataclass(frozen=True, eq=False)
 class CorneaEquilibrium:
-    """A problem with its solution."""
+    """A problem with its solution, and the equilibrium of its candidate if there is one."""
 
     problem: CorneaProblem
     solution: PlaneSolution
+    of_candidate: Equilibrium | None
 
 
 class CorneaForward:
@@ -71,11 +72,13 @@ class CorneaForward:
         self, model: Any, problem: CorneaProblem, start: Any = None
     ) -> CorneaEquilibrium:
         """Solve a problem; a load that makes no sense has no equilibrium."""
+        base, at = problem.candidate, None
         try:
-            u, reason = _displacement(problem)
+            at = equilibrium(base.prepared, base.constants, base.load)
+            u, reason = _displacement(problem, at.solution)
         except InputError as error:
-            u, reason = np.zeros_like(problem.candidate.prepared.mesh.nodes_mm), str(error)
-        return CorneaEquilibrium(problem, PlaneSolution(_padded(u), Ending(not reason, reason)))
+            u, reason = np.zeros_like(base.prepared.mesh.nodes_mm), str(error)
+        return CorneaEquilibrium(problem, PlaneSolution(_padded(u), Ending(not reason, reason)), at)
 
     def tangents(
         self, at: CorneaEquilibrium, changes: Sequence[Change], tolerance: float = 0.0
@@ -98,7 +101,8 @@ class CorneaForward:
                 half = CandidateChange(plus.candidate, minus.candidate, change.step / 2)
                 pairs.append((number, half))
         if pairs:
-            result = sensitivity(at.problem.candidate, [pair for _, pair in pairs])
+            differentiated = [pair for _, pair in pairs]
+            result = sensitivity(at.problem.candidate, differentiated, at.of_candidate)
             for (number, _), derivative in zip(pairs, result.derivatives, strict=True):
                 found[number] = _padded(derivative)
         return found
@@ -112,10 +116,9 @@ class CorneaForward:
         return 0.0, -1.0, 0.0
 
 
-def _displacement(problem: CorneaProblem) -> tuple[FloatArray, str]:
+def _displacement(problem: CorneaProblem, solution: CorneaSolution) -> tuple[FloatArray, str]:
     """Return the displacement, (n, 2), and why it is none; empty if it is."""
     base = problem.candidate
-    solution = solve_prepared(base.prepared, base.constants, base.load)
     u, reason = solution.displacement_mm, solution.reason
     for (option, value), share in problem.shares.items():
         if reason or share == 0:

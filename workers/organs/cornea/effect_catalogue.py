@@ -126,7 +126,7 @@ def _both_surfaces(
     return np.ones((len(points), 1))
 
 
-_LIMBUS_YIELD = MM_PER_KPA.to_inside(0.004)
+_LIMBUS_YIELD = MM_PER_KPA.to_inside(0.0005)
 _ONE_MMHG = MMHG.to_inside(1.0)
 
 CORNEA_EFFECTS: tuple[Effect, ...] = (

@@ -29,15 +29,17 @@ from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.parameters import Bounds
 from workers.organs.cornea.diagnosed_problem import CorneaForward, CorneaProblem
+from workers.organs.cornea.drawn_geometry import geometry_covariance
 from workers.organs.cornea.effect_catalogue import CORNEA_EFFECTS, SEARCHED_AS
 from workers.organs.cornea.organ import ORGAN
 from workers.organs.cornea.problem import candidate_of
-from workers.organs.cornea.region_rows import region_rows
+from workers.organs.cornea.region_rows import SURFACES, region_rows
 from workers.organs.cornea.section import Section
 from workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget
 from workers.organs.cornea.surface_residual import ANTERIOR, POSTERIOR, SurfaceResidual
 from workers.organs.cornea.t6_mesh import T6Mesh
 from workers.spec import validated
+from workers.units import KPA, NUMBER, Unit
 
 # A constant that was searched from about zero is plausible from this part of its upper end.
 LEAST_PART = 0.1
@@ -149,9 +151,9 @@ class CorneaStudySource:
     @cached_property
     def free(self) -> list[FreeConstant]:
         """The searched constants of the law."""
-        vocabulary, bounds = self.study.case.parameters, self.study.bounds
+        bounds = self.study.bounds
         return [
-            FreeConstant(name, max(low, LEAST_PART * high), high, vocabulary[name].unit)
+            FreeConstant(name, max(low, LEAST_PART * high), high, _unit(name))
             for name, (low, high) in bounds.items()
             if name.startswith(("mu", "alpha"))
         ]
@@ -176,6 +178,8 @@ class CorneaStudySource:
         rows = np.arange(len(chosen)), chosen
         at = csr_matrix((np.ones(len(chosen)), rows), (len(chosen), len(mesh.nodes_mm)))
         model: Any = ORGAN.prepare(mesh)
+        near = self.problem()({})
+        drawn = geometry_covariance(near, study.noise, at, points.normals)
         return InverseProblem(
             model=model,
             frame=frame_of_section(mesh),
@@ -184,7 +188,7 @@ class CorneaStudySource:
             free=self.free,
             scans=[Scan(self.scans[0], self.problem(), SurfaceResidual(study.target))],
             noise=study.noise,
-            covariance=covariance(points, study.noise, 1),
+            covariance=covariance(points, study.noise, 1) + drawn,
             bias=np.zeros(len(points)),
             forward=CorneaForward(),
             something_else=SOMETHING_ELSE,
@@ -197,7 +201,14 @@ class CorneaStudySource:
         self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Name surfaces and regions as those of a cornea."""
-        return {}, replace(summary, where=tuple(region_rows(diagnosis)))
+        named = replace(
+            summary,
+            where=tuple(region_rows(diagnosis)),
+            surfaces=SURFACES,
+            compared="the outer and the inner surface of the cornea",
+            not_simulated=ORGAN.not_simulated,
+        )
+        return {}, named
 
     @property
     def acquisition(self) -> Acquisition:
@@ -276,6 +287,10 @@ def surface_points(
     own = np.concatenate(interfaces)
     points = InterfacePoints(places, np.concatenate(normals), own, np.concatenate(lengths), own)
     return points, chosen.astype(np.intp)
+
+
+def _unit(constant: str) -> Unit:
+    return KPA if constant.startswith("mu") else NUMBER
 
 
 def frame_of_section(mesh: T6Mesh) -> Frame:

@@ -36,7 +36,7 @@ MEASURES = ("M1", "M2", "M3", "M4", "aspect")
 BINS = 40
 RANGES = {name: (1.0, 10.0) if name == "aspect" else (0.0, 1.0) for name in MEASURES}
 # Cells of a sketch are so many times as large.
-COARSER: dict[Scale, float] = {"sketch": 3.0, "reduced": 1.0, "full": 1.0}
+COARSER: dict[Scale, float] = {"sketch": 2.4, "reduced": 1.0, "full": 1.0}
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,8 @@ def thesis(
     strategy: Annotated[
         str | None,
         typer.Option(
-            help="Of the searches, as search.strategy of a study. Default: the thesis' own, "
-            "polished where this version can.",
+            help="Of the searches, as search.strategy of a study: genetic is the thesis' own. "
+            "Default: genetic+least-squares, of which the genetic part is told apart.",
             show_default=False,
         ),
     ] = None,
@@ -87,7 +87,7 @@ def _request(
 ) -> "ThesisRequest":
     from service.thesis.experiments import EXPERIMENTS
     from service.thesis.run import ThesisRequest
-    from service.thesis.search import default_strategy
+    from service.thesis.search import POLISHED
     from storage.errors import InputError
     from workers.thesis.scale import Scale
 
@@ -101,7 +101,7 @@ def _request(
     chosen = EXPERIMENTS if name in EVERYTHING else [e for e in EXPERIMENTS if e == name]
     home = (store or RUNS / "store").expanduser().absolute()
     folder = out.expanduser().absolute()
-    return ThesisRequest(chosen, scale, home, folder, strategy or default_strategy())
+    return ThesisRequest(chosen, scale, home, folder, strategy or POLISHED)
 
 
 def _completed(

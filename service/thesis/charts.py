@@ -43,7 +43,7 @@ PLOTS: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 def coefficient_curves(selection: Selection) -> Figure:
     """Draw the 28 normalised coefficients over the deformations of the bar (Fig. 3.5)."""
-    drawn = figure(WIDTH_IN, 5.6)
+    drawn = figure(WIDTH_IN, 6.2)
     for axes, (title, names) in zip(drawn.subplots(2, 3).ravel(), PLOTS, strict=True):
         calm(axes)
         for n, name in enumerate(names):
@@ -61,11 +61,14 @@ def coefficient_curves(selection: Selection) -> Figure:
                 **style,
             )
         axes.set_title(
-            title, fontsize=TEXT_PT, color=INK, loc="left", pad=20 if len(names) < 5 else 32
+            title, fontsize=TEXT_PT, color=INK, loc="left", pad=20 if len(names) < 5 else 34
         )
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("deformation", fontsize=SMALL_PT)
-        legend(axes, ncols=4)
+        legend(axes, ncols=4, handlelength=1.1)
+        shown = axes.get_legend()
+        if shown is not None:
+            shown.set_in_layout(False)  # columns stay as wide as each other
     return drawn
 
 

@@ -27,7 +27,7 @@ class Recorded:
     machine : str
         Where.
     seconds : mapping of str to float
-        Processor seconds of one part, or of one candidate of a search, by kind.
+        Processor seconds of one part or search, by kind; of searches those of the workers.
     """
 
     machine: str
@@ -44,7 +44,7 @@ class Estimate:
         Processor seconds of the parts that are missing.
     workers : int
     missing, of : int
-        Parts and candidates.
+        Parts and searches.
     machines : tuple of str
         Where such parts were timed.
     unknown : int
@@ -87,24 +87,26 @@ def estimate(request: ThesisRequest, workers: int) -> Estimate:
     parts = {r.part.name: r for e in request.experiments for r in parts_of(e, store, request.scale)}
     here = _seconds(parts.values(), request.searches)
     shipped = shipped_seconds(request.scale)
-    wanted: list[tuple[str, int]] = [(r.kind, 1) for r in parts.values() if not r.part.is_finished]
-    of = len(parts)
-    for run in request.searches:
-        of += run.most_evaluations
+    wanted: list[tuple[str, float]] = [
+        (r.kind, 1.0) for r in parts.values() if not r.part.is_finished
+    ]
+    searches = request.searches
+    for run in searches:
         if not run.is_finished:
-            wanted.append((kind_of(run), max(1, run.most_evaluations - run.evaluations)))
+            done = run.evaluations / run.most_evaluations
+            wanted.append((kind_of(run), max(0.0, 1.0 - done)))
     cpu_s, unknown, machines = 0.0, 0, set()
-    for kind, count in wanted:
+    for kind, share in wanted:
         if kind in here:
-            cpu_s += count * here[kind]
+            cpu_s += share * here[kind]
             machines.add("this machine")
         elif shipped is not None and kind in shipped.seconds:
-            cpu_s += count * shipped.seconds[kind]
+            cpu_s += share * shipped.seconds[kind]
             machines.add(shipped.machine)
         else:
-            unknown += count
-    missing = sum(count for _, count in wanted)
-    return Estimate(cpu_s, max(1, workers), missing, of, tuple(sorted(machines)), unknown)
+            unknown += 1
+    of = len(parts) + len(searches)
+    return Estimate(cpu_s, max(1, workers), len(wanted), of, tuple(sorted(machines)), unknown)
 
 
 def parts_of(experiment: str, store: str, scale: str) -> list[Request]:
@@ -113,8 +115,8 @@ def parts_of(experiment: str, store: str, scale: str) -> list[Request]:
 
 
 def kind_of(run: SearchRun) -> str:
-    """Name what takes about as long as a candidate of a search."""
-    return f"candidate, {run.target}"
+    """Name what takes about as long as a search."""
+    return f"search, {run.target}, {run.spec.search.strategy}"
 
 
 def recorded_here(request: ThesisRequest) -> Recorded:
@@ -140,7 +142,6 @@ def _seconds(parts: Iterable[Request], runs: Iterable[SearchRun]) -> Seconds:
     for run in runs:
         results = run.results()
         if results is not None and results.stages:
-            count = max(time.count for time in results.stages.values())
             total = sum(time.total_s for time in results.stages.values())
-            by_kind.setdefault(kind_of(run), []).append(total / count)
+            by_kind.setdefault(kind_of(run), []).append(total)
     return {kind: median(seconds) for kind, seconds in by_kind.items()}

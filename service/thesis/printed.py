@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from workers.thesis.compression import View
 from workers.thesis.identification import TargetName
+from workers.thesis.mesh_quality import MeshKind
 
 VOXEL_MM = 0.2
 HOURS, CORES, SIMULATIONS = 48.0, 12, 1000
@@ -45,7 +46,7 @@ MOONEY_RIVLIN: dict[View, Compared] = {
     "CC": Compared(0.66, 16.3, None, None),
     "MLO": Compared(0.17, 2.63, None, None),
 }
-SECONDS_PER_1000 = {"adaptive": 23.0, "homogeneous": 15.0}
+SECONDS_PER_1000: dict[MeshKind, float] = {"adaptive": 23.0, "homogeneous": 15.0}
 HOURS_OF_A_COMPRESSION = {
     ("adaptive", "CC"): 7.0,
     ("homogeneous", "CC"): 2.0,

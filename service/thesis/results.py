@@ -342,7 +342,7 @@ def _found(target: TargetName, phantom: int, results: StudyResults) -> FoundSear
 
 def _constant(name: str, results: StudyResults) -> FoundConstant:
     one = results.estimates[name]
-    before = getattr(one, "before_polish", None)
+    before = one.before_polish
     target = one.target or 0.0
     interval, bound = None, None
     if results.identification is not None:

@@ -8,13 +8,11 @@ from typing import Any
 from service.dispatch import Dispatcher
 from service.hooks import Observer, StudyFacts
 from service.results import StudyResults, study_results
-from service.search_spec import SearchSpec
 from service.spec import StudySpec
 from service.study import Study
 from service.study_log import StudyLog
 from service.versions import versions
 from storage.digest import digest
-from storage.errors import InputError
 from storage.layout import StudyLayout
 from storage.records import EvaluationRecord
 from workers.spec import validated
@@ -49,8 +47,7 @@ class SearchRun:
     @property
     def most_evaluations(self) -> int:
         """If nothing stops it early; the elite is not evaluated again."""
-        search = self.spec.search
-        return search.population + (search.generations - 1) * (search.population - search.elite)
+        return self.spec.most_evaluations
 
     @property
     def is_finished(self) -> bool:
@@ -67,11 +64,6 @@ class SearchRun:
         return study_results(self.folder) if self.is_finished else None
 
 
-def default_strategy() -> str:
-    """Return the thesis' own search with a polish, where this Palpate knows how."""
-    return POLISHED if "strategy" in SearchSpec.model_fields else GENETIC
-
-
 def study_of_run(target: TargetName, phantom: int, scale: Scale, strategy: str) -> StudySpec:
     """Return the study of one search.
 
@@ -82,15 +74,12 @@ def study_of_run(target: TargetName, phantom: int, scale: Scale, strategy: str) 
     """
     search: dict[str, Any] = {
         "parameters": bounds_of(target),
+        "strategy": strategy,
         "population": POPULATION[scale],
         "generations": GENERATIONS[scale],
         "elite": ELITE,
         "stall": {"generations": 5, "tolerance": 1e-6},
     }
-    if strategy != GENETIC:
-        if "strategy" not in SearchSpec.model_fields:
-            raise InputError(f"--strategy {strategy}: this version knows {GENETIC} only.")
-        search["strategy"] = strategy
     record = {
         "name": f"{target}-phantom-{phantom}",
         "case": case_of(target, phantom, scale),

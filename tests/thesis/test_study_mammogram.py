@@ -15,10 +15,10 @@ from workers.thesis.identification import TARGETS, case_of
 
 @pytest.fixture(scope="module")
 def case() -> dict[str, Any]:
-    """A small breast of 300 nodes."""
+    """A small breast of coarse elements."""
     told = case_of("X1", 3, "sketch")
     told["reference"]["phantom"]["spacing_mm"] = 2.0
-    told["mesh"] = {"nodes": 300}
+    told["mesh"] = {"nodes": 1100}
     spec = validated(organ_named("breast").case_spec, told, "The case")
     return dict(spec.model_dump(mode="json"))
 

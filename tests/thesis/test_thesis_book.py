@@ -57,7 +57,8 @@ def test_a_chapter_for_each_experiment(page: Page, store: str) -> None:
 
 
 def test_printed_numbers_stand_beside_ours(page: Page) -> None:
-    assert page.row("adaptive")[1:5] == ["1.70", "1.47", "8.86", "5.96"]
+    adaptive = [row for row in page.cells if row[0] == "adaptive" and row[1] == "1.70"]
+    assert [row[1:5] for row in adaptive] == [["1.70", "1.47", "8.86", "5.96"]]
     (sixth,) = [row for row in page.cells if row[0] == "6, thesis"]
     assert [c.strip() for c in sixth[1:5]] == ["7.538", "73.11", "29.83", "121.8"]
     fat = next(r for r in page.cells if r[0] == "Efat" and "1.83 %" in r)

@@ -34,7 +34,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "E_skin_kpa": (200.0, 3000.0),
 }
 PHANTOMS: dict[TargetName, range] = {"X1": range(1, 6), "X2": range(6, 11), "X3": range(1, 6)}
-NODES: dict[Scale, int] = {"sketch": 600, "reduced": 5_000, "full": 90_000}
+NODES: dict[Scale, int] = {"sketch": 1_200, "reduced": 5_000, "full": 90_000}
 SPACING_MM: dict[Scale, float] = {"sketch": 1.0, "reduced": 0.5, "full": 0.2}
 # The reduced body is half as long in every direction: the same pressure.
 FORCE_N: dict[Scale, float] = {"sketch": 25.0, "reduced": 25.0, "full": 100.0}

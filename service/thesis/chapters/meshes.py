@@ -149,7 +149,7 @@ def _sizes(found: MeshResult) -> Table:
         "To mesh",
     )
     note = (
-        "Voxels right: of the body, in a tetrahedron of their own tissue. Time on the clock. The "
+        "Voxels right: of the body, in a tetrahedron of their own tissue. Processor time. The "
         "thesis has 900 000 tetrahedra adaptive and 425 000 homogeneous in a body of 250 ml."
     )
     return Table("Sizes, quality and faithfulness", headings, rows, note=note)

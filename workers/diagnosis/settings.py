@@ -122,7 +122,7 @@ class FormSettings:
     """
 
     relative_sd: float = 0.2
-    length_mm: float = 50.0
+    length_mm: float = 30.0
     # Over which the size of a pattern is averaged: an error need not vanish where it changes sign.
     envelope_mm: float = 12.0
     state_correlation: float = 0.9

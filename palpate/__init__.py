@@ -21,6 +21,13 @@ Diagnose what a folder of scans, a study or a bench experiment lacks::
     diagnosis = palpate.diagnose("patient-7")
     diagnosis.summary.verdict, diagnosis.summary.primary
 
+Or let a service of `palpate serve` do the work, and read it from anywhere::
+
+    with palpate.connect("http://127.0.0.1:8780") as service:
+        job = service.submit("demo.yaml", priority=5)
+        job.wait(progress=True)
+        job.results["estimates"]["E_fat"]["estimate"]
+
 Units are mm, N, s; elastic constants carry their unit in their name (``E_fat_kpa``) or
 beside the number.
 
@@ -46,6 +53,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from palpate.diagnosis import Diagnosis, diagnose
+    from palpate.service import Job, Service, connect
     from palpate.study import Study, study_spec
     from palpate.vocabulary import parameters
     from palpate.volumes import read_volume, write_volume
@@ -63,6 +71,9 @@ _HOMES = {
     "Diagnosis": "palpate.diagnosis",
     "diagnose": "palpate.diagnosis",
     "parameters": "palpate.vocabulary",
+    "Job": "palpate.service",
+    "Service": "palpate.service",
+    "connect": "palpate.service",
     "Study": "palpate.study",
     "study_spec": "palpate.study",
     "read_volume": "palpate.volumes",
@@ -81,8 +92,10 @@ _HOMES = {
 __all__ = [
     "Diagnosis",
     "InputError",
+    "Job",
     "Observer",
     "PalpateError",
+    "Service",
     "StoreError",
     "Study",
     "StudyResults",
@@ -91,6 +104,7 @@ __all__ = [
     "Tissue",
     "Volume",
     "__version__",
+    "connect",
     "diagnose",
     "parameters",
     "read_volume",

@@ -21,9 +21,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stderr.write(f"problem: {problem}\n")
         sys.stderr.write("not ready\n")
         return 2
-    from service.cli import main as run
+    try:
+        from service.cli import main as run
 
-    return run(arguments)
+        return run(arguments)
+    except KeyboardInterrupt:  # while packages are still being loaded
+        sys.stderr.write("Interrupted.\n")
+        return 130
 
 
 def shadow(name: str) -> str | None:

@@ -1,5 +1,6 @@
 """A study: made from a file or a mapping, run on a cluster, read as arrays and tables."""
 
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -11,6 +12,7 @@ from palpate.diagnosis import Diagnosis, diagnose
 from service.cluster import open_cluster
 from service.dispatch import Dispatcher
 from service.hooks import Observer
+from service.preflight import preflight
 from service.progress import progress_observer
 from service.report.study_data import read_study_data
 from service.report.study_page import write_report
@@ -102,6 +104,7 @@ class Study:
         store: str | Path | None = None,
         progress: bool = False,
         observers: Iterable[Observer] = (),
+        accept_implausible: bool = False,
     ) -> StudyResults:
         """Run the study to its end, or continue it from wherever it stands.
 
@@ -118,11 +121,13 @@ class Study:
             Show a progress bar.
         observers : iterable of Observer
             Are called at every generation and evaluation.
+        accept_implausible : bool
+            Run a study that looks as if it could not be meant so.
 
         Raises
         ------
         InputError
-            If the case or the target makes no sense.
+            If the case or the target makes no sense, or cannot be meant so.
         StoreError
             If the store cannot be used, or the study is running already.
         ClusterError
@@ -136,6 +141,14 @@ class Study:
         shown = [] if bar is None else [bar]
         loop = StudyLoop(self.spec, self.folder, store, observers=[*shown, *observers])
         if not loop.ended:
+            if not loop.begun:
+                for warning in preflight(
+                    self.spec,
+                    loop.store,
+                    accept_implausible=accept_implausible,
+                    elsewhere=scheduler is not None,
+                ):
+                    warnings.warn(warning, stacklevel=2)
             with bar or nullcontext(), open_cluster(scheduler, workers) as cluster:
                 loop.run(Dispatcher(cluster.client), cluster.dashboard)
         return self.results

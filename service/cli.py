@@ -1,10 +1,15 @@
 """Defines the command `palpate`.
 
 Exit codes: 0 done; 1 a fault of ours, with its traceback; 2 something that the
-user can put right, said in one message; 130 interrupted, and how to go on.
+user can put right, said in one message; 130 interrupted, and how to go on; 141 nobody
+reads the output any more.
 """
 
+import errno
+import os
+import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -14,26 +19,50 @@ from service.commands import (
     blind,
     diagnose,
     doctor,
+    export,
     import_,
     import_case,
     mesh,
     new,
+    open_,
     parameters,
     phantom,
     plan,
     report,
     run,
+    serve,
     show,
     simulate,
     status,
+    store,
+    strategies,
+    token,
 )
+from service.commands.settings import remember_command
 from storage.errors import PalpateError
+
+USERS_FAULT = 2
+NO_READER = 141
+# What the system refuses for reasons that the user can put right.
+REFUSALS = {
+    errno.ENOSPC: "the disk is full",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EROFS: "the file system is read-only",
+    errno.EACCES: "permission is denied",
+    errno.EPERM: "permission is denied",
+    errno.ENAMETOOLONG: "the name is too long",
+    errno.ENOTDIR: "a part of the path is a file",
+    errno.EISDIR: "it is a folder",
+    errno.ELOOP: "symbolic links lead in a circle",
+    errno.EMFILE: "too many files are open",
+    errno.EIO: "the disk reports an error",
+}
 
 app = typer.Typer(
     name="palpate",
     help="The stiffness of living tissue from images, by finite elements and search.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -61,6 +90,7 @@ app.command("run")(run.run)
 app.command("status")(status.status)
 app.command("show")(show.show)
 app.command("report")(report.report)
+app.command("open")(open_.open_)
 app.command("diagnose")(diagnose.diagnose)
 app.command("plan")(plan.plan)
 app.add_typer(blind.app, name="blind")
@@ -70,17 +100,70 @@ app.command("phantom")(phantom.phantom)
 app.command("mesh")(mesh.mesh)
 app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
+app.command("export")(export.export)
+app.command("serve")(serve.serve)
+app.add_typer(token.app, name="token")
+app.add_typer(store.app, name="store")
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
+app.command("strategies")(strategies.strategies)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; its exit code."""
+    typed = list(sys.argv[1:] if arguments is None else arguments)
+    remember_command(typed)
+    _accept_any_character()
+    code = _run(typed)
     try:
-        app(arguments)
+        sys.stdout.flush()
+    except OSError as error:
+        _leave_standard_output()
+        if isinstance(error, BrokenPipeError):
+            return NO_READER
+        return _explain(f"standard output cannot be written: {_why(error)}")
+    return code
+
+
+def _run(typed: list[str]) -> int:
+    try:
+        app(typed)
     except PalpateError as error:
-        typer.echo(f"Error: {error}", err=True)
-        return 2
+        return _explain(str(error))
     except SystemExit as ended:  # typer leaves so, with 2 for a wrong option and 130 for Ctrl-C
-        return int(ended.code or 0)
+        # It leaves with 1 where nobody reads what is printed.
+        return NO_READER if ended.code == 1 else int(ended.code or 0)
+    except MemoryError:
+        return _explain("the memory of this machine does not suffice: ask for fewer or coarser.")
+    except OSError as error:
+        if error.errno not in REFUSALS:
+            raise
+        where = error.filename or "standard output"
+        return _explain(f"{where}: {_why(error)}. Put that right, or choose another place.")
     return 0
+
+
+def _explain(message: str) -> int:
+    with suppress(OSError):
+        typer.echo(f"Error: {message}", err=True)
+    return USERS_FAULT
+
+
+def _why(error: OSError) -> str:
+    return REFUSALS.get(error.errno or 0, error.strerror or str(error))
+
+
+def _accept_any_character() -> None:
+    """Print a question mark where a terminal does not know a character."""
+    for stream in (sys.stdout, sys.stderr):
+        if (getattr(stream, "encoding", "") or "").lower().replace("-", "") != "utf8":
+            with suppress(AttributeError, ValueError, OSError):
+                stream.reconfigure(errors="replace")  # type: ignore[union-attr]
+
+
+def _leave_standard_output() -> None:
+    """Keep Python from writing once more, when it ends, what could not be written."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)

@@ -4,6 +4,7 @@ One evaluation per process, one thread per evaluation. Worker processes are
 spawned, so a script that opens a cluster needs ``if __name__ == "__main__":``.
 """
 
+import logging
 import os
 import signal
 import socket
@@ -21,6 +22,8 @@ from distributed import Client, LocalCluster, Status
 from tornado.ioloop import PeriodicCallback
 
 from service.errors import ClusterError
+from service.scheduler_address import check_reachable
+from service.task_failures import sentence
 from storage.errors import InputError
 from workers import THREAD_ENVIRONMENT
 from workers.resources import OneThread
@@ -28,6 +31,8 @@ from workers.resources import OneThread
 ALLOWED_FAILURES = 5
 DASHBOARD_PORT = 8787
 MEND_EVERY_S = 5.0
+HANDSHAKE_S = 10.0
+START_ATTEMPTS = 3
 GIVEN_UP = {Status.closed, Status.failed}
 
 # Read by the scheduler when it starts, so they have to be set before.
@@ -48,15 +53,45 @@ CONFIG: dict[str, Any] = {
 
 
 class _SteadyCluster(LocalCluster):
-    """Hears calmly of the end of a worker that it never knew or has forgotten.
+    """Survives workers that come and go quickly, and such as are killed while they start.
 
-    When workers come and go quickly Dask's own trips over it (KeyError), then again when it
-    is closed.
+    Dask's own trips over the end of a worker that it never knew or has forgotten (KeyError),
+    then again when it is closed. A worker that dies is restarted by its nanny; a nanny that
+    fails is restarted by nobody, and its failure ends the cluster that is just starting.
     """
+
+    failure = ""
 
     def _update_worker_status(self, op: str, msg: Any) -> None:
         if op != "remove" or msg in self.scheduler_info["workers"]:
             super()._update_worker_status(op, msg)
+
+    async def _correct_state_internal(self) -> None:
+        try:
+            await super()._correct_state_internal()
+        except Exception as error:
+            self.failure = sentence(error.__cause__ or error)
+
+    @property
+    def has_workers(self) -> bool:
+        """Whether there is a worker that has not been given up."""
+        return any(worker.status not in GIVEN_UP for worker in self.workers.values())
+
+    def forget_given_up(self) -> bool:
+        """Forget nannies that have failed; True if workers are missing then."""
+        for name in [n for n, worker in self.workers.items() if worker.status in GIVEN_UP]:
+            del self.workers[name]
+        return self.worker_spec.keys() > self.workers.keys()
+
+    def mend(self) -> None:
+        """Open what is missing; called in the cluster's own thread."""
+        if self.forget_given_up():
+            self.scale(len(self.worker_spec))  # as many as before
+
+    def start_again(self) -> None:
+        """Start those that did not start, and wait for them."""
+        self.forget_given_up()
+        self.sync(self._correct_state_internal)
 
 
 @dataclass(frozen=True)
@@ -84,7 +119,7 @@ def open_cluster(
     workers: int | None = None,
     *,
     allowed_failures: int = ALLOWED_FAILURES,
-    connect_s: float = 20.0,
+    connect_s: float = 5.0,
 ) -> Iterator[Cluster]:
     """Start local workers, or connect to a scheduler; close again what was opened.
 
@@ -97,7 +132,7 @@ def open_cluster(
     allowed_failures : int
         Deaths of a worker after which the scheduler gives a task up (local only).
     connect_s : float
-        How long to try to reach `scheduler`.
+        How long to wait for somebody to listen at `scheduler`.
 
     Raises
     ------
@@ -113,7 +148,11 @@ def open_cluster(
             "--workers starts processes of this machine, --scheduler uses those of a running "
             "cluster: give one of them."
         )
-    opened = _existing(scheduler, connect_s) if scheduler else _local(workers, allowed_failures)
+    opened = (
+        _existing(scheduler, connect_s)
+        if scheduler is not None
+        else _local(workers, allowed_failures)
+    )
     with opened as cluster:
         cluster.client.register_plugin(OneThread())
         yield cluster
@@ -121,15 +160,31 @@ def open_cluster(
 
 @contextmanager
 def _existing(address: str, connect_s: float) -> Iterator[Cluster]:
-    try:
-        client = Client(address, timeout=connect_s, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise ClusterError(
-            f"There is no scheduler at {address} ({error}). Start one with `dask scheduler`, or "
-            "leave out --scheduler to use this machine."
-        ) from error
+    check_reachable(address, connect_s)
+    with _unlogged("distributed"):
+        try:
+            client = Client(address, timeout=HANDSHAKE_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise ClusterError(
+                f"There is no scheduler at {address}: somebody listens, who does not answer as "
+                f"Dask's scheduler of the same version does ({reason}). `dask scheduler` starts "
+                "one; without --scheduler this machine is used."
+            ) from error
     with client:
         yield Cluster(client, client.dashboard_link or "", local=False)
+
+
+@contextmanager
+def _unlogged(name: str) -> Iterator[None]:
+    """Keep a library's own account of an error that is explained to the user."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 @contextmanager
@@ -155,27 +210,35 @@ def _local(workers: int | None, allowed_failures: int) -> Iterator[Cluster]:
                     silence_logs="CRITICAL",
                 )
             )
+        _require_workers(cluster)
         stack.enter_context(_mended(cluster))
         client = stack.enter_context(Client(cluster, set_as_default=False))
         yield Cluster(client, cluster.dashboard_link or "", local=True)
 
 
-@contextmanager
-def _mended(cluster: LocalCluster) -> Iterator[None]:
-    """Replace workers that Dask has given up, for instance for want of memory at a restart.
+def _require_workers(cluster: _SteadyCluster) -> None:
+    """Start workers again where none has come up; `_mended` replaces those that are missing.
 
-    A worker that dies is restarted by its nanny; a nanny that fails is restarted by nobody.
+    Raises
+    ------
+    ClusterError
+        If none starts.
     """
+    for _ in range(START_ATTEMPTS - 1):
+        if cluster.has_workers:
+            return
+        cluster.start_again()
+    if not cluster.has_workers:
+        raise ClusterError(
+            f"No worker process has started in {START_ATTEMPTS} attempts: {cluster.failure}. "
+            "Free some memory or start fewer with --workers, then run the same command again."
+        )
 
-    def mend() -> None:
-        known = [name for name in cluster.worker_spec if name in cluster.workers]
-        gone = [name for name in known if cluster.workers[name].status in GIVEN_UP]
-        for name in gone:
-            del cluster.workers[name]
-        if gone:
-            cluster.scale(len(cluster.worker_spec))  # as many as before: opens what is missing
 
-    mending = PeriodicCallback(mend, 1000 * MEND_EVERY_S)
+@contextmanager
+def _mended(cluster: _SteadyCluster) -> Iterator[None]:
+    """Replace workers that Dask has given up, for instance for want of memory at a restart."""
+    mending = PeriodicCallback(cluster.mend, 1000 * MEND_EVERY_S)
     cluster.loop.add_callback(mending.start)
     try:
         yield

@@ -16,7 +16,6 @@ An error of the store (a full disk, another version) is no verdict on a candidat
 it is raised here and stops the study.
 """
 
-import errno
 import queue
 import time
 import traceback
@@ -29,7 +28,15 @@ from uuid import uuid4
 from distributed import Client, Future, KilledWorker
 
 from service.errors import ClusterError, Interrupted, TaskError
-from storage.errors import PalpateError, StoreError
+from service.slots import OwnSlots, Slots
+from service.task_failures import (
+    as_cluster_error,
+    death,
+    raise_if_store,
+    scheduler_gone,
+    sentence,
+)
+from storage.errors import PalpateError
 
 Task = Callable[..., Any]
 """A function that workers can import: small arguments, a small record back."""
@@ -38,8 +45,8 @@ TaskCalls = Iterable[tuple[Any, tuple[Any, ...]]]
 Returned = TypeVar("Returned")
 
 TICK_S = 0.25
+TICK_FOR_SLOT_S = 0.05
 COUNT_EVERY_S = 1.0
-FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 
 
 @dataclass(frozen=True)
@@ -84,6 +91,32 @@ class _Submission:
 _Arrived = queue.SimpleQueue[_Submission]
 
 
+class _Waiting:
+    """Calls that have not been sent, read one ahead."""
+
+    def __init__(self, calls: TaskCalls) -> None:
+        self._calls = (_Submission(key, arguments) for key, arguments in calls)
+        self._next = next(self._calls, None)
+
+    def __bool__(self) -> bool:
+        return self._next is not None
+
+    def pop(self) -> _Submission:
+        first, self._next = self._next, next(self._calls, None)
+        assert first is not None
+        return first
+
+
+class _Patience:
+    """When a task has ended last, and when there was a worker last."""
+
+    def __init__(self) -> None:
+        self.ended = self.worked = time.monotonic()
+
+    def restart(self) -> None:
+        self.ended = self.worked = time.monotonic()
+
+
 class Dispatcher:
     """A bounded number of tasks in flight, and a deadline on every wait.
 
@@ -100,6 +133,10 @@ class Dispatcher:
         How long to wait while there are workers but no task ends.
     stop : callable
         Called between waits; True ends the run with `Interrupted`.
+    slots : Slots, optional
+        How many tasks it may have on the cluster; by default as if nobody else used it.
+    priority : int
+        Of its tasks among those that wait for a worker; higher ones run first.
     """
 
     def __init__(
@@ -110,8 +147,12 @@ class Dispatcher:
         no_worker_s: float = 120.0,
         no_ending_s: float = 4 * 3600.0,
         stop: Callable[[], bool] = lambda: False,
+        slots: Slots | None = None,
+        priority: int = 0,
     ) -> None:
         self.client = client
+        self.slots = slots or OwnSlots()
+        self.priority = priority
         self.max_attempts = max_attempts
         self.no_worker_s = no_worker_s
         self.no_ending_s = no_ending_s
@@ -173,7 +214,7 @@ class Dispatcher:
             If the study is told to stop.
         """
         arrived: _Arrived = queue.SimpleQueue()
-        waiting = (_Submission(key, arguments) for key, arguments in calls)
+        waiting, patience = _Waiting(calls), _Patience()
         in_flight: dict[int, _Submission] = {}
         suspects: list[_Submission] = []  # have one attempt left, and nothing else runs meanwhile
         try:
@@ -181,43 +222,43 @@ class Dispatcher:
                 for submission in self._to_send(waiting, suspects, in_flight):
                     in_flight[id(submission)] = submission
                     self._send(task, submission, arrived)
-                if not in_flight:
+                if not (in_flight or waiting or suspects):
                     return
-                submission = self._wait(arrived)
-                ending = self._ending(submission)
+                arrival = self._wait(arrived, patience, bool(waiting), bool(in_flight))
+                if arrival is None:
+                    continue
+                ending = self._ending(arrival)
                 if ending is not None:
                     yield ending
                     # Whoever asks for the next ending has written this one down.
-                    del in_flight[id(submission)]
-                    self._release(submission)
+                    self._leave(in_flight, arrival)
                     continue
-                self._release(submission)
-                if submission.attempts < self.max_attempts - 1:
-                    self._send(task, submission, arrived)
+                self._release(arrival)
+                if arrival.attempts < self.max_attempts - 1:
+                    self._send(task, arrival, arrived)
                 else:
-                    suspects.append(in_flight.pop(id(submission)))
+                    self._leave(in_flight, arrival)
+                    suspects.append(arrival)
         finally:
-            for submission in in_flight.values():
-                self._release(submission)
+            for submission in list(in_flight.values()):
+                self._leave(in_flight, submission)
 
     def _to_send(
-        self,
-        waiting: Iterator[_Submission],
-        suspects: list[_Submission],
-        in_flight: dict[int, _Submission],
+        self, waiting: _Waiting, suspects: list[_Submission], in_flight: dict[int, _Submission]
     ) -> Iterator[_Submission]:
         """Yield what can be sent now; whatever kills its workers goes last and alone.
 
-        One task runs and one waits for each thread, so that no worker idles while an ending
-        is journalled. If a worker dies, the one that waited is submitted again.
+        If a worker dies, the task that waited behind another one is submitted again.
         """
-        while len(in_flight) < 2 * max(1, self.threads):
-            submission = next(waiting, None)
-            if submission is None:
-                break
-            yield submission
-        if not in_flight and suspects:
+        while waiting and self.slots.take(self.threads):
+            yield waiting.pop()
+        if suspects and not waiting and not in_flight and self.slots.take(self.threads):
             yield suspects.pop()
+
+    def _leave(self, in_flight: dict[int, _Submission], submission: _Submission) -> None:
+        del in_flight[id(submission)]
+        self.slots.give_back()
+        self._release(submission)
 
     @contextmanager
     def meanwhile(self, task: Task, calls: TaskCalls) -> Iterator[None]:
@@ -235,8 +276,10 @@ class Dispatcher:
         submission.attempts += 1
         # The key is new every time: Dask remembers the end of a key for a while.
         key = f"{task.__name__}-{uuid4().hex}"
-        with _as_cluster_error():
-            submission.future = self.client.submit(task, *submission.arguments, key=key, pure=False)
+        with as_cluster_error():
+            submission.future = self.client.submit(
+                task, *submission.arguments, key=key, pure=False, priority=self.priority
+            )
         submission.future.add_done_callback(lambda _: arrived.put(submission))
 
     def _release(self, submission: _Submission) -> None:
@@ -246,16 +289,23 @@ class Dispatcher:
                 submission.future.release()
             submission.future = None
 
-    def _wait(self, arrived: _Arrived) -> _Submission:
-        begun = alive = time.monotonic()
-        while not self.stop():
-            with suppress(queue.Empty):
-                return arrived.get(timeout=TICK_S)
-            now = time.monotonic()
-            if self.threads:
-                alive = now
-            self._check_deadlines(now - begun, now - alive)
-        raise Interrupted
+    def _wait(
+        self, arrived: _Arrived, patience: _Patience, waiting: bool, in_flight: bool
+    ) -> _Submission | None:
+        """Return what arrives next; None after a moment, for a slot may have become free."""
+        if self.stop():
+            raise Interrupted
+        with suppress(queue.Empty):
+            arrival = arrived.get(timeout=TICK_FOR_SLOT_S if waiting else TICK_S)
+            patience.restart()
+            return arrival
+        now = time.monotonic()
+        if self.threads:
+            patience.worked = now
+        if not in_flight:
+            patience.ended = now  # others have all the slots
+        self._check_deadlines(now - patience.ended, now - patience.worked)
+        return None
 
     def _check_deadlines(self, waited_s: float, without_worker_s: float) -> None:
         if without_worker_s > self.no_worker_s:
@@ -274,7 +324,7 @@ class Dispatcher:
             )
 
     def _threads_by_worker(self) -> dict[str, int]:
-        with _as_cluster_error():
+        with as_cluster_error():
             if self.client.status == "connecting":
                 return {}
             if self.client.status != "running":
@@ -295,7 +345,7 @@ class Dispatcher:
             if submission.attempts < self.max_attempts:
                 return None
             return Ending(
-                submission.key, "lost", reason=_death(killed), attempts=submission.attempts
+                submission.key, "lost", reason=death(killed), attempts=submission.attempts
             )
         except Exception as caught:
             error = caught
@@ -306,13 +356,13 @@ class Dispatcher:
             if submission.attempts < self.max_attempts:
                 return None
             return Ending(
-                submission.key, "lost", reason=_sentence(error), attempts=submission.attempts
+                submission.key, "lost", reason=sentence(error), attempts=submission.attempts
             )
-        _raise_if_store(error)
+        raise_if_store(error)
         trace = future.traceback(timeout=60.0)  # of the worker, without our own frames
         text = "".join(traceback.format_exception(type(error), error, trace))
         return Ending(
-            submission.key, "crashed", None, error, _sentence(error), text, submission.attempts
+            submission.key, "crashed", None, error, sentence(error), text, submission.attempts
         )
 
     def _outlast_disconnection(self) -> None:
@@ -324,7 +374,7 @@ class Dispatcher:
                 break
             time.sleep(TICK_S)
         if self.client.status != "running":
-            raise _scheduler_gone(f"the connection is {self.client.status}")
+            raise scheduler_gone(f"the connection is {self.client.status}")
 
 
 def value_of(ending: Ending, what: str) -> Any:
@@ -357,47 +407,3 @@ def value_of(ending: Ending, what: str) -> Any:
     raise TaskError(
         f"{what} failed: {ending.reason}.\n{ending.traceback}".rstrip()
     ) from ending.error
-
-
-class _as_cluster_error:  # noqa: N801 - a context manager
-    """Say in words what Dask raises when the scheduler has gone."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, OSError | TimeoutError | RuntimeError):
-            raise _scheduler_gone(_sentence(error)) from error
-
-
-def _scheduler_gone(what: str) -> ClusterError:
-    return ClusterError(
-        f"The scheduler cannot be reached any more: {what}. What is journalled is kept: run the "
-        "study again to continue."
-    )
-
-
-def _raise_if_store(error: BaseException) -> None:
-    if isinstance(error, StoreError):
-        raise error
-    if isinstance(error, OSError) and error.errno in FULL_DISK:
-        raise StoreError(
-            f"A worker cannot write to the store: {error}. Free some space, then run the study "
-            "again to continue."
-        ) from error
-
-
-def _lost(submission: _Submission, reason: str) -> Ending:
-    return Ending(submission.key, "lost", reason=reason, attempts=submission.attempts)
-
-
-def _death(killed: KilledWorker) -> str:
-    worker = getattr(killed, "last_worker", None)
-    name = getattr(worker, "address", None) or "unknown"
-    deaths = killed.allowed_failures + 1 if hasattr(killed, "allowed_failures") else "several"
-    return f"its worker died every time, {deaths} deaths in the last attempt; last worker {name}"
-
-
-def _sentence(error: BaseException) -> str:
-    text = str(error).strip() or "no message"
-    return f"{type(error).__name__}: {text}"

@@ -6,22 +6,39 @@ running meanwhile. `service.results_json` writes the same as JSON.
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from service.identification import (
+    Identification,
+    SearchedConstants,
+    identification_from_scatter,
+    identification_from_tangents,
+)
+from service.quantities import Quantity, not_neutral, quantities_inside
+from service.ratios import RatioEstimate, ratio_estimates
 from service.search.base import Generation
-from service.search_replay import PendingGeneration, SearchReplay, best_of
+from service.search_replay import (
+    PendingGeneration,
+    SearchReplay,
+    best_of,
+    best_searched,
+    equally_good,
+)
 from service.spec import StudySpec
 from service.study_log import StudyLog, read_study
 from storage.errors import InputError
 from storage.journal import Journal
 from storage.layout import StudyLayout
+from storage.plain import loads
 from storage.records import EvaluationRecord
 from storage.task_records import BodyFacts, Scores, TargetKind
-from workers.spec import validated
+from workers.organs.registry import organ_named
+from workers.spec import Identifiable, validated
 
 StudyState = Literal["running", "stopped", "interrupted"]
 
@@ -42,6 +59,9 @@ class ParameterEstimate:
         Of the best candidate; None if no candidate has a score.
     target : float or None
         What the target was simulated with; None if it comes from an image.
+    before_polish : float or None
+        Of the best candidate before the best were fitted by derivatives; None where that is
+        not what the study does.
     """
 
     gene: str
@@ -50,6 +70,7 @@ class ParameterEstimate:
     upper: float
     estimate: float | None
     target: float | None
+    before_polish: float | None = None
 
     @property
     def relative_error(self) -> float | None:
@@ -164,6 +185,10 @@ class StudyResults:
         Of Palpate, its code and the packages that results depend on.
     store : str or None
         Of the last run.
+    findings : mapping
+        What the fitted body tells; see `workers.organs.registry.Findings`. Maybe empty.
+    identification : Identification or None
+        How well the image determines each constant; None until the search has stopped.
     """
 
     folder: Path
@@ -184,11 +209,23 @@ class StudyResults:
     sessions: int
     versions: Mapping[str, str]
     store: str | None
+    findings: Mapping[str, Any] = field(default_factory=dict)
+    identification: Identification | None = None
 
     @property
     def name(self) -> str:
         """Return the name of the study."""
         return self.spec.name
+
+    @property
+    def identifiable(self) -> Identifiable:
+        """Return whether the load tells the estimates or only their ratios."""
+        return self.spec.identifiable
+
+    @property
+    def ratios(self) -> tuple[RatioEstimate, ...]:
+        """Return the ratios of stiffnesses where these are all that can be found."""
+        return ratio_estimates(self.estimates) if self.identifiable == "ratio" else ()
 
     @property
     def best_score(self) -> Scores | None:
@@ -207,9 +244,10 @@ class CandidateResults:
 
     Parameters
     ----------
-    study : str
-        Name of the study.
+    spec : StudySpec
+        Of the study.
     candidate, generation : int
+        Generations from 0.
     evaluated_as : int
         The candidate whose evaluation it shares: an elite has the ending of the candidate that
         it was carried over from.
@@ -219,12 +257,29 @@ class CandidateResults:
         Its ending; None while it has none.
     """
 
-    study: str
+    spec: StudySpec
     candidate: int
     generation: int
     evaluated_as: int
     genes: Mapping[str, float]
     evaluation: EvaluationRecord | None
+
+    def held(self, *, everything: bool) -> dict[str, Quantity]:
+        """Return the constants that it was simulated with and that are not searched.
+
+        Parameters
+        ----------
+        everything : bool
+            Those at their neutral values as well.
+        """
+        case = self.spec.case
+        vocabulary = organ_named(case.organ).parameters
+        searched = self.spec.constants_of(self.genes)
+        constants = case.complete(searched)
+        stated = case.parameters.from_door(case.constants)
+        kept = constants if everything else not_neutral(vocabulary, constants, stated)
+        held = {name: value for name, value in kept.items() if name not in searched}
+        return quantities_inside(vocabulary, held)
 
 
 def study_results(folder: Path) -> StudyResults:
@@ -246,20 +301,22 @@ def study_results(folder: Path) -> StudyResults:
         spec=spec,
         state=_state(folder, log),
         stop_reason=None if end is None else end.reason,
-        estimates=_estimates(spec, best),
+        estimates=_estimates(spec, best, _before_polish(spec, log)),
         best=best,
         counts=_counts(endings),
         generations=tuple(_generations(spec, log)),
         failures=tuple(record for record in endings if record.reason),
         undeformed_scores={} if end is None else end.before,
         best_scores={} if end is None else end.per_label,
-        wall_s=log.seconds,
+        wall_s=log.wall_s(_last_sign(folder)),
         stages=_stages(log.endings.values()),
         body_facts={} if session is None else session.prepared["facts"],
         target_kind=None if session is None else session.target["kind"],
         sessions=len(log.sessions),
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
+        findings=_findings(folder),
+        identification=_identification(spec, log, best),
     )
 
 
@@ -279,16 +336,16 @@ def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
             raise _no_such("best candidate", folder, "no candidate has a score yet")
         candidate = best.candidate
     generations = [pending for pending, _ in _replayed(spec, log)]
-    size = spec.search.population
-    if not 0 <= candidate < size * len(generations):
-        count = f"its candidates are 0 to {size * len(generations) - 1} so far"
+    by_candidate = {g.first + i: g for g in generations for i in range(len(g.proposal.genes))}
+    if candidate not in by_candidate:
+        count = f"its candidates are 0 to {len(by_candidate) - 1} so far"
         raise _no_such(f"candidate {candidate}", folder, count)
-    generation = generations[candidate // size]
+    generation = by_candidate[candidate]
     origin = candidate
-    while (before := generations[origin // size].carried_from(origin)) is not None:
+    while (before := by_candidate[origin].carried_from(origin)) is not None:
         origin = before
     genes, ending = generation.genes(candidate), log.endings.get(origin)
-    return CandidateResults(spec.name, candidate, generation.number, origin, genes, ending)
+    return CandidateResults(spec, candidate, generation.number, origin, genes, ending)
 
 
 def is_running(folder: Path) -> bool:
@@ -298,6 +355,18 @@ def is_running(folder: Path) -> bool:
 
 def _no_such(what: str, folder: Path, why: str) -> InputError:
     return InputError(f"The study {folder} has no {what}: {why}.")
+
+
+def _findings(folder: Path) -> Mapping[str, Any]:
+    path = StudyLayout(folder).findings
+    return dict(loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+
+
+def _last_sign(folder: Path) -> datetime:
+    """Return until when a study has run: until now, or until it last wrote its journal."""
+    journal = StudyLayout(folder).journal
+    written = datetime.fromtimestamp(journal.stat().st_mtime, UTC)
+    return datetime.now(UTC) if is_running(folder) else written
 
 
 def _state(folder: Path, log: StudyLog) -> StudyState:
@@ -312,7 +381,15 @@ def _replayed(
     return SearchReplay(spec.search_strategy, spec.search.space).replay(log.endings)
 
 
-def _estimates(spec: StudySpec, best: EvaluationRecord | None) -> dict[str, ParameterEstimate]:
+def _before_polish(spec: StudySpec, log: StudyLog) -> EvaluationRecord | None:
+    """Return the best candidate of the genetic part, where there is another part."""
+    polished = spec.search.strategy == "genetic+least-squares"
+    return best_searched(log.endings) if polished else None
+
+
+def _estimates(
+    spec: StudySpec, best: EvaluationRecord | None, before: EvaluationRecord | None
+) -> dict[str, ParameterEstimate]:
     parameters = spec.case.parameters
     target: dict[str, float] = {}
     if spec.target.constants is not None:
@@ -324,10 +401,31 @@ def _estimates(spec: StudySpec, best: EvaluationRecord | None) -> dict[str, Para
     for gene, (lower, upper) in spec.search.parameters.items():
         parameter = parameters.at_door(gene)
         estimate = None if genes is None else genes[gene]
+        unpolished = None if before is None else spec.case.canonical(before.genes)[gene]
         estimates[parameter.name] = ParameterEstimate(
-            gene, parameter.unit.symbol, lower, upper, estimate, target.get(gene)
+            gene, parameter.unit.symbol, lower, upper, estimate, target.get(gene), unpolished
         )
     return estimates
+
+
+def _identification(
+    spec: StudySpec, log: StudyLog, best: EvaluationRecord | None
+) -> Identification | None:
+    """Return what the image tells of the constants, once the search has stopped."""
+    if best is None or log.end is None:
+        return None
+    searched = SearchedConstants(
+        spec.case.parameters,
+        spec.case.parameters.bounds_from_door(spec.search.parameters),
+        spec.common_scale,
+    )
+    found = log.identification
+    if found is not None and found.fit is not None:
+        return identification_from_tangents(searched, found.candidate, found.fit)
+    note = "the study ran before there were tangents" if found is None else found.reason
+    alike = [spec.constants_of(record.genes) for record in equally_good(log.endings, best)]
+    here = spec.constants_of(best.genes)
+    return identification_from_scatter(searched, best.candidate, here, alike, note)
 
 
 def _generations(spec: StudySpec, log: StudyLog) -> Iterable[GenerationResult]:

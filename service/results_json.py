@@ -1,12 +1,17 @@
 """Writes results as the JSON records that `--json` prints.
 
 Their keys are a promise to scripts that read them. Scores that are infinite are the texts
-"-inf" and "inf".
+"-inf" and "inf". A parameter is ``{"value": 10.0, "unit": "kPa"}``. Generations are counted
+from 1, as on the console and on the page.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from service.identification import Identification
+from service.quantities import quantities_at_door, quantities_json
+from service.ratios import RatioEstimate
 from service.results import (
     CandidateResults,
     GenerationResult,
@@ -14,6 +19,7 @@ from service.results import (
     StageTime,
     StudyResults,
 )
+from service.spec import StudySpec
 from storage.plain import to_plain
 from storage.records import EvaluationRecord
 from storage.status import Status
@@ -22,19 +28,24 @@ from storage.task_records import Scores
 
 def study_json(results: StudyResults) -> dict[str, Any]:
     """Return the record that `palpate status --json`, `report --json` and `run --json` print."""
+    spec = results.spec
     record = {
         "study": results.name,
         "state": results.state,
         "stopped": results.stop_reason,
+        "identifiable": results.identifiable,
+        "ratios": {r.name: _ratio(r) for r in results.ratios},
         "estimates": {name: _estimate(e) for name, e in results.estimates.items()},
+        "identification": _identification(results.identification),
         "score": _score(results.best_score or {}),
-        "best": None if results.best is None else _evaluation(results.best),
+        "best": None if results.best is None else _evaluation(results.best, spec),
         "evaluations": asdict(results.counts),
-        "generations": [_generation(g) for g in results.generations],
-        "failures": [_evaluation(record) for record in results.failures],
+        "generations": [_generation(g, spec) for g in results.generations],
+        "failures": [_evaluation(record, spec) for record in results.failures],
         "per_label_before": results.undeformed_scores,
         "per_label": results.best_scores,
         "seconds": results.wall_s,
+        "findings": results.findings,
         "stages": {stage: _stage(time) for stage, time in results.stages.items()},
         "facts": results.body_facts,
         "target_kind": results.target_kind,
@@ -42,19 +53,27 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "versions": results.versions,
         "store": results.store,
         "folder": str(results.folder),
-        "config": results.spec.as_dict(),
+        "config": spec.as_dict(),
     }
     return dict(to_plain(record))
 
 
-def candidate_json(results: CandidateResults) -> dict[str, Any]:
-    """Return the record that `palpate show --json` prints."""
+def candidate_json(results: CandidateResults, *, everything: bool = False) -> dict[str, Any]:
+    """Return the record that `palpate show --json` prints.
+
+    Parameters
+    ----------
+    results : CandidateResults
+    everything : bool
+        With the constants at their neutral values.
+    """
     record: dict[str, Any] = {
-        "study": results.study,
+        "study": results.spec.name,
         "candidate": results.candidate,
-        "generation": results.generation,
+        "generation": results.generation + 1,
         "evaluated_as": results.evaluated_as,
-        "genes": results.genes,
+        "genes": _genes(results.genes, results.spec),
+        "held": quantities_json(results.held(everything=everything)),
     }
     ending = results.evaluation
     if ending is None:
@@ -79,13 +98,27 @@ def candidate_json(results: CandidateResults) -> dict[str, Any]:
 
 
 def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
-    return {
+    before = estimate.before_polish
+    record = {} if before is None else {"before_polish": before}
+    return record | {
         "gene": estimate.gene,
         "estimate": estimate.estimate,
         "target": estimate.target,
         "relative_error": estimate.relative_error,
         "unit": estimate.unit,
         "bounds": [estimate.lower, estimate.upper],
+    }
+
+
+def _identification(found: Identification | None) -> dict[str, Any] | None:
+    return None if found is None else asdict(found) | {"weak": list(found.weak)}
+
+
+def _ratio(ratio: RatioEstimate) -> dict[str, Any]:
+    return {
+        "estimate": ratio.estimate,
+        "target": ratio.target,
+        "relative_error": ratio.relative_error,
     }
 
 
@@ -98,26 +131,33 @@ def _score(score: Scores) -> dict[str, float | None]:
     }
 
 
-def _evaluation(record: EvaluationRecord) -> dict[str, Any]:
+def _genes(genes: Mapping[str, float], spec: StudySpec) -> dict[str, Any]:
+    return quantities_json(quantities_at_door(spec.case.parameters, genes))
+
+
+def _evaluation(record: EvaluationRecord, spec: StudySpec) -> dict[str, Any]:
     return {
         "candidate": record.candidate,
-        "generation": record.generation,
+        "generation": record.generation + 1,
         "status": record.status,
         "reason": record.reason,
-        "genes": record.genes,
+        "genes": _genes(record.genes, spec),
         "score": record.score,
         "digest": record.digest,
     }
 
 
-def _generation(generation: GenerationResult) -> dict[str, Any]:
+def _generation(generation: GenerationResult, spec: StudySpec) -> dict[str, Any]:
     record: dict[str, Any] = {
-        "number": generation.number,
+        "number": generation.number + 1,
         "asked": generation.evaluations,
         "ended": generation.ended,
         "complete": generation.scores is not None,
     }
-    return record if generation.scores is None else record | asdict(generation.scores)
+    if generation.scores is None:
+        return record
+    scores = asdict(generation.scores)
+    return record | scores | {"best_genes": _genes(scores["best_genes"], spec)}
 
 
 def _stage(time: StageTime) -> dict[str, float]:

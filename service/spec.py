@@ -7,6 +7,7 @@ reads YAML, and says in which keys two studies differ.
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, Literal, Self, cast
 
 import yaml
@@ -19,15 +20,32 @@ from pydantic import (
     model_validator,
 )
 
+from service.search.base import Search
+from service.search.cma_search import CmaSearch, CmaSettings
 from service.search.genetic import GeneticSearch, GeneticSettings
+from service.search.least_squares import (
+    FittedNames,
+    LeastSquaresSearch,
+    LeastSquaresSettings,
+)
 from service.search.operators import INITIAL, MUTATIONS
+from service.search.polished import PolishedSearch
 from service.search.space import Space
 from service.search.stall import Stall
 from storage.digest import digest
 from storage.errors import InputError
+from storage.task_records import FreeParameter
 from workers.mechanics.parameters import Bounds, unknown_name
 from workers.organs.registry import DEFAULT, MODULES, organ_named
-from workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec, validated
+from workers.spec import (
+    CaseSpec,
+    Door,
+    Identifiable,
+    Positive,
+    ScoreSpec,
+    TargetSpec,
+    validated,
+)
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 
@@ -40,13 +58,26 @@ class StallSpec(Door):
     rule: Literal["relative", "weighted"] = "relative"
 
 
+class LevelSpec(Door):
+    """A coarser resolution in which constants are fitted first."""
+
+    nodes: Annotated[int, Field(ge=100, le=5_000_000)]
+    spacing_mm: Positive
+
+
 class SearchSpec(Door):
     """How the parameters are searched; the defaults are the thesis'.
 
-    ``stall: null`` never stops before the last generation.
+    ``stall: null`` never stops before the last generation. ``starts``, ``levels`` and
+    ``fit_evaluations`` are for the strategies with least squares, see
+    `service.search.least_squares`; the others for ``genetic`` and, as far as they apply, ``cma``.
     """
 
     parameters: Annotated[dict[str, Bounds], Field(min_length=1)]
+    strategy: Literal["genetic", "least-squares", "genetic+least-squares", "cma"] = "genetic"
+    starts: Annotated[int, Field(ge=1, le=100)] = 3
+    levels: tuple[LevelSpec, ...] | None = None
+    fit_evaluations: Annotated[int, Field(ge=2)] = 20
     population: Annotated[int, Field(ge=2)] = 84
     generations: Annotated[int, Field(ge=1)] = 15
     elite: Annotated[int, Field(ge=0)] = 2
@@ -63,6 +94,24 @@ class SearchSpec(Door):
                 "somebody has to be new in every generation"
             )
         return self
+
+    @model_validator(mode="before")
+    @classmethod
+    def _few_candidates_for_cma(cls, data: Any) -> Any:
+        """Fill in what CMA-ES usually takes where the thesis' numbers would stand."""
+        if isinstance(data, Mapping) and data.get("strategy") == "cma":
+            return {"population": 12, "generations": 60, **data}
+        return data
+
+    @property
+    def by_derivatives(self) -> bool:
+        """Return whether the strategy needs derivatives."""
+        return "least-squares" in self.strategy
+
+    @property
+    def cma_settings(self) -> CmaSettings:
+        """Return the settings of `CmaSearch`."""
+        return CmaSettings(self.population, self.generations, self.settings.stall)
 
     @property
     def settings(self) -> GeneticSettings:
@@ -134,14 +183,93 @@ class StudySpec(Door):
                 reason = f" ({unused})" if unused else ""
                 raise ValueError(f"{where}: {unknown_name('parameter', name, known)}{reason}")
 
+    @model_validator(mode="after")
+    def _organ_has_derivatives(self) -> Self:
+        reason = organ_named(self.case.organ).no_derivatives
+        if self.search.by_derivatives and reason:
+            raise ValueError(f"search.strategy {self.search.strategy}: {reason}")
+        return self
+
     @property
-    def search_strategy(self) -> GeneticSearch:
+    def search_strategy(self) -> Search:
         """Return the search, ready to propose."""
-        return GeneticSearch(self.search.space, self.search.settings, self.seed)
+        space, strategy = self.search.space, self.search.strategy
+        if strategy == "cma":
+            return CmaSearch(space, self.search.cma_settings, self.seed)
+        genetic = GeneticSearch(space, self.search.settings, self.seed)
+        if strategy == "genetic":
+            return genetic
+        fit = LeastSquaresSearch(space, self._fitted_names, self._fit_settings, self.seed)
+        return fit if strategy == "least-squares" else PolishedSearch(genetic, fit)
+
+    @property
+    def most_evaluations(self) -> int:
+        """Return the number of evaluations if the search never stops early."""
+        fit = self._fit_settings.most_evaluations
+        genetic = self.search.settings.most_evaluations
+        return {
+            "genetic": genetic,
+            "least-squares": fit,
+            "genetic+least-squares": genetic + fit,
+            "cma": self.search.cma_settings.most_evaluations,
+        }[self.search.strategy]
+
+    @property
+    def most_generations(self) -> int:
+        """Return the number of generations if the search never stops early."""
+        fit = self.search.fit_evaluations * (1 + len(self.levels))
+        generations = self.search.generations
+        if not self.search.by_derivatives:
+            return generations
+        return fit if self.search.strategy == "least-squares" else generations + fit
+
+    @property
+    def levels(self) -> tuple[LevelSpec, ...]:
+        """Return the coarser resolutions in which constants are fitted first, coarse to fine.
+
+        Without ``search.levels`` a fit from scratch takes those of `COARSE_LEVELS` that have at
+        most half the nodes of the case.
+        """
+        if self.search.levels is not None:
+            return self.search.levels
+        nodes = self.case.mesh_nodes
+        if self.search.strategy != "least-squares" or nodes is None:
+            return ()
+        return tuple(level for level in COARSE_LEVELS if 2 * level.nodes <= nodes)
+
+    @property
+    def free_parameters(self) -> list[FreeParameter]:
+        """Return the searched parameters, inside names and units, as an evaluation needs them."""
+        bounds = self.case.parameters.bounds_from_door(self.search.parameters)
+        return [{"name": n, "lower": lo, "upper": hi} for n, (lo, hi) in bounds.items()]
+
+    @property
+    def _fitted_names(self) -> FittedNames:
+        genes = [self.case.parameters.at_door(name) for name in self.search.parameters]
+        return FittedNames(tuple(p.name for p in genes), tuple(p.unit.to_door(1.0) for p in genes))
+
+    @property
+    def _fit_settings(self) -> LeastSquaresSettings:
+        search = self.search
+        return LeastSquaresSettings(search.starts, len(self.levels), search.fit_evaluations)
+
+    @property
+    def common_scale(self) -> tuple[str, ...]:
+        """Return the searched stiffnesses of which only ratios can be found, inside names."""
+        names = [self.case.parameters.at_door(name).name for name in self.search.parameters]
+        return self.case.common_scale(names)
 
     def constants_of(self, genes: Mapping[str, float]) -> dict[str, float]:
         """Convert searched parameters from the door (kPa) to names and units inside (MPa)."""
         return self.case.parameters.from_door(genes)
+
+    @property
+    def identifiable(self) -> Identifiable:
+        """Return whether stiffnesses can be found, or only their ratios."""
+        parameters = self.case.parameters
+        return self.case.identifiable(
+            {parameters.at_door(name).name for name in self.search.parameters}
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, defaults written out."""
@@ -151,6 +279,13 @@ class StudySpec(Door):
     def digest(self) -> str:
         """Return a short name of everything that the study file says."""
         return digest(self.as_dict())
+
+
+# Elements of about 5 and 3 mm in a breast of 445 ml; voxels with a fifth of that.
+COARSE_LEVELS = (
+    LevelSpec(nodes=5_000, spacing_mm=1.0),
+    LevelSpec(nodes=20_000, spacing_mm=0.5),
+)
 
 
 @cache
@@ -214,7 +349,8 @@ def read_spec(path: Path) -> StudySpec:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(
-            f"There is no study file {path}. Write one with `palpate new breast {path.stem}`."
+            f"There is no study file {path}. Write one with `palpate new breast "
+            f"{quote(path.stem)}`."
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path} cannot be read as text: {error}.") from error

@@ -7,15 +7,17 @@ the number of workers nor an interruption changes what is proposed next.
 """
 
 import math
+import re
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from service.dispatch import Dispatcher, Ending
-from service.errors import ClusterError
+from service.errors import ClusterError, GenerationCrashError
 from service.hooks import Hooks, Observer, StudyFacts
 from service.search.base import Generation, Stopped
 from service.search_replay import PendingGeneration, SearchReplay, best_of
@@ -23,23 +25,36 @@ from service.spec import StudySpec
 from service.study_folder import StudyFolder
 from service.study_log import StudyLog
 from service.versions import versions
+from storage.atomic import write_file
 from storage.evaluations import load_evaluation
 from storage.journal import Journal
-from storage.records import EndRecord, EvaluationRecord, GenerationRecord, SessionRecord
+from storage.plain import dumps
+from storage.records import (
+    EndRecord,
+    EvaluationRecord,
+    GenerationRecord,
+    IdentificationRecord,
+    SessionRecord,
+)
 from storage.status import Status
 from storage.stores import Store, open_store
 from storage.task_records import (
     EvaluationRequest,
     EvaluationResult,
     PreparedBody,
+    PreparedLevel,
     PreparedTarget,
     Scores,
 )
 from storage.volumes import has_volume
+from workers.organs.registry import organ_named
 from workers.tasks import evaluation as evaluation_tasks
+from workers.tasks.findings import find
 
 # A generation that loses more than this share of its candidates accuses the cluster.
 MAX_LOST_SHARE = 0.2
+# What differs between two reasons that are one.
+NUMBERS = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 NO_SHARED_TISSUE = "it has no score: candidate and target share no tissue compared"
 
 
@@ -53,6 +68,8 @@ class Tasks:
     digest: Callable[..., str] = evaluation_tasks.evaluation_digest
     keep_volume: Callable[..., str] = evaluation_tasks.keep_volume
     compare: Callable[..., Mapping[str, Scores]] = evaluation_tasks.score_bodies
+    level: Callable[..., PreparedLevel] = evaluation_tasks.prepare_level
+    find: Callable[..., Mapping[str, Any]] = find
 
 
 @dataclass(frozen=True)
@@ -93,6 +110,13 @@ class Study:
     accept_new_code : bool
         Continue although the code has changed since the last run.
 
+    Attributes
+    ----------
+    ended, begun : bool
+        Whether its search has stopped; whether body and target were ever prepared.
+    store : Path
+        Where volumes and evaluations go.
+
     Raises
     ------
     InputError
@@ -115,7 +139,10 @@ class Study:
         self.tasks = tasks or Tasks()
         self.hooks = Hooks(observers)
         self.folder = StudyFolder(folder, spec, accept_new_code=accept_new_code)
-        self.ended = self.folder.check().end is not None
+        log = self.folder.check()
+        self.ended = log.end is not None
+        self.begun = bool(log.sessions)
+        self.store = Path(store or self.folder.default_store(log))
         self._given_store = store
 
     def run(self, dispatcher: Dispatcher, dashboard: str = "") -> Conclusion:
@@ -144,6 +171,15 @@ class _Prepared:
 
     body: PreparedBody
     target: PreparedTarget
+
+
+@dataclass(frozen=True)
+class _Resolution:
+    """Body, mesh and target of one level, and the case with that mesh."""
+
+    case: Mapping[str, Any]
+    body: PreparedBody
+    target: str
 
 
 class _Run:
@@ -176,18 +212,19 @@ class _Run:
                 self._append(GenerationRecord(pending.number, best, self._elapsed_s()))
             self.hooks.generation_ended(pending.number, generation)
         best_candidate = best_of(self.endings)
+        if best_candidate is not None and self.log.identification is None:
+            self._identify(generations[best_candidate.generation], best_candidate, evaluation)
         if self.log.end is None:
             self._append(self._end(pending, best_candidate, generations, evaluation))
         self.hooks.stopped(pending.reason)
         return Conclusion(pending.reason, best_candidate, tuple(search.history))
 
     def _announce(self, dashboard: str) -> None:
-        settings = self.spec.search.settings
         facts = StudyFacts(
             name=self.spec.name,
             folder=str(self.study.folder.root),
-            most_evaluations=settings.most_evaluations,
-            generations=settings.generations,
+            most_evaluations=self.spec.most_evaluations,
+            generations=self.spec.most_generations,
             workers=self.dispatcher.threads,
             dashboard=dashboard,
         )
@@ -218,12 +255,34 @@ class _Run:
         if best is None:
             return EndRecord(stopped.reason, None, None, {}, {}, self._elapsed_s())
         evaluation.make_volumes(generations[best.generation], [best.candidate])
-        before = evaluation.compare_with_target(evaluation.prepared.body["volume"])
-        after = evaluation.compare_with_target(best.digest)
+        at = evaluation.resolution(best.level)
+        before = evaluation.compare_with_target(at, at.body["volume"])
+        after = evaluation.compare_with_target(at, best.digest)
+        found = evaluation.findings(generations[best.generation], best.candidate)
+        write_file(self.study.folder.layout.findings, dumps(found).encode())
         reason, elapsed_s = stopped.reason, self._elapsed_s()
         return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)
 
-    def _append(self, record: SessionRecord | GenerationRecord | EndRecord) -> None:
+    def _identify(
+        self, pending: PendingGeneration, best: EvaluationRecord, evaluation: "_GenerationRun"
+    ) -> None:
+        """Find out what the image tells of the constants, from the tangents at the best one."""
+        reason = organ_named(self.spec.case.organ).no_derivatives
+        if best.fit is not None:
+            self._append(IdentificationRecord(best.candidate, best.fit))
+        elif reason:
+            self._append(IdentificationRecord(best.candidate, None, reason))
+        else:
+            ending = evaluation.differentiate(pending, best.candidate)
+            if ending.kind == "lost":  # of its workers; the next run tries again
+                return
+            fit = (ending.value or {}).get("fit")
+            why = "" if fit else ending.reason or "the simulation with tangents gave none"
+            self._append(IdentificationRecord(best.candidate, fit, why))
+
+    def _append(
+        self, record: SessionRecord | GenerationRecord | IdentificationRecord | EndRecord
+    ) -> None:
         self.journal.append(record.to_json())
 
     def _elapsed_s(self) -> float:
@@ -237,6 +296,7 @@ class _GenerationRun:
         self.run, self.prepared = run, prepared
         self.spec, self.tasks, self.hooks = run.spec, run.tasks, run.hooks
         self.store, self.dispatcher, self.endings = run.store, run.dispatcher, run.endings
+        self._resolutions: dict[int | None, _Resolution] = {}
 
     def evaluate(self, pending: PendingGeneration) -> None:
         """See that every candidate of a generation has an ending."""
@@ -259,14 +319,32 @@ class _GenerationRun:
                 ending = Ending(name, "returned", stored)
                 self._journal(pending, candidates, ending, reused=True)
         lost = []
+        crashed = []  # are not journalled while nothing but crashes has come
+        others = self._has_other_endings(pending)
         for ending in self.dispatcher.run(self.tasks.evaluate, calls):
             if ending.kind == "lost":
                 lost.append(ending)
                 _blame_cluster_if_many(lost, len(calls))
+            elif ending.kind == "crashed" and not others:
+                crashed.append(ending)
             else:
-                self._journal(pending, sharing[ending.key], ending, reused=False)
-        for ending in lost:
+                others = True
+                for earlier in [*crashed, ending]:
+                    self._journal(pending, sharing[earlier.key], earlier, reused=False)
+                crashed.clear()
+        if not lost:
+            _refuse_if_all_crashed(crashed, pending.number)
+        for ending in [*crashed, *lost]:
             self._journal(pending, sharing[ending.key], ending, reused=False)
+
+    def _has_other_endings(self, pending: PendingGeneration) -> bool:
+        """Return whether a candidate of a generation has ended otherwise than in a crash.
+
+        One that an earlier generation had already says nothing of this one.
+        """
+        earlier = {r.digest for r in self.endings.values() if r.generation < pending.number}
+        ended = [self.endings[c] for c in pending.candidates if c in self.endings]
+        return any(r.status is not Status.CRASHED and r.digest not in earlier for r in ended)
 
     def keep_volumes(self, pending: PendingGeneration, generation: Generation) -> None:
         """Store the deformed volumes that the study file asks to keep."""
@@ -285,11 +363,37 @@ class _GenerationRun:
                 calls.append((candidate, (self._request(pending, candidate),)))
         self.dispatcher.all(self.tasks.keep_volume, calls)
 
-    def compare_with_target(self, volume: str) -> Mapping[str, Scores]:
+    def compare_with_target(self, at: "_Resolution", volume: str) -> Mapping[str, Scores]:
         """Score a stored volume against the target, tissue by tissue."""
-        store, target = str(self.store.root), self.prepared.target["target"]
-        case, score = self.run.case, self.run.score
-        return self.dispatcher.call(self.tasks.compare, case, store, target, volume, score)
+        store, score = str(self.store.root), self.run.score
+        return self.dispatcher.call(self.tasks.compare, at.case, store, at.target, volume, score)
+
+    def differentiate(self, pending: PendingGeneration, candidate: int) -> Ending:
+        """Evaluate a candidate once more, with derivatives."""
+        request = self._request(pending, candidate, derivatives=True)
+        calls = [(request["digest"], (request,))]
+        (ending,) = self.dispatcher.run(self.tasks.evaluate, calls)
+        return ending
+
+    def resolution(self, level: int | None) -> "_Resolution":
+        """Return body, mesh and target of a level, made where they are missing."""
+        if level not in self._resolutions:
+            self._resolutions[level] = self._resolution(level)
+        return self._resolutions[level]
+
+    def _resolution(self, level: int | None) -> "_Resolution":
+        case, body, target = self.run.case, self.prepared.body, self.prepared.target["target"]
+        if level is None:
+            return _Resolution(case, body, target)
+        coarse, store = self.spec.levels[level], str(self.store.root)
+        made = self.dispatcher.call(
+            self.tasks.level, case, body, target, coarse.spacing_mm, coarse.nodes, store
+        )
+        return _Resolution(made["case"], made["prepared"], made["target"])
+
+    def findings(self, pending: PendingGeneration, candidate: int) -> Mapping[str, Any]:
+        """Find out what the body of a candidate tells beside its constants."""
+        return self.dispatcher.call(self.tasks.find, self._request(pending, candidate))
 
     def _journal(
         self, pending: PendingGeneration, candidates: list[int], ending: Ending, *, reused: bool
@@ -304,20 +408,27 @@ class _GenerationRun:
             self.endings[record.candidate] = record
             self.hooks.evaluation_ended(record, False)
 
-    def _request(self, pending: PendingGeneration, candidate: int) -> EvaluationRequest:
+    def _request(
+        self, pending: PendingGeneration, candidate: int, *, derivatives: bool = False
+    ) -> EvaluationRequest:
         constants = self.spec.constants_of(pending.genes(candidate))
-        body, target = self.prepared.body, self.prepared.target["target"]
-        case, score = self.run.case, self.run.score
-        return {
+        at, score = self.resolution(pending.proposal.level), self.run.score
+        request: EvaluationRequest = {
             "store": str(self.store.root),
-            "case": case,
-            "prepared": body,
-            "target": target,
+            "case": at.case,
+            "prepared": at.body,
+            "target": at.target,
             "constants": constants,
             "score": score,
             "keep_volume": self.spec.keep == "all",
-            "digest": self.tasks.digest(case, body, target, constants, score),
         }
+        free = self.spec.free_parameters
+        more = [free] if derivatives or pending.proposal.derivatives else []
+        if more:
+            request["free"] = free
+        name = self.tasks.digest(at.case, at.body, at.target, constants, score, *more)
+        request["digest"] = name
+        return request
 
 
 def _blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:
@@ -327,6 +438,18 @@ def _blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:
             f"{len(lost)} of {evaluations} candidates have lost their workers again and again: "
             f"{lost[0].reason}. The workers may have too little memory: start fewer with "
             "--workers, then run the study again; what is finished is kept."
+        )
+
+
+def _refuse_if_all_crashed(crashed: list[Ending], generation: int) -> None:
+    """Raise where all candidates crash for one reason: the search would learn nothing."""
+    reasons = {NUMBERS.sub("#", ending.reason) for ending in crashed}
+    if len(crashed) > 1 and len(reasons) == 1:
+        raise GenerationCrashError(
+            f"All {len(crashed)} candidates of generation {generation + 1} have crashed for one "
+            f"reason: {crashed[0].reason}. None of them is journalled: put it right, and the same "
+            "command continues the study.",
+            crashed[0].traceback,
         )
 
 
@@ -342,6 +465,7 @@ def _evaluation_record(
         digest=ending.key,
         attempts=max(1, ending.attempts),
         reused=reused,
+        level=pending.proposal.level,
     )
     result: EvaluationResult | None = ending.value
     if result is None:
@@ -353,6 +477,7 @@ def _evaluation_record(
         outcome=result.get("outcome"),
         seconds=result.get("seconds", {}),
         worker=result.get("worker", ""),
+        fit=result.get("fit"),
     )
     score = result.get("score")
     if result["status"] == "done" and score is not None and score["gsf"] < math.inf:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Self
 
@@ -11,6 +12,7 @@ from storage.layout import StudyLayout
 from storage.records import (
     EndRecord,
     EvaluationRecord,
+    IdentificationRecord,
     SessionRecord,
     StudyRecord,
     record_of,
@@ -31,15 +33,18 @@ class StudyLog:
         By candidate.
     end : EndRecord or None
         If the search has stopped.
-    seconds : float
-        Wall time of all runs, as far as they noted it.
+    identification : IdentificationRecord or None
+        What the image tells of the constants, once that is known.
+    session_seconds : tuple of float
+        Wall time of each run, as far as it noted it: at its last complete generation.
     """
 
     study: StudyRecord | None = None
     sessions: tuple[SessionRecord, ...] = ()
     endings: Mapping[int, EvaluationRecord] = field(default_factory=dict)
     end: EndRecord | None = None
-    seconds: float = 0.0
+    identification: IdentificationRecord | None = None
+    session_seconds: tuple[float, ...] = ()
 
     @classmethod
     def read(cls, journal: Path) -> Self:
@@ -54,6 +59,7 @@ class StudyLog:
         """
         study: StudyRecord | None = None
         end: EndRecord | None = None
+        identification: IdentificationRecord | None = None
         sessions: list[SessionRecord] = []
         endings: dict[int, EvaluationRecord] = {}
         session_seconds: list[float] = []
@@ -68,6 +74,8 @@ class StudyLog:
                 if record.candidate in endings:
                     raise _two_endings(journal, record.candidate)
                 endings[record.candidate] = record
+            elif isinstance(record, IdentificationRecord):
+                identification = record
             else:
                 if session_seconds:
                     session_seconds[-1] = record.elapsed_s
@@ -78,7 +86,22 @@ class StudyLog:
                 f"{journal} does not begin with its study: its head was cut off. Start a new "
                 "study; evaluations in the store are used again."
             )
-        return cls(study, tuple(sessions), endings, end, sum(session_seconds))
+        return cls(study, tuple(sessions), endings, end, identification, tuple(session_seconds))
+
+    def wall_s(self, until: datetime) -> float:
+        """Return the wall time of all runs.
+
+        Parameters
+        ----------
+        until : datetime
+            The moment to which the last run has come, if it has not noted its end.
+        """
+        noted = sum(self.session_seconds)
+        last = self.last_session
+        if last is None or self.end is not None:
+            return noted
+        since = (until - datetime.fromisoformat(last.began)).total_seconds()
+        return noted + max(0.0, last.seconds + since - self.session_seconds[-1])
 
     @property
     def last_session(self) -> SessionRecord | None:

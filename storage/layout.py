@@ -5,7 +5,9 @@
     <study>/                    one study, made by `palpate run`
       study.yaml                what was asked
       journal.jsonl             what has happened
+      findings.json             what the fitted body tells beside its constants
       report.html               what came out
+      palpate.log               when, and why something failed
 
     <store>/                    shared by any number of studies
       palpate-store.json        says that this is a store, and of which schema
@@ -45,6 +47,16 @@ class StudyLayout:
     def journal(self) -> Path:
         """Return the path of the journal; see `storage.journal`."""
         return self.root / "journal.jsonl"
+
+    @property
+    def findings(self) -> Path:
+        """Return the path of what the fitted body tells; see `workers.organs.registry`."""
+        return self.root / "findings.json"
+
+    @property
+    def log(self) -> Path:
+        """Return the path of the log, for people to read."""
+        return self.root / "palpate.log"
 
     @property
     def report(self) -> Path:

@@ -62,9 +62,9 @@ def export_mesh(
     path : path
         Its suffix chooses the format: .vtu or .vtk (ParaView), .msh (Gmsh).
     mesh : TetMesh
-    point_data : mapping of str to ndarray, shape (n,) or (n, 3), optional
+    point_data : mapping of str to ndarray, shape (n,), (n, 3) or (n, 6), optional
         Values at nodes, such as ``displacement_mm``.
-    cell_data : mapping of str to ndarray, shape (m,) or (m, 3), optional
+    cell_data : mapping of str to ndarray, shape (m,), (m, 3) or (m, 6), optional
         Values in tetrahedra, such as ``tissue``.
 
     Raises
@@ -95,10 +95,10 @@ def export_mesh(
 
 def _check_lengths(data: Mapping[str, NDArray[Any]], count: int, of: str) -> None:
     for name, values in data.items():
-        if values.shape not in ((count,), (count, 3)):
+        if values.shape not in ((count,), (count, 3), (count, 6)):
             raise InputError(
                 f"{name!r} has shape {values.shape}, but the mesh has {count} {of}: "
-                f"expected ({count},) or ({count}, 3)."
+                f"expected ({count},), ({count}, 3) or ({count}, 6)."
             )
 
 

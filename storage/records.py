@@ -6,6 +6,7 @@
     session       a run of the study begins: versions, store, and what was prepared
     evaluation    one line for each ending of a candidate, in order of arrival
     generation    all scores of a generation are known
+    identification  what the image tells of the constants, from the tangents at the best candidate
     end           the search has stopped: reason, best candidate, scores by tissue
 
 No score depends on the sessions, generations and the end. A record that makes no sense cannot
@@ -21,7 +22,7 @@ from storage.errors import JournalError
 from storage.plain import to_number, to_plain
 from storage.status import Status
 from storage.stores import check_schema
-from storage.task_records import OutcomeJson, PreparedBody, PreparedTarget, Scores
+from storage.task_records import FitJson, OutcomeJson, PreparedBody, PreparedTarget, Scores
 
 SCHEMA_VERSION = 1
 
@@ -30,11 +31,17 @@ class _JournalRecord:
     """Convert a dataclass to and from a line of the journal, field by field."""
 
     kind: ClassVar[str]
+    # Fields that came later: journals from before do not have them.
+    left_out_if_none: ClassVar[frozenset[str]] = frozenset()
 
     def to_json(self) -> dict[str, Any]:
         """Return the line of the journal, as plain values."""
         named: Any = self
-        plain = {f.name: to_plain(getattr(self, f.name)) for f in fields(named)}
+        plain = {
+            f.name: to_plain(getattr(self, f.name))
+            for f in fields(named)
+            if f.name not in self.left_out_if_none or getattr(self, f.name) is not None
+        }
         return {"kind": self.kind, "schema_version": SCHEMA_VERSION, **plain}
 
     @classmethod
@@ -55,7 +62,7 @@ class _JournalRecord:
             check_schema(record.get("schema_version"), SCHEMA_VERSION, f"A {cls.kind} record")
             if record.get("kind") != cls.kind:
                 raise ValueError(f"its kind is {record.get('kind')!r}")
-            if wrong := sorted(expected ^ set(values)):
+            if wrong := sorted((expected ^ set(values)) - cls.left_out_if_none & expected):
                 raise ValueError(f"fields missing or unknown: {', '.join(wrong)}")
             return cls(**values)
         except (TypeError, ValueError, AttributeError, JournalError) as error:
@@ -186,6 +193,33 @@ class EndRecord(_JournalRecord):
 
 
 @dataclass(frozen=True)
+class IdentificationRecord(_JournalRecord):
+    """What the image tells of the constants, as the tangents at the best candidate say.
+
+    Parameters
+    ----------
+    candidate : int
+        The best one.
+    fit : FitJson or None
+        Its least-squares problem; None where there is none.
+    reason : str
+        Why there is none; empty if there is one.
+    """
+
+    kind: ClassVar[str] = "identification"
+
+    candidate: int
+    fit: FitJson | None
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        if (self.fit is None) != bool(self.reason):
+            _refuse("an identification has either tangents or a reason why not")
+        if self.fit is not None:
+            _restore_numbers(self, "fit")
+
+
+@dataclass(frozen=True)
 class EvaluationRecord(_JournalRecord):
     """How the evaluation of one candidate ended.
 
@@ -217,6 +251,10 @@ class EvaluationRecord(_JournalRecord):
         How often it was sent out, from 1.
     reused : bool
         Whether the store had it already.
+    fit : FitJson, optional
+        Its least-squares problem, where the strategy needs derivatives.
+    level : int, optional
+        Of the study's resolutions, coarse to fine; None for that of the study file.
 
     Raises
     ------
@@ -225,6 +263,8 @@ class EvaluationRecord(_JournalRecord):
     """
 
     kind: ClassVar[str] = "evaluation"
+    left_out_if_none: ClassVar[frozenset[str]] = frozenset({"fit", "level"})
+
     candidate: int
     generation: int
     genes: Mapping[str, float]
@@ -238,10 +278,14 @@ class EvaluationRecord(_JournalRecord):
     worker: str = ""
     attempts: int = 1
     reused: bool = False
+    fit: FitJson | None = None
+    level: int | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", Status(self.status))
         _restore_numbers(self, "genes", "score", "outcome", "seconds")
+        if self.fit is not None:
+            _restore_numbers(self, "fit")
         name = f"candidate {self.candidate} is {self.status}"
         if not (_is_count(self.candidate, 0) and _is_count(self.generation, 0)):
             _refuse(f"{name}, but its number or generation ({self.generation}) is no count")
@@ -265,10 +309,24 @@ class EvaluationRecord(_JournalRecord):
             _refuse(f"{name} {'with' if self.traceback else 'without'} a traceback")
 
 
-JournalRecord = StudyRecord | SessionRecord | EvaluationRecord | GenerationRecord | EndRecord
+JournalRecord = (
+    StudyRecord
+    | SessionRecord
+    | EvaluationRecord
+    | GenerationRecord
+    | IdentificationRecord
+    | EndRecord
+)
 _KINDS: dict[str, type[JournalRecord]] = {
     made.kind: made
-    for made in (StudyRecord, SessionRecord, EvaluationRecord, GenerationRecord, EndRecord)
+    for made in (
+        StudyRecord,
+        SessionRecord,
+        EvaluationRecord,
+        GenerationRecord,
+        IdentificationRecord,
+        EndRecord,
+    )
 }
 
 

@@ -60,12 +60,49 @@ class PreparedTarget(TypedDict):
     seconds: NotRequired[dict[str, float]]
 
 
+class PreparedLevel(TypedDict):
+    """Body, mesh and target in a coarser resolution, and the case with that mesh."""
+
+    case: dict[str, Any]
+    prepared: PreparedBody
+    target: str
+
+
+class FitJson(TypedDict):
+    """The least-squares problem of a candidate: distances of interfaces and their derivatives.
+
+    With the residuals r, divided by their noise, and their derivatives J by the parameters:
+    ``cost`` is r'r, ``gradient`` J'r, ``hessian`` J'J. A parameter is the logarithm of a constant
+    where ``logarithmic``. ``parameters`` and ``values`` are inside names and units; ``rms_mm`` is
+    the root mean square of the residuals; ``noise`` says in words what they were divided by.
+    """
+
+    parameters: list[str]
+    logarithmic: list[bool]
+    values: list[float]
+    residuals: int
+    rms_mm: float
+    cost: float
+    gradient: list[float]
+    hessian: list[list[float]]
+    noise: str
+
+
+class FreeParameter(TypedDict):
+    """A parameter by which residuals are differentiated: inside name and units, searched bounds."""
+
+    name: str
+    lower: float
+    upper: float
+
+
 class EvaluationRequest(TypedDict):
     """One candidate to be simulated and compared with the target.
 
     ``store`` is the path of the store, ``target`` a digest, ``constants`` are in MPa,
     ``keep_volume`` asks for the deformed volume to stay in the store, ``digest`` is the name
-    that the driver gives the evaluation.
+    that the driver gives the evaluation. With ``free`` the residuals of the interfaces are
+    differentiated by these parameters.
     """
 
     store: str
@@ -76,6 +113,7 @@ class EvaluationRequest(TypedDict):
     score: NotRequired[SpecJson | None]
     keep_volume: NotRequired[bool]
     digest: NotRequired[str]
+    free: NotRequired[list[FreeParameter]]
 
 
 class EvaluationResult(TypedDict):
@@ -84,7 +122,8 @@ class EvaluationResult(TypedDict):
     ``reason`` says why it diverged; ``constants`` are in MPa; ``seconds`` counts each stage;
     ``worker`` is where it ran. ``score`` is None when diverged and missing where nothing was
     compared; ``volume`` is the digest of a deformed body that was stored under a name of its
-    own; ``reused`` says that the store had the result already.
+    own; ``reused`` says that the store had the result already; ``fit`` is there where the
+    request names free parameters, and None when diverged.
     """
 
     digest: str
@@ -97,3 +136,4 @@ class EvaluationResult(TypedDict):
     score: NotRequired[Scores | None]
     volume: NotRequired[str | None]
     reused: NotRequired[bool]
+    fit: NotRequired[FitJson | None]

@@ -6,12 +6,13 @@ raises it as an `InputError`. The keys of one organ stand in its own ``spec.py``
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, TypeVar
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from storage.errors import InputError
+from workers.mechanics.compression import Compression
 from workers.mechanics.parameters import Vocabulary, unknown_name
 
 
@@ -42,6 +43,7 @@ def require_one_of(record: BaseModel, first: str, second: str) -> None:
         raise ValueError(f"give exactly one of {first} and {second}, found {found}")
 
 
+Identifiable = Literal["absolute", "ratio"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -89,9 +91,40 @@ class CaseSpec(Door):
             If a name in `constants` is unknown or a value is not admissible.
         """
 
+    @property
+    def mesh_nodes(self) -> int | None:
+        """Return about how many nodes the mesh has; None where the case does not say."""
+        return None
+
     def canonical(self, genes: Mapping[str, float]) -> dict[str, float]:
         """Return parameters at the door such that equal models have equal ones."""
         return dict(genes)
+
+    def identifiable(self, searched: Collection[str]) -> Identifiable:
+        """Return whether the load tells stiffnesses or only their ratios.
+
+        Parameters
+        ----------
+        searched : collection of str
+            Names inside of the parameters that are not held.
+        """
+        return "absolute"
+
+    def compression(self) -> Compression | None:
+        """Return how plates press the body; None where there are none."""
+        return None
+
+    def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
+        """Return the searched stiffnesses that can all grow by one factor without any effect.
+
+        Of these only ratios can be found. None by default.
+
+        Parameters
+        ----------
+        searched : sequence of str
+            Names inside.
+        """
+        return ()
 
     def unused_parameter(self, name: str) -> str:
         """Return why a parameter of the organ cannot be searched in this case, or ""."""

@@ -24,6 +24,7 @@ from service.cluster import open_cluster
 from service.dispatch import Dispatcher
 from service.results import StudyResults, study_results
 from service.study import Study
+from storage.stores import open_store
 from workers.organs.cornea.cohort import (
     AVERAGE_CORNEA_JC,
     AVERAGE_CORNEA_MHD_UM,
@@ -44,6 +45,7 @@ def main() -> None:
     """Run the batch, or continue it, and print the two tables."""
     wanted = arguments()
     eyes = TABLE_5_2[: wanted.eyes]
+    open_store(wanted.folder / "store")  # once, before studies that begin at the same time
     studies = [(eye, spec_of(eye, wanted), wanted.folder / name_of(eye)) for eye in eyes]
     with (
         open_cluster(wanted.scheduler, wanted.workers) as cluster,

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.commands.common import (
-    RUNS,
     JsonOption,
     SchedulerOption,
     StoreOption,
@@ -16,6 +16,7 @@ from service.commands.common import (
     print_json,
 )
 from service.commands.interrupts import interrupted, stop_requests
+from service.commands.settings import cluster_options, store_folder
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ def make(
 
     Ctrl-C stops it at any time; the same command continues it.
     """
+    scheduler, workers = cluster_options(scheduler, workers)
     from service.blind.make_case import make_case
     from service.blind.make_set import SetRequest, plan, seal, unmade
     from service.blind.make_set import make as make_cases
@@ -126,12 +128,13 @@ def run(
 
     Ctrl-C stops it at any time; the same command continues it.
     """
+    scheduler, workers = cluster_options(scheduler, workers)
     from service.blind.progress import SetProgress
     from service.blind.run import Answering, answer, seal, unanswered
     from service.blind.sets import BlindSet, read_manifest
 
     answering = Answering(
-        BlindSet(folder), store or RUNS / "store", directions.value, nodes, limit, declare
+        BlindSet(folder), store_folder(store), directions.value, nodes, limit, declare
     )
     waiting = unanswered(answering)
     of = len(read_manifest(answering.blind)["cases"])
@@ -148,7 +151,7 @@ def run(
         typer.echo(f"{of - left} of {of} cases are answered; the same command goes on.")
         return
     typer.echo(f"answers: sha256 {sealed}")
-    typer.echo(f"next: palpate blind score {folder}" + _directions(directions))
+    typer.echo(f"next: palpate blind score {quote(str(folder))}" + _directions(directions))
 
 
 @app.command("score")
@@ -178,9 +181,9 @@ def score(
     if as_json:
         print_json(record(scored))
         return
-    from rich.console import Console
+    from service.commands.tables import make_console
 
-    _print(scored, Console(highlight=False))
+    _print(scored, make_console())
     if page is not None:
         typer.echo(f"page: {page}")
 
@@ -234,16 +237,12 @@ def _put_into(text: Path, scored: "ScoredSet") -> None:
     write_file(text, filled(text.read_text(encoding="utf-8"), scored).encode())
 
 
-def _print(scored: "ScoredSet", console: Any) -> None:
+def _print(scored: "ScoredSet", console: "Console") -> None:
     """Print all metrics on a console, those with a target first."""
-    from rich.table import Table
+    from service.commands.tables import print_table
 
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for heading in ("figure", "value", "95 %", "cases", "target", ""):
-        table.add_column(heading, justify="right" if heading in ("value", "cases") else "left")
-    for metric in scored.targets_first:
-        table.add_row(*_cells(metric))
-    console.print(table)
+    rows = [_cells(metric) for metric in scored.targets_first]
+    print_table(console, ("figure", "value", "95 %", "cases", "target", ""), rows, right=(1, 3))
     if scored.floor_mm is not None:
         console.print(f"Floor: {scored.floor_mm:.3f} mm of true gap in the median control.")
 

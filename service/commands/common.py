@@ -6,28 +6,37 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.commands.settings import RUNS
 from storage.errors import InputError
 
 if TYPE_CHECKING:
     from service.spec import StudySpec
 
-RUNS = Path("runs")
-
+AllOption = Annotated[bool, typer.Option("--all", help="Constants at their neutral values, too.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON record on standard output.")]
 StoreOption = Annotated[
     Path | None,
-    typer.Option("--store", help="Folder of volumes and evaluations. Default: runs/store."),
+    typer.Option(
+        "--store",
+        help="Folder of volumes and evaluations. Default: $PALPATE_STORE, else runs/store.",
+        show_default=False,
+    ),
 ]
 WorkersOption = Annotated[
     int | None,
     typer.Option(
-        "--workers", help="Processes of this machine. Default: one per core.", show_default=False
+        "--workers",
+        help="Processes of this machine. Default: $PALPATE_WORKERS, else one per core.",
+        show_default=False,
     ),
 ]
 SchedulerOption = Annotated[
     str | None,
     typer.Option(
-        "--scheduler", metavar="ADDRESS", help="Use a running Dask cluster, tcp://HOST:8786."
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Use a running Dask cluster, tcp://HOST:8786. Default: $PALPATE_SCHEDULER.",
+        show_default=False,
     ),
 ]
 StudyArgument = Annotated[

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import (
-    RUNS,
     JsonOption,
     SchedulerOption,
     StoreOption,
@@ -16,11 +15,13 @@ from service.commands.common import (
 )
 from service.commands.echo import folder_name, print_understood
 from service.commands.interrupts import interrupted, stop_requests
+from service.commands.settings import RUNS, cluster_options, store_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from service.diagnosis.run import FinishedDiagnosis
+    from service.report.diagnosis_made import Origin
     from workers.diagnosis.summary import Summary
     from workers.tasks.diagnosis_store import DiagnosisRequest
 
@@ -63,11 +64,16 @@ def diagnose(
 
     Ctrl-C stops it at any time; the same command continues it.
     """
-    from service.diagnosis.run import request_for
+    import time
+    from datetime import UTC, datetime
+
+    from service.diagnosis.run import finished, request_for
+    from service.report.diagnosis_made import origin_of
     from storage.errors import InputError
     from storage.typed_json import to_json
     from workers.tasks.sources import is_plannable, open_source
 
+    scheduler, workers = cluster_options(scheduler, workers)
     if plan and source.is_file() and not is_plannable(source):
         raise InputError(
             f"{source} is a bench experiment, and --plan knows further scans only. Leave it out."
@@ -75,20 +81,24 @@ def diagnose(
     opened = open_source(source)
     opened.check()
     print_understood(source)
-    request = request_for(opened, store or RUNS / "store", nodes)
+    request = request_for(opened, store_folder(store), nodes)
+    began, when = time.monotonic(), datetime.now(UTC).isoformat()
+    stored = finished(request) is not None
     with stop_requests() as requests:
         diagnosis = _diagnosed(request, workers, scheduler, requests)
         if diagnosis is not None and _to_be_planned(diagnosis.summary, source, plan):
             diagnosis = _with_plan(diagnosis, source, request, workers, scheduler, requests)
     if diagnosis is None:
         raise interrupted()
-    page = _write(diagnosis, out or RUNS / folder_name(source))
+    spent = None if stored else time.monotonic() - began
+    origin = origin_of(opened, request, when, f"palpate diagnose {source}", spent)
+    page = _write(diagnosis, origin, out or RUNS / folder_name(source))
     if as_json:
         print_json(to_json(diagnosis.summary))
         return
-    from rich.console import Console
+    from service.commands.tables import make_console
 
-    print_verdict(diagnosis.summary, Console(highlight=False))
+    print_verdict(diagnosis.summary, make_console())
     typer.echo(f"page: {page}")
 
 
@@ -157,7 +167,7 @@ def _with_plan(
     return replace(diagnosis, summary=replace(diagnosis.summary, next_acquisitions=options))
 
 
-def _write(diagnosis: "FinishedDiagnosis", folder: Path) -> Path:
+def _write(diagnosis: "FinishedDiagnosis", origin: "Origin", folder: Path) -> Path:
     from service.report.diagnosis_page import render
     from storage.atomic import explained, write_file
     from storage.plain import to_plain
@@ -169,32 +179,28 @@ def _write(diagnosis: "FinishedDiagnosis", folder: Path) -> Path:
     text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)
     write_file(folder / "diagnosis.json", text.encode() + b"\n")
     page = folder / "diagnosis.html"
-    write_file(page, render(diagnosis).encode())
+    write_file(page, render(diagnosis, origin).encode())
     return page
 
 
 def print_verdict(summary: "Summary", console: "Console") -> None:
     """Print a sentence, and the most probable causes."""
-    from rich.table import Table
-
+    from service.commands.tables import print_table
     from service.diagnosis.advice import worth
     from service.diagnosis.experiment import experiment_lines
     from service.diagnosis.words import likely, measured, sentence, spoken
 
     console.print(sentence(summary), soft_wrap=True)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("cause")
-    table.add_column("probability", justify="right")
-    table.add_column("magnitude")
-    table.add_column("absorbed", justify="right")
-    table.add_row(spoken("no-gap"), likely(summary.no_gap_probability), "", "")
-    table.add_row(spoken("none-of-these"), likely(summary.none_of_these_probability), "", "")
+    rows = [
+        (spoken("no-gap"), likely(summary.no_gap_probability), "", ""),
+        (spoken("none-of-these"), likely(summary.none_of_these_probability), "", ""),
+    ]
     ranked = sorted(summary.effects, key=lambda e: -e.probability)
     for e in [e for e in ranked if e.name not in summary.absorbed][:SHOWN]:
         magnitude = measured(e.magnitude, e.sd, e.unit)
         share = f"{100 * e.absorbed_share:.0f} %"
-        table.add_row(spoken(e.name), likely(e.probability), magnitude, share)
-    console.print(table)
+        rows.append((spoken(e.name), likely(e.probability), magnitude, share))
+    print_table(console, ("cause", "probability", "magnitude", "absorbed"), rows, right=(1, 3))
     if summary.absorbed:
         names = ", ".join(spoken(name) for name in summary.absorbed)
         console.print(

@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.commands.common import RUNS, JsonOption, StoreOption, print_json
+from service.commands.common import JsonOption, StoreOption, print_json
+from service.commands.settings import cluster_options, store_folder
 
 if TYPE_CHECKING:
     from service.doctor import Examination
@@ -13,7 +14,11 @@ if TYPE_CHECKING:
 def doctor(
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Examine this cluster, tcp://HOST:8786."),
+        typer.Option(
+            metavar="ADDRESS",
+            help="Examine this cluster, tcp://HOST:8786. Default: $PALPATE_SCHEDULER.",
+            show_default=False,
+        ),
     ] = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
@@ -22,7 +27,8 @@ def doctor(
     from service.cluster import open_cluster
     from service.doctor import examine
 
-    place = str((store or RUNS / "store").absolute())
+    scheduler, _ = cluster_options(scheduler, None)
+    place = str((store_folder(store)).absolute())
     with open_cluster(scheduler, None if scheduler else 1) as cluster:
         examination = examine(cluster, place)
     if as_json:

@@ -11,22 +11,13 @@ def print_understood(source: Path) -> None:
     InputError
         If the file does not make sense.
     """
-    from rich.console import Console
-    from rich.table import Table
-
+    from service.commands.tables import make_console, print_table
     from workers.tasks.sources import understood
 
     rows = understood(source)
     if not rows:
         return
-    table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, text in rows:
-        table.add_row(name, text)
-    console = Console(stderr=True, highlight=False, markup=False)
-    console.print("Understood:")
-    console.print(table)
+    print_table(make_console(stderr=True), None, rows, title="Understood:")
 
 
 def folder_name(source: Path) -> str:

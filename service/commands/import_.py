@@ -1,15 +1,17 @@
 """`palpate import` reads an image into the store, under a name."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.common import RUNS, JsonOption, StoreOption, print_json
+from service.commands.common import JsonOption, StoreOption, print_json
+from service.commands.settings import RUNS, store_folder
 from storage.errors import InputError
 
 if TYPE_CHECKING:
     from storage.stores import Store
+    from storage.values import Volume
 
 
 def import_image(
@@ -27,17 +29,33 @@ def import_image(
         str | None,
         typer.Option(help="Which axes of the image are x, y and z here, such as -z,y,x."),
     ] = None,
+    png: Annotated[
+        Path | None,
+        typer.Option(
+            help="Where to draw the slices. Default: runs/images/NAME.png.", show_default=False
+        ),
+    ] = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Read a labelled image, name its tissues and keep it in the store."""
+    """Read a labelled image, name its tissues, keep it in the store and show it.
+
+    Look at what it says: size, axes and volumes are what everything later rests on.
+    """
+    from service.commands.image_preview import doubt
+    from service.export.suffixes import check_suffix
+    from service.spec import Name
     from storage.digest import array_digest, digest
     from storage.stores import open_store
     from storage.volumes import save_volume
     from workers.body.images.labels import summarise
     from workers.organs.registry import organ_named
-    from workers.spec import validated
+    from workers.spec import Door, validated
 
+    class Wanted(Door):
+        name: Name
+
+    validated(Wanted, {"name": name}, "The name (letters, digits, '.', '_' and '-')")
     breast = organ_named("breast")
     spec = validated(
         breast.target_spec,
@@ -49,8 +67,9 @@ def import_image(
         },
         "The image's description",
     )
+    check_suffix(png, (".png",), "--png ")
     volume = breast.make_body(spec)
-    opened = open_store(store or RUNS / "store")
+    opened = open_store(store_folder(store))
     digest_of_image = digest(
         "import", name, array_digest(volume.values), list(volume.spacing_mm), list(volume.origin_mm)
     )
@@ -58,16 +77,49 @@ def import_image(
     save_volume(
         opened, digest_of_image, volume, meta={"kind": "image", "name": name, "file": path.name}
     )
+    drawn = _draw(png or RUNS / "images" / f"{name}.png", volume, name)
     record = {
         "name": name,
         "volume": digest_of_image,
         "store": str(opened),
+        "axes": axes or "x,y,z",
+        "doubt": doubt(volume) or None,
+        "png": str(drawn),
         **summarise(volume, named=True),
     }
     if as_json:
         print_json(record)
-    else:
-        typer.echo(f"{name} is in {opened} as {digest_of_image}. In a study: volume: {name}")
+        return
+    _print(volume, record)
+    typer.echo(f"slices: {drawn}")
+    typer.echo(f"{name} is in {opened} as {digest_of_image}. In a study: volume: {name}")
+
+
+def _draw(path: Path, volume: "Volume", name: str) -> Path:
+    from service.commands.image_preview import write_png
+    from storage.atomic import explained
+
+    with explained(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_png(path, volume, name)
+    return path
+
+
+def _print(volume: "Volume", record: dict[str, Any]) -> None:
+    """Print facts and slices; the slices with letters where there are no colours."""
+    from rich.console import Console
+
+    from service.commands.image_preview import facts, terminal_lines
+    from service.commands.tables import echo_table
+
+    axes = None if record["axes"] == "x,y,z" else record["axes"]
+    echo_table(None, facts(volume, record, axes))
+    console = Console(highlight=False, markup=False)
+    coloured = console.is_terminal and not console.no_color
+    for line in terminal_lines(volume, console.width, colours=coloured):
+        console.print(line, no_wrap=True, overflow="crop")
+    if record["doubt"]:
+        typer.echo(f"Check: {record['doubt']}", err=True)
 
 
 def _refuse_taken_name(store: "Store", name: str, digest: str) -> None:

@@ -1,6 +1,7 @@
 """`palpate import-case` turns a case in prose into a structured one."""
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -40,4 +41,4 @@ def import_case(
     print_understood(case)
     with explained(path):
         write_file(path, text.encode())
-    typer.echo(f"Wrote {path}. To diagnose it: palpate diagnose {path}")
+    typer.echo(f"Wrote {path}. To diagnose it: palpate diagnose {quote(str(path))}")

@@ -7,13 +7,15 @@ from typing import Any
 
 import typer
 
+from service.commands.settings import this_command
+
 INTERRUPTED = 130
 """Exit code of a command that was stopped and can be continued."""
 
 
 def interrupted() -> typer.Exit:
     """Say that nothing is lost; the exit to raise."""
-    typer.echo("Interrupted; what is finished is kept. The same command continues it.", err=True)
+    typer.echo(f"Interrupted; what is finished is kept. To continue: {this_command()}", err=True)
     return typer.Exit(INTERRUPTED)
 
 

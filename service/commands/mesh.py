@@ -5,7 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from service.commands.common import RUNS, JsonOption, StoreOption, load_spec, print_json
+from service.commands.common import JsonOption, StoreOption, load_spec, print_json
+from service.commands.settings import store_folder
 
 
 def mesh(
@@ -26,13 +27,15 @@ def mesh(
     from storage.stores import open_store
     from workers.body.mesh.hierarchy import from_arrays
     from workers.body.mesh.quality import summarise
-    from workers.tasks.evaluation import prepare_case
+    from workers.tasks.evaluation import case_of, prepare_case
+    from workers.tasks.study_checks import check_case
 
     check_suffix(out, MESH_SUFFIXES)
     case = load_spec(study).case.model_dump(mode="json")
     if nodes is not None or element_size_mm is not None:
         case["mesh"] = {"nodes": nodes, "element_size_mm": element_size_mm}
-    opened = open_store(store or RUNS / "store")
+    check_case(case_of(case))
+    opened = open_store(store_folder(store))
     prepared = prepare_case(case, str(opened))
     finest = from_arrays(load_mesh(opened, prepared["mesh"])[0]).finest.mesh
     record: dict[str, Any] = {**prepared, "quality": summarise(finest)}

@@ -6,6 +6,8 @@ import typer
 
 from service.commands.common import JsonOption, print_json
 
+HEADINGS = ("name", "known interval", "neutral", "description")
+
 
 def parameters(
     organ: Annotated[str, typer.Option(help="Whose: breast or cornea.")] = "breast",
@@ -36,16 +38,25 @@ def parameters(
     if as_json:
         print_json({"constants": constants, "effects": causes, "not_simulated": missing})
         return
+    from service.commands.tables import echo_table
+
     if constants:
         typer.echo("Constants, under case.constants or search.parameters:")
-        for parameter in constants:
-            typer.echo(_line(parameter))
+        echo_table(HEADINGS, [_row(p) for p in constants])
+        typer.echo()
     typer.echo("Effects, neutral unless stated:")
-    for cause in causes:
-        typer.echo(f"  {cause['effect']} ({cause['family']}): {cause['summary']}")
-        for parameter in cause["parameters"]:
-            only = "" if cause["in_studies"] else ", diagnosis only"
-            typer.echo(_line(parameter, indent=4) + only)
+    rows = [
+        _row(p, cause["effect"], "" if cause["in_studies"] else ", diagnosis only")
+        for cause in causes
+        for p in cause["parameters"]
+    ]
+    echo_table((*HEADINGS[:-1], "effect", HEADINGS[-1]), rows)
+    if effects:
+        typer.echo()
+        echo_table(
+            ("effect", "family", "meaning"),
+            [(c["effect"], c["family"], c["summary"]) for c in causes],
+        )
     typer.echo("Not simulated: " + ", ".join(m["effect"] for m in missing))
 
 
@@ -61,7 +72,8 @@ def _parameter(p: Any) -> dict[str, Any]:
     }
 
 
-def _line(p: dict[str, Any], indent: int = 2) -> str:
-    neutral = "follows" if p["neutral"] is None else f"{p['neutral']:g}"
-    interval = f"[{p['lower']:.3g}, {p['upper']:.3g}]"
-    return f"{' ' * indent}{p['name']:<32}{interval:<16}{neutral:<9}{p['description']}"
+def _row(p: dict[str, Any], effect: str = "", remark: str = "") -> tuple[str, ...]:
+    neutral = "follows" if p["neutral"] is None else f"{p['neutral']:g} {p['unit']}".rstrip()
+    interval = f"{p['lower']:.4g} to {p['upper']:.4g} {p['unit']}".rstrip()
+    cells = (p["name"], interval, neutral)
+    return (*cells, *([effect] if effect else []), p["description"] + remark)

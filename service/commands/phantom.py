@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from service.commands.common import RUNS, JsonOption, StoreOption, print_json
+from service.commands.common import JsonOption, StoreOption, print_json
+from service.commands.settings import store_folder
 
 
 def phantom(
@@ -39,7 +40,7 @@ def phantom(
     settings = {name: value for name, value in options.items() if value is not None}
     breast = organ_named("breast")
     case = validated(breast.case_spec, {"reference": {"phantom": settings}}, "The phantom")
-    bodies = BodyStore(open_store(store or RUNS / "store"), breast)
+    bodies = BodyStore(open_store(store_folder(store)), breast)
     name = bodies.bring_body(case.reference)
     volume = bodies.body(name)
     if out is not None:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import (
-    RUNS,
     JsonOption,
     SchedulerOption,
     StoreOption,
@@ -16,6 +15,7 @@ from service.commands.common import (
 from service.commands.echo import folder_name, print_understood
 from service.commands.interrupts import interrupted, stop_requests
 from service.commands.planning import planned
+from service.commands.settings import RUNS, cluster_options, store_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,8 +48,9 @@ def plan(
     from service.diagnosis.planning import request_plan
     from storage.typed_json import to_json
 
+    scheduler, workers = cluster_options(scheduler, workers)
     print_understood(source)
-    request = request_plan(source, store or RUNS / "store", nodes)
+    request = request_plan(source, store_folder(store), nodes)
     with stop_requests() as requests:
         summary = planned(request, workers, scheduler, requests)
     if summary is None:
@@ -58,9 +59,9 @@ def plan(
     if as_json:
         print_json(to_json(summary))
         return
-    from rich.console import Console
+    from service.commands.tables import make_console
 
-    print_plan(summary, Console(highlight=False))
+    print_plan(summary, make_console())
     typer.echo(f"page: {page}")
 
 
@@ -76,8 +77,7 @@ def _write(summary: "PlanSummary", page: Path) -> Path:
 
 def print_plan(summary: "PlanSummary", console: "Console") -> None:
     """Print what can be told and what would tell more."""
-    from rich.table import Table
-
+    from service.commands.tables import print_table
     from service.diagnosis.plan_words import (
         WHY,
         amounts,
@@ -91,11 +91,8 @@ def print_plan(summary: "PlanSummary", console: "Console") -> None:
     from service.diagnosis.words import spoken
 
     console.print(headline(summary), soft_wrap=True)
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for title in ("effect", "found from", "plausible", "absorbed", "most alike", ""):
-        table.add_column(title, justify="right" if title == "absorbed" else "left")
-    for e in summary.effects:
-        table.add_row(
+    rows = [
+        (
             spoken(e.name),
             amounts(e.parameters, "minimum"),
             amounts(e.parameters, "plausible"),
@@ -103,16 +100,15 @@ def print_plan(summary: "PlanSummary", console: "Console") -> None:
             nearest(e),
             "" if e.seen else WHY[e.why_not],
         )
-    console.print(table)
+        for e in summary.effects
+    ]
+    headings = ("effect", "found from", "plausible", "absorbed", "most alike", "")
+    print_table(console, headings, rows, right=(3,))
     for text in (silence(summary), confusions(summary), drift(summary)):
         if text:
             console.print(text, soft_wrap=True)
-    further = Table(box=None, padding=(0, 2, 0, 0))
-    for title in ("what else could be measured", "found from", "gain"):
-        further.add_column(title)
-    for a in summary.acquisitions:
-        further.add_row(a.name, f"x {a.minimum_ratio:.2f}", gain(a))
-    console.print(further)
+    further = [(a.name, f"x {a.minimum_ratio:.2f}", gain(a)) for a in summary.acquisitions]
+    print_table(console, ("what else could be measured", "found from", "gain"), further)
     if summary.not_simulated:
         names = ", ".join(summary.not_simulated)
         console.print(f"The model does not converge at {names}.", soft_wrap=True)

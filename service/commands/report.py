@@ -1,13 +1,21 @@
 """`palpate report` prints what a study has found, and writes its page."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from service.commands.common import JsonOption, StudyArgument, find_study, print_json
 
 if TYPE_CHECKING:
-    from service.results import StudyResults
+    from rich.console import Console
+
+    from service.ratios import RatioEstimate
+    from service.results import ParameterEstimate, StudyResults
+
+ONLY_RATIOS = (
+    "Only ratios of the stiffnesses were found: the plates stood at a distance and no stiffness "
+    "was held. The values below have an arbitrary scale: do not quote them in kPa."
+)
 
 
 def report(study: StudyArgument = None, as_json: JsonOption = False) -> None:
@@ -20,20 +28,26 @@ def report(study: StudyArgument = None, as_json: JsonOption = False) -> None:
     if as_json:
         print_json(study_json(results))
         return
-    from rich.console import Console
-
+    from service.commands.tables import make_console
     from service.report.study_page import write_report
 
-    print_report(results, Console(highlight=False))
+    print_report(results, make_console())
     typer.echo(f"page: {write_report(folder)}")
 
 
-def print_report(results: "StudyResults", console: Any) -> None:
+def print_report(results: "StudyResults", console: "Console") -> None:
     """Print estimates, scores and what was spent on a console."""
     from service.commands.status import counts_text, score_text
+    from service.commands.tables import print_table
     from service.progress import clock
 
-    console.print(_estimates(results))
+    if results.identifiable == "ratio":
+        console.print(ONLY_RATIOS)
+        ratios = [(r.name, *_numbers(r, "")) for r in results.ratios]
+        print_table(console, ("ratio", "estimate", "target", "error"), ratios, right=(1, 2, 3))
+    headings = ("parameter", "estimate", "target", "error", "searched")
+    rows = _estimates(results)
+    print_table(console, headings, rows, title=results.name, right=(1, 2, 3, 4))
     if results.best is not None and results.best.score is not None:
         console.print(f"candidate {results.best.candidate}: {score_text(results.best.score)}")
     for label, score in results.best_scores.items():
@@ -49,20 +63,19 @@ def print_report(results: "StudyResults", console: Any) -> None:
     console.print(f"{clock(results.wall_s)} in all; workers {clock(total_s)}: {stages or 'none'}")
 
 
-def _estimates(results: "StudyResults") -> Any:
-    from rich.table import Table
-
-    table = Table(title=results.name, box=None, header_style="dim")
-    for heading in ("parameter", "estimate", "target", "error", "searched"):
-        table.add_column(heading, justify="left" if heading == "parameter" else "right")
+def _estimates(results: "StudyResults") -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = []
     for name, e in results.estimates.items():
         unit = f" {e.unit}".rstrip()
-        error = e.relative_error
-        table.add_row(
-            name,
-            "-" if e.estimate is None else f"{e.estimate:.4g}{unit}",
-            "-" if e.target is None else f"{e.target:.4g}{unit}",
-            "-" if error is None else f"{100 * error:.2g} %",
-            f"{e.lower:g} to {e.upper:g}",
-        )
-    return table
+        rows.append((name, *_numbers(e, unit), f"{e.lower:g} to {e.upper:g}{unit}"))
+    return rows
+
+
+def _numbers(e: "ParameterEstimate | RatioEstimate", unit: str) -> tuple[str, str, str]:
+    """Return estimate, target and error as texts."""
+    error = e.relative_error
+    return (
+        "-" if e.estimate is None else f"{e.estimate:.4g}{unit}",
+        "-" if e.target is None else f"{e.target:.4g}{unit}",
+        "-" if error is None else f"{100 * error:.2g} %",
+    )

@@ -1,43 +1,57 @@
 """`palpate show` prints one candidate."""
 
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 import typer
 
-from service.commands.common import JsonOption, StudyArgument, find_study, print_json
+from service.commands.common import (
+    AllOption,
+    JsonOption,
+    StudyArgument,
+    find_study,
+    print_json,
+)
 from storage.errors import InputError
 
 
 def show(
     candidate: Annotated[str, typer.Argument(help="Number of a candidate, or best.")],
     study: StudyArgument = None,
+    everything: AllOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show genes, score and ending of a candidate; of a failed one, why."""
+    """Show parameters, score and ending of a candidate; of a failed one, why."""
+    from service.commands.tables import echo_table
     from service.results import candidate_results
     from service.results_json import candidate_json
 
     if candidate != "best" and not candidate.isdecimal():
         raise InputError(f"{candidate!r} is no candidate: give its number, or best.")
     number = None if candidate == "best" else int(candidate)
-    record = candidate_json(candidate_results(find_study(study), number))
+    record = candidate_json(candidate_results(find_study(study), number), everything=everything)
     if as_json:
         print_json(record)
         return
     traceback = record.pop("traceback", "")
-    for line in _lines(record):
-        typer.echo(line)
+    echo_table(None, list(_rows(record)))
     if traceback:
         typer.echo(f"\n{traceback.rstrip()}")
 
 
-def _lines(record: dict[str, Any], indent: str = "") -> list[str]:
-    """Write aligned ``name  value`` lines; records within are indented below their name."""
-    lines = []
+def _rows(record: Mapping[str, Any], indent: str = "") -> Iterator[tuple[str, str]]:
+    """Yield names and texts; records within are indented below their name."""
+    from service.quantities import Quantity, named_quantity
+
     for name, value in record.items():
-        if isinstance(value, dict) and value:
-            lines += [f"{indent}{name}", *_lines(value, indent + "  ")]
+        if isinstance(value, Mapping) and set(value) == {"value", "unit"}:
+            yield f"{indent}{name}", str(Quantity(value["value"], value["unit"]))
+        elif isinstance(value, Mapping) and value:
+            yield f"{indent}{name}", ""
+            if name == "seconds":
+                yield from ((f"{indent}  {stage}", f"{s:.3g} s") for stage, s in value.items())
+            else:
+                yield from _rows(value, indent + "  ")
         elif value not in ("", None, {}):
-            text = f"{value:.6g}" if isinstance(value, float) else str(value)
-            lines.append(f"{indent}{name:<{max(1, 24 - len(indent))}}{text}")
-    return lines
+            shown, text = named_quantity(name, value)
+            yield f"{indent}{shown}", text

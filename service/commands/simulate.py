@@ -1,21 +1,22 @@
 """`palpate simulate` computes one compression, outside of any search."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.commands.common import (
-    RUNS,
+    AllOption,
     JsonOption,
     StoreOption,
     constants_option,
     load_spec,
     print_json,
 )
+from service.commands.settings import store_folder
 
 if TYPE_CHECKING:
+    from service.quantities import Quantity
     from storage.task_records import EvaluationResult
 
 
@@ -27,53 +28,66 @@ def simulate(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Write the deformed mesh (.vtu, .vtk, .msh) or volume (.nrrd)."),
+        typer.Option(
+            help="Write the deformed mesh (.vtu, .vtk, .msh), volume (.nrrd) or surface (.stl), or "
+            "the whole model (.inp, .feb); see `palpate export`."
+        ),
     ] = None,
+    everything: AllOption = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compress the body of a study once; constants not set are the case's own."""
-    from service.export import (
-        MESH_SUFFIXES,
-        VOLUME_SUFFIXES,
-        check_suffix,
-        export_stored_mesh,
-        export_volume,
-    )
-    from storage.fields import load_field
-    from storage.stores import open_store
-    from storage.volumes import load_volume
-    from workers.tasks.evaluation import prepare_case, simulate_once
+    """Compress the body of a study once; constants not set are the case's own.
 
-    check_suffix(out, MESH_SUFFIXES + VOLUME_SUFFIXES)
+    Of the constants those are printed that are stated or differ from their neutral values.
+    """
+    from service.export.suffixes import SOLVED_SUFFIXES, VOLUME_SUFFIXES, check_suffix
+    from service.quantities import not_neutral, quantities_inside, quantities_json
+    from storage.stores import open_store
+    from workers.organs.registry import organ_named
+    from workers.tasks.evaluation import simulate_once
+    from workers.tasks.study_checks import check_case
+
+    check_suffix(out, SOLVED_SUFFIXES)
     spec = load_spec(study)
+    check_case(spec.case)
     case = spec.case.model_dump(mode="json")
     stated = constants_option(spec, constants or [])
-    opened = open_store(store or RUNS / "store")
+    opened = open_store(store_folder(store))
     result = simulate_once(case, stated, str(opened))
     volume = result.get("volume")
     if out is not None and volume is not None:
         if out.suffix.lower() in VOLUME_SUFFIXES:
+            from service.export.stored import export_volume
+            from storage.volumes import load_volume
+
             export_volume(out, load_volume(opened, volume))
         else:
-            mesh = prepare_case(case, str(opened))["mesh"]
-            export_stored_mesh(out, opened, mesh, load_field(opened, result["digest"]))
+            from service.export.formats import export_solved
+            from service.export.solved_body import solve_body
+
+            export_solved([out], solve_body(case, stated, str(opened), spec.name))
+    vocabulary = organ_named(spec.case.organ).parameters
+    held = spec.case.parameters.from_door(spec.case.constants)
+    kept = not_neutral(vocabulary, result["constants"], {*held, *stated})
+    shown = quantities_inside(vocabulary, result["constants"] if everything else kept)
     if as_json:
-        print_json(result)
+        print_json(result | {"constants": quantities_json(shown)})
     else:
-        _print(result)
+        _print(result, shown, len(result["constants"]) - len(shown))
 
 
-def _print(result: "EvaluationResult") -> None:
+def _print(result: "EvaluationResult", constants: "dict[str, Quantity]", neutral: int) -> None:
+    from service.commands.tables import echo_table
+    from service.quantities import named_quantity
+
     typer.echo(result["status"] + (f": {result['reason']}" if result["reason"] else ""))
-    tables: dict[str, Mapping[str, object]] = {
-        "constants": result["constants"],
-        "outcome": result["outcome"],
-        "seconds": result["seconds"],
-    }
-    for title, values in tables.items():
-        typer.echo(title)
-        for name, value in values.items():
-            text = f"{value:.6g}" if isinstance(value, float) else value
-            unit = " MPa" if title == "constants" and name != "nu" else ""
-            typer.echo(f"  {name:<24}{text}{unit}")
+    typer.echo("constants")
+    echo_table(None, [(f"  {name}", str(quantity)) for name, quantity in constants.items()])
+    if neutral:
+        typer.echo(f"  {neutral} more at their neutral values: --all shows them")
+    outcome = [named_quantity(name, value) for name, value in result["outcome"].items()]
+    typer.echo("outcome")
+    echo_table(None, [(f"  {name}", text) for name, text in outcome if text])
+    typer.echo("time")
+    echo_table(None, [(f"  {name}", f"{s:.3g} s") for name, s in result["seconds"].items()])

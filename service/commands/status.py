@@ -1,14 +1,15 @@
 """`palpate status` says how far a study is, and what failed."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.commands.common import JsonOption, StudyArgument, find_study, print_json
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from service.results import StudyResults
-    from storage.records import EvaluationRecord
     from storage.task_records import Scores
 
 
@@ -25,20 +26,17 @@ def status(
     if as_json:
         print_json(study_json(results))
         return
-    from rich.console import Console
+    from service.commands.tables import make_console, print_table
 
-    console = Console(highlight=False)
-    console.print(_table(results))
-    _print_failures(console, results.failures, failures)
+    console = make_console()
+    print_table(console, None, _rows(results), title=f"{results.name} ({results.folder})")
+    _print_failures(console, results, failures)
 
 
-def _table(results: "StudyResults") -> Any:
-    from rich.table import Table
-
+def _rows(results: "StudyResults") -> list[tuple[str, str]]:
     from service.progress import clock
+    from service.quantities import quantities_at_door
 
-    title = f"{results.name} ({results.folder})"
-    table = Table(title=title, show_header=False, box=None)
     state = results.state + (f": {results.stop_reason}" if results.stop_reason else "")
     rows = [
         ("state", state),
@@ -48,12 +46,13 @@ def _table(results: "StudyResults") -> Any:
     if results.best is not None and results.best.score is not None:
         candidate, score = results.best.candidate, results.best.score
         rows.append(("best", f"candidate {candidate}: {score_text(score)}"))
-        genes = ", ".join(f"{name} {value:.4g}" for name, value in results.best.genes.items())
-        rows.append(("", genes))
-    rows.append(("time", f"{clock(results.wall_s)} in {results.sessions} runs"))
-    for heading, value in rows:
-        table.add_row(heading, value)
-    return table
+        genes = quantities_at_door(results.spec.case.parameters, results.best.genes)
+        texts = (f"{name} {q.value:.4g} {q.unit}".rstrip() for name, q in genes.items())
+        rows.append(("", ", ".join(texts)))
+    runs = "1 run" if results.sessions == 1 else f"{results.sessions} runs"
+    time = f"{clock(results.wall_s)} in {runs}"
+    rows.append(("time", time if results.sessions else "body and target are being prepared"))
+    return rows
 
 
 def _generations_text(results: "StudyResults") -> str:
@@ -77,18 +76,26 @@ def score_text(score: "Scores") -> str:
     return f"GSF {score['gsf']:.5g}, JC {score['jc']:.4f}, MHD {score['mhd_mm']:.4g} mm"
 
 
-def _print_failures(console: Any, failures: "tuple[EvaluationRecord, ...]", most: int) -> None:
+def _print_failures(console: "Console", results: "StudyResults", most: int) -> None:
+    from shlex import join
+
+    from service.commands.tables import print_table
+
+    failures = results.failures
     if not failures or most <= 0:
         return
-    from rich.table import Table
-
-    table = Table(title="failures", box=None, header_style="dim")
-    for heading in ("candidate", "generation", "status", "reason"):
-        table.add_column(heading)
-    for record in failures[-most:]:
-        reason = record.reason.splitlines()[0]
-        table.add_row(str(record.candidate), str(record.generation), str(record.status), reason)
-    console.print(table)
+    rows = [
+        (
+            str(record.candidate),
+            str(record.generation + 1),
+            str(record.status),
+            record.reason.splitlines()[0],
+        )
+        for record in failures[-most:]
+    ]
+    console.print("failures")
+    print_table(console, ("candidate", "generation", "status", "reason"), rows, right=(0, 1))
     if len(failures) > most:
         console.print(f"the last {most} of {len(failures)}; see all with --failures")
-    console.print(f"details: palpate show {failures[-1].candidate}")
+    show = join(["palpate", "show", str(failures[-1].candidate), str(results.folder)])
+    console.print(f"details: {show}")

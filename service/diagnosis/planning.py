@@ -14,7 +14,7 @@ from workers.tasks.planning import (
     named,
     weigh_plan,
 )
-from workers.tasks.sources import add_source, open_planned
+from workers.tasks.sources import add_source, check_nodes, open_planned
 from workers.tasks.task_store import TaskStore
 
 PlanObserver = Callable[[int, int, LoadRecord | None], object]
@@ -47,6 +47,7 @@ def request_plan(
         If the store cannot be used.
     """
     source = open_planned(path.expanduser().absolute())
+    check_nodes(nodes, source)
     parts = TaskStore(store)
     name = add_source(source, parts)
     return named(PlanRequest(str(parts.store.root), name, nodes, spacing_mm))

@@ -67,7 +67,7 @@ class DiagnosisProgress:
 
 
 def _calibrated(record: CalibrationRecord) -> str:
-    constants = ", ".join(f"{n} {number(v)} kPa" for n, v in record.constants_kpa.items())
+    constants = ", ".join(f"{n} {number(v)}" for n, v in record.constants.items())
     return f"calibrated at {record.points} points: {constants}"
 
 

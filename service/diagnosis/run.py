@@ -34,7 +34,7 @@ from workers.tasks.diagnosis_store import (
     Outcome,
     named,
 )
-from workers.tasks.sources import add_source, open_source
+from workers.tasks.sources import add_source, check_nodes, open_source
 from workers.tasks.task_store import TaskStore
 
 # What takes longest comes first, so that nobody waits for it at the end.
@@ -133,6 +133,7 @@ def request_for(
     """
     if isinstance(source, Path):
         source = open_source(source.expanduser().absolute())
+    check_nodes(nodes, source)
     if spacing_mm is None:
         points = SETTINGS.points
         sparser = math.sqrt(max(1.0, len(source.scans) / points.scans_at_that_spacing))

@@ -3,24 +3,35 @@
 Text stays text, in the fonts of the page, so a figure is sharp at any size.
 """
 
-import base64
 import io
 import re
 import threading
+import zlib
 from collections.abc import Sequence
 from typing import Any
 
 import matplotlib as mpl
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from service.report.palette import INK, RULE, SOFT_INK
+from service.report.palette import BLUE, INK, ORANGE, RULE, SOFT_INK, VERMILION
 
 FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 TEXT_PT = 10.0
 SMALL_PT = 9.0
 GRID_EDGE = "#aab2bd"
+# Colours of a figure, and the variables of the style sheet that follow light and dark.
+_THEMED = {
+    INK: "ink",
+    SOFT_INK: "soft",
+    RULE: "rule",
+    GRID_EDGE: "axis",
+    BLUE: "blue",
+    ORANGE: "orange",
+    VERMILION: "vermilion",
+}
 
 # Matplotlib reads these two settings from its global ones when it writes.
 _WRITING: Any = {"svg.fonttype": "none", "svg.hashsalt": "palpate"}
@@ -32,14 +43,15 @@ _FONT_LIST = re.compile(r"'DejaVu Sans'(?:, (?:'[^']*'|[\w-]+))*")
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure on white."""
-    made = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+    """Return an empty figure on whatever the page is made of."""
+    made = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="none")
     FigureCanvasSVG(made)
     return made
 
 
 def calm(axes: Axes, *, grid: str = "y") -> Axes:
     """Take away from `axes` what says nothing; `grid` is "x", "y" or "both", or "" for none."""
+    axes.set_facecolor("none")
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(GRID_EDGE)
     axes.tick_params(colors=SOFT_INK, labelsize=SMALL_PT, length=3, width=0.8)
@@ -80,9 +92,27 @@ def svg(drawn: Figure) -> str:
     return _FONT_LIST.sub(FONTS, text)
 
 
-def data_uri(drawn: Figure) -> str:
-    """Return the figure as the address of an image, for a page that needs no other file."""
-    return "data:image/svg+xml;base64," + base64.b64encode(svg(drawn).encode()).decode()
+def inline_svg(drawn: Figure, label: str, width_px: int, *, on_paper: bool = False) -> Markup:
+    """Return the figure as an element of a page, in the colours of the page's style sheet.
+
+    Its names are made its own, since all drawings of a page share them. A figure `on_paper` keeps
+    its own colours, on white, because it writes on coloured cells.
+    """
+    text = svg(drawn)
+    own = f"f{zlib.crc32(text.encode()):08x}"
+    text = text[text.index("<svg") :]
+    head, body = text[: text.index(">") + 1], text[text.index(">") + 1 :]
+    box = re.search(r'viewBox="[^"]*"', head)
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r'\bid="', f'id="{own}', body)
+    body = re.sub(r'(href="#|url\(#)', rf"\g<1>{own}", body).replace("xlink:href", "href")
+    for colour, variable in ({} if on_paper else _THEMED).items():
+        body = body.replace(colour, f"var(--{variable})")
+    return (
+        Markup('<svg class="chart {}" {} style="max-width:{}px" role="img" aria-label="{}">')
+    ).format(
+        "paper" if on_paper else "drawn", Markup(box[0] if box else ""), width_px, label
+    ) + Markup(body)
 
 
 def limits(values: Sequence[float], margin: float = 0.06) -> tuple[float, float]:

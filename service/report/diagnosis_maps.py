@@ -16,6 +16,7 @@ from storage.values import FloatArray
 # Residuals within so many standard deviations of the noise are drawn grey.
 SIGNIFICANT = 2.0
 SMALLEST_RANGE_MM = 0.5
+LEAST_RANGE_NOISES = 10.0
 FAINT = "#d3d8de"
 # Both ends are as dark as each other, and the middle is not white, which is no colour on paper.
 SIGNED = LinearSegmentedColormap.from_list(
@@ -34,7 +35,8 @@ POINT = 11.0
 def range_mm(before: FloatArray, noise: FloatArray) -> float:
     """Return end of the colour scale: what 98 % of the significant residuals keep below."""
     loud = np.abs(before)[np.abs(before) >= SIGNIFICANT * noise]
-    return max(SMALLEST_RANGE_MM, float(np.quantile(loud, 0.98)) if loud.size else 0.0)
+    least = min(SMALLEST_RANGE_MM, LEAST_RANGE_NOISES * float(noise.max()))
+    return max(least, float(np.quantile(loud, 0.98)) if loud.size else 0.0)
 
 
 def sharpened(drawn: Figure) -> None:
@@ -65,16 +67,18 @@ def residual_map(
     most_mm : float
         End of the colour scale.
     """
-    spans = np.ptp(points, axis=0) + 8.0
-    per_in = sum(spans[across] for across, _, _ in VIEWS) / 8.6
-    heights = [max(spans[up] for _, up, _ in VIEWS) / per_in] * len(rows)
+    flat = not np.ptp(points[:, 2])
+    views = ((0, 1, "in the plane of the section"),) if flat else VIEWS
+    spans = np.ptp(points, axis=0) + (1.0 if flat else 8.0)
+    per_in = sum(spans[across] for across, _, _ in views) / 8.6
+    heights = [max(spans[up] for _, up, _ in views) / per_in] * len(rows)
     drawn = figure(10.4, sum(heights) + 0.55 * len(rows) + 0.2)
     sharpened(drawn)
-    widths = [spans[across] for across, _, _ in VIEWS]
-    grid = drawn.subplots(len(rows), len(VIEWS), squeeze=False, width_ratios=widths)
+    widths = [spans[across] for across, _, _ in views]
+    grid = drawn.subplots(len(rows), len(views), squeeze=False, width_ratios=widths)
     scale = Normalize(-most_mm, most_mm)
     for number, (title, residual) in enumerate(rows.items()):
-        for axes, (across, up, view) in zip(grid[number], VIEWS, strict=True):
+        for axes, (across, up, view) in zip(grid[number], views, strict=True):
             _scatter(axes, points[:, across], points[:, up], residual, noise, scale)
             axes.set_xlabel(f"{AXES[across]}, mm", fontsize=SMALL_PT)
             axes.set_ylabel(f"{AXES[up]}, mm", fontsize=SMALL_PT)

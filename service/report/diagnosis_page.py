@@ -16,11 +16,16 @@ from service.diagnosis.words import (
 from service.report import diagnosis_experiment as experiment
 from service.report import diagnosis_tables as tables
 from service.report import diagnosis_where as where
-from service.report.diagnosis_figures import Cause, Evidence, Judged, evidence, gaps, probabilities
+from service.report.diagnosis_charts import Cause, Evidence, Judged, evidence, gaps, probabilities
+from service.report.diagnosis_consequence import next_step, quotable
+from service.report.diagnosis_made import Origin
 from service.report.diagnosis_slices import overlay_legend
-from service.report.pictures import Picture, picture
+from service.report.diagnosis_viewers import body_data, slice_data
+from service.report.glossary import DIAGNOSIS
+from service.report.pictures import Picture, chart
+from service.report.provenance import diagnosis_provenance
 from service.report.template import filled
-from service.versions import palpate_version
+from service.versions import palpate_version, versions
 from storage.plain import to_plain
 from storage.typed_json import to_json
 from workers.diagnosis.summary import Summary
@@ -32,19 +37,61 @@ CAUSES = 8
 LIKELY = 0.5
 
 
-def render(diagnosis: FinishedDiagnosis) -> str:
-    """Return the page as text; an equal diagnosis gives the same bytes."""
-    return filled("diagnosis.html.j2", context(diagnosis))
+def render(diagnosis: FinishedDiagnosis, origin: Origin | None = None) -> str:
+    """Return the page as text; an equal diagnosis gives the same bytes.
+
+    Parameters
+    ----------
+    diagnosis : FinishedDiagnosis
+    origin : Origin, optional
+        How it was made, where that is known.
+    """
+    values = context(diagnosis, origin or Origin())
+    return filled("diagnosis.html.j2", values | {"contents": _contents(values)})
 
 
-def context(diagnosis: FinishedDiagnosis) -> dict[str, object]:
-    """Return all values of the template."""
+def _contents(values: dict[str, object]) -> list[tuple[str, str]]:
+    """Return the sections that the page has, by their names in it."""
+    marked = bool(values["markers"])
+    there = {
+        "markers": marked,
+        "hidden": bool(values["hidden"]),
+        "expected": marked and bool(values["expected"]),
+        "maps": not marked,
+        "cause-map": bool(values["cause_map"]),
+    }
+    sections = (
+        ("gap", "How large the gap is"),
+        ("causes", "What may be the cause"),
+        ("constants", "The constants"),
+        ("markers", "Where they differ"),
+        ("hidden", "What cannot be told apart"),
+        ("expected", "Other states"),
+        ("maps", "Where they differ"),
+        ("cause-map", "Where the cause may lie"),
+        ("effects", "Every effect"),
+        ("unlisted", "Not in the catalogue"),
+        ("provenance", "How this was made"),
+        ("glossary", "Glossary"),
+        ("details", "Details"),
+    )
+    return [(name, title) for name, title in sections if there.get(name, True)]
+
+
+def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
+    """Return all values of the template but the contents."""
     summary, maps, scans = diagnosis.summary, diagnosis.maps, diagnosis.scans
     accused = together(summary.primary) if summary.primary else ""
     return {
         "name": summary.case,
         "verdict": sentence(summary),
         "lead": _lead(summary),
+        "quote": quotable(summary),
+        "next_step": next_step(summary, origin.made.command),
+        "provenance": diagnosis_provenance(origin.made, versions()),
+        "glossary": DIAGNOSIS,
+        "body_data": None if summary.markers else body_data(maps, scans, accused, origin.loads),
+        "slice_data": slice_data(maps, scans, accused),
         "tiles": _tiles(summary),
         "warnings": list(_warnings(summary)),
         "accused": accused,
@@ -61,7 +108,9 @@ def context(diagnosis: FinishedDiagnosis) -> dict[str, object]:
         "states": experiment.states(summary),
         "hidden": experiment.hidden(summary),
         "expected": experiment.expected(summary),
-        "maps": [] if summary.markers is not None else list(where.maps(maps, scans, accused)),
+        "maps": []
+        if summary.markers is not None
+        else list(where.maps(maps, scans, accused, summary.surfaces)),
         "averaged": where.on_surfaces(maps),
         "sections": list(where.sections(maps, scans, accused)),
         "section_legend": overlay_legend(),
@@ -69,7 +118,7 @@ def context(diagnosis: FinishedDiagnosis) -> dict[str, object]:
         "overlap": tables.overlap(summary.overlap or ()),
         "percentiles": any(region.p95_mm is not None for region in summary.where),
         "regions": tables.regions(summary.where),
-        "not_simulated": NOT_SIMULATED,
+        "not_simulated": NOT_SIMULATED if summary.not_simulated is None else summary.not_simulated,
         "json": json.dumps(to_plain(to_json(summary)), indent=2, ensure_ascii=False),
         "closing": f"Made by Palpate {palpate_version()}.",
     }
@@ -84,10 +133,10 @@ def _lead(summary: Summary) -> str:
             f"err by {noise:.2f} mm; a gap is what differs beyond that. Intervals hold with 90 %."
         )
     return (
-        f"Model and scans were compared at {summary.points} points on the outline and on the "
-        "boundary of the glandular tissue, in every loaded scan, after the constants had been "
-        f"fitted. The segmentation alone makes a point err by {noise:.2f} mm; a gap is what "
-        "differs beyond that. Intervals hold with 90 %."
+        f"Model and scans were compared at {summary.points} points on {summary.compared}, "
+        "in every loaded scan, after the constants had been fitted. The segmentation alone makes "
+        f"a point err by {noise:.2f} mm; a gap is what differs beyond that. Intervals hold with "
+        "90 %."
     )
 
 
@@ -107,8 +156,9 @@ def _tiles(summary: Summary) -> list[tuple[str, str, str]]:
     tiles = [("Gap, nominal model", f"{gap.before.gap_mm:.2f}", "mm")]
     if gap.after is not None:
         tiles.append(("Gap with the effect", f"{gap.after.gap_mm:.2f}", "mm"))
-    if gap.held_out_after is not None:
-        tiles.append(("On unseen scans", f"{gap.held_out_after.gap_mm:.2f}", "mm"))
+    if gap.held_out_after is not None and gap.held_out_before is not None:
+        change = f"{gap.held_out_before.gap_mm:.2f} → {gap.held_out_after.gap_mm:.2f}"
+        tiles.append(("On unseen scans", change, "mm"))
     tiles.append(("Noise of a point", f"{gap.noise_floor:.2f}", "mm"))
     tiles.append(
         ("Evidence for a gap", f"{summary.alarm:.1f}", f"alarm at {summary.threshold:.1f}")
@@ -139,7 +189,7 @@ def _gap_picture(summary: Summary, accused: str) -> Picture:
         + (f", {millimetres(r.after)} with {accused}" if r.after is not None else "")
         for r in rows
     )
-    return picture(gaps(rows, gap.noise_floor, accused), f"Gap. {said}.")
+    return chart(lambda w: gaps(rows, gap.noise_floor, accused, w), f"Gap. {said}.")
 
 
 def _evidence_picture(summary: Summary) -> Picture | None:
@@ -148,7 +198,7 @@ def _evidence_picture(summary: Summary) -> Picture | None:
     if not rows:
         return None
     said = "; ".join(f"{r.title}: {r.gain:.1f}" for r in rows)
-    return picture(evidence(rows, summary.threshold), f"Log evidence gained. {said}.")
+    return chart(lambda w: evidence(rows, summary.threshold, w), f"Log evidence gained. {said}.")
 
 
 def _about_evidence(summary: Summary) -> str:
@@ -172,7 +222,7 @@ def _cause_picture(summary: Summary) -> Picture:
     shown = [n for n in ranked if n in credible] + [n for n in ranked if n not in credible]
     rows = [Cause(spoken(n), chance[n], n in credible) for n in shown[: max(CAUSES, len(credible))]]
     said = "; ".join(f"{row.title} {likely(row.probability)}" for row in rows)
-    return picture(probabilities(rows), f"Probabilities. {said}.")
+    return chart(lambda w: probabilities(rows, w), f"Probabilities. {said}.")
 
 
 def _about_causes(summary: Summary) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgb
+from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ WIDTH_IN = 10.4
 LABELS_IN = (0.6, 0.72)
 # One column of sections is no wider, and no figure higher, lest it fill a screen.
 MOST_IN = (5.9, 6.0)
-PAPER, BODY, GLAND, QUIET, UNSEEN = "#ffffff", "#eef0f3", "#cfd4db", "#d3d8de", "#f4f5f7"
+BODY, GLAND, QUIET = "#8a94a12e", "#8a94a180", "#8a94a170"
 # Hues that mean neither "outside" nor "inside".
 CAUSES = LinearSegmentedColormap.from_list(
     "causes", ["#0b4f3c", "#1b8a6b", "#a3cfc0", "#d0ccc8", "#d0a3c6", "#9b3a86", "#521047"]
@@ -70,19 +70,18 @@ def overlay_legend() -> list[tuple[str, str]]:
 
 
 def compared(seen: Section, model: Section) -> NDArray[np.float64]:
-    """Return colours of a section, shape (rows, columns, 3).
+    """Return colours of a section, shape (rows, columns, 4), clear where there is air.
 
     Too much of the body or of its glandular tissue is vermilion, too little blue. The
     sections must have one box.
     """
-    pixels = np.empty((*seen.values.shape, 3))
-    pixels[:] = to_rgb(PAPER)
-    pixels[_body(seen)] = to_rgb(BODY)
-    pixels[_gland(seen) & _gland(model)] = to_rgb(GLAND)
+    pixels = np.zeros((*seen.values.shape, 4))
+    pixels[_body(seen)] = to_rgba(BODY)
+    pixels[_gland(seen) & _gland(model)] = to_rgba(GLAND)
     # Tissue that is missing altogether is also missing gland: the outline is drawn last.
     for of in (_gland, _body):
-        pixels[of(model) & ~of(seen)] = to_rgb(VERMILION)
-        pixels[of(seen) & ~of(model)] = to_rgb(BLUE)
+        pixels[of(model) & ~of(seen)] = to_rgba(VERMILION)
+        pixels[of(seen) & ~of(model)] = to_rgba(BLUE)
     return pixels
 
 
@@ -128,10 +127,10 @@ def cause_sections(
 
 
 def _scored(plane: NDArray[np.float32], scale: Normalize) -> NDArray[np.float64]:
-    """Return colours of scores: grey where they are small, nearly white where nothing is known."""
-    pixels = np.asarray(CAUSES(scale(np.nan_to_num(plane))))[..., :3]
-    pixels[np.abs(np.nan_to_num(plane)) < SIGNIFICANT] = to_rgb(QUIET)
-    pixels[np.isnan(plane)] = to_rgb(UNSEEN)
+    """Return colours of scores: grey where they are small, clear where nothing is known."""
+    pixels = np.asarray(CAUSES(scale(np.nan_to_num(plane))))
+    pixels[np.abs(np.nan_to_num(plane)) < SIGNIFICANT] = to_rgba(QUIET)
+    pixels[np.isnan(plane)] = 0.0
     return pixels
 
 

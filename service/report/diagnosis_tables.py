@@ -21,6 +21,7 @@ class ConstantRow:
     before: str
     after: str
     change: str
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,7 @@ def constants(found: Mapping[str, schema.ConstantEstimate]) -> list[ConstantRow]
             number(value.before),
             number(value.after),
             percent(signed_error(value.after, value.before)),
+            "kPa" if name.endswith("_kpa") else "none",
         )
         for name, value in found.items()
     ]

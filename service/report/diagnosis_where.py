@@ -22,7 +22,9 @@ FEW_POINTS = 5
 PARTS = ("vertices", "triangles")
 
 
-def maps(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Picture]:
+def maps(
+    found: Arrays, scans: Sequence[str], accused: str, surfaces: Sequence[str]
+) -> Iterator[Picture]:
     """Return signed residuals of every scan, all in one colour scale.
 
     On surfaces, averaged around each point, where the store has these; else as points seen
@@ -33,7 +35,7 @@ def maps(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Picture]
     most = range_mm(found[value], found[spread])
     for scan, name in enumerate(scans):
         painted = []
-        for one, interface in enumerate(one.name for one in INTERFACES):
+        for one, interface in enumerate(surfaces):
             own = found["interface"] == one
             if own.sum() < FEW_POINTS:
                 continue

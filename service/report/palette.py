@@ -4,10 +4,10 @@ Charts take the blue, orange and greys of Okabe and Ito (2008). Tissues differ i
 lightness as well as in hue, so that a page printed in grey can still be read.
 """
 
+from collections.abc import Mapping
 from enum import IntEnum
 
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from numpy.typing import NDArray
 
 from storage.values import Tissue
@@ -41,29 +41,33 @@ class Difference(IntEnum):
     ONLY_BEST = 4
 
 
+# Greys are thin, so that they are calm on a light and on a dark page.
 DIFFERENCES: dict[Difference, str] = {
-    Difference.OUTSIDE: "#ffffff",
-    Difference.BODY: "#eef0f3",
-    Difference.BOTH: "#b9c0ca",
-    Difference.ONLY_TARGET: BLUE,
-    Difference.ONLY_BEST: ORANGE,
+    Difference.OUTSIDE: "#ffffff00",
+    Difference.BODY: "#8a94a12e",
+    Difference.BOTH: "#8a94a199",
+    Difference.ONLY_TARGET: "#107ac0ff",
+    Difference.ONLY_BEST: "#e69f00ff",
 }
 
-# From the first generation to the last.
-AGES = LinearSegmentedColormap.from_list("ages", ["#b4c6d6", "#0072b2", "#0a2a43"])
 
-# One colour for each stage of an evaluation, in the order in which they happen.
-STAGES = ("#0072b2", "#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#8a94a1")
-
-
-def lookup(colours: dict[Tissue, str] | dict[Difference, str]) -> NDArray[np.uint8]:
-    """Return a table of 256 RGB colours by label; labels without a colour are black.
+def lookup(colours: Mapping[int, str]) -> NDArray[np.uint8]:
+    """Return a table of 256 colours by label; labels without a colour are black, air is clear.
 
     Returns
     -------
-    ndarray of uint8, shape (256, 3)
+    ndarray of uint8, shape (256, 4)
+        Red, green, blue and opacity.
     """
-    table = np.tile(np.asarray(to_rgb(UNKNOWN)), (256, 1))
+    table = np.tile(np.asarray(to_rgba(UNKNOWN)), (256, 1))
     for label, colour in colours.items():
-        table[int(label)] = to_rgb(colour)
+        table[int(label)] = to_rgba(colour)
+    table[0, 3] = 0.0
     return np.rint(255 * table).astype(np.uint8)
+
+
+def to_rgba(colour: str) -> tuple[float, float, float, float]:
+    """Return parts from 0 to 1 of a colour written #rrggbb or #rrggbbaa."""
+    digits = colour.removeprefix("#").ljust(8, "f")
+    r, g, b, a = (int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4, 6))
+    return r, g, b, a

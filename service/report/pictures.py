@@ -1,25 +1,49 @@
-"""Puts a figure into a page as an image, with the words that go with it."""
+"""Puts drawings into a page, with the words that go with them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
-from service.report.canvas import data_uri
+from service.report.svg import Svg
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCREEN_DPI = 96
+# Widths in pixels of the two forms of a chart; the style sheet shows the one that fits.
+WIDE_PX, NARROW_PX = 980.0, 400.0
 
 
 @dataclass(frozen=True)
 class Picture:
-    """An image in the page: its data, what it shows, its width, and what stands below it."""
+    """A drawing in the page: itself, what it shows, its width, and what stands below it."""
 
-    uri: str
+    svg: Markup
     alt: str
     width_px: int
     caption: str | Markup = ""
 
 
-def picture(drawn: Figure, alt: str, caption: str | Markup = "") -> Picture:
-    """Draw a figure for good."""
-    return Picture(data_uri(drawn), alt, round(SCREEN_DPI * drawn.get_figwidth()), caption)
+def picture(
+    drawn: "Figure", alt: str, caption: str | Markup = "", *, on_paper: bool = False
+) -> Picture:
+    """Put a figure of matplotlib into the page; see `service.report.canvas.inline_svg`."""
+    from service.report.canvas import inline_svg
+
+    width = round(SCREEN_DPI * drawn.get_figwidth())
+    return Picture(inline_svg(drawn, alt, width, on_paper=on_paper), alt, width, caption)
+
+
+def chart(
+    draw: Callable[[float], Svg], alt: str, caption: str | Markup = "", **data: str
+) -> Picture:
+    """Draw a chart twice, for wide and for narrow pages."""
+    both = draw(WIDE_PX).markup(alt, "wide", **data) + draw(NARROW_PX).markup(alt, "narrow", **data)
+    return Picture(both, alt, round(WIDE_PX), caption)
+
+
+def small_chart(drawn: Svg, alt: str, caption: str | Markup = "", **data: str) -> Picture:
+    """Put a chart into the page that is narrow anyway."""
+    return Picture(drawn.markup(alt, **data), alt, round(drawn.width), caption)

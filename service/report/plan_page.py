@@ -72,7 +72,7 @@ def context(plan: PlanSummary) -> dict[str, object]:
             text for text in (silence(plan), confusions(plan), drift(plan), *_lost(plan)) if text
         ],
         "effects": [_effect(e) for e in plan.effects],
-        "alike_picture": picture(alikeness(plan), f"Cosines. {_alikes(plan)}."),
+        "alike_picture": picture(alikeness(plan), f"Cosines. {_alikes(plan)}.", on_paper=True),
         "gain_picture": _gain_picture(plan),
         "gains": [_gain(a) for a in plan.acquisitions],
         "json": json.dumps(to_plain(to_json(plan)), indent=2, ensure_ascii=False),

@@ -5,6 +5,7 @@ right, both in mm. Its plane is that of the voxels nearest to the point asked fo
 outside a volume's box there is air.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -143,6 +144,17 @@ def frame_mm(sections: Sequence[Section]) -> tuple[float, float, float, float]:
     right, top = boxes[:, [1, 3]].max(axis=0)
     margin = 0.04 * max(right - left, top - bottom)
     return left - margin, right + margin, bottom - margin, top + margin
+
+
+def clipped(shown: Section, frame: tuple[float, float, float, float]) -> Section:
+    """Return the voxels of a section whose centres lie inside a frame; at least one."""
+    left, right, bottom, top = frame
+    (dx, dy), (x, y) = shown.spacing_mm, shown.origin_mm
+    rows, columns = shown.values.shape
+    c0, c1 = (min(max(math.ceil((v - x) / dx), 0), columns - 1) for v in (left, right))
+    r0, r1 = (min(max(math.ceil((v - y) / dy), 0), rows - 1) for v in (bottom, top))
+    inside = shown.values[r0 : max(r1, r0 + 1), c0 : max(c1, c0 + 1)]
+    return Section(inside, shown.spacing_mm, (x + c0 * dx, y + r0 * dy))
 
 
 def _body_mm(shown: Section) -> tuple[float, float, float, float]:

@@ -4,11 +4,13 @@ The undeformed body, the target, and the target as the best candidate explains i
 What is missing is said in words; a report without pictures is still a report.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from service.report.study_surfaces import StudySurface, study_surfaces
 from service.spec import StudySpec
 from storage.errors import PalpateError
 from storage.fields import has_field, load_field
@@ -17,10 +19,18 @@ from storage.records import SessionRecord
 from storage.stores import open_store
 from storage.task_records import Scores
 from storage.values import Tissue, Volume
-from workers.organs.registry import organ_named
+from workers.body.mesh.hierarchy import Hierarchy
+from workers.organs.registry import findings_of, organ_named
 from workers.tasks.body_store import BodyStore
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 TISSUE_NAMES = {int(tissue): tissue.name.lower() for tissue in Tissue if tissue}
+
+
+def _no_figures(findings: Mapping[str, Any]) -> "Iterable[tuple[Figure, str]]":
+    return ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +49,10 @@ class Bodies:
         What the numbers in the pictures mean.
     load_direction : str
         A sentence; see `workers.organs.organ.Organ`.
+    surfaces : tuple of StudySurface
+        Of a body that has three dimensions; empty where they are not wanted.
+    figures : callable
+        From findings to their figures; see `workers.organs.registry.Findings`.
     """
 
     reference: Volume | None = None
@@ -49,6 +63,8 @@ class Bodies:
     scores_after: Mapping[str, Scores] = field(default_factory=dict)
     labels: Mapping[int, str] = field(default_factory=lambda: TISSUE_NAMES)
     load_direction: str = ""
+    surfaces: tuple[StudySurface, ...] = ()
+    figures: Callable[[Mapping[str, Any]], "Iterable[tuple[Figure, str]]"] = _no_figures
 
 
 def find_bodies(
@@ -57,6 +73,7 @@ def find_bodies(
     session: SessionRecord | None,
     best: str | None,
     compare: bool,
+    in_3d: bool = True,
 ) -> Bodies:
     """Read what the store has.
 
@@ -71,6 +88,8 @@ def find_bodies(
         Digest of the best evaluation.
     compare : bool
         Whether the bodies are scored; a study that has ended holds these scores already.
+    in_3d : bool
+        Whether surfaces are wanted, which take a second or two.
     """
     if session is None:
         return Bodies(missing=("The body and its target have not been prepared yet.",))
@@ -90,6 +109,8 @@ def find_bodies(
     else:
         explained = _explained(bodies, session, best, reference, target, missing)
 
+    more = findings_of(spec.case.organ)
+
     def scores(body: Any | None) -> Mapping[str, Scores]:
         if body is None or target is None or not compare:
             return {}
@@ -107,7 +128,33 @@ def find_bodies(
         scores(explained),
         organ.picture_labels,
         organ.load_direction,
+        surfaces=_surfaces(bodies, session, best, reference, target) if in_3d else (),
+        figures=_no_figures
+        if more is None
+        else partial(more.figures, spec, (reference, target, explained)),
     )
+
+
+def _surfaces(
+    bodies: BodyStore,
+    session: SessionRecord,
+    best: str | None,
+    reference: Any | None,
+    target: Any | None,
+) -> tuple[StudySurface, ...]:
+    """Return the surfaces of a body in three dimensions, moved as the best candidate says."""
+    if not isinstance(reference, Volume) or 1 in reference.values.shape:
+        return ()
+    store, digest = bodies.store, session.prepared.get("mesh")
+    mesh = displacement_mm = None
+    if best is not None and digest and has_mesh(store, digest) and has_field(store, best):
+        try:
+            mesh, displacement_mm = bodies.mesh(digest), load_field(store, best)
+        except PalpateError:
+            mesh = None
+    tets = mesh.finest.mesh if isinstance(mesh, Hierarchy) else None
+    observed = target if isinstance(target, Volume) else None
+    return study_surfaces(reference, tets, displacement_mm, observed)
 
 
 def _stored(bodies: BodyStore, digest: str | None, what: str, missing: list[str]) -> Any | None:

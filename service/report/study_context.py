@@ -17,16 +17,24 @@ from service.formatting import (
     signed_error,
     symbol,
 )
+from service.identification import Direction
 from service.report import study_tables
+from service.report.glossary import STUDY
+from service.report.pictures import picture
+from service.report.provenance import study_provenance
+from service.report.study_consequence import about_intervals, next_step, quotable
 from service.report.study_data import StudyData
 from service.report.study_pictures import (
     best_tenth,
+    body_data,
     convergence_picture,
     evaluated_points,
+    evaluation_data,
     range_picture,
     scatter_pictures,
     searched_parameters,
     section_pictures,
+    slice_data,
     stage_picture,
 )
 from service.report.study_sections import difference_legend, present
@@ -34,18 +42,46 @@ from service.results import ParameterEstimate
 from service.results_json import study_json
 from storage.plain import to_plain
 
+# How often the page of a running search is loaded again while nobody touches it.
+REFRESH_S = 30
+
 
 def context(data: StudyData) -> dict[str, Any]:
     """Return all values of the template."""
-    return {
+    values = {
         **_head(data),
         **_parameters(data),
         **_bodies(data),
+        **_findings(data),
         **_search(data),
         **_simulation(data),
         **_time(data),
         **_details(data),
     }
+    return values | {"contents": _contents(values)}
+
+
+def _contents(values: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the sections that the page has, by their names in it."""
+    there = {
+        "body": values["body_data"] is not None or values["quick"],
+        "identifiability": bool(values["scatters"]),
+    }
+    sections = (
+        ("parameters", "What was found"),
+        ("sections", "Target and best candidate"),
+        ("body", "In three dimensions"),
+        ("similarity", "Similarity by tissue"),
+        ("convergence", "How the search went"),
+        ("identifiability", "How well it is fixed"),
+        ("simulation", "The best simulation"),
+        ("failures", "Failures"),
+        ("time", "Time"),
+        ("provenance", "How this was made"),
+        ("glossary", "Glossary"),
+        ("details", "Details"),
+    )
+    return [(name, title) for name, title in sections if there.get(name, True)]
 
 
 def _head(data: StudyData) -> dict[str, Any]:
@@ -54,7 +90,7 @@ def _head(data: StudyData) -> dict[str, Any]:
     tiles: list[tuple[str, str, str]] = []
     if score:
         tiles = [
-            ("Jaccard coefficient", number(score["jc"]), ""),
+            ("Jaccard coefficient", f"{score['jc']:.3f}", ""),
             ("Modified Hausdorff", number(score["mhd_mm"], 3), "mm"),
             ("GSF", number(score["gsf"]), ""),
         ]
@@ -64,8 +100,11 @@ def _head(data: StudyData) -> dict[str, Any]:
         "name": results.name,
         "verdict": _sentence(phrases) if phrases else "Nothing found yet.",
         "lead": _lead(data),
+        "quote": quotable(results),
+        "next_step": next_step(results, results.target_kind),
         "tiles": tiles,
         "warnings": _warnings(data),
+        "refresh_s": REFRESH_S if results.state == "running" else 0,
     }
 
 
@@ -138,7 +177,7 @@ def _warnings(data: StudyData) -> list[Markup]:
 
 def _parameters(data: StudyData) -> dict[str, Any]:
     estimates = data.results.estimates
-    parameters = searched_parameters(estimates)
+    parameters = searched_parameters(estimates, data.results.identification)
     known = any(e.target is not None for e in estimates.values())
     points = evaluated_points(data.endings)
     about = (
@@ -148,11 +187,18 @@ def _parameters(data: StudyData) -> dict[str, Any]:
     )
     return {
         "about_parameters": about,
+        "about_intervals": about_intervals(data.results.identification),
+        "directions": [d.words for d in _directions(data)],
         "ranges": range_picture(parameters, best_tenth(points)) if data.results.best else None,
-        "parameters": study_tables.parameters(estimates),
+        "parameters": study_tables.parameters(estimates, data.results.identification),
         "scatters": scatter_pictures(parameters, points),
         "targets_known": known,
     }
+
+
+def _directions(data: StudyData) -> tuple[Direction, ...]:
+    known = data.results.identification
+    return () if known is None else known.directions
 
 
 def _bodies(data: StudyData) -> dict[str, Any]:
@@ -162,6 +208,9 @@ def _bodies(data: StudyData) -> dict[str, Any]:
     compared = data.results.spec.score.compared
     return {
         "sections": section_pictures(bodies, labels),
+        "slice_data": None if data.quick else slice_data(bodies, labels),
+        "body_data": None if data.quick else body_data(bodies, data.results.spec.case),
+        "quick": data.quick,
         "about_sections": f"Sections through the middle of {compared}. "
         f"{bodies.load_direction} Target and best candidate are cut in the same planes.",
         "tissues": present(bodies),
@@ -170,6 +219,15 @@ def _bodies(data: StudyData) -> dict[str, Any]:
         "similarities": study_tables.similarities(before, after, labels),
         "about_similarity": "From the undeformed body, where the fit begins, to the best "
         f"candidate. The search compared the shaded row{'s' if len(labels) > 1 else ''}.",
+    }
+
+
+def _findings(data: StudyData) -> dict[str, Any]:
+    findings = data.results.findings
+    drawn = data.bodies.figures(findings)
+    return {
+        "findings": findings.get("notes", ()),
+        "findings_pictures": [picture(shown, said, said) for shown, said in drawn],
     }
 
 
@@ -192,6 +250,7 @@ def _search(data: StudyData) -> dict[str, Any]:
     )
     return {
         "convergence": convergence_picture(evaluated_points(data.endings), generations),
+        "evaluation_data": evaluation_data(data.endings, units),
         "about_search": f"{_plural(len(generations), 'complete generation')} of "
         f"{search.population} candidates; "
         f"the best {search.elite} of each live on unchanged and are not evaluated again.",
@@ -244,7 +303,8 @@ def _details(data: StudyData) -> dict[str, Any]:
     return {
         "case": study_tables.case(data.results.body_facts),
         "configuration": yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True),
-        "versions": sorted(versions.items()),
+        "provenance": study_provenance(data),
+        "glossary": STUDY,
         "json": json.dumps(study_json(data.results), indent=2, ensure_ascii=False),
         "closing": f"Made by Palpate {versions.get('palpate', '')}.".replace(" .", "."),
     }

@@ -19,20 +19,35 @@ class StudyData:
         What it has found so far.
     endings : tuple of EvaluationRecord
         Of all candidates so far.
-    session : SessionRecord or None
-        The last run.
+    sessions : tuple of SessionRecord
+        All runs.
     bodies : Bodies
         Volumes that the store still has.
+    quick : bool
+        Whether the page is written while the search goes on, without what takes long.
     """
 
     results: StudyResults
     endings: tuple[EvaluationRecord, ...] = ()
-    session: SessionRecord | None = None
+    sessions: tuple[SessionRecord, ...] = ()
     bodies: Bodies = field(default_factory=Bodies)
+    quick: bool = False
+
+    @property
+    def session(self) -> SessionRecord | None:
+        """Return the last run; None if preparation was never finished."""
+        return self.sessions[-1] if self.sessions else None
 
 
-def read_study_data(study_dir: Path) -> StudyData:
+def read_study_data(study_dir: Path, *, quick: bool = False) -> StudyData:
     """Read journal, results and volumes of a study.
+
+    Parameters
+    ----------
+    study_dir : Path
+    quick : bool
+        Leave out what takes longer than a tenth of a second: surfaces in three dimensions, and
+        scores that the journal does not hold.
 
     Raises
     ------
@@ -44,6 +59,8 @@ def read_study_data(study_dir: Path) -> StudyData:
     results = study_results(study_dir)
     _, log = read_study(study_dir)
     best = None if results.best is None else results.best.digest
-    unscored = log.end is None
-    bodies = find_bodies(study_dir, results.spec, log.last_session, best, compare=unscored)
-    return StudyData(results, tuple(log.endings.values()), log.last_session, bodies)
+    unscored = log.end is None and not quick
+    bodies = find_bodies(
+        study_dir, results.spec, log.last_session, best, compare=unscored, in_3d=not quick
+    )
+    return StudyData(results, tuple(log.endings.values()), log.sessions, bodies, quick)

@@ -9,13 +9,15 @@ from storage.atomic import write_file
 from storage.layout import StudyLayout
 
 
-def write_report(study_dir: Path) -> Path:
+def write_report(study_dir: Path, *, quick: bool = False) -> Path:
     """Write ``report.html`` into the folder of a study, finished or not.
 
     Parameters
     ----------
     study_dir : Path
         Folder of the study. Its store is only read; what it has lost is said in words.
+    quick : bool
+        Leave out what takes long; see `service.report.study_data.read_study_data`.
 
     Returns
     -------
@@ -29,7 +31,7 @@ def write_report(study_dir: Path) -> Path:
     StoreError
         If its journal is damaged, or the report cannot be written.
     """
-    page = render(read_study_data(study_dir))
+    page = render(read_study_data(study_dir, quick=quick))
     path = StudyLayout(study_dir).report
     write_file(path, page.encode())
     return path

@@ -1,19 +1,41 @@
-"""Draws the pictures of a study's page: its charts and sections, with captions."""
+"""Draws the pictures of a study's page: charts, sections and what its viewers show."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from service.formatting import label, number
-from service.report import study_figures, study_sections
-from service.report.pictures import Picture, picture
+from service.formatting import bare, label, number
+from service.identification import Identification
+from service.report import study_charts, study_sections
+from service.report.body_viewer import BodyScan, BodySurface, body_viewer
+from service.report.packed import script
+from service.report.palette import DIFFERENCES, TISSUES, Difference
+from service.report.pictures import Picture, chart, small_chart
+from service.report.slice_viewer import SlicePanel, SliceSet, slice_viewer
 from service.report.slices import AXES, VIEWS
 from service.report.study_bodies import Bodies
-from service.report.study_figures import EvaluationPoint, SearchedParameter
+from service.report.study_charts import EvaluationPoint, SearchedParameter
 from service.results import GenerationScores, ParameterEstimate
 from storage.records import EvaluationRecord
 from storage.status import Status
+from storage.values import Tissue
+from workers.mechanics.compression import Compression
+from workers.spec import CaseSpec
+
+# Named in the script, which looks for charts of this kind.
+EVALUATIONS = "evaluations"
+BEST = "best"
+
+
+@dataclass(frozen=True)
+class SectionRow:
+    """Sections of all bodies in one view, each with its title, and what stands below them."""
+
+    panels: tuple[tuple[str, Markup], ...]
+    wide: bool
+    caption: Markup
 
 
 def evaluated_points(endings: Iterable[EvaluationRecord]) -> list[EvaluationPoint]:
@@ -28,6 +50,23 @@ def evaluated_points(endings: Iterable[EvaluationRecord]) -> list[EvaluationPoin
     ]
 
 
+def evaluation_data(endings: Iterable[EvaluationRecord], units: Mapping[str, str]) -> Markup:
+    """Return what the charts say of an evaluation under the pointer, as an element of the page."""
+    ordered = sorted(endings, key=lambda r: r.candidate)
+    genes = list(ordered[0].genes) if ordered else []
+    names = [f"{bare(g, units.get(g, ''))}, {units[g]}" if units.get(g) else g for g in genes]
+    rows = [
+        [
+            r.candidate,
+            r.generation + 1,
+            number(float(r.score["gsf"])) if r.score else r.status.value,
+            *(number(r.genes[g]) for g in genes),
+        ]
+        for r in ordered
+    ]
+    return script(EVALUATIONS, {"names": names, "rows": rows})
+
+
 def best_tenth(points: Sequence[EvaluationPoint]) -> dict[str, list[float]]:
     """Return the parameters of the best tenth of the different candidates, at least two."""
     different = {tuple(p.genes.values()): p for p in points if p.gsf < math.inf}
@@ -37,11 +76,17 @@ def best_tenth(points: Sequence[EvaluationPoint]) -> dict[str, list[float]]:
 
 
 def searched_parameters(
-    estimates: Mapping[str, ParameterEstimate],
+    estimates: Mapping[str, ParameterEstimate], known: Identification | None = None
 ) -> list[SearchedParameter]:
     """Return the estimates of a study as the charts need them."""
+    constants = {} if known is None else known.constants
+    intervals = {
+        name: (c.interval.lower, c.interval.upper) for name, c in constants.items() if c.interval
+    }
     return [
-        SearchedParameter(e.gene, label(name, e.unit), e.lower, e.upper, e.estimate, e.target)
+        SearchedParameter(
+            e.gene, label(name, e.unit), e.lower, e.upper, e.estimate, e.target, intervals.get(name)
+        )
         for name, e in estimates.items()
     ]
 
@@ -55,9 +100,12 @@ def convergence_picture(
     best = [g.best for g in generations]
     mean = [math.nan if g.mean is None else g.mean for g in generations]
     last = f", the last of which reached {number(best[-1])}" if best else ""
-    return picture(
-        study_figures.convergence(points, best, mean),
+    return chart(
+        lambda width: study_charts.convergence(points, best, mean, width),
         f"Scores of {len(points)} evaluations in {len(best)} complete generations{last}.",
+        "Point at a dot to see its candidate in all charts; with the keyboard, the arrow keys go "
+        "from one to the next.",
+        chart=EVALUATIONS,
     )
 
 
@@ -70,8 +118,8 @@ def range_picture(
         f"{number(p.lower)} to {number(p.upper)}"
         for p in parameters
     )
-    return picture(
-        study_figures.ranges(parameters, cloud),
+    return chart(
+        lambda width: study_charts.ranges(parameters, cloud, width),
         alt,
         "The strokes show where the search has gone, which is no interval of confidence.",
     )
@@ -85,35 +133,88 @@ def scatter_pictures(
         return []
     generations = 1 + max(p.generation for p in points)
     return [
-        picture(
-            study_figures.scatter(p, points, generations),
+        small_chart(
+            study_charts.scatter(p, points, generations),
             f"GSF of all evaluations over {p.label}.",
+            chart=EVALUATIONS,
         )
         for p in parameters
     ]
 
 
-def section_pictures(bodies: Bodies, labels: Iterable[str]) -> list[Picture]:
+def section_pictures(bodies: Bodies, labels: Iterable[str]) -> list[SectionRow]:
     """Draw three views of the bodies that are there."""
-    tissues = [number for number, name in bodies.labels.items() if name in set(labels)]
-    flat = bodies.reference is not None and bodies.reference.values.shape[0] == 1
-    undeformed, deformed = study_sections.middles(bodies, tissues)
-    pictures = []
-    for view in VIEWS[:1] if flat else VIEWS:
-        drawn = study_sections.side_by_side(bodies, view, tissues)
+    tissues = _compared(bodies, labels)
+    middle = study_sections.middles(bodies, tissues)
+    rows = []
+    for view in VIEWS[:1] if _is_flat(bodies) else VIEWS:
+        drawn = study_sections.side_by_side(bodies, view, tissues, middle)
         if drawn is None:
             continue
         axis = AXES[view.normal]
         places = [
             f"{what} at {axis} = {number(at[view.normal], 3)} mm"
-            for what, at in (("undeformed", undeformed), ("deformed", deformed))
+            for what, at in zip(("undeformed", "deformed"), middle, strict=True)
             if at is not None
         ]
-        name = "Section" if flat else view.name.capitalize()
+        name = "Section" if _is_flat(bodies) else view.name.capitalize()
         caption = Markup("<b>{}</b>, {}").format(name, ", ".join(places))
-        alt = f"{name}{'' if flat else ' section'}s of {', '.join(_names(bodies))}."
-        pictures.append(picture(drawn, alt, caption))
-    return pictures
+        rows.append(SectionRow(drawn.panels, drawn.wide, caption))
+    return rows
+
+
+def slice_data(bodies: Bodies, labels: Iterable[str]) -> Markup | None:
+    """Return what the slice viewer shows; None if there is no body."""
+    volumes = {
+        name: volume
+        for name, volume in (
+            ("reference", bodies.reference),
+            ("target", bodies.target),
+            (BEST, bodies.best),
+        )
+        if volume is not None
+    }
+    tissues = _compared(bodies, labels)
+    undeformed, deformed = study_sections.middles(bodies, tissues)
+    at = deformed or undeformed
+    if at is None:
+        return None
+    names = " + ".join(bodies.labels[t] for t in tissues)
+    meaning = dict(zip(Difference, _MEANING, strict=True))
+    return slice_viewer(
+        [SliceSet("", volumes, at)],
+        [
+            SlicePanel("Undeformed", "labels", ("reference",)),
+            SlicePanel("Target", "labels", ("target",)),
+            SlicePanel("Best candidate", "labels", (BEST,)),
+            SlicePanel(f"Difference, {names}", "difference", ("target", BEST), tuple(tissues)),
+        ],
+        VIEWS[:1] if _is_flat(bodies) else VIEWS,
+        {int(t): (name, TISSUES[Tissue(t)]) for t, name in bodies.labels.items()},
+        [(meaning[kind], DIFFERENCES[kind]) for kind in Difference],
+    )
+
+
+def body_data(bodies: Bodies, case: CaseSpec) -> Markup | None:
+    """Return what the 3-D viewer shows; None if the body has no surfaces."""
+    if not bodies.surfaces:
+        return None
+    surfaces = [
+        BodySurface(s.name, _COLOUR.get(s.name, TISSUES[Tissue.FAT]), s.vertices, s.triangles)
+        for s in bodies.surfaces
+    ]
+    scan = BodyScan(
+        "",
+        case.compression() or Compression(),
+        [{} if s.moved is None else {BEST: s.moved} for s in bodies.surfaces],
+        [{} if s.gap_mm is None else {BEST: s.gap_mm} for s in bodies.surfaces],
+    )
+    return body_viewer(
+        surfaces,
+        [scan],
+        [(BEST, "best candidate")],
+        "best candidate outside (+) or inside (−) of the target",
+    )
 
 
 def stage_picture(seconds: Mapping[str, float]) -> Picture | None:
@@ -122,13 +223,25 @@ def stage_picture(seconds: Mapping[str, float]) -> Picture | None:
     if total <= 0:
         return None
     shares = ", ".join(f"{name} {100 * spent / total:.1f} %" for name, spent in seconds.items())
-    return picture(study_figures.stages(seconds), f"Shares of the time: {shares}.")
+    return chart(
+        lambda width: study_charts.stages(seconds, width), f"Shares of the time: {shares}."
+    )
 
 
-def _names(bodies: Bodies) -> list[str]:
-    named = {
-        "undeformed body": bodies.reference,
-        "target": bodies.target,
-        "best candidate": bodies.best,
-    }
-    return [name for name, volume in named.items() if volume is not None]
+_COLOUR = {"outline": "#e9d3b4", "glandular": "#c2628f"}
+_MEANING = (
+    "outside of both bodies",
+    "rest of the body",
+    "in both",
+    "only in the target",
+    "only in the best candidate",
+)
+
+
+def _compared(bodies: Bodies, labels: Iterable[str]) -> list[int]:
+    wanted = set(labels)
+    return [number for number, name in bodies.labels.items() if name in wanted]
+
+
+def _is_flat(bodies: Bodies) -> bool:
+    return bodies.reference is not None and bodies.reference.values.shape[0] == 1

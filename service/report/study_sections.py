@@ -1,70 +1,75 @@
 """Draws reference, target, best candidate and difference side by side along one axis."""
 
-import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from markupsafe import Markup
 
 from service.report import palette
-from service.report.canvas import SMALL_PT, TEXT_PT, calm, figure
-from service.report.palette import INK, Difference
+from service.report.palette import Difference
+from service.report.raster import png_uri
 from service.report.slices import (
     AXES,
     Section,
     View,
+    clipped,
     difference,
     frame_mm,
     middle_mm,
     section,
 )
 from service.report.study_bodies import Bodies
+from service.report.svg import Scale, Svg, tick_text
 from storage.values import Tissue, Triple
 
-# At most so wide and high; bodies that are wide are drawn larger, two in a row.
-WIDE_IN, HIGH_IN = (4.75, 2.9), (2.3, 2.9)
+PANEL_PX = 230.0
 WIDE = 1.4
-_TISSUES = palette.lookup(palette.TISSUES)
-_DIFFERENCES = palette.lookup(palette.DIFFERENCES)
+_TISSUES = palette.lookup({int(t): c for t, c in palette.TISSUES.items()})
+_DIFFERENCES = palette.lookup({int(d): c for d, c in palette.DIFFERENCES.items()})
 
 
-def side_by_side(bodies: Bodies, view: View, tissues: Sequence[int]) -> Figure | None:
+@dataclass(frozen=True)
+class SideBySide:
+    """Sections of one view, each with its title; `wide` ones are drawn two in a row."""
+
+    panels: tuple[tuple[str, Markup], ...]
+    wide: bool
+
+
+def side_by_side(
+    bodies: Bodies,
+    view: View,
+    tissues: Sequence[int],
+    middle: tuple[Triple | None, Triple | None],
+) -> SideBySide | None:
     """Draw one view of all bodies that are there; None if there is none.
 
-    The planes pass through the middle of `tissues`: of the target for target and best
-    candidate, so that both are cut in the same place, and of the undeformed body for
-    itself.
+    Parameters
+    ----------
+    bodies : Bodies
+    view : View
+    tissues : sequence of int
+        That are compared.
+    middle : tuple
+        Where the planes pass: through the undeformed body, and through target and best
+        candidate; see `middles`.
     """
-    shown = _sections(bodies, view, tissues)
+    shown = _sections(bodies, view, tissues, middle)
     if not shown:
         return None
-    left, right, bottom, top = frame_mm([s for _, s, _ in shown])
-    wide = right - left > WIDE * (top - bottom)
-    most, columns = (WIDE_IN, 2) if wide else (HIGH_IN, 4)
-    columns = min(columns, len(shown))
-    rows = math.ceil(len(shown) / columns)
-    per_mm = min(most[0] / (right - left), most[1] / (top - bottom))
-    width, height = per_mm * (right - left), per_mm * (top - bottom)
-    drawn = figure(columns * (width + 0.18) + 0.62, rows * (height + 0.36) + 0.5)
-    grid = drawn.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes, (title, cut, is_difference) in zip(grid.flat, shown, strict=False):
-        table = _DIFFERENCES if is_difference else _TISSUES
-        axes.imshow(table[cut.values], origin="lower", extent=cut.extent_mm, interpolation="none")
-        axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-        axes.set_title(title, fontsize=TEXT_PT, color=INK, loc="left", pad=6)
-        _frame(axes)
-    for axes in grid.flat[len(shown) :]:
-        axes.axis("off")
-    for axes in grid[:, 0]:
-        axes.set_ylabel(f"{AXES[view.up]}, mm", fontsize=SMALL_PT)
-    for axes in grid[-1]:
-        axes.set_xlabel(f"{AXES[view.across]}, mm", fontsize=SMALL_PT)
-    return drawn
+    left, right, bottom, top = frame_mm([cut for _, cut, _ in shown])
+    panels = [
+        (title, _panel(cut, (left, right, bottom, top), view, f"{title}, {view.name}", differs))
+        for title, cut, differs in shown
+    ]
+    return SideBySide(tuple(panels), right - left > WIDE * (top - bottom))
 
 
 def middles(bodies: Bodies, tissues: Sequence[int]) -> tuple[Triple | None, Triple | None]:
-    """Return where the undeformed body and the target are cut."""
+    """Return where the undeformed body and the target are cut: in the middle of `tissues`.
+
+    Target and best candidate are cut in the same place.
+    """
     first = None if bodies.reference is None else middle_mm(bodies.reference, tissues)
     explained = bodies.target if bodies.target is not None else bodies.best
     return first, None if explained is None else middle_mm(explained, tissues)
@@ -89,9 +94,12 @@ def difference_legend() -> list[tuple[str, str]]:
 
 
 def _sections(
-    bodies: Bodies, view: View, tissues: Sequence[int]
+    bodies: Bodies,
+    view: View,
+    tissues: Sequence[int],
+    middle: tuple[Triple | None, Triple | None],
 ) -> list[tuple[str, Section, bool]]:
-    undeformed, deformed = middles(bodies, tissues)
+    undeformed, deformed = middle
     shown = []
     cuts: dict[str, Section] = {}
     for title, volume, middle in (
@@ -109,7 +117,37 @@ def _sections(
     return shown
 
 
-def _frame(axes: Axes) -> None:
-    calm(axes, grid="")
-    axes.xaxis.set_major_locator(MaxNLocator(5))
-    axes.yaxis.set_major_locator(MaxNLocator(5))
+def _panel(
+    cut: Section, frame: tuple[float, float, float, float], view: View, alt: str, differs: bool
+) -> Markup:
+    """Draw one section in a frame in mm, with ticks along its lower and left edge."""
+    left, right, bottom, top = frame
+    x0, y0 = 34.0, 6.0
+    wide = PANEL_PX - x0 - 4
+    high = wide * (top - bottom) / (right - left)
+    svg = Svg(PANEL_PX, y0 + high + 34)
+    across, up = Scale(left, right, x0, x0 + wide), Scale(bottom, top, y0 + high, y0)
+    shown = clipped(cut, frame)
+    a, b, c, d = shown.extent_mm
+    svg.add(
+        "image",
+        href=png_uri(shown.values, _DIFFERENCES if differs else _TISSUES),
+        preserveAspectRatio="none",
+        class_="voxels",
+        x=across.at(a),
+        y=up.at(d),
+        width=across.at(b) - across.at(a),
+        height=up.at(c) - up.at(d),
+    )
+    for value in across.ticks(4):
+        x = across.at(value)
+        svg.add("path", d=f"M{x:.1f} {y0 + high:.1f}v3", class_="axis")
+        svg.text(x, y0 + high + 14, tick_text(value), text_anchor="middle", class_="tick")
+    for value in up.ticks(4):
+        y = up.at(value)
+        svg.add("path", d=f"M{x0:.1f} {y:.1f}h-3", class_="axis")
+        svg.text(x0 - 6, y + 4, tick_text(value), text_anchor="end", class_="tick")
+    svg.add("path", d=f"M{x0:.1f} {y0:.1f}V{y0 + high:.1f}H{x0 + wide:.1f}", class_="axis")
+    label = f"{AXES[view.across]} and {AXES[view.up]}, mm"
+    svg.text(x0 + wide / 2, y0 + high + 29, label, text_anchor="middle", class_="tick")
+    return svg.markup(alt, "panel")

@@ -16,6 +16,8 @@ from service.formatting import (
     signed_error,
     symbol,
 )
+from service.identification import Identification
+from service.report.study_consequence import interval_text, verdicts
 from service.results import ParameterEstimate, StageTime
 from storage.records import EvaluationRecord
 from storage.status import Status
@@ -33,6 +35,8 @@ class ParameterRow:
     error: str
     bounds: str
     edge: bool
+    interval: str
+    verdict: str
 
 
 @dataclass(frozen=True)
@@ -70,17 +74,23 @@ class StageRow:
     share: str
 
 
-def parameters(estimates: Mapping[str, ParameterEstimate]) -> list[ParameterRow]:
-    """Return a row for each parameter: its estimate beside target and bounds."""
+def parameters(
+    estimates: Mapping[str, ParameterEstimate], known: Identification | None = None
+) -> list[ParameterRow]:
+    """Return a row for each parameter: its estimate beside interval, target and bounds."""
+    constants = {} if known is None else known.constants
+    words = verdicts(known, estimates)
     return [
         ParameterRow(
             symbol=symbol(name, e.unit),
             unit=e.unit,
-            estimate=number(e.estimate),
-            target=number(e.target),
+            estimate=number(e.estimate, 3),
+            target=number(e.target, 3),
             error=percent(signed_error(e.estimate, e.target)),
             bounds=f"{number(e.lower)} … {number(e.upper)}",
             edge=e.estimate is not None and at_edge(e.estimate, (e.lower, e.upper)),
+            interval=interval_text(constants.get(name)),
+            verdict=words[name],
         )
         for name, e in estimates.items()
     ]

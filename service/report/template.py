@@ -1,6 +1,7 @@
 """Fills the template of a page: one file, which needs no other."""
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,17 @@ def filled(template: str, values: Mapping[str, Any], folder: Path = HERE) -> str
         Every name that the template asks for.
     folder : Path
     """
-    environment = Environment(
+    return _environment(folder).get_template(template).render(values)
+
+
+@cache
+def _environment(folder: Path) -> Environment:
+    """Return what reads templates; it keeps those that it has compiled."""
+    return Environment(
         loader=FileSystemLoader([folder, HERE]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        auto_reload=False,
     )
-    return environment.get_template(template).render(values)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from service.search.space import FloatArray, Space
 from storage.errors import InputError
+from storage.task_records import FitJson
 
 __all__ = ["FloatArray", "Generation", "Proposal", "Search", "Space", "Stopped"]
 
@@ -37,6 +38,9 @@ class Generation:
     scores : ndarray, shape (n,)
         ``-inf`` for volumes that are identical (the logarithm of GSF), ``+inf``
         for a simulation that failed; never NaN.
+    fits : tuple of FitJson or None
+        The least-squares problem of each candidate, None for one that failed; empty where the
+        search needs no derivatives.
 
     Raises
     ------
@@ -46,6 +50,7 @@ class Generation:
 
     genes: FloatArray
     scores: FloatArray
+    fits: tuple[FitJson | None, ...] = ()
 
     def __post_init__(self) -> None:
         genes, scores = _frozen(self.genes), _frozen(self.scores)
@@ -85,10 +90,16 @@ class Proposal:
     carried : tuple of int or None, length n
         For an elite, its index in the generation before, whose score still
         holds; ``None`` for a candidate that needs an evaluation.
+    level : int or None
+        In which of the study's coarser resolutions they are evaluated; None for its own.
+    derivatives : bool
+        Whether the search needs the least-squares problem of each.
     """
 
     genes: FloatArray
     carried: tuple[int | None, ...]
+    level: int | None = None
+    derivatives: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "genes", _frozen(self.genes))
@@ -103,7 +114,12 @@ class Proposal:
         """Return the indices of the candidates that need an evaluation."""
         return tuple(index for index, origin in enumerate(self.carried) if origin is None)
 
-    def complete(self, scores: Mapping[int, float], history: Sequence[Generation]) -> Generation:
+    def complete(
+        self,
+        scores: Mapping[int, float],
+        history: Sequence[Generation],
+        fits: Mapping[int, FitJson | None] | None = None,
+    ) -> Generation:
         """Make a generation of the scores told so far.
 
         Parameters
@@ -112,6 +128,8 @@ class Proposal:
             Score by candidate index, in any order; exactly those of `to_evaluate`.
         history : sequence of Generation
             The generations before; the last one gives the carried scores.
+        fits : mapping of int to FitJson or None
+            By candidate index, where derivatives were asked for.
 
         Raises
         ------
@@ -130,7 +148,9 @@ class Proposal:
             scores[index] if origin is None else history[-1].scores[origin]
             for index, origin in enumerate(self.carried)
         ]
-        return Generation(self.genes, np.asarray(values, dtype=np.float64))
+        known = fits or {}
+        kept = tuple(known.get(i) for i in self.to_evaluate) if self.derivatives else ()
+        return Generation(self.genes, np.asarray(values, dtype=np.float64), kept)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ import dask.config
 import pytest
 import yaml
 
+from service import retry
 from service.cluster import CONFIG
 from workers import THREAD_ENVIRONMENT
 
@@ -117,6 +118,7 @@ def test_all_share_the_store_and_the_safe_path(compose: dict[str, Any]) -> None:
 def test_the_driver_runs_a_study_that_is_there(compose: dict[str, Any]) -> None:
     command = compose["services"]["driver"]["command"]
     assert command == [
+        *("python", "-m", "service.retry"),
         *("palpate", "run", "/studies/demo.yaml", "--study", "/data/runs/demo"),
         *("--scheduler", "tcp://scheduler:8786", "--store", "/data/store"),
     ]
@@ -179,6 +181,28 @@ def test_the_image_is_given_all_that_it_copies() -> None:
     assert copied == allowed
     for name in copied:
         assert (ROOT / name).exists(), name
+
+
+def exits(tmp_path: Path, *codes: int) -> list[str]:
+    """Return a command that ends with one code after the other."""
+    script = (
+        "import pathlib, sys; count = pathlib.Path(sys.argv[1]); "
+        "count.write_text(count.read_text() + '.' if count.exists() else '.'); "
+        "sys.exit([int(c) for c in sys.argv[2:]][len(count.read_text()) - 1])"
+    )
+    return [sys.executable, "-c", script, str(tmp_path / "count"), *map(str, codes)]
+
+
+@pytest.mark.parametrize(
+    ("codes", "started", "ended"),
+    [([2, 0], 1, 2), ([0], 1, 0), ([130, 0], 1, 130), ([1, 1, 0], 3, 0), ([1] * 5, 4, 1)],
+)
+def test_a_mistake_is_not_tried_again_and_other_failures_are(
+    compose: dict[str, Any], tmp_path: Path, codes: list[int], started: int, ended: int
+) -> None:
+    assert compose["services"]["driver"]["restart"] == "no"
+    assert retry.main(exits(tmp_path, *codes), pause_s=0.0) == ended
+    assert len((tmp_path / "count").read_text()) == started
 
 
 # --- the commands ----------------------------------------------------------------

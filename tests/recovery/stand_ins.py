@@ -12,7 +12,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +56,41 @@ def target(case: Record, wanted: Record, store: str) -> Record:
     return {"target": digest(case, wanted), "kind": "simulated"}
 
 
-def name_of(case: Record, prepared: Record, target: str, constants: Record, score: Record) -> str:
-    return digest(case, prepared, target, constants, score)
+def name_of(
+    case: Record,
+    prepared: Record,
+    target: str,
+    constants: Record,
+    score: Record,
+    free: Sequence[Record] = (),
+) -> str:
+    return digest(case, prepared, target, constants, score, *([list(free)] if free else []))
+
+
+def level(
+    case: Record, prepared: Record, target: str, spacing: float, nodes: int, store: str
+) -> Record:
+    coarse = case | {"mesh": {"nodes": nodes, "element_size_mm": None}}
+    return {"case": coarse, "prepared": prepared | {"mesh": f"mesh {nodes}"}, "target": target}
+
+
+def fit_of(constants: Record, free: Sequence[Record]) -> Record:
+    """Residuals c / true - 1 of each constant, twenty of each, with a noise of 0.01."""
+    names = [p["name"] for p in free]
+    ratios = [constants[name] / TRUTH[name] for name in names]
+    squares = [[20 * (q / 0.01) ** 2 * (i == j) for j in range(len(names))]
+               for i, q in enumerate(ratios)]  # fmt: skip
+    return {
+        "parameters": names,
+        "logarithmic": [True] * len(names),
+        "values": [constants[name] for name in names],
+        "residuals": 20 * len(names),
+        "rms_mm": 0.1,
+        "cost": sum(20 * ((q - 1) / 0.01) ** 2 for q in ratios),
+        "gradient": [20 * (q - 1) * q / 0.01**2 for q in ratios],
+        "hessian": squares,
+        "noise": "a hundredth",
+    }
 
 
 def evaluate(request: Record) -> Record:
@@ -75,6 +108,8 @@ def evaluate(request: Record) -> Record:
         jc = 1 / (1 + apart)
         score = {"jc": jc, "mhd_mm": apart, "mhd_voxels": apart, "gsf": math.log((1 - jc) * apart)}
         record |= {"status": "done", "reason": "", "score": score}
+        if request.get("free"):
+            record["fit"] = fit_of(constants, request["free"])
     save_evaluation(store, request["digest"], record)
     with (store.root / LOG).open("a") as file:  # one write, as many processes append
         file.write(request["digest"] + "\n")
@@ -108,7 +143,7 @@ def compare(case: Record, store: str, target: str, candidate: str, score: Record
     return {}
 
 
-TASKS = Tasks(prepare, target, evaluate, name_of, keep_volume, compare)
+TASKS = Tasks(prepare, target, evaluate, name_of, keep_volume, compare, level)
 
 
 class Inline:
@@ -158,5 +193,5 @@ def assert_each_ran_once(folder: Path, cut_off: int = 0) -> None:
     ran = executions(folder)
     assert len(ran) == len(set(ran))
     finished = {ending[2] for ending in told(folder).values()}
-    assert set(ran) <= finished
+    assert len(set(ran) - finished) <= 1  # the tangents at the best candidate
     assert len(finished - set(ran)) <= cut_off

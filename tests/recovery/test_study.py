@@ -26,8 +26,8 @@ from stand_ins import (
 
 from service import study_folder
 from service.cluster import open_cluster
-from service.dispatch import Dispatcher
-from service.errors import ClusterError, Interrupted
+from service.dispatch import Dispatcher, Ending
+from service.errors import ClusterError, GenerationCrashError, Interrupted
 from service.hooks import Observer
 from service.study import Study
 from service.study_log import StudyLog
@@ -153,6 +153,63 @@ def test_a_crash_is_an_ending_with_its_traceback(client: Any, folder: Path) -> N
         assert "distributed" not in record.traceback
     assert conclusion.best is not None
     assert conclusion.best.status is Status.DONE
+
+
+class Crashing(Inline):
+    """Tells of an exception as a worker does."""
+
+    def run(self, task: Any, calls: Any) -> Iterator[Ending]:
+        for key, arguments in calls:
+            try:
+                yield Ending(key, "returned", task(*arguments))
+            except ZeroDivisionError as error:
+                reason = f"ZeroDivisionError: {error}"
+                yield Ending(key, "crashed", None, error, reason, "in misbehave")
+
+
+def test_a_generation_that_crashes_for_one_reason_stops_the_study(
+    folder: Path, reference: dict[int, tuple[Any, ...]]
+) -> None:
+    set_manners(folder.parent / "store", crash_above=0.0)
+    with pytest.raises(GenerationCrashError, match="no such tissue") as stopped:
+        run(folder, Crashing())
+    assert "All 12 candidates of generation 1" in str(stopped.value)
+    assert stopped.value.traceback == "in misbehave"
+    assert told(folder) == {}
+    set_manners(folder.parent / "store")  # put right
+    run(folder, Crashing())
+    assert told(folder) == reference
+
+
+def test_a_later_generation_that_crashes_keeps_the_earlier_ones(
+    folder: Path, reference: dict[int, tuple[Any, ...]]
+) -> None:
+    def stop_later(request: Any) -> Any:
+        finished = len(executions(folder))
+        set_manners(folder.parent / "store", crash_above=0.0 if finished >= 12 else 1.0)
+        return TASKS.evaluate(request)
+
+    tasks = replace(TASKS, evaluate=stop_later)
+    with pytest.raises(GenerationCrashError, match="generation 2 "):
+        Study(small_spec(), folder, tasks=tasks).run(Crashing())  # type: ignore[arg-type]
+    assert set(range(12)) <= set(told(folder))
+    assert all(ending[3] is not Status.CRASHED for ending in told(folder).values())
+    set_manners(folder.parent / "store")
+    run(folder, Crashing())
+    assert told(folder) == reference
+
+
+def test_crashes_for_several_reasons_are_endings(folder: Path) -> None:
+    def crash(request: Any) -> Any:
+        soft = request["constants"]["E_fat"] < 0.01
+        raise ZeroDivisionError("soft" if soft else "stiff")
+
+    spec = small_spec(SPEC.replace("generations: 5", "generations: 1"))
+    tasks = replace(TASKS, evaluate=crash)
+    conclusion = Study(spec, folder, tasks=tasks).run(Crashing())  # type: ignore[arg-type]
+    assert conclusion.best is None
+    endings = StudyLog.read(journal_of(folder)).endings.values()
+    assert [record.status for record in endings] == [Status.CRASHED] * 12
 
 
 def test_a_candidate_that_kills_its_workers_is_lost_and_the_study_goes_on(

@@ -1,6 +1,6 @@
 """Reads a page as a browser would have to, without forgiving anything."""
 
-import base64
+import re
 from html.parser import HTMLParser
 from xml.etree import ElementTree
 
@@ -19,6 +19,7 @@ class Page(HTMLParser):
         self.images: list[dict[str, str]] = []
         self.pieces: list[str] = []
         self.cells: list[list[str]] = []
+        self.source = source
         self.feed(source)
         self.close()
         assert not self.open, f"never closed: {self.open}"
@@ -44,7 +45,7 @@ class Page(HTMLParser):
         self.open.pop()
 
     def handle_data(self, data: str) -> None:
-        if "style" in self.open:
+        if {"style", "script", "svg"} & set(self.open):
             return
         self.pieces.append(data)
         if {"td", "th"} & set(self.open):
@@ -61,10 +62,21 @@ class Page(HTMLParser):
         return [" ".join(cell.split()) for cell in found]
 
     def drawings(self) -> list[ElementTree.Element]:
-        """Every picture, parsed."""
-        head = "data:image/svg+xml;base64,"
-        assert all(image["src"].startswith(head) for image in self.images)
-        return [
-            ElementTree.fromstring(base64.b64decode(image["src"].removeprefix(head)))
-            for image in self.images
-        ]
+        """Every picture, parsed; of charts that are drawn twice, the wide one."""
+        texts = re.findall(r"<svg .*?</svg>", self.source, flags=re.DOTALL)
+        parsed = [ElementTree.fromstring(text) for text in texts]
+        return [one for one in parsed if "narrow" not in one.get("class", "").split()]
+
+    def needs_no_other_file(self) -> None:
+        """Refuse addresses outside of the page, and names that are not its own."""
+        assert all(address.startswith(("data:", "#")) for address in self.addresses)
+        inner = {address[1:] for address in self.addresses if address.startswith("#")}
+        assert inner <= set(self.ids)
+        assert len(self.ids) == len(set(self.ids))
+        assert not {"link", "iframe", "object"} & set(self.seen)
+        outside = re.sub(r'xmlns="[^"]*"', "", self.source)
+        assert "@import" not in outside
+        assert not re.search(r"url\((?!#)", outside)
+        assert "http://" not in outside
+        assert "https://" not in outside
+        assert all(drawing.get("aria-label") for drawing in self.drawings())

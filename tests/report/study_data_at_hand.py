@@ -113,6 +113,7 @@ def results(**changed: Any) -> StudyResults:
         "sessions": 1,
         "versions": {"palpate": "0.1.0", "numpy": "2.4.6"},
         "store": None,
+        "findings": {},
     }
     return StudyResults(**(parts | changed))
 
@@ -134,7 +135,7 @@ def study_data(**changed: Any) -> StudyData:
     parts: dict[str, Any] = {
         "results": results(),
         "endings": ENDINGS,
-        "session": SESSION,
+        "sessions": (SESSION,),
         "bodies": BODIES,
     }
     return StudyData(**(parts | changed))
@@ -157,7 +158,7 @@ def nothing_yet() -> StudyData:
         stages={},
         body_facts={},
     )
-    return study_data(results=empty, endings=(), session=None, bodies=Bodies())
+    return study_data(results=empty, endings=(), sessions=(), bodies=Bodies())
 
 
 def perfect() -> StudyData:

@@ -1,7 +1,9 @@
 """The page of a diagnosis: self-contained, and true to the numbers."""
 
 import json
+import re
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -9,9 +11,12 @@ from diagnosis_at_hand import VERDICTS, found, nothing, summary, typed
 from pages import Page
 
 from service.diagnosis.words import sentence
-from service.report.diagnosis_figures import Cause, Evidence, Judged, evidence, gaps, probabilities
+from service.report.diagnosis_charts import Cause, Evidence, Judged, evidence, gaps, probabilities
+from service.report.diagnosis_made import Origin
 from service.report.diagnosis_maps import FAINT, SIGNED, range_mm, residual_map
 from service.report.diagnosis_page import render
+from service.report.provenance import Made
+from service.report.svg import Svg
 from workers.mechanics.effects.breast_catalogue import NOT_SIMULATED
 
 
@@ -33,15 +38,7 @@ def page(source: str) -> Page:
 def test_a_page_is_well_formed_and_needs_no_other_file(told: dict[str, Any]) -> None:
     source = render(found(told))
     page = Page(source)
-    assert len(page.ids) == len(set(page.ids))
-    assert all(address.startswith("data:") for address in page.addresses)
-    assert not {"script", "link", "iframe", "object"} & set(page.seen)
-    assert "url(" not in source
-    assert all(image["alt"] for image in page.images)
-    for drawing in page.drawings():
-        for element in drawing.iter():
-            address = element.get("{http://www.w3.org/1999/xlink}href", "#")
-            assert address.startswith(("#", "data:image/png;base64,"))
+    page.needs_no_other_file()
     begin = page.text.index('{ "case": "by-hand"')
     assert json.JSONDecoder().raw_decode(page.text, begin)[0] == told
 
@@ -142,6 +139,52 @@ def test_a_family_that_is_improbable_is_not_mentioned() -> None:
     assert "most probable family" not in Page(render(found(told | {"families": faint}))).text
 
 
+def test_every_length_of_the_headline_has_its_tile() -> None:
+    """What the headline rounds to is what the tiles say."""
+    told = Page(render(found()))
+    lengths = re.findall(r"(?:differ by|of) (\d\.\d\d) mm", sentence_of(summary()))
+    assert lengths == ["0.27", "0.31"]
+    tiles = told.source[told.source.index('class="tiles"') : told.source.index('class="contents"')]
+    assert all(length in tiles for length in lengths)
+
+
+@pytest.mark.parametrize(
+    ("which", "quote", "following"),
+    [
+        ("effect", "Quote Efat = 11 kPa and η = 60.1 kPa, fitted with plate tilt.", "Put plate"),
+        ("no gap", "Quote Efat = 10 kPa. They may hide plate force.", "Nothing needs to be added"),
+        ("none of these", "Do not quote Efat:", "Look where model and data differ"),
+        ("not told apart", "Do not quote Efat and η: they depend on a cause", "palpate plan"),
+    ],
+)
+def test_what_follows_is_said(which: str, quote: str, following: str) -> None:
+    text = Page(render(found(VERDICTS[which]))).text
+    assert f"What to quote {quote}" in text
+    assert f"Next {following}" in text or following in text[text.index("Next ") :][:120]
+
+
+def test_how_it_was_made_is_on_the_page() -> None:
+    made = Made(
+        "2026-11-22T10:05:00+00:00",
+        "palpate diagnose cases/by-hand",
+        94.0,
+        [("case by-hand", "0123abcd"), ("reference", "4567ef")],
+        "about 5000 nodes",
+        "standard deviation 0.4 mm",
+    )
+    text = Page(render(found(), Origin(made))).text
+    for said in (
+        "22 November 2026, 10:05 UTC",
+        "case by-hand, 0123abcd",
+        "reference, 4567ef",
+        "about 5000 nodes",
+        "standard deviation 0.4 mm",
+        "Run time94 s",
+        "Commandpalpate diagnose cases/by-hand",
+    ):
+        assert said in text, said
+
+
 def test_warnings() -> None:
     refits = [summary()["refits"][0] | {"converged": False}]
     assert "The refit of plate flex did not converge" in render(found(summary(refits=refits)))
@@ -152,7 +195,8 @@ def test_warnings() -> None:
 
 
 def test_a_map_for_each_scan_and_interface() -> None:
-    captions = [image["alt"] for image in Page(render(found())).images if "scan at" in image["alt"]]
+    labels = [drawing.get("aria-label", "") for drawing in Page(render(found())).drawings()]
+    captions = [label for label in labels if "scan at" in label]
     assert [caption.split(":")[0] for caption in captions] == [
         "Outline, scan at 40 N",
         "Glandular, scan at 40 N",
@@ -165,15 +209,34 @@ def test_a_map_for_each_scan_and_interface() -> None:
     assert f"of a point: {loud:.0f} % (nominal model)" in captions[0]
 
 
-def test_bars_are_as_long_as_their_gaps() -> None:
+def rects(svg: Svg, *classes: str) -> list[tuple[str, float, float]]:
+    """Bars as (class, start, end) in pixels, those of the legend left out."""
+    drawing = ElementTree.fromstring(str(svg.markup("bars")))
+    bars = [e for e in drawing.iter("rect") if e.get("height") == "15"]
+    return [
+        (e.get("class", ""), float(e.get("x", 0)), float(e.get("x", 0)) + float(e.get("width", 0)))
+        for e in bars
+        if not classes or e.get("class") in classes
+    ]
+
+
+@pytest.mark.parametrize("width", [980.0, 400.0])
+def test_bars_are_as_long_as_their_gaps(width: float) -> None:
     gap = typed(summary()).gap_mm
-    drawn = gaps([Judged("all", gap.before, gap.after)], 0.4367, "plate tilt")
-    axes = drawn.axes[0]
-    assert [bar.get_width() for bar in axes.patches] == [0.2684, 0.05]
-    spans = [line.get_xdata().tolist() for line in axes.lines[:2]]  # type: ignore[union-attr]
-    assert spans == [[0.2256, 0.3053], [0.0, 0.1206]]
-    assert axes.lines[2].get_xdata() == [0.4367, 0.4367]
-    assert axes.get_xlim()[1] > 0.4367
+    drawn = gaps([Judged("all", gap.before, gap.after)], 0.4367, "plate tilt", width)
+    (_, zero, before), (_, also_zero, after) = rects(drawn)
+    assert zero == also_zero
+    assert (after - zero) / (before - zero) == pytest.approx(0.05 / 0.2684, abs=2e-3)
+    per_mm = (before - zero) / 0.2684
+    whiskers = [p for p in drawn.parts if 'class="whisker"' in p]
+    ends = [[float(x) for x in re.findall(r"M([\d.]+) ", p)][::2] for p in whiskers]
+    spans = [[(x - zero) / per_mm for x in pair] for pair in ends]
+    assert spans[0] == pytest.approx([0.2256, 0.3053], abs=2e-3)
+    assert spans[1] == pytest.approx([0.0, 0.1206], abs=2e-3)
+    (limit,) = [p for p in drawn.parts if 'class="limit" d="M' in p and "V" in p]
+    at = float(re.findall(r'd="M([\d.]+)', limit)[0])
+    assert (at - zero) / per_mm == pytest.approx(0.4367, abs=2e-3)
+    assert at < width
 
 
 def test_evidence_stacks_the_field_only_where_it_helps() -> None:
@@ -182,20 +245,19 @@ def test_evidence_stacks_the_field_only_where_it_helps() -> None:
         Evidence("flex", 95.0, 1.5),
         Evidence("both", -2.0, None),
     ]
-    bars = evidence(rows, 2.8).axes[0].patches
-    assert [(bar.get_x(), bar.get_width()) for bar in bars] == [  # type: ignore[attr-defined]
-        (0, 127.0),
-        (0, 95.0),
-        (95.0, 1.5),
-        (0, -2.0),
-    ]
+    bars = rects(evidence(rows, 2.8, 980.0))
+    assert [b[0] for b in bars] == ["bar-after", "bar-after", "bar-field", "bar-after"]
+    (_, zero, end), second, field, less = bars
+    per_nat = (end - zero) / 127.0
+    assert [(x - zero) / per_nat for x in second[1:]] == pytest.approx([0, 95.0], abs=0.05)
+    assert [(x - zero) / per_nat for x in field[1:]] == pytest.approx([95.0, 96.5], abs=0.05)
+    assert [(x - zero) / per_nat for x in less[1:]] == pytest.approx([-2.0, 0.0], abs=0.05)
 
 
 def test_causes_of_the_90_percent_set_have_their_colour() -> None:
     rows = [Cause("tilt", 0.7, True), Cause("flex", 0.25, True), Cause("no gap", 0.05, False)]
-    bars = probabilities(rows).axes[0].patches
-    colours = [bar.get_facecolor() for bar in bars]
-    assert colours[0] == colours[1] != colours[2]
+    colours = [bar[0] for bar in rects(probabilities(rows, 980.0))]
+    assert colours == ["bar-after", "bar-after", "bar-before"]
 
 
 def test_colours_tell_sign_and_noise() -> None:

@@ -14,4 +14,8 @@ def test_template_and_style_go_into_the_wheel() -> None:
         for file in wheel.WheelBuilder(str(ROOT)).recurse_included_files()
     }
     folder = Path("service/report")
-    assert {folder / "study.html.j2", folder / "report.css", folder / "study_page.py"} <= packed
+    needed = {"study.html.j2", "macros.html.j2", "report.css", "study_page.py"}
+    scripts = {path.name for path in (ROOT / folder / "scripts").glob("*.js")}
+    assert {"common.js", "slices.js", "body.js", "charts.js", "page.js"} == scripts
+    assert {folder / name for name in needed} <= packed
+    assert {folder / "scripts" / name for name in scripts} <= packed

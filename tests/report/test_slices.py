@@ -128,5 +128,5 @@ def test_colours_that_lie_side_by_side_differ_in_lightness() -> None:
 
 def test_an_unknown_label_is_drawn_in_black() -> None:
     table = palette.lookup(TISSUES)
-    assert table[200].tolist() == [0, 0, 0]
-    assert table[Tissue.AIR].tolist() == [255, 255, 255]
+    assert table[200].tolist() == [0, 0, 0, 255]
+    assert table[Tissue.AIR].tolist() == [255, 255, 255, 0]

@@ -17,6 +17,7 @@ from storage.layout import StudyLayout
 KEYS = {
     "study",
     "estimates",
+    "identification",
     "score",
     "evaluations",
     "seconds",
@@ -75,7 +76,7 @@ def test_counts_and_stages_add_up(folder: Path) -> None:
 
 def test_the_best_of_the_generations_never_gets_worse(folder: Path) -> None:
     rows = study_json(study_results(folder))["generations"]
-    assert [row["number"] for row in rows] == [0, 1, 2, 3, 4]
+    assert [row["number"] for row in rows] == [1, 2, 3, 4, 5]
     bests = [row["best"] for row in rows]
     assert bests == sorted(bests, reverse=True)
     assert all(row["best"] <= row["mean"] for row in rows)
@@ -92,7 +93,7 @@ def test_a_study_that_has_only_begun_can_be_read(tmp_path: Path) -> None:
     assert found["stopped"] is None
     assert found["score"]["gsf"] is None
     assert found["estimates"]["E_fat"]["estimate"] is None
-    assert found["generations"] == [{"number": 0, "asked": 12, "ended": 0, "complete": False}]
+    assert found["generations"] == [{"number": 1, "asked": 12, "ended": 0, "complete": False}]
     assert study_json(study_results(folder))["state"] == "interrupted"
 
 
@@ -116,8 +117,8 @@ def test_a_perfect_score_is_a_text(tmp_path: Path) -> None:
 def test_an_elite_shows_the_ending_that_it_was_carried_over_from(folder: Path) -> None:
     elite = candidate_json(candidate_results(folder, 12))
     origin = candidate_json(candidate_results(folder, elite["evaluated_as"]))
-    assert elite["generation"] == 1
-    assert origin["generation"] == 0
+    assert elite["generation"] == 2
+    assert origin["generation"] == 1
     assert elite["genes"] == origin["genes"]
     assert elite["score"] == origin["score"]
     best = candidate_json(candidate_results(folder, None))
@@ -139,7 +140,10 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "study": None,
     "state": None,
     "stopped": None,
+    "identifiable": None,
+    "ratios": [],
     "estimates": ["E_fat", "E_glandular"],
+    "identification": None,
     "score": SCORE_KEYS,
     "best": EVALUATION_KEYS,
     "evaluations": ["done", "diverged", "crashed", "lost", "reused"],
@@ -148,6 +152,7 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "per_label_before": [],
     "per_label": [],
     "seconds": None,
+    "findings": None,
     "stages": ["solve"],
     "facts": ["tissue_ml"],
     "target_kind": None,
@@ -160,8 +165,9 @@ STUDY_KEYS: dict[str, list[str] | None] = {
 ESTIMATE_KEYS = ["gene", "estimate", "target", "relative_error", "unit", "bounds"]
 GENERATION_KEYS = ["number", "asked", "ended", "complete"]
 SCORED_KEYS = ["best", "mean", "best_candidate", "best_genes", "failed"]
-CANDIDATE_KEYS = ["study", "candidate", "generation", "evaluated_as", "genes", "status"]
+CANDIDATE_KEYS = ["study", "candidate", "generation", "evaluated_as", "genes", "held", "status"]
 ENDED_KEYS = [
+    "identification",
     "score",
     "reason",
     "traceback",

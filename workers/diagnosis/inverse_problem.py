@@ -1,7 +1,7 @@
 """What is diagnosed: a body, its scans, and a model of it with constants to be found."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,12 +11,15 @@ from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
 from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise
+from workers.diagnosis.forward import Forward, Tetrahedra
 from workers.diagnosis.linearisation import factored
 from workers.diagnosis.noise_model import LearntNoise
+from workers.diagnosis.smooth_field import SmoothField
 from workers.mechanics.effects.base import Effect, one_sided
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.model import Model
 from workers.mechanics.fem.problem import Problem
+from workers.units import KPA, Unit
 
 Values = Mapping[str, float]
 
@@ -31,11 +34,14 @@ class FreeConstant:
     lower, upper : float
         Where it plausibly lies, inside units, both > 0. Its logarithm has a normal
         prior, with the interval as mean and standard deviation.
+    unit : Unit
+        At the door.
     """
 
     name: str
     lower: float
     upper: float
+    unit: Unit = KPA
 
     def __post_init__(self) -> None:
         if not 0 < self.lower < self.upper:
@@ -103,6 +109,9 @@ class InverseProblem:
         From displacements of the nodes to those of the end of an arm of 1 mm, which
         stands on the surface at the point, less those of its foot. None where no point
         is a marker.
+    forward : Forward
+    something_else : SmoothField
+        Prior of the field that stands for what is not in the catalogue.
     """
 
     model: Model
@@ -117,6 +126,8 @@ class InverseProblem:
     arms: csr_matrix | None = None
     is_segmented: bool = True
     learnt: LearntNoise | None = None
+    forward: Forward = field(default_factory=Tetrahedra)
+    something_else: SmoothField = field(default_factory=SmoothField)
 
     @cached_property
     def covariance_factor(self) -> FloatArray:

@@ -65,7 +65,7 @@ class NominalAnalysis:
     def noise(self) -> NoiseModel:
         """The noise that every hypothesis has, with the smooth field that stands for something
         else; seconds for 4,000 residuals."""
-        learnt, prior = self.inverse.learnt, SETTINGS.smooth_field
+        learnt, prior = self.inverse.learnt, self.inverse.something_else
         if learnt is None:
             raise ValueError("the noise is learnt with the calibration")
         normals = np.concatenate([scan.normals for scan in self.nominal.predictions])
@@ -77,11 +77,11 @@ class NominalAnalysis:
                 np.ones(len(normals)),
                 length,
                 prior.state_correlation,
-                prior.rank_tolerance,
+                SETTINGS.smooth_field.rank_tolerance,
             )
             for length in prior.lengths_mm
         ]
-        return NoiseModel(learnt.parts, learnt.states, fields)
+        return NoiseModel(learnt.parts, learnt.states, fields, prior.amplitudes_mm)
 
     @cached_property
     def form(self) -> FormError:

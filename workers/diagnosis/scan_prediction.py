@@ -12,8 +12,8 @@ from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.plate_friction import FRICTION
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.sensitivity import RELATIVE_ERROR, Change, tangents
-from workers.mechanics.fem.solve import Equilibrium, equilibrium
+from workers.mechanics.fem.sensitivity import RELATIVE_ERROR, Change
+from workers.mechanics.fem.solve import Equilibrium
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,9 @@ def predict_scan(
     start: Equilibrium | None,
 ) -> PredictedScan | None:
     """Simulate one scan; None if the simulation does not converge."""
-    at = equilibrium(inverse.model, problem_of(scan, unknowns, z, inverse.frame), start)
+    at = inverse.forward.equilibrium(
+        inverse.model, problem_of(scan, unknowns, z, inverse.frame), start
+    )
     return (
         compare_with_scan(inverse, scan, unknowns, z, at) if at.solution.outcome.converged else None
     )
@@ -169,7 +171,7 @@ def columns_of(
     `observed` are the effects on the observation that act, with their values: a point that
     moves is seen elsewhere. `tolerance` is that of `tangents`.
     """
-    dx = tangents(prediction.at, changes, tolerance)
+    dx = inverse.forward.tangents(prediction.at, changes, tolerance)
     out = np.empty((len(prediction.residual), len(changes)))
     for c, nodal in enumerate(dx):
         out[:, c] = ((inverse.at_points @ nodal) * prediction.normals).sum(axis=1)

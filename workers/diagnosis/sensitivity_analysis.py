@@ -1,7 +1,7 @@
 """What every effect of a catalogue would do to the residuals of the nominal fit."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect, one_sided
 from workers.mechanics.effects.inclusion import INCLUSION, PLACE, RATIO
 from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.solve import equilibrium
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,9 +141,7 @@ def _columns(
 def _secants(
     inverse: InverseProblem, view: PredictedScan, effect: Effect, problem: Problem
 ) -> FloatArray | None:
-    problem = replace(
-        problem, tolerance_mm=max(problem.tolerance_mm, SETTINGS.sensitivities.secant_step_mm)
-    )
+    problem = inverse.forward.loosened(problem, SETTINGS.sensitivities.secant_step_mm)
     tried = SETTINGS.sensitivities.secant_magnitudes if len(effect.names) == 1 else (1.0,)
     places, start = [], view.at
     for share in tried:
@@ -152,7 +149,7 @@ def _secants(
         for name, sd in zip(effect.names, effect.prior_sd, strict=True):
             step = share * sd
             changed = effect.apply(problem, {name: effect.neutral[name] + step}, inverse.frame)
-            found = equilibrium(inverse.model, changed, start)
+            found = inverse.forward.equilibrium(inverse.model, changed, start)
             if not found.solution.outcome.converged:
                 return None
             if len(effect.names) == 1:

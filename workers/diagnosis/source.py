@@ -7,11 +7,13 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from storage.values import Volume
+from workers.comparison.observation.noise import SegmentationNoise
 from workers.diagnosis.acquisition import Acquisition
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.pictures.scan_pictures import Displacements
 from workers.diagnosis.summary import Summary
+from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.model import Model
 
@@ -45,23 +47,24 @@ class FinishedStudy:
     Parameters
     ----------
     name : str
-    case, target : mapping
+    case, target, score : mapping
         As the study states them.
     parameters : mapping of str to (float, float)
         Searched intervals, names and units of the door.
     best : mapping of str to float
         Searched parameters of the best candidate, the same; empty if there is none.
-    reference, deformed : Volume
-        Labels at rest, and those to be explained.
+    reference, deformed
+        The body at rest and the one to be explained, as its organ has it.
     """
 
     name: str
     case: Mapping[str, Any]
     target: Mapping[str, Any]
+    score: Mapping[str, Any]
     parameters: Mapping[str, Any]
     best: Mapping[str, float]
-    reference: Volume
-    deformed: Volume
+    reference: Any
+    deformed: Any
 
 
 class HasContent(Protocol):
@@ -90,6 +93,14 @@ class Source(HasContent, Protocol):
     @property
     def scans(self) -> Sequence[str]:
         """Names of the loaded states, in order."""
+
+    @property
+    def compressions(self) -> Mapping[str, Compression]:
+        """How plates press the body, by loaded state; empty where there are no plates."""
+
+    @property
+    def noise(self) -> SegmentationNoise | None:
+        """The error of its interfaces as stated or usual; None where it has another form."""
 
     @property
     def effects(self) -> Sequence[Effect]:

@@ -228,8 +228,9 @@ def _constants(diagnosis: Diagnosis) -> dict[str, ConstantEstimate]:
     before = diagnosis.analysis.nominal.values()
     after = diagnosis.best.fit.values() if diagnosis.best is not None else {}
     return {
-        f"{free.name}_kpa": ConstantEstimate(
-            1e3 * before[free.name], 1e3 * after[free.name] if free.name in after else None
+        free.unit.name_at_door(free.name): ConstantEstimate(
+            free.unit.to_door(before[free.name]),
+            free.unit.to_door(after[free.name]) if free.name in after else None,
         )
         for free in diagnosis.analysis.inverse.free
     }

@@ -322,6 +322,10 @@ class Summary:
         If further measurements were planned.
     noise : tuple of InterfaceNoise, optional
         Of the segmentation, where it is learnt.
+    surfaces, compared : tuple of str, str
+        The interfaces, and where their points lie, in words.
+    not_simulated : optional
+        Causes that no effect stands for, and why; those of a breast where it is None.
     """
 
     case: str
@@ -348,6 +352,9 @@ class Summary:
     predictions: tuple[PredictedState, ...] | None = None
     next_acquisitions: tuple[NextAcquisition, ...] | None = None
     noise: tuple[InterfaceNoise, ...] | None = None
+    surfaces: tuple[str, ...] = ("outline", "glandular")
+    compared: str = "the outline and on the boundary of the glandular tissue"
+    not_simulated: tuple[tuple[str, str], ...] | None = None
 
     def effect(self, name: str) -> EffectSummary:
         """Return what is known of one effect.

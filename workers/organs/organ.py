@@ -11,11 +11,13 @@ displacements. What it is called in a store and what of it is kept there is deci
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from numpy.typing import NDArray
 
+from storage.task_records import FreeParameter
 from storage.values import FloatArray, Volume
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.parameters import Vocabulary
@@ -70,6 +72,45 @@ class Scorer(Protocol[Compared]):
 
     def score(self, body: Compared, /) -> Score:
         """Compare a body with the target."""
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """How far the interfaces of a simulated body are from those of the image.
+
+    Parameters
+    ----------
+    mm : ndarray, shape (m,)
+        Signed distances.
+    whitened : ndarray, shape (m,)
+        The same divided by their noise: of unit variance, independent.
+    tangents : ndarray, shape (m, p)
+        Derivatives of `whitened` by the free parameters: by their logarithms where `logarithmic`.
+    noise : str
+        What they were divided by, in words.
+    """
+
+    mm: FloatArray
+    whitened: FloatArray
+    tangents: FloatArray
+    noise: str
+
+
+class Fitted(Protocol):
+    """A solution with its residuals."""
+
+    @property
+    def solution(self) -> Solution:
+        """The displacement."""
+
+    @property
+    def residuals(self) -> Residuals | None:
+        """None where the solution did not converge."""
+
+
+def logarithmic(parameter: FreeParameter) -> bool:
+    """Return whether a parameter is fitted as its logarithm: where it cannot be zero."""
+    return parameter["lower"] > 0
 
 
 class Organ(Protocol[Body, Mesh, Model]):
@@ -212,6 +253,40 @@ class Organ(Protocol[Body, Mesh, Model]):
 
     def solve(self, model: Model, problem: Any) -> Solution:
         """Deform the body; not to converge is an ordinary outcome."""
+
+    @property
+    def no_derivatives(self) -> str:
+        """Why constants cannot be fitted by derivatives, as a sentence; empty where they can."""
+
+    def coarse(self, body: Body, spacing_mm: float) -> Body:
+        """Return a body in coarser voxels, to be fitted first; itself where it is as coarse."""
+
+    def coarse_case(self, case: Any, nodes: int) -> CaseSpec:
+        """Return the case with a mesh of about so many nodes."""
+
+    def observation(self, body: Body, mesh: Mesh, target: Body, imaged: bool) -> Any:
+        """Return what residuals need of body and target; kept by a process for all candidates.
+
+        Parameters
+        ----------
+        imaged : bool
+            Whether the target is an image; else it was simulated.
+        """
+
+    def fit(
+        self,
+        model: Model,
+        case: Any,
+        constants: Mapping[str, float],
+        free: Sequence[FreeParameter],
+        landmarks: Any,
+        target_landmarks: Any | None,
+        observation: Any,
+    ) -> Fitted:
+        """Deform the body, and differentiate its residuals by the free parameters.
+
+        The same displacement as that of `solve` for the same problem.
+        """
 
     def deform(
         self, body: Body, mesh: Mesh, displacement_mm: FloatArray, target: Body | None = None

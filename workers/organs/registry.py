@@ -3,12 +3,16 @@
 A result of one organ therefore does not depend on the code of another.
 """
 
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from storage.errors import InputError
 from workers.mechanics.parameters import unknown_name
 from workers.organs.organ import Organ
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # The module of each organ; it holds the object ORGAN.
 MODULES = {
@@ -16,6 +20,29 @@ MODULES = {
     "cornea": "workers.organs.cornea.organ",
 }
 DEFAULT = "breast"
+# What is said of a fitted body beside its constants, where an organ has something to say.
+FINDINGS = {"cornea": "workers.organs.cornea.findings"}
+
+
+class Findings(Protocol):
+    """Says what a fitted body tells, and draws it and the images it was read from."""
+
+    def findings(
+        self, model: Any, case: Any, constants: Mapping[str, float], landmarks: Any, score: Any
+    ) -> dict[str, Any]:
+        """Return ``notes``, sentences for a reader, and ``numbers``, plain; maybe nothing."""
+
+    def figures(
+        self, spec: Any, bodies: Sequence[Any], findings: Mapping[str, Any]
+    ) -> Iterable[tuple["Figure", str]]:
+        """Return figures of a study, each with its caption; of bodies some may be None."""
+
+
+def findings_of(organ: str) -> Findings | None:
+    """Return what says more of a fitted body; None for an organ without."""
+    name = FINDINGS.get(organ)
+    module: Any = None if name is None else import_module(name)
+    return module
 
 
 def organ_module(name: str) -> str:

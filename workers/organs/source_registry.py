@@ -18,10 +18,11 @@ MODULES = {
     "scanned case": "workers.organs.breast.case_source",
     "planned case": "workers.organs.breast.case_source",
     "breast study": "workers.organs.breast.study_source",
+    "cornea study": "workers.organs.cornea.study_source",
     "specimen": "workers.organs.specimen.source",
 }
 # The kind of source that a study of an organ is.
-STUDIES = {"breast": "breast study"}
+STUDIES = {"breast": "breast study", "cornea": "cornea study"}
 # Modules that read sources from files, each with an object READER.
 READERS = ("workers.organs.breast.case_files", "workers.organs.specimen.experiment_files")
 

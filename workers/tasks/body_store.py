@@ -123,6 +123,29 @@ class BodyStore:
         what = f"scorer {spec.model_dump_json()} {threading.get_ident()}"
         return self._cached(what, target, lambda: self.organ.scorer(self.body(target), spec))
 
+    def coarse(self, name: str, spacing_mm: float) -> str:
+        """Return the digest of a stored body in coarser voxels; its own where it is as coarse."""
+        request = self._request("coarse body", name, spacing_mm)
+
+        def make() -> str:
+            body = self.body(name)
+            coarse = self.organ.coarse(body, spacing_mm)
+            if coarse is body:
+                return name
+            return self.add(coarse, {"kind": volume_meta(self.store, name).get("kind", "image")})
+
+        return self._made(request, self.has_body, make)
+
+    def observation(self, body: str, mesh: str, target: str) -> Any:
+        """Return what residuals need of a body and its target."""
+        return self._cached(
+            f"observation {body} {mesh}",
+            target,
+            lambda: self.organ.observation(
+                self.body(body), self.mesh(mesh), self.body(target), self.imaged(target)
+            ),
+        )
+
     def imaged(self, name: str) -> bool:
         """Return whether a stored body comes from an image rather than from a simulation."""
         return volume_meta(self.store, name).get("kind") not in ("simulated", "evaluation")
@@ -133,6 +156,7 @@ class BodyStore:
         prepared: Mapping[str, str],
         target: str | None = None,
         score: ScoreSpec | None = None,
+        observed: bool = False,
     ) -> Setup:
         """Return what an evaluation needs beside the constants.
 
@@ -145,6 +169,8 @@ class BodyStore:
             Digest of the body to be explained.
         score : ScoreSpec, optional
             How it is compared; not at all by default.
+        observed : bool
+            Whether residuals are wanted too.
         """
         body, mesh = prepared["volume"], prepared["mesh"]
         imaged = target is not None and self.imaged(target)
@@ -158,6 +184,7 @@ class BodyStore:
             target=None if target is None else self.body(target),
             target_landmarks=self.landmarks(target, case) if target and imaged else None,
             scorer=None if target is None or score is None else self.scorer(target, score),
+            observation=self.observation(body, mesh, target) if target and observed else None,
         )
 
     def _stored(self, given: str, spec: Door) -> str:

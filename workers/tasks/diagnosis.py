@@ -79,7 +79,10 @@ def calibrate_nominal(request: DiagnosisRequest) -> CalibrationRecord:
         } | noise_arrays(inverse)
         record = CalibrationRecord(
             points=len(inverse.points),
-            constants_kpa={name: 1e3 * value for name, value in fit.values().items()},
+            constants={
+                f.unit.name_at_door(f.name): f.unit.to_door(fit.values()[f.name])
+                for f in inverse.free
+            },
             scans=len(inverse.scans),
             cost=fit.cost,
             converged=fit.converged,

@@ -79,7 +79,7 @@ class CalibrationRecord:
     """
 
     points: int
-    constants_kpa: Mapping[str, float]
+    constants: Mapping[str, float]
     scans: int
     cost: float
     converged: bool

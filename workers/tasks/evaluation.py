@@ -4,6 +4,7 @@
 
     prepare_case    a case                       > body and mesh in the store
     make_target     a case and a target          > the deformed body to be explained
+    prepare_level   a body and its target        > both in coarser voxels, and a coarser mesh
     evaluate        a candidate                  > field, score and record in the store
     keep_volume     an evaluation that is done   > its deformed body in the store
     score_bodies    two stored bodies            > the score of each part
@@ -14,7 +15,7 @@ only load and save: `workers.tasks.pipeline` says what happens in between. Const
 these records have inside names and units, ``{"E_fat": 0.01}``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,9 @@ from storage.stores import Store, open_store
 from storage.task_records import (
     EvaluationRequest,
     EvaluationResult,
+    FreeParameter,
     PreparedBody,
+    PreparedLevel,
     PreparedTarget,
     Scores,
     SpecJson,
@@ -85,6 +88,29 @@ def prepare_case(case: SpecJson, store: str) -> PreparedBody:
     mesh, facts = bodies.bring_mesh(body, spec)
     organ.check(spec, bodies.body(body), facts)
     return {"volume": body, "mesh": mesh, "facts": facts}
+
+
+def prepare_level(
+    case: SpecJson, prepared: PreparedBody, target: str, spacing_mm: float, nodes: int, store: str
+) -> PreparedLevel:
+    """Bring body and target in coarser voxels, and a mesh of fewer nodes, into the store.
+
+    Raises
+    ------
+    InputError
+        If the body cannot be meshed so coarsely.
+    """
+    organ = case_organ(case)
+    spec = organ.coarse_case(case_of(case), nodes)
+    bodies = BodyStore(open_store(store), organ)
+    body = bodies.coarse(prepared["volume"], spacing_mm)
+    coarse_target = bodies.coarse(target, spacing_mm)
+    mesh, facts = bodies.bring_mesh(body, spec)
+    return {
+        "case": spec.model_dump(mode="json"),
+        "prepared": {"volume": body, "mesh": mesh, "facts": facts},
+        "target": coarse_target,
+    }
 
 
 def make_target(case: SpecJson, target: SpecJson, store: str) -> PreparedTarget:
@@ -179,13 +205,18 @@ def evaluate(request: EvaluationRequest) -> EvaluationResult:
         return done
     values = spec.complete(request["constants"])
     watch = Watch()
+    free = request.get("free") or []
     with watch.stage("load"):
-        setup = bodies.setup(spec, _digests(request["prepared"]), request["target"], score)
-    evaluation = pipeline.evaluate(setup, values, watch)
+        setup = bodies.setup(
+            spec, _digests(request["prepared"]), request["target"], score, observed=bool(free)
+        )
+    evaluation = pipeline.evaluate(setup, values, watch, free)
     if request.get("keep_volume") and evaluation.deformed is not None:
         _save_body(bodies, name, evaluation.deformed, values)
     result = _result(name, values, evaluation.solution, watch)
     result["score"] = evaluation.scores
+    if free:
+        result["fit"] = evaluation.fit
     result = _save(bodies.store, result, evaluation.solution)
     result["reused"] = False
     return result
@@ -197,12 +228,14 @@ def evaluation_digest(
     target: str,
     constants: Mapping[str, float],
     score: SpecJson | None = None,
+    free: Sequence[FreeParameter] = (),
 ) -> str:
     """Return the name of an evaluation: all that its result depends on, the code included."""
     spec = case_of(case)
     how = validated(case_organ(case).score_spec, score or {}, "The score")
     parts = _dependencies(spec, prepared, spec.complete(constants))
-    return digest("evaluation", *parts, target, how.model_dump(mode="json"))
+    more = [list(free)] if free else []
+    return digest("evaluation", *parts, target, how.model_dump(mode="json"), *more)
 
 
 def keep_volume(request: EvaluationRequest) -> str:
@@ -272,6 +305,7 @@ def _checked_digest(request: EvaluationRequest) -> str:
         request["target"],
         request["constants"],
         request.get("score"),
+        request.get("free") or (),
     )
     if request.get("digest", name) != name:
         raise StoreError(

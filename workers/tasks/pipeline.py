@@ -5,12 +5,15 @@ saves what comes out.
 """
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from workers.organs.organ import Organ, Scorer, Scores, Solution
+import numpy as np
+
+from storage.task_records import FitJson, FreeParameter
+from workers.organs.organ import Organ, Residuals, Scorer, Scores, Solution, logarithmic
 from workers.spec import CaseSpec
 
 
@@ -32,6 +35,8 @@ class Setup:
         Of an imaged target; None for a simulated one.
     scorer : Scorer or None
         Compares deformed bodies with the target.
+    observation
+        What residuals need of body and target; None where they are not asked for.
     """
 
     organ: Organ[Any, Any, Any]
@@ -43,6 +48,7 @@ class Setup:
     target: Any | None
     target_landmarks: Any | None
     scorer: Scorer[Any] | None
+    observation: Any | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +62,14 @@ class Evaluation:
         The deformed body; None if the simulation diverged.
     scores : dict or None
         ``jc``, ``mhd_mm``, ``mhd_voxels``, ``gsf``; None if it diverged or is not compared.
+    fit : dict or None
+        Its least-squares problem; None if it diverged or is not asked for.
     """
 
     solution: Solution
     deformed: Any | None
     scores: Scores | None
+    fit: FitJson | None = None
 
 
 class Watch:
@@ -80,7 +89,12 @@ class Watch:
             self.seconds[name] = self.seconds.get(name, 0.0) + spent
 
 
-def evaluate(setup: Setup, constants: Mapping[str, float], watch: Watch) -> Evaluation:
+def evaluate(
+    setup: Setup,
+    constants: Mapping[str, float],
+    watch: Watch,
+    free: Sequence[FreeParameter] = (),
+) -> Evaluation:
     """Simulate one candidate and compare it with the target.
 
     Parameters
@@ -90,19 +104,53 @@ def evaluate(setup: Setup, constants: Mapping[str, float], watch: Watch) -> Eval
         Every parameter, inside names and units; see `CaseSpec.complete`.
     watch : Watch
         Is told the seconds of the stages ``solve``, ``deform`` and ``score``.
+    free : sequence of FreeParameter
+        Parameters by which residuals are differentiated.
     """
     organ = setup.organ
+    fit: FitJson | None = None
     with watch.stage("solve"):
-        problem = organ.problem(
-            setup.model, setup.case, constants, setup.landmarks, setup.target_landmarks
-        )
-        solution = organ.solve(setup.model, problem)
+        if free:
+            fitted = organ.fit(
+                setup.model,
+                setup.case,
+                constants,
+                free,
+                setup.landmarks,
+                setup.target_landmarks,
+                setup.observation,
+            )
+            solution = fitted.solution
+            if fitted.residuals is not None:
+                fit = _normal_equations(fitted.residuals, constants, free)
+        else:
+            problem = organ.problem(
+                setup.model, setup.case, constants, setup.landmarks, setup.target_landmarks
+            )
+            solution = organ.solve(setup.model, problem)
     if not solution.outcome.converged:
         return Evaluation(solution, None, None)
     with watch.stage("deform"):
         deformed = organ.deform(setup.body, setup.mesh, solution.displacement_mm, setup.target)
     if setup.scorer is None:
-        return Evaluation(solution, deformed, None)
+        return Evaluation(solution, deformed, None, fit)
     with watch.stage("score"):
         scores = setup.scorer.score(deformed).as_dict()
-    return Evaluation(solution, deformed, scores)
+    return Evaluation(solution, deformed, scores, fit)
+
+
+def _normal_equations(
+    residuals: Residuals, constants: Mapping[str, float], free: Sequence[FreeParameter]
+) -> FitJson:
+    r, jacobian = residuals.whitened, residuals.tangents
+    return {
+        "parameters": [p["name"] for p in free],
+        "logarithmic": [logarithmic(p) for p in free],
+        "values": [float(constants[p["name"]]) for p in free],
+        "residuals": len(r),
+        "rms_mm": float(np.sqrt(np.mean(residuals.mm**2))),
+        "cost": float(r @ r),
+        "gradient": [float(v) for v in jacobian.T @ r],
+        "hessian": [[float(v) for v in row] for row in jacobian.T @ jacobian],
+        "noise": residuals.noise,
+    }

@@ -14,6 +14,7 @@ import yaml
 from storage.digest import array_digest, digest
 from storage.errors import InputError
 from storage.plain import dumps, loads, to_plain
+from workers.body.mesh.node_count import check_node_count_of
 from workers.diagnosis.source import HasContent, PlannedSource, Source, SourceContent
 from workers.organs.source_registry import Reader, planned_source_of, readers, source_of
 from workers.tasks.studies import is_study, open_study
@@ -156,6 +157,19 @@ def open_planned(path: Path) -> PlannedSource:
         f"{path} cannot be planned: expected a folder with case.json or case.yaml and its "
         "reference scan, or the folder of a study that has run."
     )
+
+
+def check_nodes(nodes: int, source: HasContent) -> None:
+    """Refuse a mesh that is too coarse for a scanned body, before anything is sent to workers.
+
+    Raises
+    ------
+    InputError
+        See `workers.body.mesh.node_count.check_node_count`.
+    """
+    reference = source.content.volumes.get("reference")
+    if reference is not None:
+        check_node_count_of(nodes, reference)
 
 
 def add_source(source: HasContent, store: TaskStore) -> SourceName:

@@ -9,10 +9,10 @@ from storage.layout import StudyLayout
 from storage.records import EvaluationRecord, SessionRecord, StudyRecord, record_of
 from storage.status import Status
 from storage.stores import open_store
-from storage.volumes import load_volume
 from workers.diagnosis.source import FinishedStudy
-from workers.organs.registry import DEFAULT
+from workers.organs.registry import DEFAULT, organ_named
 from workers.organs.source_registry import StudySource, source_of_study
+from workers.tasks.body_store import BodyStore
 
 
 def is_study(folder: Path) -> bool:
@@ -49,17 +49,19 @@ def open_study(folder: Path) -> StudySource:
         )
     spec = studies[0].spec
     prepared, target = sessions[-1].prepared["volume"], sessions[-1].target["target"]
-    store = open_store(sessions[-1].store)
+    organ = spec["case"].get("organ", DEFAULT)
+    bodies = BodyStore(open_store(sessions[-1].store), organ_named(organ))
     study = FinishedStudy(
         name=spec["name"],
         case=spec["case"],
         target=spec["target"],
+        score=spec["score"],
         parameters=spec["search"]["parameters"],
         best=_best_genes(evaluations),
-        reference=load_volume(store, prepared),
-        deformed=load_volume(store, target),
+        reference=bodies.body(prepared),
+        deformed=bodies.body(target),
     )
-    return source_of_study(spec["case"].get("organ", DEFAULT), study)
+    return source_of_study(organ, study)
 
 
 def _best_genes(records: Iterable[EvaluationRecord]) -> Mapping[str, float]:

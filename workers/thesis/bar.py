@@ -7,6 +7,7 @@ and F4 along -y and y. This is the reading under which the deformations that the
 numbers 1 to 8, from best to worst, are further and further from the gold one.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,8 +49,12 @@ DEFORMATIONS: dict[int, tuple[str, tuple[tuple[float, float], ...]]] = {
 # From best to worst; within a group the thesis does not rank.
 GROUPS: tuple[tuple[int, ...], ...] = ((1, 2), (3, 4), (5, 6, 7), (8,))
 
-NODES = {"reduced": 3_000, "full": 30_000}
-VOXEL_MM = {"reduced": 1.0, "full": 0.5}
+NODES: dict[Scale, int] = {"sketch": 600, "reduced": 3_000, "full": 30_000}
+VOXEL_MM: dict[Scale, float] = {"sketch": 2.0, "reduced": 1.0, "full": 0.5}
+
+
+# Displacement of the nodes in mm, and how the simulation ended.
+Bent = tuple[FloatArray, Outcome]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +109,7 @@ class BarExperiment:
 
     Parameters
     ----------
-    scale : {"reduced", "full"}
+    scale : {"sketch", "reduced", "full"}
     nodes : int
         Of the finest mesh.
     voxel_mm : float
@@ -138,7 +143,7 @@ def make_bar(scale: Scale) -> Bar:
     return Bar(hierarchy.finest.mesh, prepare(hierarchy), voxels)
 
 
-def bend(bar: Bar, force_n: Triple, material: Constants = GEL) -> tuple[FloatArray, Outcome]:
+def bend(bar: Bar, force_n: Triple, material: Constants = GEL) -> Bent:
     """Load the free end of the bar by a force that keeps its direction.
 
     Parameters
@@ -176,8 +181,8 @@ def bar_experiment(scale: Scale = "reduced", surface: Surface = "boundary") -> B
 
     Parameters
     ----------
-    scale : {"reduced", "full"}
-        3,000 nodes and 1 mm voxels, or 30,000 nodes and 0.5 mm voxels.
+    scale : {"sketch", "reduced", "full"}
+        600, 3,000 or 30,000 nodes; voxels of 2, 1 or 0.5 mm.
     surface : {"boundary", "all"}
         See `workers.comparison.coefficients.coefficients.coefficients`.
 
@@ -187,19 +192,35 @@ def bar_experiment(scale: Scale = "reduced", surface: Surface = "boundary") -> B
         If the scale is unknown, or the gold deformation does not converge.
     """
     bar = make_bar(scale)
-    displacement, outcome = bend(bar, force_of(0))
+    bent = {number: bend(bar, force_of(number)) for number in (0, *DEFORMATIONS)}
+    return compared_bars(scale, bar, bent, surface)
+
+
+def compared_bars(
+    scale: Scale, bar: Bar, bent: Mapping[int, Bent], surface: Surface = "boundary"
+) -> BarExperiment:
+    """Compare bars that are bent already: number 0 is the gold one, 1 to 8 the others.
+
+    Raises
+    ------
+    InputError
+        If the gold deformation did not converge.
+    """
+    displacement, outcome = bent[0]
     if not outcome.converged:
         raise InputError(f"The gold deformation of the bar does not converge: {outcome.reason}.")
     gold = warp_labels(bar.voxels, bar.mesh, displacement)
-    rows = tuple(bar_row(bar, gold, number, surface) for number in DEFORMATIONS)
+    rows = tuple(bar_row(bar, gold, number, bent[number], surface) for number in DEFORMATIONS)
     tip = _tip(bar, displacement)
     return BarExperiment(scale, len(bar.mesh.nodes), VOXEL_MM[scale], tip, rows)
 
 
-def bar_row(bar: Bar, gold: Volume, number: int, surface: Surface = "boundary") -> BarRow:
-    """Simulate wrong deformation `number` and compare it with the voxels of the gold one."""
+def bar_row(
+    bar: Bar, gold: Volume, number: int, bent: Bent, surface: Surface = "boundary"
+) -> BarRow:
+    """Compare wrong deformation `number` with the voxels of the gold one."""
     force = force_of(number)
-    displacement, outcome = bend(bar, force)
+    displacement, outcome = bent
     compared = None
     if outcome.converged:
         wrong = warp_labels(bar.voxels, bar.mesh, displacement, gold)

@@ -184,7 +184,7 @@ def compression_row(
     phantom = thesis_phantom(number, scale)
     materials = two_materials(phantom.labels)
     adaptive, homogeneous = (
-        compress(phantom, mesh_of(materials, kind), view, law)
+        compress(phantom, mesh_of(materials, kind, scale), view, law)
         for kind in ("adaptive", "homogeneous")
     )
     return compared(number, view, law, adaptive, homogeneous)

@@ -15,7 +15,7 @@ from workers.thesis.mesh_quality import mesh_of
 from workers.thesis.phantoms import thesis_phantom, two_materials
 from workers.thesis.scale import Scale
 
-PIXEL_MM = {"reduced": 0.3, "full": 0.2}
+PIXEL_MM: dict[Scale, float] = {"sketch": 0.8, "reduced": 0.3, "full": 0.2}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def mammogram_experiment(
     phantom = thesis_phantom(number, scale)
     materials = two_materials(phantom.labels)
     adaptive, homogeneous = (
-        compress(phantom, mesh_of(materials, kind), view, law)
+        compress(phantom, mesh_of(materials, kind, scale), view, law)
         for kind in ("adaptive", "homogeneous")
     )
     return mammogram_pair(adaptive, homogeneous, view, PIXEL_MM[scale], beam=beam, seed=seed)

@@ -7,16 +7,19 @@ from typing import Literal, get_args
 import numpy as np
 
 from storage.errors import InputError
-from storage.values import Tissue, Volume
+from storage.values import BoolArray, FloatArray, TetMesh, Tissue, Volume
 from workers.body.mesh.adaptive.agreement import Agreement, agreement
 from workers.body.mesh.adaptive.nested import adaptive_hierarchy
 from workers.body.mesh.adaptive.sizing import Sizes
+from workers.body.mesh.adaptive.tetwild import tetwild_mesh
 from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
 from workers.body.mesh.quality import measures, summarise
 from workers.thesis.phantoms import thesis_phantom, two_materials
-from workers.thesis.scale import Scale
+from workers.thesis.scale import Scale, check_scale
 
-MeshKind = Literal["adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm", "homogeneous"]
+MeshKind = Literal[
+    "adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm", "homogeneous", "fTetWild"
+]
 KINDS: tuple[MeshKind, ...] = get_args(MeshKind)
 # Smallest cells of each adaptive mesh in mm. The first resolves ligaments of 0.6 mm
 # between glandular compartments; edges reach from half of it to 5 mm.
@@ -29,6 +32,11 @@ SMALLEST_MM: dict[MeshKind, float] = {
 # 425,000 tetrahedra in 250 ml, 12 to a cell: 0.588 mm3 each (thesis section 4.4.3).
 HOMOGENEOUS_CELL_MM = float(np.cbrt(12 * 250_000 / 425_000))
 MEASURES = ("M1", "M2", "M3", "M4", "aspect")
+# Of the histograms: the measures lie between 0 and 1, aspect ratios from 10 on are bad.
+BINS = 40
+RANGES = {name: (1.0, 10.0) if name == "aspect" else (0.0, 1.0) for name in MEASURES}
+# Cells of a sketch are so many times as large.
+COARSER: dict[Scale, float] = {"sketch": 3.0, "reduced": 1.0, "full": 1.0}
 
 
 @dataclass(frozen=True)
@@ -52,6 +60,8 @@ class QualityRow:
         Tetrahedra of aspect ratio 10 or more.
     agreement : Agreement
         With the voxels of the phantom.
+    histograms : dict of str to tuple of int
+        Tetrahedra in `BINS` equal bins of `RANGES`; what lies outside is in the end bins.
     """
 
     phantom: int
@@ -64,6 +74,7 @@ class QualityRow:
     worst_aspect: float
     bad: int
     agreement: Agreement
+    histograms: dict[str, tuple[int, ...]]
 
 
 @dataclass(frozen=True)
@@ -75,21 +86,29 @@ class AspectRow:
     worst: float
 
 
-def mesh_of(materials: Volume, kind: MeshKind) -> Hierarchy:
-    """Mesh a phantom of two materials.
+def mesh_of(materials: Volume, kind: MeshKind, scale: Scale = "reduced") -> Hierarchy:
+    """Mesh a phantom of two materials for the solver.
 
     Raises
     ------
     InputError
-        If the kind is unknown.
+        If the kind is unknown, or has no coarser meshes.
     """
-    if kind not in KINDS:
-        raise InputError(f"A mesh is one of {', '.join(KINDS)}; got {kind!r}.")
+    if kind not in KINDS or kind == "fTetWild":
+        known = ", ".join(k for k in KINDS if k != "fTetWild")
+        raise InputError(f"A mesh for the solver is one of {known}; got {kind!r}.")
     if kind == "homogeneous":
-        return build_hierarchy(materials, element_size_mm=HOMOGENEOUS_CELL_MM)
-    smallest = SMALLEST_MM[kind]
-    skin, largest = max(2.5, smallest), 5.0
+        size = HOMOGENEOUS_CELL_MM * COARSER[scale]
+        return build_hierarchy(materials, element_size_mm=size)
+    smallest = SMALLEST_MM[kind] * COARSER[scale]
+    skin, largest = max(2.5, smallest), max(5.0, smallest)
     return adaptive_hierarchy(materials, Sizes(smallest, skin_mm=skin, largest_mm=largest))
+
+
+def kinds_at(scale: Scale, *, other_mesher: bool) -> tuple[MeshKind, ...]:
+    """Kinds that are measured at a scale; the coarsest cells do not fit a sketch."""
+    large = {"sketch": ("adaptive 2 mm", "adaptive 3 mm"), "reduced": (), "full": ()}[scale]
+    return tuple(k for k in KINDS if k not in large and (other_mesher or k != "fTetWild"))
 
 
 def quality_row(number: int, kind: MeshKind, scale: Scale = "reduced") -> QualityRow:
@@ -101,21 +120,38 @@ def quality_row(number: int, kind: MeshKind, scale: Scale = "reduced") -> Qualit
         1 to 10.
     kind : str
         See `KINDS`.
-    scale : {"reduced", "full"}
-        Of the phantom; cells are the same at both.
+    scale : {"sketch", "reduced", "full"}
+        Of the phantom; cells are the same but for a sketch.
 
     Raises
     ------
     InputError
-        If the number, the kind or the scale is unknown.
+        If the number, the kind or the scale is unknown, or another mesher is not installed.
     """
+    check_scale(scale)
     materials = two_materials(thesis_phantom(number, scale).labels)
     started = time.perf_counter()
-    hierarchy = mesh_of(materials, kind)
+    if kind == "fTetWild":
+        size = SMALLEST_MM["adaptive 1 mm"] * COARSER[scale]
+        made = tetwild_mesh(materials, size)
+        mesh, inside = made.mesh, made.inside
+    else:
+        finest = mesh_of(materials, kind, scale).finest
+        mesh, inside = finest.mesh, finest.fractions[:, Tissue.GLANDULAR] > 0.5
     seconds = time.perf_counter() - started
-    finest = hierarchy.finest
-    summary, measured = summarise(finest.mesh), measures(finest.mesh)
-    inside = finest.fractions[:, Tissue.GLANDULAR] > 0.5
+    return row_of(number, kind, mesh, inside, materials, seconds)
+
+
+def row_of(
+    number: int,
+    kind: MeshKind,
+    mesh: TetMesh,
+    inside: BoolArray,
+    materials: Volume,
+    seconds: float,
+) -> QualityRow:
+    """Measure the tetrahedra of a mesh, of which `inside` are glandular."""
+    summary, measured = summarise(mesh), measures(mesh)
     return QualityRow(
         phantom=number,
         kind=kind,
@@ -126,8 +162,14 @@ def quality_row(number: int, kind: MeshKind, scale: Scale = "reduced") -> Qualit
         m5=summary["M5"],
         worst_aspect=summary["aspect"]["max"],
         bad=summary["bad"],
-        agreement=agreement(finest.mesh, inside, materials),
+        agreement=agreement(mesh, inside, materials),
+        histograms={name: _histogram(measured[name], RANGES[name]) for name in MEASURES},
     )
+
+
+def _histogram(values: FloatArray, limits: tuple[float, float]) -> tuple[int, ...]:
+    counts, _ = np.histogram(np.clip(values, *limits), BINS, limits)
+    return tuple(int(n) for n in counts)
 
 
 def aspect_rows(rows: tuple[QualityRow, ...]) -> tuple[AspectRow, ...]:

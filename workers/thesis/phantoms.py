@@ -24,6 +24,16 @@ REDUCED = BreastPhantom(
     spacing_mm=0.3,
 )
 
+# The same body in coarse voxels.
+SKETCH = replace(REDUCED, spacing_mm=1.0)
+SETTINGS: dict[Scale, BreastPhantom] = {"sketch": SKETCH, "reduced": REDUCED, "full": FULL}
+# Those that an experiment takes: a sketch one for the first five, and one for the others.
+NUMBERS: dict[Scale, tuple[int, ...]] = {
+    "sketch": (3, 8),
+    "reduced": tuple(range(1, COUNT + 1)),
+    "full": tuple(range(1, COUNT + 1)),
+}
+
 
 def density_of(number: int) -> float:
     """Glandular fraction of phantom `number`, 1 to 10: evenly from 7 to 35 %."""
@@ -39,7 +49,7 @@ def thesis_phantom(number: int, scale: Scale = "reduced") -> Phantom:
     ----------
     number : int
         1 to 10, from the sparsest to the densest.
-    scale : {"reduced", "full"}
+    scale : {"sketch", "reduced", "full"}
 
     Raises
     ------
@@ -47,8 +57,7 @@ def thesis_phantom(number: int, scale: Scale = "reduced") -> Phantom:
         If the number or the scale is unknown.
     """
     check_scale(scale)
-    settings = FULL if scale == "full" else REDUCED
-    return generate_breast(replace(settings, glandular_fraction=density_of(number)), number)
+    return generate_breast(replace(SETTINGS[scale], glandular_fraction=density_of(number)), number)
 
 
 def two_materials(labels: Volume) -> Volume:

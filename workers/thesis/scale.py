@@ -4,17 +4,18 @@ from typing import Literal
 
 from storage.errors import InputError
 
-Scale = Literal["reduced", "full"]
-SCALES: tuple[Scale, ...] = ("reduced", "full")
+# A sketch takes a minute and shows what comes out; its numbers mean little.
+Scale = Literal["sketch", "reduced", "full"]
+SCALES: tuple[Scale, ...] = ("sketch", "reduced", "full")
 
 
 def check_scale(scale: str) -> None:
-    """Refuse what is neither the reduced nor the full scale.
+    """Refuse what is no scale.
 
     Raises
     ------
     InputError
-        If `scale` is neither.
+        If `scale` is none of `SCALES`.
     """
     if scale not in SCALES:
-        raise InputError(f"The scale is 'reduced' or 'full', got {scale!r}.")
+        raise InputError(f"The scale is 'sketch', 'reduced' or 'full', got {scale!r}.")

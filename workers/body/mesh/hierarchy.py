@@ -12,12 +12,12 @@ from storage.errors import InputError
 from storage.values import IntArray, TetMesh, Volume
 from workers.body.mesh.boundary import boundary_triangles, split_boundary
 from workers.body.mesh.generate import FittedMesh, fitted_mesh
+from workers.body.mesh.node_count import FEWEST_CELLS
 from workers.body.mesh.outline import Outline, outline_of
 from workers.body.mesh.prolongation import prolongation
 from workers.body.mesh.tissue_fractions import majority_fractions, volume_fractions
 
 STEPS_PER_CELL = 3.5  # samples of the outline along one lattice cell
-FEWEST_CELLS = 4  # across the body's shortest side, for the finest mesh
 COARSEST_CELL = 0.43  # of the body's shortest side
 RATIO = 2.3  # wanted ratio of cell sizes between levels
 LEAST_RATIO = 1.4  # closer levels are not worth their work

@@ -39,7 +39,7 @@ SAME_GLAND = 0.5
 CELLS = (32, 16)
 
 
-class _Scan(NamedTuple):
+class Scan(NamedTuple):
     file: str
     force_n: float | None
     axis: Triple
@@ -65,22 +65,22 @@ def check_case(case: ScannedCase) -> None:
         _check_repeat(case.reference, case.repeat, case.file.scans.reference_repeat)
     for scan in scans:
         _check_tissue(scan)
-    _check_labels(scans[0])
+    check_outline(scans[0])
     for scan in scans[1:]:
-        _check_volume(scans[0], scan)
-        _check_place(scans[0], scan)
-        _check_shares(scans[0], scan)
-        _check_side(scans[0], scan)
+        check_volume(scans[0], scan)
+        check_place(scans[0], scan)
+        check_shares(scans[0], scan)
+        check_side(scans[0], scan)
     _check_loads(scans)
 
 
-def _scans(case: ScannedCase) -> Iterator[_Scan]:
-    yield _Scan(case.file.scans.reference, 0.0, ALONG_Y, case.reference)
+def _scans(case: ScannedCase) -> Iterator[Scan]:
+    yield Scan(case.file.scans.reference, 0.0, ALONG_Y, case.reference)
     for load, labels in zip(case.loads, case.deformed, strict=True):
-        yield _Scan(load.file, load.force_n, load.axis, labels)
+        yield Scan(load.file, load.force_n, load.axis, labels)
 
 
-def _check_tissue(scan: _Scan) -> None:
+def _check_tissue(scan: Scan) -> None:
     for tissue in (Tissue.FAT, Tissue.GLANDULAR):
         if not (scan.labels.values == tissue).any():
             raise InputError(
@@ -102,7 +102,7 @@ def _check_repeat(first: Volume, second: Volume, file: str | None) -> None:
         )
 
 
-def _check_volume(rest: _Scan, scan: _Scan) -> None:
+def check_volume(rest: Scan, scan: Scan) -> None:
     before, after = _ml(rest.labels), _ml(scan.labels)
     ratio = after / before
     if abs(ratio - 1) <= VOLUME_SHARE:
@@ -122,7 +122,7 @@ def _check_volume(rest: _Scan, scan: _Scan) -> None:
     )
 
 
-def _check_place(rest: _Scan, scan: _Scan) -> None:
+def check_place(rest: Scan, scan: Scan) -> None:
     here = rest.labels.values != Tissue.AIR
     there = resample_labels(scan.labels, rest.labels).values != Tissue.AIR
     smaller = min(_ml(rest.labels), _ml(scan.labels)) * 1000 / rest.labels.voxel_mm3
@@ -136,7 +136,7 @@ def _check_place(rest: _Scan, scan: _Scan) -> None:
         )
 
 
-def _check_labels(rest: _Scan) -> None:
+def check_outline(rest: Scan) -> None:
     body = rest.labels.values != Tissue.AIR
     inside = binary_erosion(np.pad(body, ((0, 0), (1, 1), (1, 1))), iterations=2)
     outside = body & ~inside[:, 1:-1, 1:-1]
@@ -150,7 +150,7 @@ def _check_labels(rest: _Scan) -> None:
         )
 
 
-def _check_shares(rest: _Scan, scan: _Scan) -> None:
+def check_shares(rest: Scan, scan: Scan) -> None:
     before, after = _gland_share(rest.labels), _gland_share(scan.labels)
     if abs(after - before) > max(GLAND_SHARE, abs(after - (1 - before))):
         raise InputError(
@@ -160,7 +160,7 @@ def _check_shares(rest: _Scan, scan: _Scan) -> None:
         )
 
 
-def _check_side(rest: _Scan, scan: _Scan) -> None:
+def check_side(rest: Scan, scan: Scan) -> None:
     """Refuse a scan whose two sides, along the compression, differ the other way round."""
     across = 1 if abs(scan.axis[0]) > abs(scan.axis[1]) else 0
     before, after = _lopsided(rest.labels, across), _lopsided(scan.labels, across)
@@ -175,7 +175,7 @@ def _check_side(rest: _Scan, scan: _Scan) -> None:
         )
 
 
-def _check_loads(scans: list[_Scan]) -> None:
+def _check_loads(scans: list[Scan]) -> None:
     """Refuse scans of which the body gets no thinner from the smallest force to the largest."""
     for axis in dict.fromkeys(scan.axis for scan in scans[1:]):
         known = [(s.force_n, s) for s in scans[1:] if s.axis == axis and s.force_n is not None]
@@ -234,11 +234,11 @@ def _agreement(a: FloatArray, b: FloatArray) -> float:
     return float(u @ v / size) if size > 0 else 0.0
 
 
-def _middle(scan: _Scan) -> str:
+def _middle(scan: Scan) -> str:
     index = np.argwhere(scan.labels.values != Tissue.AIR).mean(axis=0)[::-1]
     place = np.asarray(scan.labels.origin_mm) + np.asarray(scan.labels.spacing_mm) * index
     return str(tuple(place.round(1).tolist()))
 
 
-def _sides(scan: _Scan) -> str:
+def _sides(scan: Scan) -> str:
     return " x ".join(f"{s:g}" for s in scan.labels.spacing_mm) + " mm"

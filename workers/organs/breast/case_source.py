@@ -1,16 +1,18 @@
 """A case of segmented scans as the source of a diagnosis, and of a plan before it is scanned."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from numpy.typing import NDArray
 
+from workers.comparison.observation.noise import SegmentationNoise
 from workers.diagnosis.acquisition import Acquisition, inverse_problem_of
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.pictures.scan_pictures import Displacements, pictures_of_scans
 from workers.diagnosis.source import SourceContent
 from workers.diagnosis.summary import Summary
+from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from workers.mechanics.fem.model import Model, prepare
@@ -56,6 +58,16 @@ class ScannedCaseSource:
     def scans(self) -> Sequence[str]:
         """Names of the loaded scans."""
         return self.case.names
+
+    @property
+    def compressions(self) -> Mapping[str, Compression]:
+        """The plates of every scan."""
+        return {load.name: Compression(load.axis, load.force_n) for load in self.case.loads}
+
+    @property
+    def noise(self) -> SegmentationNoise:
+        """The error of its segmentations as stated."""
+        return self.case.noise
 
     @property
     def effects(self) -> Sequence[Effect]:

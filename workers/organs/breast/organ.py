@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from storage.errors import InputError
+from storage.task_records import FreeParameter
 from storage.values import FloatArray, Tissue, Volume
 from workers.body.images.labels import (
     crop_to_body,
@@ -31,6 +32,12 @@ from workers.mechanics.fem.model import Model, prepare
 from workers.mechanics.fem.outcome import Solution
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.solve import solve
+from workers.organs.breast.interface_fit import (
+    BreastObservation,
+    FittedBreast,
+    fit_interfaces,
+    observe_target,
+)
 from workers.organs.breast.problem import (
     Extent,
     check_skin_layer,
@@ -43,6 +50,7 @@ from workers.organs.breast.spec import (
     BreastScore,
     BreastTarget,
     ImageSpec,
+    MeshSpec,
     PhantomSpec,
     ReferenceSpec,
 )
@@ -191,6 +199,41 @@ class Breast:
         """See `Organ.solve`."""
         return solve(model, problem)
 
+    no_derivatives = ""
+
+    def coarse(self, body: Volume, spacing_mm: float) -> Volume:
+        """See `Organ.coarse`."""
+        if min(body.spacing_mm) > spacing_mm * (1 - 1e-6):
+            return body
+        return in_coarser_voxels(body, spacing_mm)
+
+    def coarse_case(self, case: BreastCase, nodes: int) -> BreastCase:
+        """See `Organ.coarse_case`."""
+        return case.model_copy(update={"mesh": MeshSpec(nodes=nodes)})
+
+    def observation(
+        self, body: Volume, mesh: Hierarchy, target: Volume, imaged: bool
+    ) -> BreastObservation:
+        """See `Organ.observation`."""
+        return observe_target(body, mesh, target, imaged)
+
+    def fit(
+        self,
+        model: Model,
+        case: BreastCase,
+        constants: Mapping[str, float],
+        free: Sequence[FreeParameter],
+        landmarks: Extent,
+        target_landmarks: Extent | None,
+        observation: BreastObservation,
+    ) -> FittedBreast:
+        """See `Organ.fit`."""
+
+        def problem_of(values: Mapping[str, float]) -> Problem:
+            return self.problem(model, case, values, landmarks, target_landmarks)
+
+        return fit_interfaces(model, problem_of, constants, free, observation)
+
     def deform(
         self,
         body: Volume,
@@ -272,6 +315,16 @@ def on_lattice(volume: Volume, lattice: Volume) -> Volume:
     ox, oy, oz = (float(o) for o in lattice.origin_mm + first * spacing)
     empty = Volume(np.empty((nz, ny, nx), np.uint8), lattice.spacing_mm, (ox, oy, oz))
     return resample_labels(volume, empty)
+
+
+def in_coarser_voxels(volume: Volume, spacing_mm: float) -> Volume:
+    """Return a volume on a lattice of this spacing over the same box, by nearest voxels."""
+    spacing = np.asarray(volume.spacing_mm)
+    size = spacing * np.asarray(volume.shape_xyz)
+    nx, ny, nz = (int(n) for n in np.ceil(size / spacing_mm - 1e-6))
+    ox, oy, oz = (float(o) for o in volume.origin_mm - spacing / 2 + spacing_mm / 2)
+    three = (spacing_mm, spacing_mm, spacing_mm)
+    return resample_labels(volume, Volume(np.empty((nz, ny, nx), np.uint8), three, (ox, oy, oz)))
 
 
 def _image_of(spec: Door) -> ImageSpec:

@@ -1,6 +1,6 @@
 """What may be stated of a breast: the case, the target and the score of a study."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, Field, StringConstraints, model_validator
@@ -10,18 +10,21 @@ from storage.values import Tissue
 from workers.body.images.labels import tissue_named
 from workers.body.images.orient import parse_axes
 from workers.body.phantom.settings import BreastPhantom
+from workers.mechanics.compression import Compression, compression_axis
 from workers.mechanics.effects.breast_catalogue import BREAST_MODEL
 from workers.mechanics.parameters import Vocabulary
 from workers.spec import (
     CaseSpec,
     Door,
     Finite,
+    Identifiable,
     Positive,
     ScoreSpec,
     TargetSpec,
     checked,
     require_one_of,
 )
+from workers.units import FORCE_UNITS, KPA
 
 
 def _three(given: Any) -> Any:
@@ -183,9 +186,41 @@ class BreastCase(CaseSpec):
         """See `CaseSpec.parameters`."""
         return BREAST_MODEL.without(["E_skin"]) if self.model.skin == "none" else BREAST_MODEL
 
+    @property
+    def mesh_nodes(self) -> int | None:
+        """See `CaseSpec.mesh_nodes`."""
+        return self.mesh.nodes
+
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
         """See `CaseSpec.complete`."""
         return BREAST_MODEL.complete(BREAST_MODEL.from_door(self.constants), constants or {})
+
+    def identifiable(self, searched: Collection[str]) -> Identifiable:
+        """See `CaseSpec.identifiable`.
+
+        Plates that stand at a distance deform a body alike when all its stiffnesses and all
+        forces on it are doubled, so without a force one of these has to be held.
+        """
+        if self.load.force_n is not None:
+            return "absolute"
+        values = self.complete()
+        stated = BREAST_MODEL.from_door(self.constants)
+        for p in self.parameters:
+            follows = p.follows in searched and p.name not in stated
+            if p.unit in FORCE_UNITS and values[p.name] and p.name not in searched and not follows:
+                return "absolute"
+        return "ratio"
+
+    def compression(self) -> Compression:
+        """See `CaseSpec.compression`."""
+        return Compression(compression_axis(self.load.oblique_deg), self.load.force_n)
+
+    def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
+        """See `CaseSpec.common_scale`: with plates at a distance nothing fixes the forces."""
+        scaled = [n for n in searched if BREAST_MODEL[n].unit in FORCE_UNITS]
+        stiffnesses = all(BREAST_MODEL[n].unit == KPA for n in scaled)
+        absolute = self.identifiable(searched) == "absolute"
+        return () if absolute or not stiffnesses else tuple(scaled)
 
     def unused_parameter(self, name: str) -> str:
         """See `CaseSpec.unused_parameter`."""

@@ -24,6 +24,7 @@ from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Valu
 from workers.diagnosis.pictures.scan_pictures import Displacements, pictures_of_scans
 from workers.diagnosis.source import FinishedStudy, SourceContent
 from workers.diagnosis.summary import Summary
+from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from workers.mechanics.fem.fields import Frame
@@ -32,16 +33,11 @@ from workers.mechanics.fem.problem import Problem
 from workers.mechanics.parameters import Bounds
 from workers.organs.breast.problem import extent_of, materials_of, problem_of
 from workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
+from workers.organs.breast.study_noise import study_noise
 from workers.spec import validated
 
 # Names of both volumes in the content of a study.
 REFERENCE, TARGET = "reference", "target"
-# What an image that somebody has drawn is taken to err by, in voxels, and over which length.
-DRAWN_VOXELS, DRAWN_LENGTH_MM = 0.5, 4.0
-# The same of labels that the model has moved: their voxels, and what its mesh cuts off the
-# body's rim (0.07 mm of a body of 1 mm voxels and 1,500 nodes).
-MOVED_VOXELS, MOVED_LENGTH_VOXELS = 0.25, 2.0
-NUGGET_VOXELS = 0.08
 # A stiffness that was searched from zero is plausible from this part of its upper end.
 LEAST_PART = 0.02
 
@@ -142,6 +138,11 @@ class StudySource:
         return [f"{distance.final:g} mm" if distance is not None and known else "plates in place"]
 
     @property
+    def compressions(self) -> Mapping[str, Compression]:
+        """The plates of the study's one load."""
+        return dict.fromkeys(self.scans, self.pieces.case.compression())
+
+    @property
     def effects(self) -> Sequence[Effect]:
         """What may be missing from the model of a breast, less what was searched."""
         free = {f.name for f in self.free}
@@ -224,12 +225,8 @@ class StudySource:
         return build_hierarchy(body, nodes=nodes)
 
     def _usual_noise(self) -> SegmentationNoise:
-        voxel = max(*self.pieces.reference.spacing_mm, *self.pieces.target.spacing_mm)
-        nugget = NUGGET_VOXELS * voxel
-        if self.pieces.target_mesh is None:
-            drawn = DRAWN_VOXELS * voxel
-            return SegmentationNoise(drawn, DRAWN_LENGTH_MM, drawn, nugget)
-        return SegmentationNoise(MOVED_VOXELS * voxel, MOVED_LENGTH_VOXELS * voxel, 0.0, nugget)
+        pieces = self.pieces
+        return study_noise(pieces.reference, pieces.target, pieces.target_mesh is None)
 
 
 def from_study(study: FinishedStudy) -> StudySource:

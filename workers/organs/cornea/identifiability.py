@@ -143,7 +143,40 @@ def fitted_contour(
     """Solve a candidate and differentiate its contour; None if it does not converge."""
     names = law_names(candidate.constants)
     result = sensitivity(candidate, names)
-    return _contour(candidate, result, names, window_mm) if result.solution.converged else None
+    return contour_of(candidate, result, names, window_mm) if result.solution.converged else None
+
+
+def contour_of(
+    candidate: Candidate,
+    result: Sensitivity,
+    names: tuple[str, ...],
+    window_mm: tuple[float, float] | None,
+) -> FittedContour:
+    """Return the contour of a solution with its derivatives by the constants of the law."""
+    mesh = candidate.prepared.mesh
+    scale = np.array([scale_of(candidate, name) for name in names])
+    x = mesh.nodes_mm + result.solution.displacement_mm
+    positions, normals, lengths, shifts = [], [], [], []
+    for surface in (mesh.anterior, mesh.posterior):
+        points = x[surface]
+        tangent = np.gradient(points, axis=0)
+        normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        length = np.gradient(arclength_mm(points))
+        if window_mm is not None:
+            length = length * ((points[:, 0] > window_mm[0]) & (points[:, 0] < window_mm[1]))
+        along = np.einsum("kni,ni->nk", result.derivatives[:, surface], normal)
+        positions.append(points)
+        normals.append(normal)
+        lengths.append(length)
+        shifts.append(1e3 * along * scale)
+    return FittedContour(
+        names,
+        np.concatenate(positions),
+        np.concatenate(normals),
+        np.concatenate(lengths),
+        np.concatenate(shifts),
+    )
 
 
 def information_of(candidate: Candidate, contour: FittedContour) -> Information:
@@ -177,8 +210,19 @@ def shear_modulus_bound(
 
     Of the logarithms of the constants, by the tangent of ln G0.
     """
-    gradient = _gradient(constants, lambda c: np.array([np.log(c.shear_modulus_mpa)]))[0]
+    gradient = shear_modulus_slope(constants)
     return float(np.sqrt(gradient @ information.covariance(noise) @ gradient))
+
+
+def shear_modulus_slope(constants: CorneaConstants) -> FloatArray:
+    """Return the derivative of ln G0 by the logarithms of the constants."""
+    return _gradient(constants, lambda c: np.array([np.log(c.shear_modulus_mpa)]))[0]
+
+
+def stress_slope(constants: CorneaConstants, stretch: float) -> FloatArray:
+    """Return the derivative of ln stress at a stretch by the logarithms of the constants."""
+    at = np.array([stretch])
+    return _gradient(constants, lambda c: np.log(uniaxial_stress_mpa(c, at)))[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,38 +277,6 @@ def attained_stretches(candidate: Candidate, displacement_mm: FloatArray) -> tup
         after = np.diff(arclength_mm((mesh.nodes_mm + displacement_mm)[surface]))
         ratios.append(after / before)
     return float(np.min(ratios)), float(np.max(ratios))
-
-
-def _contour(
-    candidate: Candidate,
-    result: Sensitivity,
-    names: tuple[str, ...],
-    window_mm: tuple[float, float] | None,
-) -> FittedContour:
-    mesh = candidate.prepared.mesh
-    scale = np.array([scale_of(candidate, name) for name in names])
-    x = mesh.nodes_mm + result.solution.displacement_mm
-    positions, normals, lengths, shifts = [], [], [], []
-    for surface in (mesh.anterior, mesh.posterior):
-        points = x[surface]
-        tangent = np.gradient(points, axis=0)
-        normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        length = np.gradient(arclength_mm(points))
-        if window_mm is not None:
-            length = length * ((points[:, 0] > window_mm[0]) & (points[:, 0] < window_mm[1]))
-        along = np.einsum("kni,ni->nk", result.derivatives[:, surface], normal)
-        positions.append(points)
-        normals.append(normal)
-        lengths.append(length)
-        shifts.append(1e3 * along * scale)
-    return FittedContour(
-        names,
-        np.concatenate(positions),
-        np.concatenate(normals),
-        np.concatenate(lengths),
-        np.concatenate(shifts),
-    )
 
 
 def _gradient(

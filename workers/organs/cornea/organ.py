@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from storage.errors import InputError
+from storage.task_records import FreeParameter
 from storage.values import FloatArray, Volume
 from workers.mechanics.effects.base import Effect
 from workers.organs.cornea.candidate import Candidate
@@ -32,7 +34,7 @@ from workers.organs.cornea.spec import (
     GeneratedSectionSpec,
 )
 from workers.organs.cornea.t6_mesh import T6Mesh
-from workers.organs.organ import Arrays, Facts, Scores
+from workers.organs.organ import Arrays, Facts, Fitted, Scores
 from workers.spec import Door
 
 _MESH_ARRAYS = ("nodes_mm", "triangles", "anterior", "posterior", "left", "right")
@@ -165,6 +167,36 @@ class Cornea:
     def solve(self, model: MeshForModels, problem: Candidate) -> CorneaOutcome:
         """See `Organ.solve`."""
         return CorneaOutcome(solve_prepared(problem.prepared, problem.constants, problem.load))
+
+    no_derivatives = (
+        "The distances between a cornea's contours are not differentiated for a search yet: "
+        "give search.strategy: genetic or cma."
+    )
+
+    def coarse(self, body: Section, spacing_mm: float) -> Section:
+        """See `Organ.coarse`: a section has no voxels."""
+        return body
+
+    def coarse_case(self, case: CorneaCase, nodes: int) -> CorneaCase:
+        """See `Organ.coarse_case`: a section is meshed in one resolution."""
+        return case
+
+    def observation(self, body: Section, mesh: T6Mesh, target: Section, imaged: bool) -> None:
+        """Refuse: see `no_derivatives`."""
+        raise InputError(self.no_derivatives)
+
+    def fit(
+        self,
+        model: MeshForModels,
+        case: CorneaCase,
+        constants: Mapping[str, float],
+        free: Sequence[FreeParameter],
+        landmarks: float,
+        target_landmarks: float | None,
+        observation: None,
+    ) -> Fitted:
+        """Refuse: see `no_derivatives`."""
+        raise InputError(self.no_derivatives)
 
     def deform(
         self,

@@ -29,7 +29,7 @@ from storage.values import FloatArray
 from workers.organs.cornea.candidate import Candidate, changed, scale_of
 from workers.organs.cornea.envelope_lu import Factors
 from workers.organs.cornea.prestress import Iterate, advance
-from workers.organs.cornea.solve import CorneaSolution, equilibrium
+from workers.organs.cornea.solve import CorneaSolution, Equilibrium, equilibrium
 from workers.organs.cornea.system import Prestress, System, system_of
 
 # Of the scale of a parameter: errors of truncation and rounding are then about 1e-9.
@@ -79,7 +79,9 @@ def change_of(candidate: Candidate, name: str) -> Change:
     return Change(changed(candidate, name, step), changed(candidate, name, -step), step)
 
 
-def sensitivity(candidate: Candidate, changes: Sequence[Change | str]) -> Sensitivity:
+def sensitivity(
+    candidate: Candidate, changes: Sequence[Change | str], at: Equilibrium | None = None
+) -> Sensitivity:
     """Solve a cornea and differentiate its displacement.
 
     Parameters
@@ -87,6 +89,8 @@ def sensitivity(candidate: Candidate, changes: Sequence[Change | str]) -> Sensit
     candidate : Candidate
     changes : sequence of Change or str
         Changes, or names of parameters.
+    at : Equilibrium, optional
+        Of the candidate, where it is solved already.
 
     Raises
     ------
@@ -94,7 +98,8 @@ def sensitivity(candidate: Candidate, changes: Sequence[Change | str]) -> Sensit
         As for `change_of` and `solve_prepared`.
     """
     pairs = [change_of(candidate, c) if isinstance(c, str) else c for c in changes]
-    at = equilibrium(candidate.prepared, candidate.constants, candidate.load)
+    if at is None:
+        at = equilibrium(candidate.prepared, candidate.constants, candidate.load)
     solution, rest = at.solution, at.prestressed
     u = solution.displacement_mm
     if not solution.converged:

@@ -148,6 +148,18 @@ class LoadSpec(Door):
     jet: JetSpec = JetSpec(pressure_kpa=15)
 
 
+class FindingsSpec(Door):
+    """What is said of the fitted eye; see `workers.organs.cornea.findings`.
+
+    ``profiles`` takes about a minute. ``jet_fractions`` are the pressures, as parts of the
+    full one, whose images would be taken together. ``not_measured`` names what was assumed.
+    """
+
+    profiles: bool = False
+    jet_fractions: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.25, 0.5, 0.75, 1.0)
+    not_measured: tuple[Literal["iop", "pachymetry", "jet_pressure"], ...] = ()
+
+
 class CorneaCase(CaseSpec):
     """A section of a cornea, its mesh, its model and its load."""
 
@@ -157,6 +169,7 @@ class CorneaCase(CaseSpec):
     model: ModelSpec = ModelSpec()
     load: LoadSpec = LoadSpec()
     constants: DoorConstants = Field(default_factory=dict)
+    findings: FindingsSpec = FindingsSpec()
 
     @property
     def parameters(self) -> Vocabulary:

@@ -1,4 +1,4 @@
-"""Writes volumes and meshes as files that other programs read."""
+"""Writes volumes and meshes as they lie in a store."""
 
 from pathlib import Path
 
@@ -6,31 +6,10 @@ import nrrd
 import numpy as np
 
 from storage.atomic import explained, replacing
-from storage.errors import InputError
 from storage.meshes import export_mesh, load_mesh
 from storage.stores import Store
 from storage.values import Volume
 from workers.body.mesh.hierarchy import from_arrays
-
-VOLUME_SUFFIXES = (".nrrd",)
-MESH_SUFFIXES = (".vtu", ".vtk", ".msh")
-
-
-def check_suffix(path: Path | None, known: tuple[str, ...]) -> None:
-    """Refuse a file that could not be written, before anything is computed for it.
-
-    Raises
-    ------
-    InputError
-        If its suffix is none of `known`, or its folder is missing.
-    """
-    if path is None:
-        return
-    if path.suffix.lower() not in known:
-        suffix = path.suffix or "no suffix"
-        raise InputError(f"--out {path}: {suffix} is not known, use one of {', '.join(known)}.")
-    if not path.parent.is_dir():
-        raise InputError(f"--out {path}: the folder {path.parent} does not exist, make it first.")
 
 
 def export_volume(path: Path, volume: Volume) -> None:
@@ -59,7 +38,7 @@ def export_stored_mesh(
     Parameters
     ----------
     path : Path
-        One of `MESH_SUFFIXES`.
+        One of `service.export.suffixes.MESH_SUFFIXES`.
     store : Store
     mesh : str
         Digest.

@@ -1,0 +1,58 @@
+"""`palpate open` shows the page of a study in a browser."""
+
+import webbrowser
+from pathlib import Path
+
+import typer
+
+from service.commands.common import StudyArgument, find_study
+
+
+def open_(study: StudyArgument = None) -> None:
+    """Open a study's page in the browser; where there is none, print where the page lies.
+
+    A page that is missing, or older than the journal, is written first. The folder of a
+    diagnosis or of a plan is opened too.
+    """
+    page = _page(find_study(study))
+    typer.echo(f"page: {page}")
+    if not _shown(page):
+        typer.echo("No browser was found here: open that file with one.", err=True)
+
+
+def _page(folder: Path) -> Path:
+    """Return the page in a folder, newer than what it tells of."""
+    from storage.layout import StudyLayout
+
+    layout = StudyLayout(folder.absolute())
+    for other in ("diagnosis.html", "plan.html"):
+        if not layout.journal.is_file() and (layout.root / other).is_file():
+            return layout.root / other
+    if _is_newer(layout.report, layout.journal):
+        return layout.report
+    from service.report.study_page import write_report
+
+    return write_report(layout.root)
+
+
+def _is_newer(page: Path, journal: Path) -> bool:
+    """Return whether a page was written after the last line of a journal."""
+    if not (page.is_file() and journal.is_file()):
+        return False
+    return page.stat().st_mtime_ns >= journal.stat().st_mtime_ns
+
+
+def _shown(page: Path) -> bool:
+    """Hand the page to a browser; False if there is none."""
+    import os
+    import sys
+
+    headless = sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or os.environ.get("BROWSER")
+    )
+    if headless:
+        return False
+    try:
+        return webbrowser.open(page.as_uri())
+    except webbrowser.Error:
+        return False

@@ -1,0 +1,71 @@
+"""`palpate serve` keeps a queue of studies and diagnoses on one cluster."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.commands.common import SchedulerOption, WorkersOption
+from service.commands.interrupts import stop_requests
+from service.commands.settings import RUNS
+
+
+def serve(
+    home: Annotated[
+        Path, typer.Argument(help="Folder of the service: its studies, queue and uploads.")
+    ] = RUNS,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    store: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of volumes and evaluations that all workers see. Default: HOME/store.",
+            show_default=False,
+        ),
+    ] = None,
+    host: Annotated[
+        str, typer.Option(help="Address to listen at. Default: this machine only.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes any.")] = 8780,
+    allow_host: Annotated[
+        list[str] | None,
+        typer.Option(help="A name under which it may be asked, beside localhost. Repeatable."),
+    ] = None,
+    read_token: Annotated[
+        bool,
+        typer.Option(help="Reading needs a token, too. Always so unless --host is this machine."),
+    ] = False,
+    at_once: Annotated[int, typer.Option(min=1, help="Jobs that run at the same time.")] = 8,
+    upload_mb: Annotated[int, typer.Option(min=1, help="Size of one upload, at most.")] = 1024,
+) -> None:
+    """Serve studies and diagnoses over HTTP: submit, follow, pause, resume, cancel.
+
+    Ctrl-C stops it at any time; the same command goes on where it was. What writes needs a
+    token, which `palpate token new NAME` makes.
+    """
+    with stop_requests():
+        from service.cluster import open_cluster
+        from service.server.guard import is_loopback
+        from service.server.limits import MIB, Limits
+        from service.server.serve import listen, url_of
+        from service.server.serve import serve as listen_and_serve
+        from service.server.service import open_service
+
+        listening = listen(host, port)
+        with (
+            listening,
+            open_service(
+                home,
+                lambda: open_cluster(scheduler, workers),
+                store=store,
+                limits=Limits(upload_bytes=upload_mb * MIB),
+                read_token=read_token or not is_loopback(host),
+                at_once=at_once,
+            ) as service,
+        ):
+            if not service.tokens:
+                token = service.tokens.new("first")
+                typer.echo(f"token (shown once; `palpate token` makes others): {token}")
+            typer.echo(f"serving {service.home.root} at {url_of(listening)}")
+            listen_and_serve(service, listening, allow_host or ())
+            typer.echo("Stopping; what is finished is kept.", err=True)

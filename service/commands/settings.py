@@ -1,0 +1,79 @@
+"""What holds where an option is not given: the environment, then a default.
+
+::
+
+    PALPATE_STORE        --store
+    PALPATE_SCHEDULER    --scheduler
+    PALPATE_WORKERS      --workers
+
+An option counts more than the environment, for --scheduler and --workers together.
+"""
+
+import os
+import shlex
+from collections.abc import Sequence
+from contextvars import ContextVar
+from pathlib import Path
+
+from storage.errors import InputError
+
+STORE, SCHEDULER, WORKERS = "PALPATE_STORE", "PALPATE_SCHEDULER", "PALPATE_WORKERS"
+RUNS = Path("runs")
+
+_arguments: ContextVar[tuple[str, ...]] = ContextVar("arguments of the command", default=())
+
+
+def remember_command(arguments: Sequence[str]) -> None:
+    """Note what was typed, for `this_command`."""
+    _arguments.set(tuple(arguments))
+
+
+def this_command() -> str:
+    """Return the command that is running, as it can be typed again."""
+    return shlex.join(["palpate", *_arguments.get()])
+
+
+def stated_store(option: Path | None) -> Path | None:
+    """Return the store that was given as an option or in the environment, or None."""
+    return option or (Path(os.environ[STORE]) if os.environ.get(STORE) else None)
+
+
+def store_folder(option: Path | None) -> Path:
+    """Return the store that is used: what was given, else runs/store."""
+    return stated_store(option) or RUNS / "store"
+
+
+def cluster_options(scheduler: str | None, workers: int | None) -> tuple[str | None, int | None]:
+    """Return the scheduler or the number of workers that is used; neither by default.
+
+    Raises
+    ------
+    InputError
+        If both are given, or there are too few workers.
+    ClusterError
+        If the scheduler's address is none.
+    """
+    from service.scheduler_address import host_and_port
+
+    if scheduler is None and workers is None:
+        scheduler = os.environ.get(SCHEDULER) or None
+        workers = None if scheduler else _workers_of_environment()
+    elif scheduler is not None and workers is not None:
+        raise InputError(
+            "--workers starts processes of this machine, --scheduler uses those of a running "
+            "cluster: give one of them."
+        )
+    if workers is not None and workers < 1:
+        raise InputError(f"--workers must be at least 1, got {workers}.")
+    if scheduler is not None:
+        host_and_port(scheduler)
+    return scheduler, workers
+
+
+def _workers_of_environment() -> int | None:
+    given = os.environ.get(WORKERS)
+    if not given:
+        return None
+    if not given.strip().isdecimal():
+        raise InputError(f"{WORKERS}={given}: expected a number of processes, such as 4.")
+    return int(given)

@@ -1,0 +1,153 @@
+"""`palpate store` looks after a store: check, gc, export and import."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.commands.common import (
+    JsonOption,
+    StoreOption,
+    StudyArgument,
+    find_study,
+    print_json,
+)
+from service.commands.settings import RUNS
+
+app = typer.Typer(
+    no_args_is_help=True, help="Look after a store: check it, make room, move studies."
+)
+
+GIB = 1024**3
+SHOWN = 20
+
+
+@app.command("check")
+def check(
+    store: StoreOption = None,
+    repair: Annotated[
+        bool,
+        typer.Option(help="Set aside what is damaged; the next run of a study makes it again."),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Read everything in a store; exit code 2 if something is damaged and not set aside."""
+    from storage.store_check import check_store, set_aside
+    from storage.stores import open_store
+
+    opened = open_store(store or RUNS / "store", create=False)
+    found = check_store(opened)
+    aside = set_aside(opened, found.damages) if repair and found.damages else None
+    if as_json:
+        damages = [{"path": str(d.path), "reason": d.reason} for d in found.damages]
+        leftovers = [str(path) for path in found.leftovers]
+        print_json(
+            {"store": str(opened), "entries": found.counts, "damaged": damages}
+            | {"half_written": leftovers, "set_aside": None if aside is None else str(aside)}
+        )
+    else:
+        counts = ", ".join(f"{number} {name}" for name, number in found.counts.items())
+        typer.echo(f"{opened}: {counts}; {len(found.leftovers)} half written")
+        for damage in found.damages:
+            typer.echo(f"damaged: {damage.reason}", err=True)
+        if aside is not None:
+            typer.echo(f"set aside in {aside}: {len(found.damages)}. Run the studies again.")
+        elif found.damages:
+            typer.echo("To set them aside: palpate store check --repair", err=True)
+        else:
+            typer.echo("all is well")
+    if found.damages and aside is None:
+        raise typer.Exit(2)
+
+
+@app.command("gc")
+def gc(
+    studies: Annotated[
+        list[Path] | None,
+        typer.Option(help="Studies, or folders of studies, to be kept. Default: runs."),
+    ] = None,
+    store: StoreOption = None,
+    older_than_days: Annotated[
+        float, typer.Option(min=0, help="Younger entries stay: a run may be using them.")
+    ] = 30.0,
+    images: Annotated[
+        bool, typer.Option(help="Imported images too, which nobody can make again.")
+    ] = False,
+    delete: Annotated[bool, typer.Option("--delete", help="Do it; else it is only said.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Find what no study needs: parts of diagnoses, volumes and evaluations of removed studies."""
+    from service.store_use import find_garbage, remove, studies_in, study_use
+    from storage.errors import InputError
+    from storage.stores import open_store
+
+    opened = open_store(store or RUNS / "store", create=False)
+    kept = studies_in(studies or [RUNS])
+    if studies and not kept:
+        raise InputError(f"There is no study in {', '.join(map(str, studies))}.")
+    uses = [study_use(folder) for folder in kept]
+    garbage = find_garbage(opened, uses, older_than_days=older_than_days, images=images)
+    if delete:
+        remove(garbage)
+    if as_json:
+        print_json(
+            {"store": str(opened), "studies_kept": [str(folder) for folder in kept]}
+            | {"entries": [str(p) for p in garbage.paths], "bytes": garbage.size_bytes}
+            | {"deleted": delete}
+        )
+        return
+    for path in garbage.paths[:SHOWN]:
+        typer.echo(str(path))
+    if len(garbage.paths) > SHOWN:
+        typer.echo(f"and {len(garbage.paths) - SHOWN} more")
+    what = "removed" if delete else "can go"
+    typer.echo(
+        f"{len(garbage.paths)} entries, {garbage.size_bytes / GIB:.2f} GiB, {what}; "
+        f"what {len(kept)} studies need is kept"
+    )
+    if garbage.paths and not delete:
+        typer.echo("To remove them: the same command with --delete")
+
+
+@app.command("export")
+def export(
+    study: StudyArgument = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="The archive. Default: NAME.palpate.tar.", show_default=False),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a study, and what it needs of its store, into one file."""
+    from service.study_archive import export_study
+
+    folder = find_study(study)
+    archive = out or Path(f"{folder.resolve().name}.palpate.tar")
+    made = export_study(folder, archive)
+    record = {"archive": str(archive), "study": made.name, "files": made.files}
+    if as_json:
+        print_json(record | {"bytes": made.size_bytes})
+    else:
+        typer.echo(f"{archive}: the study {made.name}, {made.files} files")
+        typer.echo(f"elsewhere: palpate store import {archive.name}")
+
+
+@app.command("import")
+def import_(
+    archive: Annotated[Path, typer.Argument(help="Made by `palpate store export`.")],
+    folder: Annotated[
+        Path | None,
+        typer.Option("--study", help="Default: runs/NAME.", show_default=False),
+    ] = None,
+    store: StoreOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Unpack a study, to be read, diagnosed or continued here. Import what you trust."""
+    from service.study_archive import archived_name, import_study
+
+    home = folder or RUNS / archived_name(archive)
+    made = import_study(archive, home, store or home.parent / "store")
+    if as_json:
+        print_json({"study": made.name, "folder": str(home), "files": made.files})
+    else:
+        typer.echo(f"{home}: the study {made.name}. See it with: palpate status {home}")

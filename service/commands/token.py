@@ -1,0 +1,54 @@
+"""`palpate token` makes and removes the tokens of a service."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.commands.common import JsonOption, print_json
+from service.commands.settings import RUNS
+
+if TYPE_CHECKING:
+    from service.server.tokens import Tokens
+
+app = typer.Typer(no_args_is_help=True, help="The tokens of a service: who may write.")
+
+HomeOption = Annotated[Path, typer.Option("--home", help="Folder of the service.")]
+NameArgument = Annotated[str, typer.Argument(help="Whose token it is.")]
+
+
+@app.command("new")
+def new(name: NameArgument, home: HomeOption = RUNS, as_json: JsonOption = False) -> None:
+    """Make a token and show it, once; a service that is running knows it at once."""
+    token = _tokens(home, make=True).new(name)
+    if as_json:
+        print_json({"name": name, "token": token})
+    else:
+        typer.echo(token)
+
+
+@app.command("list")
+def list_(home: HomeOption = RUNS, as_json: JsonOption = False) -> None:
+    """List the names of all tokens."""
+    names = _tokens(home).names
+    if as_json:
+        print_json({"tokens": names})
+    else:
+        typer.echo("\n".join(names) or "There are no tokens.")
+
+
+@app.command("remove")
+def remove(name: NameArgument, home: HomeOption = RUNS) -> None:
+    """Make a token worthless, at once."""
+    _tokens(home).remove(name)
+
+
+def _tokens(home: Path, *, make: bool = False) -> "Tokens":
+    from service.server.home import ServiceHome
+    from service.server.tokens import Tokens
+
+    root = home.expanduser().absolute()
+    service = ServiceHome(root, root / "store")
+    if make:
+        service.make()
+    return Tokens(service.tokens)

@@ -1,0 +1,29 @@
+"""Writes a diagnosis as files: the record for programs, the page for readers."""
+
+import json
+from pathlib import Path
+
+from service.diagnosis.run import FinishedDiagnosis
+from storage.atomic import explained, write_file
+from storage.plain import to_plain
+from storage.typed_json import to_json
+
+
+def write_diagnosis(diagnosis: FinishedDiagnosis, folder: Path) -> Path:
+    """Write ``diagnosis.json`` and ``diagnosis.html``; return the path of the page.
+
+    Raises
+    ------
+    StoreError
+        If the file system refuses.
+    """
+    from service.report.diagnosis_page import render
+
+    with explained(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    plain = to_plain(to_json(diagnosis.summary))
+    text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)
+    write_file(folder / "diagnosis.json", text.encode() + b"\n")
+    page = folder / "diagnosis.html"
+    write_file(page, render(diagnosis).encode())
+    return page

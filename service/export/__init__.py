@@ -1,0 +1,23 @@
+"""Writes bodies as files that other programs read; one file a format.
+
+::
+
+    .nrrd             label volumes                      stored.py
+    .vtu .vtk .msh    meshes, with stress and strain     mesh_file.py
+    .stl              the surface                        surface_file.py
+    .inp .feb         the whole model, for CalculiX      calculix.py, febio.py
+                      (or Abaqus) and for FEBio
+
+What another solver is told stands in `solver_model.py`, once for both.
+"""
+
+from service.export.stored import export_stored_mesh, export_volume
+from service.export.suffixes import MESH_SUFFIXES, VOLUME_SUFFIXES, check_suffix
+
+__all__ = [
+    "MESH_SUFFIXES",
+    "VOLUME_SUFFIXES",
+    "check_suffix",
+    "export_stored_mesh",
+    "export_volume",
+]

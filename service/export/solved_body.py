@@ -1,0 +1,128 @@
+"""A body of a study, loaded once more so that all of its solution can be written."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from storage.errors import InputError
+from storage.stores import open_store
+from storage.task_records import SpecJson
+from storage.values import FloatArray, Volume
+from workers.mechanics.fem.element_fields import ElementFields, element_fields
+from workers.mechanics.fem.level import Level
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.fem.solve import Equilibrium, equilibrium
+from workers.tasks.body_store import BodyStore
+from workers.tasks.evaluation import case_of, case_organ, make_target, prepare_case
+from workers.tasks.pipeline import Setup
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedBody:
+    """A body in equilibrium.
+
+    Parameters
+    ----------
+    title : str
+        Which body and which constants, for the header of a file.
+    setup : Setup
+    constants : mapping of str to float
+        Every parameter, inside names and units.
+    solved : Equilibrium
+    """
+
+    title: str
+    setup: Setup
+    constants: Mapping[str, float]
+    solved: Equilibrium
+
+    @property
+    def level(self) -> Level:
+        """The finest mesh under its problem."""
+        return self.solved.levels[-1]
+
+    @property
+    def positions_mm(self) -> FloatArray:
+        """Where the nodes are, shape (n, 3)."""
+        return self.solved.states[-1].x
+
+    @property
+    def displacement_mm(self) -> FloatArray:
+        """Displacement from the imaged shape, shape (n, 3)."""
+        return self.solved.solution.displacement_mm
+
+    @cached_property
+    def fields(self) -> ElementFields:
+        """Stress and strain."""
+        return element_fields(self.level, self.positions_mm)
+
+    def deformed_labels(self) -> Volume:
+        """Return the deformed body as labelled voxels."""
+        organ = self.setup.organ
+        deformed = organ.deform(self.setup.body, self.setup.mesh, self.displacement_mm)
+        return organ.picture(deformed)
+
+    def under(self, problem: Problem) -> "SolvedBody":
+        """Return the same body under another problem.
+
+        Raises
+        ------
+        InputError
+            If that does not converge.
+        """
+        return replace(self, solved=_solve(self.setup, problem))
+
+
+def solve_body(
+    case: SpecJson,
+    constants: Mapping[str, float],
+    store: str,
+    title: str,
+    target: SpecJson | None = None,
+) -> SolvedBody:
+    """Load the body of a case.
+
+    Parameters
+    ----------
+    case : mapping
+        As `CaseSpec` writes it.
+    constants : mapping of str to float
+        Inside names and units; those left out are the case's own.
+    store : str
+        Where the store is: body and mesh are kept there.
+    title : str
+    target : mapping, optional
+        As `TargetSpec` writes it. Plates at a distance stand where an imaged target was held.
+
+    Raises
+    ------
+    InputError
+        If the simulation does not converge, or the organ has no tetrahedra to write.
+    """
+    spec = case_of(case)
+    prepared = prepare_case(case, store)
+    digests = {"volume": prepared["volume"], "mesh": prepared["mesh"]}
+    imaged = target is not None and target.get("constants") is None
+    shown = make_target(case, target, store)["target"] if target and imaged else None
+    setup = BodyStore(open_store(store), case_organ(case)).setup(spec, digests, shown)
+    values = spec.complete(constants)
+    problem: Any = setup.organ.problem(
+        setup.model, spec, values, setup.landmarks, setup.target_landmarks
+    )
+    if not isinstance(problem, Problem):
+        raise InputError(
+            f"A {spec.organ} cannot be exported: expected a body of tetrahedra, such as a breast."
+        )
+    return SolvedBody(title, setup, values, _solve(setup, problem))
+
+
+def _solve(setup: Setup, problem: Problem) -> Equilibrium:
+    solved = equilibrium(setup.model, problem)
+    outcome = solved.solution.outcome
+    if not outcome.converged:
+        raise InputError(
+            f"There is nothing to export, the simulation diverged: {outcome.reason}. Choose other "
+            "constants, a smaller load or another mesh."
+        )
+    return solved

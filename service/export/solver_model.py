@@ -1,0 +1,267 @@
+"""What another solver is told of a body: elements, materials, prescribed displacements.
+
+The plates are replaced by what they did: every node that lies against a plate is given the
+displacement that it has in our solution, along the plate's normal where plates are flat, aligned
+with an axis and free of friction (tangentially it then stays free), and in all three components
+otherwise. Both solvers are then asked for the rest of the body.
+
+What another solver cannot be told is left out of ours too, see `comparable`, and the header of the
+file says how far that moves the nodes.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.export.solved_body import SolvedBody
+from storage.values import BoolArray, FloatArray, IntArray, Tissue
+from workers.mechanics.fem.element_energy import deformation_gradients
+from workers.mechanics.fem.problem import Problem
+
+# More materials than this are thinned out: their constants are rounded to fewer digits.
+MOST_MATERIALS = 300
+# The solution that is compared is more exact than a search needs.
+TOLERANCE_MM = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Fibres:
+    """Fibres of one family in elements of one material.
+
+    Parameters
+    ----------
+    eta_mpa : float
+    direction : ndarray, shape (3,)
+        Unit vector.
+    elements : ndarray, shape (k,)
+        Those in which they act at the end: where they act in tension alone, the stretched ones.
+    """
+
+    eta_mpa: float
+    direction: FloatArray
+    elements: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """Elements of one material.
+
+    Parameters
+    ----------
+    name : str
+        Of its tissue, in capitals, with a number where a tissue has several.
+    elements : ndarray, shape (k,)
+        Rows of the mesh.
+    mu_mpa, kappa_mpa, c2_mpa : float
+        ``mu/2 (I1bar - 3) + c2 (I1bar - 3)^2 + kappa/2 (J - 1)^2``.
+    fibres : tuple of Fibres
+        The families that are there.
+    """
+
+    name: str
+    elements: IntArray
+    mu_mpa: float
+    kappa_mpa: float
+    c2_mpa: float
+    fibres: tuple[Fibres, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SolverModel:
+    """A body of plain linear tetrahedra, at rest and with all that deforms it.
+
+    Parameters
+    ----------
+    title : str
+    nodes : ndarray, shape (n, 3)
+        Without stress, in mm.
+    tets : ndarray, shape (m, 4)
+    materials : tuple of Material
+        Together they name every element once.
+    prescribed : ndarray of bool, shape (n, 3)
+        Components that are given.
+    displacement_mm : ndarray, shape (n, 3)
+        What they are; elsewhere our solution.
+    wall_n_per_mm : ndarray, shape (n, 3)
+        Springs from the chest wall to the ground, zero where there is none.
+    drift_n_per_mm : ndarray, shape (n, 3)
+        Springs too weak to be felt that keep a body between frictionless plates in its place.
+    force_n : ndarray, shape (n, 3)
+        Dead forces on the nodes, weight included.
+    isochoric_fibre : bool
+        Whether fibres are measured by I4bar instead of I4.
+    constants : mapping of str to float
+        For the header.
+    remarks : tuple of str
+        What was left out or approximated, and what the elements are worth.
+    """
+
+    title: str
+    nodes: FloatArray
+    tets: IntArray
+    materials: tuple[Material, ...]
+    prescribed: BoolArray
+    displacement_mm: FloatArray
+    wall_n_per_mm: FloatArray
+    drift_n_per_mm: FloatArray
+    force_n: FloatArray
+    isochoric_fibre: bool
+    constants: Mapping[str, float]
+    remarks: tuple[str, ...]
+
+
+def comparable(problem: Problem) -> Problem:
+    """Return the nearest problem that other solvers can be told."""
+    constants = {tissue: replace(c, law=None) for tissue, c in problem.constants.items()}
+    return replace(
+        problem,
+        constants=constants,
+        membrane=None,
+        pressures=(),
+        plain_elements=True,
+        tolerance_mm=min(problem.tolerance_mm, TOLERANCE_MM),
+    )
+
+
+def solver_model(own: SolvedBody, told: SolvedBody) -> SolverModel:
+    """State a body to another solver.
+
+    Parameters
+    ----------
+    own, told : SolvedBody
+        As it is, and with the `comparable` problem.
+    """
+    level = told.level
+    wall = level.model.wall_areas[:, None] * np.asarray(level.problem.wall.spring_mpa_per_mm)
+    return SolverModel(
+        title=told.title,
+        nodes=level.model.nodes,
+        tets=level.model.elements.tets,
+        materials=tuple(_materials(told)),
+        prescribed=_prescribed(told),
+        displacement_mm=told.positions_mm - level.model.nodes,
+        wall_n_per_mm=wall,
+        drift_n_per_mm=level.springs - wall,
+        force_n=level.dead_load,
+        isochoric_fibre=level.problem.isochoric_fibre,
+        constants=told.constants,
+        remarks=tuple(_remarks(own, told)),
+    )
+
+
+def contact_nodes(body: SolvedBody) -> BoolArray:
+    """Return which nodes lie against a plate, shape (n,)."""
+    touching = np.zeros(len(body.level.model.nodes), np.bool_)
+    for contact in body.level.plate_contacts(body.solved.states[-1], body.solved.stage):
+        touching[contact.nodes.index[contact.gap < 0]] = True
+    return touching
+
+
+def _prescribed(body: SolvedBody) -> BoolArray:
+    """Return which displacement components are given: held places, and those at the plates."""
+    given = np.asarray(body.level.free == 0)
+    given[contact_nodes(body)] |= _plate_components(body)
+    return given
+
+
+def _plate_components(body: SolvedBody) -> BoolArray:
+    """Return which components a plate prescribes, shape (3,)."""
+    every = np.ones(3, np.bool_)
+    device = body.level.problem.load.device
+    if device.friction:
+        return every
+    normals = [p.normal for p in body.solved.stage.plates(body.solved.states[-1].travel_mm)]
+    bent = any(any(plate.bow_per_mm) for plate in (device.lower, device.upper))
+    aligned = np.abs(normals).min(axis=0) > 1 - 1e-9 if normals else every
+    if bent or aligned.sum() != 1:
+        return every
+    return np.asarray(aligned)
+
+
+def _materials(body: SolvedBody) -> list[Material]:
+    """Group the elements by tissue and constants."""
+    level = body.level
+    m = level.constants.material
+    tissue = level.model.fractions.argmax(axis=1)
+    directions = (m.fibre * (m.eta > 0)[:, :, None]).reshape(len(tissue), -1)
+    shares = np.column_stack([m.mu, m.kappa, m.c2, m.eta])
+    group, count = _grouped(tissue, shares, directions)
+    active = _active_fibres(body)
+    made: list[Material] = []
+    used: dict[str, int] = {}
+    for g in range(count):
+        elements = np.flatnonzero(group == g).astype(np.int32)
+        name = Tissue(int(tissue[elements[0]])).name
+        used[name] = used.get(name, 0) + 1
+        mu, kappa, c2, *eta = (float(value) for value in shares[elements].mean(axis=0))
+        along = m.fibre[elements].mean(axis=0)
+        fibres = tuple(
+            Fibres(stiffness, a / np.linalg.norm(a), elements[active[elements, family]])
+            for family, (stiffness, a) in enumerate(zip(eta, along, strict=True))
+            if stiffness > 0
+        )
+        number = "" if used[name] == 1 else f"_{used[name]}"
+        made.append(Material(name + number, elements, mu, kappa, c2, fibres))
+    return made
+
+
+def _active_fibres(body: SolvedBody) -> BoolArray:
+    """Return in which elements the fibres of each family act, shape (m, families)."""
+    m, elements = body.level.constants.material, body.level.model.elements
+    if not m.tension_only:
+        return np.ones(m.eta.shape, np.bool_)
+    F = deformation_gradients(body.positions_mm, elements)
+    stretched = np.einsum("eij,efj->efi", F, m.fibre)
+    return np.asarray((stretched**2).sum(axis=2) > 1)
+
+
+def _grouped(tissue: IntArray, shares: FloatArray, directions: FloatArray) -> tuple[IntArray, int]:
+    """Number the materials; round until there are no more than `MOST_MATERIALS`."""
+    for digits in (9, 3, 2, 1, 0):
+        # Constants by their logarithm: three digits are a thousandth.
+        size = np.round(np.log(np.maximum(shares, 1e-12)), digits)
+        key = np.column_stack([tissue, size, np.round(directions, max(digits, 1))])
+        _, group = np.unique(key, axis=0, return_inverse=True)
+        count = int(group.max()) + 1
+        if count <= MOST_MATERIALS:
+            break
+    return group.ravel().astype(np.int32), count
+
+
+def _remarks(own: SolvedBody, told: SolvedBody) -> list[str]:
+    """Say what another solver is not told, or only nearly."""
+    problem = own.level.problem
+    away = np.linalg.norm(own.positions_mm - told.positions_mm, axis=1)
+    remarks = [
+        "Elements: textbook linear tetrahedra with one integration point. Palpate's own average "
+        "the volume at the nodes and lock less; the two meet as the mesh is refined.",
+        f"Plates: replaced by the displacements of the {int(contact_nodes(told).sum())} nodes "
+        "that lie against them, " + _components_text(_plate_components(told)) + ".",
+    ]
+    if problem.membrane is not None:
+        remarks.append(
+            "Skin: left out. It is a sheet that wrinkles, of E = "
+            f"{problem.membrane.young_mpa * 1e3:g} kPa, {problem.membrane.thickness_mm:g} mm thick."
+        )
+    if own.level.constants.laws:
+        remarks.append("Matrix: neo-Hookean of the same E and nu, where this body has another law.")
+    if any(problem.imaged_gravity_g):
+        remarks.append("Nodes: the stress-free shape, which is not that of the image.")
+    if problem.pressures:
+        remarks.append("Pressure on the surface: left out.")
+    if problem.variations:
+        remarks.append("Gradients and inclusions: in steps; elements of a step share their mean.")
+    remarks.append(
+        f"All this together moves the nodes by {away.mean():.2g} mm (mean; at most "
+        f"{away.max():.2g} mm) from where Palpate has them. It has solved this very model, "
+        "too, and the displacements at the plates are those of that solution: compare with a .vtu "
+        "that `palpate export --comparable` writes, node by node."
+    )
+    return remarks
+
+
+def _components_text(components: BoolArray) -> str:
+    if components.all():
+        return "in all three components"
+    return f"along {'xyz'[int(components.argmax())]} alone, free along the plate"

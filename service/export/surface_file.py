@@ -1,0 +1,42 @@
+"""Writes the surface of a body as triangles, `.stl`, in its binary form.
+
+A header of 80 bytes, the number of triangles, and for each its unit normal, three corners and two
+spare bytes, all little-endian in single precision; STL itself knows no units, these are mm.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from storage.atomic import explained, write_file
+from storage.values import FloatArray, IntArray
+
+TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+
+
+def export_surface(path: Path, nodes: FloatArray, triangles: IntArray) -> None:
+    """Write triangles.
+
+    Parameters
+    ----------
+    path : Path
+    nodes : ndarray, shape (n, 3)
+        In mm.
+    triangles : ndarray, shape (k, 3)
+        Corners, counter-clockwise as they are looked at from outside.
+
+    Raises
+    ------
+    StoreError
+        If the file system refuses.
+    """
+    corners = nodes[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1, keepdims=True)
+    written = np.zeros(len(triangles), TRIANGLE)
+    written["normal"] = normal / np.maximum(size, 1e-30)
+    written["corners"] = corners
+    # A binary file must not begin with "solid", which announces a text.
+    header = b"Palpate, units mm".ljust(80) + np.uint32(len(triangles)).tobytes()
+    with explained(path):
+        write_file(path, header + written.tobytes())

@@ -1,0 +1,159 @@
+"""Looks at a study before its first task: what cannot be meant is refused, with all reasons.
+
+What is implausible is refused unless the user insists; what is only unusual is a warning.
+"""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from service.spec import StudySpec
+from storage.errors import InputError
+from workers.mechanics.parameters import Bounds, Parameter
+from workers.organs.study_checks import Finding
+from workers.tasks.study_checks import study_findings
+
+# An interval so many times off the known one is written in another unit: kPa for Pa or MPa.
+OTHER_UNIT = 30.0
+# A search of a thesis' size is 84 x 15; the second one takes a year of a hundred cores.
+MANY_EVALUATIONS = 20_000
+TOO_MANY_EVALUATIONS = 1_000_000
+GIB = 1024**3
+SCARCE_BYTES = GIB
+# A displacement in double precision; the record of an evaluation.
+NODE_BYTES = 24
+RECORD_BYTES = 4096
+USUAL_NODES = 20_000
+
+
+def preflight(
+    spec: StudySpec, store: Path, *, accept_implausible: bool = False, elsewhere: bool = False
+) -> list[str]:
+    """Return warnings about a study that is about to run for the first time.
+
+    Parameters
+    ----------
+    spec : StudySpec
+    store : Path
+        Where volumes and evaluations will go; images are brought there.
+    accept_implausible : bool
+        Warn of what would be refused otherwise.
+    elsewhere : bool
+        The workers are on other machines, which may see files that this one does not.
+
+    Raises
+    ------
+    InputError
+        If the study cannot be meant as it stands, with every reason.
+    StoreError
+        If the store cannot be used.
+    """
+    findings = list(_of_the_file(spec, store))
+    if not _refused(findings, accept_implausible):
+        bodies = study_findings(spec.case, spec.target, spec.score, str(store), elsewhere=elsewhere)
+        findings += bodies
+    refused = _refused(findings, accept_implausible)
+    if refused:
+        text = "\n".join(f"  {finding.text}" for finding in refused)
+        insist = (
+            "\nIf it is meant so: add --accept-implausible."
+            if all(finding.severity == "implausible" for finding in refused)
+            else ""
+        )
+        raise InputError(f"The study {spec.name} is not run as it stands:\n{text}{insist}")
+    return [finding.text for finding in findings]
+
+
+def _refused(findings: list[Finding], accept_implausible: bool) -> list[Finding]:
+    accepted = {"warning", "implausible"} if accept_implausible else {"warning"}
+    return [finding for finding in findings if finding.severity not in accepted]
+
+
+def _of_the_file(spec: StudySpec, store: Path) -> Iterator[Finding]:
+    yield from _intervals(spec)
+    yield from _evaluations(spec)
+    yield from _space(spec, store)
+    if spec.identifiable == "ratio":
+        yield Finding(
+            "warning",
+            "The plates stand at a distance and no stiffness is held: only ratios of the "
+            "stiffnesses can be found, their scale is arbitrary. Hold one under case.constants, "
+            "such as E_fat_kpa: 10, or state case.load.force_n.",
+        )
+
+
+def _intervals(spec: StudySpec) -> Iterator[Finding]:
+    parameters = spec.case.parameters
+    searched = spec.search.parameters
+    held = {"case.constants": spec.case.constants, "target.constants": spec.target.constants or {}}
+    for name, bounds in searched.items():
+        parameter = parameters.at_door(name)
+        where = f"search.parameters.{name}: [{bounds[0]:g}, {bounds[1]:g}]"
+        if _in_another_unit(parameter, bounds):
+            yield Finding("implausible", _far(where, parameter, bounds))
+        elif _apart(parameter, bounds):
+            yield Finding("warning", _far(where, parameter, bounds))
+    for place, constants in held.items():
+        for name, value in constants.items():
+            parameter = parameters.at_door(name)
+            if value and _in_another_unit(parameter, (value, value)):
+                where = f"{place}.{name}: {value:g}"
+                yield Finding("implausible", _far(where, parameter, (value, value)))
+
+
+def _known(parameter: Parameter) -> Bounds:
+    low, high = (parameter.unit.to_door(value) for value in parameter.bounds)
+    return low, high
+
+
+def _in_another_unit(parameter: Parameter, bounds: Bounds) -> bool:
+    low, high = _known(parameter)
+    too_large = high > 0 and bounds[0] >= OTHER_UNIT * high
+    too_small = low > 0 and bounds[1] <= low / OTHER_UNIT
+    return too_large or too_small or (low < 0 and bounds[1] <= OTHER_UNIT * low)
+
+
+def _apart(parameter: Parameter, bounds: Bounds) -> bool:
+    low, high = _known(parameter)
+    return bounds[0] > high or bounds[1] < low
+
+
+def _far(where: str, parameter: Parameter, bounds: Bounds) -> str:
+    low, high = _known(parameter)
+    unit = f" {parameter.unit.symbol}".rstrip()
+    ratio = bounds[0] / high if bounds[0] > high else bounds[1] / low
+    times = f"about {ratio:.2g} times" if ratio > 0 else "far from"
+    return (
+        f"{where}{unit} is {times} the known interval of {low:g} to {high:g}{unit} "
+        f"({parameter.description}). Write values in {parameter.unit.symbol or 'plain numbers'}."
+    )
+
+
+def _evaluations(spec: StudySpec) -> Iterator[Finding]:
+    most = spec.search.settings.most_evaluations
+    if most <= MANY_EVALUATIONS:
+        return
+    yield Finding(
+        "implausible" if most > TOO_MANY_EVALUATIONS else "warning",
+        f"search: {most:,} evaluations at most ({spec.search.population:,} candidates in "
+        f"{spec.search.generations:,} generations); a usual search has some 1,000. Choose a "
+        "smaller population or fewer generations.",
+    )
+
+
+def _space(spec: StudySpec, store: Path) -> Iterator[Finding]:
+    there = store.expanduser().absolute()
+    while not there.exists():
+        there = there.parent
+    free = shutil.disk_usage(there).free
+    stated = spec.case.model_dump(mode="json").get("mesh", {})
+    nodes = stated.get("nodes") or USUAL_NODES
+    needed = spec.search.settings.most_evaluations * (NODE_BYTES * nodes + RECORD_BYTES)
+    if needed > free:
+        yield Finding(
+            "implausible",
+            f"The store {store} has {free / GIB:.1f} GiB free; up to {needed / GIB:.1f} GiB are "
+            "needed for the displacements of all candidates. Free some, or give another --store.",
+        )
+    elif free < SCARCE_BYTES:
+        yield Finding("warning", f"The store {store} has only {free / GIB:.2f} GiB free.")

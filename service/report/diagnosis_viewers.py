@@ -1,0 +1,163 @@
+"""What the viewers of a diagnosis' page show: the gap on the body, and slices of every scan."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from markupsafe import Markup
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import KDTree
+
+from service.report.body_viewer import BodyScan, BodySurface, body_viewer
+from service.report.diagnosis_maps import SIGNIFICANT, range_mm
+from service.report.diagnosis_slices import titled
+from service.report.diagnosis_surfaces import FARTHEST_MM
+from service.report.diagnosis_where import PARTS, on_surfaces
+from service.report.palette import TISSUES
+from service.report.slice_viewer import SlicePanel, SliceSet, slice_viewer
+from service.report.slices import VIEWS, middle_mm
+from storage.arrays import Arrays
+from storage.values import FloatArray, Tissue, Triple, Volume
+from workers.diagnosis.acquisition import INTERFACES
+from workers.mechanics.compression import Compression
+
+WHEN = ("before", "after")
+COLOURS = {"outline": "#e9d3b4", "glandular": "#c2628f"}
+OVERLAY = (
+    ("outside of both", "#ffffff00"),
+    ("other tissue in both", "#8a94a12e"),
+    ("glandular tissue in both", "#8a94a199"),
+    ("in the scan, not predicted", "#107ac0ff"),
+    ("predicted, not in the scan", "#d9651fff"),
+)
+# Neighbours by which a displacement is interpolated between points.
+NEIGHBOURS = 12
+# The same of a residual.
+NEAREST = 4
+
+
+def body_data(
+    found: Arrays, scans: Sequence[str], accused: str, loads: Mapping[str, Compression]
+) -> Markup | None:
+    """Return what the 3-D viewer shows; None if the store has no surfaces.
+
+    Parameters
+    ----------
+    found : dict of str to ndarray
+        Of the outcome; see `workers.diagnosis.pictures.drawings`.
+    scans : sequence of str
+        Names of the loaded scans.
+    accused : str
+        Words for the effect; empty if there is none.
+    loads : mapping of str to Compression
+        By the name of the scan, where they are known.
+    """
+    if not on_surfaces(found):
+        return None
+    shapes = [
+        (number, one.name, *(found[f"shape_{one.name}_{part}"] for part in PARTS))
+        for number, one in enumerate(INTERFACES)
+        if f"shape_{one.name}_vertices" in found
+    ]
+    surfaces = [
+        BodySurface(name, COLOURS[name], np.asarray(vertices, np.float64), triangles)
+        for _, name, vertices, triangles in shapes
+    ]
+    models = [
+        (when, title)
+        for when, title in titled(dict.fromkeys(WHEN, 0), accused)
+        if f"local_{when}" in found
+    ]
+    told = [
+        BodyScan(
+            name,
+            loads.get(name, Compression()),
+            [_moved(found, scan, vertices, models) for _, _, vertices, _ in shapes],
+            [_gaps(found, scan, number, vertices, models) for number, _, vertices, _ in shapes],
+        )
+        for scan, name in enumerate(scans)
+    ]
+    return body_viewer(
+        surfaces,
+        told,
+        models,
+        "model outside (+) or inside (−) of the scan, mean over some 8 mm; what noise would do is "
+        "drawn as nothing",
+        range_mm(found["local_before"], found["local_before_sd"]),
+        first="gap",
+    )
+
+
+def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | None:
+    """Return what the slice viewer shows; None if the store has no bodies."""
+    sets = []
+    models: list[tuple[str, str]] = []
+    for scan, name in enumerate(scans):
+        if f"labels_{scan}" not in found:
+            continue
+        stack, frame = found[f"labels_{scan}"], found[f"labels_{scan}_frame"]
+        (dx, dy, dz), (x, y, z) = np.asarray(frame).tolist()
+        spacing: Triple = (dx, dy, dz)
+        names = ("scan", *WHEN)[: len(stack)]
+        volumes = {n: Volume(v, spacing, (x, y, z)) for n, v in zip(names, stack, strict=True)}
+        models = list(titled(dict.fromkeys(names[1:], 0), accused))
+        sets.append(SliceSet(name, volumes, middle_mm(volumes["scan"], (Tissue.GLANDULAR,))))
+    if not sets:
+        return None
+    gland = (int(Tissue.GLANDULAR),)
+    return slice_viewer(
+        sets,
+        [
+            SlicePanel("Scan", "labels", ("scan",)),
+            SlicePanel("Model: $choice", "labels", ("$choice",)),
+            SlicePanel("Difference: $choice", "overlay", ("scan", "$choice"), gland),
+        ],
+        VIEWS[:1] if next(iter(sets[0].volumes.values())).values.shape[0] == 1 else VIEWS,
+        {int(t): (t.name.lower(), colour) for t, colour in TISSUES.items() if t},
+        OVERLAY,
+        models,
+    )
+
+
+def _moved(
+    found: Arrays,
+    scan: int,
+    vertices: FloatArray,
+    models: Sequence[tuple[str, str]],
+) -> dict[str, FloatArray]:
+    """Return where vertices go, interpolated between the points of which that is known."""
+    points = np.asarray(found["points"], np.float64)
+    moved = {}
+    for when, _ in models:
+        if f"moved_{when}" not in found or len(points) < NEIGHBOURS:
+            continue
+        displacement = found[f"moved_{when}"][scan] - points
+        between = RBFInterpolator(
+            points, displacement, neighbors=NEIGHBOURS, kernel="linear", degree=0
+        )
+        moved[when] = np.asarray(vertices + between(np.asarray(vertices, np.float64)))
+    return moved
+
+
+def _gaps(
+    found: Arrays,
+    scan: int,
+    number: int,
+    vertices: FloatArray,
+    models: Sequence[tuple[str, str]],
+) -> dict[str, FloatArray]:
+    """Return residuals at vertices, those within the noise as zero; nan where no point is near."""
+    own = np.asarray(found["interface"]) == number
+    if not own.any():
+        return {}
+    near = min(NEAREST, int(own.sum()))
+    away, which = (a.reshape(-1, near) for a in KDTree(found["points"][own]).query(vertices, near))
+    weights = 1 / np.maximum(away, 0.1) ** 2
+    weights /= weights.sum(axis=1, keepdims=True)
+    gaps = {}
+    for when, _ in models:
+        value = found[f"local_{when}"][scan, own]
+        sd = found[f"local_{when}_sd"][scan, own]
+        loud = np.where(np.abs(value) >= SIGNIFICANT * sd, value, 0.0)
+        there = (weights * loud[which]).sum(axis=1)
+        gaps[when] = np.asarray(np.where(away[:, 0] > FARTHEST_MM, np.nan, there))
+    return gaps

@@ -1,0 +1,161 @@
+// Slices through the bodies of a page, all at one place, moved by a slider.
+
+const AXES = ["x", "y", "z"];
+// Of a comparison: outside, rest of the body, in both, only in the first, only in the second.
+const WIDE = 1.4; // slices wider than this are drawn two in a row
+const [OUTSIDE, BODY, BOTH, FIRST, SECOND] = [0, 1, 2, 3, 4];
+
+// Labels of a plane, rows from the bottom, on the lattice of `frame`.
+const planeOf = (volume, view, atMm, frame) => {
+  const { shape, spacing, origin, labels } = volume;
+  const out = new Uint8Array(frame.columns * frame.rows);
+  const plane = Math.round((atMm - origin[view.normal]) / spacing[view.normal]);
+  if (plane < 0 || plane >= shape[view.normal]) return out;
+  const strides = [1, shape[0], shape[0] * shape[1]];
+  const [a, b] = [view.across, view.up];
+  for (let row = 0; row < frame.rows; row++) {
+    const j = Math.round((frame.start[1] + row * frame.step - origin[b]) / spacing[b]);
+    if (j < 0 || j >= shape[b]) continue;
+    const base = plane * strides[view.normal] + j * strides[b];
+    for (let column = 0; column < frame.columns; column++) {
+      const i = Math.round((frame.start[0] + column * frame.step - origin[a]) / spacing[a]);
+      if (i >= 0 && i < shape[a]) out[row * frame.columns + column] = labels[base + i * strides[a]];
+    }
+  }
+  return out;
+};
+
+// Where tissues lie in the first body, in the second, and in both.
+const difference = (first, second, tissues) => {
+  const compared = new Set(tissues);
+  return first.map((label, k) => {
+    const [here, there] = [compared.has(label), compared.has(second[k])];
+    if (here && there) return BOTH;
+    if (here) return FIRST;
+    if (there) return SECOND;
+    return label || second[k] ? BODY : OUTSIDE;
+  });
+};
+
+// What a model has too little (FIRST) or too much (SECOND) of a scan: outline before gland.
+const overlay = (scan, model, gland) =>
+  scan.map((label, k) => {
+    const other = model[k];
+    if (!label !== !other) return label ? FIRST : SECOND;
+    if ((label === gland) !== (other === gland)) return label === gland ? FIRST : SECOND;
+    if (label === gland) return BOTH;
+    return label ? BODY : OUTSIDE;
+  });
+
+const showSlices = async (root) => {
+  const told = payload("slices");
+  const sets = await Promise.all(
+    told.sets.map(async (set) => {
+      const volumes = {};
+      for (const [name, v] of Object.entries(set.volumes))
+        volumes[name] = { ...v, labels: await unpack(v.labels) };
+      return { ...set, volumes };
+    }),
+  );
+  const state = { view: 0, set: 0, choice: told.choices.length ? told.choices[0][0] : "" };
+  state.at = [...sets[0].at];
+  const tissueColours = Object.fromEntries(
+    Object.entries(told.labels).map(([label, [, colour]]) => [label, rgba(colour)]),
+  );
+  const differenceColours = told.differences.map(([, colour]) => rgba(colour));
+
+  const slider = make("input", { type: "range", step: "any", "aria-label": "position of the slice" });
+  const place = make("output", { class: "place" });
+  const panels = make("div", { class: "panels" });
+  const readout = make("p", { class: "readout", "aria-live": "polite" });
+
+  const named = (name) => (name === "$choice" ? state.choice : name);
+  const shown = () => told.panels.filter((p) => p.volumes.every((v) => sets[state.set].volumes[named(v)]));
+  const frameOf = (view, volumes) => {
+    const box = sets[state.set].box;
+    const step = Math.min(volumes[0].spacing[view.across], volumes[0].spacing[view.up]);
+    const start = [box[view.across][0] + step / 2, box[view.up][0] + step / 2];
+    const count = (axis) => Math.max(1, Math.round((box[axis][1] - box[axis][0]) / step));
+    return { step, start, columns: count(view.across), rows: count(view.up) };
+  };
+
+  const draw = () => {
+    const view = told.views[state.view];
+    const { box, volumes } = sets[state.set];
+    const range = box[view.normal];
+    const step = Object.values(volumes)[0].spacing[view.normal];
+    Object.assign(slider, { min: range[0], max: range[1], step, value: state.at[view.normal] });
+    place.value = `${AXES[view.normal]} = ${rounded(state.at[view.normal], 1)} mm`;
+    root.dataset.at = state.at[view.normal];
+    root.dataset.view = view.name;
+    const aspect = (box[view.across][1] - box[view.across][0]) / (box[view.up][1] - box[view.up][0]);
+    panels.classList.toggle("wide-ones", aspect > WIDE);
+    panels.replaceChildren(...shown().map((panel) => drawPanel(panel, view)));
+  };
+
+  const drawPanel = (panel, view) => {
+    const volumes = panel.volumes.map((name) => sets[state.set].volumes[named(name)]);
+    const frame = frameOf(view, volumes);
+    const planes = volumes.map((v) => planeOf(v, view, state.at[view.normal], frame));
+    let values = planes[0];
+    if (panel.kind === "difference") values = difference(planes[0], planes[1], panel.tissues);
+    if (panel.kind === "overlay") values = overlay(planes[0], planes[1], panel.tissues[0]);
+    const canvas = make("canvas", { width: frame.columns, height: frame.rows, role: "img" });
+    const title = panel.title.replace("$choice", (told.choices.find(([k]) => k === state.choice) || ["", ""])[1]);
+    canvas.setAttribute("aria-label", `${title}, ${view.name} slice`);
+    const image = new ImageData(frame.columns, frame.rows);
+    for (let row = 0; row < frame.rows; row++)
+      for (let column = 0; column < frame.columns; column++) {
+        const value = values[row * frame.columns + column];
+        const colour = panel.kind === "labels" ? tissueColours[value] : differenceColours[value];
+        if (!colour) continue;
+        image.data.set(colour, 4 * ((frame.rows - 1 - row) * frame.columns + column));
+      }
+    canvas.getContext("2d").putImageData(image, 0, 0);
+    canvas.addEventListener("pointermove", (event) => tell(event, canvas, panel, view, frame, values, title));
+    canvas.addEventListener("pointerleave", () => (readout.textContent = told.hint));
+    return make("figure", { class: "panel" }, make("figcaption", {}, title), canvas);
+  };
+
+  const tell = (event, canvas, panel, view, frame, values, title) => {
+    const box = canvas.getBoundingClientRect();
+    const column = Math.floor(((event.clientX - box.left) / box.width) * frame.columns);
+    const row = frame.rows - 1 - Math.floor(((event.clientY - box.top) / box.height) * frame.rows);
+    if (column < 0 || row < 0 || column >= frame.columns || row >= frame.rows) return;
+    const at = [...state.at];
+    at[view.across] = frame.start[0] + column * frame.step;
+    at[view.up] = frame.start[1] + row * frame.step;
+    const value = values[row * frame.columns + column];
+    const names = panel.kind === "labels" ? told.labels[value] : told.differences[value];
+    const where = AXES.map((axis, k) => `${axis} ${rounded(at[k], 1)}`).join(", ");
+    readout.textContent = `${title} at ${where} mm: ${names ? names[0] : "air"}`;
+  };
+
+  slider.addEventListener("input", () => {
+    state.at[told.views[state.view].normal] = Number(slider.value);
+    draw();
+  });
+  const controls = make("div", { class: "controls" });
+  if (told.views.length > 1) {
+    const planes = told.views.map((view, k) => [String(k), view.name]);
+    controls.append(switchOf("Plane", "plane", planes, (k) => { state.view = Number(k); draw(); }));
+  }
+  if (sets.length > 1) {
+    const scans = sets.map((set, k) => [String(k), set.name]);
+    controls.append(switchOf("Scan", "slice-scan", scans, (k) => {
+      state.set = Number(k);
+      state.at = [...sets[state.set].at];
+      draw();
+    }));
+  }
+  if (told.choices.length > 1)
+    controls.append(switchOf("Model", "slice-choice", told.choices, (k) => { state.choice = k; draw(); }));
+  if (told.views.length > 1 || sets[0].volumes) {
+    const label = make("label", { class: "slide" }, make("span", {}, "Slice"), slider, place);
+    if (told.flat) label.hidden = true;
+    controls.append(label);
+  }
+  readout.textContent = told.hint;
+  root.append(controls, panels, readout);
+  draw();
+};

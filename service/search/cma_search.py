@@ -1,0 +1,100 @@
+"""CMA-ES, the derivative-free peer of the genetic search (N. Hansen, arXiv:1604.00772).
+
+The package ``cma`` does the work, in logarithms over the searched interval. Its state is made
+again from the generations so far, so that a search is resumed bit for bit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import cma
+import numpy as np
+
+from service.search.base import Generation, Proposal, Stopped
+from service.search.log_space import LogSpace
+from service.search.space import FloatArray, Space
+from service.search.stall import Stall
+
+FIRST_SIGMA = 0.3
+
+
+@dataclass(frozen=True)
+class CmaSettings:
+    """How CMA-ES runs.
+
+    Parameters
+    ----------
+    population : int
+        Candidates per generation, >= 2.
+    generations : int
+        At most.
+    stall : Stall or None
+        When to stop early.
+    """
+
+    population: int = 12
+    generations: int = 60
+    stall: Stall | None = field(default_factory=Stall)
+
+    @property
+    def most_evaluations(self) -> int:
+        """Return the number of evaluations if the search runs to its last generation."""
+        return self.population * self.generations
+
+
+class CmaSearch:
+    """A `Search` by covariance matrix adaptation.
+
+    Parameters
+    ----------
+    space : Space
+    settings : CmaSettings
+    seed : int
+    """
+
+    def __init__(self, space: Space, settings: CmaSettings, seed: int) -> None:
+        self.space, self.settings, self.seed = space, settings, seed
+        self.logs = LogSpace(space)
+
+    def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
+        """Return the population after `history`, or why there is none."""
+        bests = np.minimum.accumulate([g.scores.min() for g in history]) if history else np.empty(0)
+        reason = self._reason_to_stop(bests)
+        if reason is not None:
+            return Stopped(reason)
+        strategy = self._strategy()
+        unit = np.array(strategy.ask())
+        for generation in history:
+            strategy.tell(list(unit), _finite(generation.scores))
+            unit = np.array(strategy.ask())
+        genes = self.logs.genes(self.logs.point(unit))
+        return Proposal(genes, (None,) * len(genes))
+
+    def _strategy(self) -> Any:
+        rng = np.random.default_rng([self.seed, 0xC3A])
+        options = {
+            "bounds": [0.0, 1.0],
+            "popsize": self.settings.population,
+            "seed": np.nan,  # or it would seed NumPy's global generator
+            "randn": lambda *shape: rng.standard_normal(shape),
+            "verbose": -9,
+            "verb_log": 0,
+        }
+        return cma.CMAEvolutionStrategy([0.5] * self.space.dimension, FIRST_SIGMA, options)
+
+    def _reason_to_stop(self, bests: FloatArray) -> str | None:
+        if len(bests) and np.isneginf(bests[-1]):
+            return "identical volumes reached: the best score is -inf and cannot improve"
+        if len(bests) >= self.settings.generations:
+            return f"all {self.settings.generations} generations are done"
+        if not len(bests) or self.settings.stall is None:
+            return None
+        return self.settings.stall.reason(bests)
+
+
+def _finite(scores: FloatArray) -> list[float]:
+    """Return scores with failures a little worse than the worst."""
+    known = scores[np.isfinite(scores)]
+    low, high = (known.min() - 1, known.max() + 1) if len(known) else (0.0, 0.0)
+    return [float(v) for v in np.nan_to_num(scores, neginf=low, posinf=high)]

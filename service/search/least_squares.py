@@ -1,0 +1,199 @@
+"""Fits constants by derivatives: several descents in parallel, from coarse to fine.
+
+::
+
+    level 0     `starts` descents, one trial of each in every generation
+    level 1     the best of them goes on where it has ended, on a finer mesh
+    ...
+    the study's own resolution, until it has converged
+
+A generation holds one trial point of each descent that is still running. Everything is a fold
+over the generations, see `service.search.base`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.search.base import Generation, Proposal, Stopped
+from service.search.descent import Descent, SquaredSum, advance, begin
+from service.search.log_space import LogSpace
+from service.search.space import FloatArray, Space
+from storage.errors import InputError
+from storage.task_records import FitJson
+
+# Starts beside the middle lie in this part of the box, where simulations converge.
+START_RANGE = (0.15, 0.85)
+# In units of the noise: on a coarse mesh the error of the mesh is larger than that of the image.
+COARSE_TOLERANCE, FINE_TOLERANCE = 1.0, 0.01
+# Descents that come so near to another one, in logarithms, follow it no further.
+SAME_PLACE = 0.02
+# Where a finer level begins it is near its end.
+FINER_RADIUS = 0.35
+
+
+@dataclass(frozen=True)
+class LeastSquaresSettings:
+    """How constants are fitted.
+
+    Parameters
+    ----------
+    starts : int
+        Descents on the first level, >= 1: from the middle of the logarithms, and from points
+        around it.
+    levels : int
+        Resolutions that are coarser than the study's own.
+    evaluations : int
+        Of one descent on one level, at most.
+    """
+
+    starts: int = 3
+    levels: int = 0
+    evaluations: int = 20
+
+    def __post_init__(self) -> None:
+        if self.starts < 1 or self.levels < 0 or self.evaluations < 2:
+            raise InputError(
+                "A fit needs at least one start and two evaluations of each, found "
+                f"search.starts {self.starts}, search.fit_evaluations {self.evaluations}."
+            )
+
+    @property
+    def most_evaluations(self) -> int:
+        """Return the number of evaluations if no descent converges."""
+        return self.evaluations * (self.starts + self.levels)
+
+
+@dataclass(frozen=True)
+class FittedNames:
+    """How the genes of a search stand in the least-squares problem of an evaluation.
+
+    Parameters
+    ----------
+    inside : sequence of str
+        The inside name of each gene.
+    per_inside : sequence of float
+        How many units at the door make one inside.
+    """
+
+    inside: tuple[str, ...]
+    per_inside: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Progress:
+    """All descents of the level that is being fitted."""
+
+    level: int
+    descents: tuple[Descent, ...]
+
+    @property
+    def running(self) -> list[int]:
+        return [i for i, d in enumerate(self.descents) if d.state == "running"]
+
+    @property
+    def best(self) -> Descent | None:
+        ended = [d for d in self.descents if d.here is not None]
+        return min(ended, key=lambda d: d.cost, default=None)
+
+
+class LeastSquaresSearch:
+    """A `Search` by derivatives.
+
+    Parameters
+    ----------
+    space : Space
+    names : FittedNames
+    settings : LeastSquaresSettings
+    seed : int
+        Of the starts beside the middle.
+    """
+
+    def __init__(
+        self, space: Space, names: FittedNames, settings: LeastSquaresSettings, seed: int
+    ) -> None:
+        self.space, self.names, self.settings, self.seed = space, names, settings, seed
+        self.logs = LogSpace(space)
+
+    def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
+        """Return the trial points that follow `history`, or why there are none."""
+        return self.propose_from(self.starts(), history)
+
+    def propose_from(self, starts: FloatArray, history: Sequence[Generation]) -> Proposal | Stopped:
+        """Return the same for descents from genes (n, d)."""
+        at = self.logs.coordinates(starts)
+        progress = _Progress(0, tuple(begin(point) for point in at))
+        for generation in history:
+            progress = self._after(progress, generation)
+        running = progress.running
+        if not running:
+            return Stopped(self._reason(progress))
+        trials = np.stack([progress.descents[i].trial for i in running])
+        own = progress.level == self.settings.levels
+        return Proposal(
+            self.logs.genes(trials),
+            (None,) * len(running),
+            level=None if own else progress.level,
+            derivatives=True,
+        )
+
+    def starts(self) -> FloatArray:
+        """Return where descents begin, shape (starts, d)."""
+        n, d = self.settings.starts, self.space.dimension
+        rng = np.random.default_rng([self.seed, 0x1E57])
+        low, high = START_RANGE
+        strata = np.stack([rng.permutation(n - 1) for _ in range(d)], axis=1) + 0.5
+        around = low + (high - low) * strata / max(1, n - 1)
+        unit = np.concatenate([np.full((1, d), 0.5), around])
+        return self.logs.genes(self.logs.point(unit))
+
+    def _after(self, progress: _Progress, generation: Generation) -> _Progress:
+        """Return the progress after a generation."""
+        running = progress.running
+        if len(generation.fits) != len(running):
+            raise InputError(
+                f"A generation of this fit holds {len(running)} candidates, the journal has "
+                f"{len(generation.fits)} with derivatives. The study was changed after it was "
+                "started: restore its search, or start a new study."
+            )
+        own = progress.level == self.settings.levels
+        tolerance = FINE_TOLERANCE if own else COARSE_TOLERANCE
+        descents = list(progress.descents)
+        for i, fit in zip(running, generation.fits, strict=True):
+            there = None if fit is None else self._squares(fit)
+            most = self.settings.evaluations
+            descents[i] = advance(descents[i], there, self.logs, tolerance, most)
+        descents = _merged(descents)
+        progress = replace(progress, descents=tuple(descents))
+        best = progress.best
+        if progress.running or own or best is None:
+            return progress
+        return _Progress(progress.level + 1, (begin(best.at, FINER_RADIUS),))
+
+    def _squares(self, fit: FitJson) -> SquaredSum:
+        order = [fit["parameters"].index(name) for name in self.names.inside]
+        return SquaredSum.of(fit, self.logs, order, np.asarray(self.names.per_inside))
+
+    def _reason(self, progress: _Progress) -> str:
+        best = progress.best
+        if best is None:
+            return "no start of the fit could be simulated"
+        if best.evaluations >= self.settings.evaluations:
+            return f"the fit has not converged in {best.evaluations} evaluations"
+        return "the fit has converged"
+
+
+def _merged(descents: Sequence[Descent]) -> list[Descent]:
+    """Let descents end that have come to where another one is."""
+    kept: list[Descent] = []
+    for one in descents:
+        near = any(
+            other.state in ("running", "converged")
+            and other.here is not None
+            and float(np.abs(other.trial - one.trial).max()) < SAME_PLACE
+            for other in kept
+        )
+        merged = near and one.state == "running" and one.here is not None
+        kept.append(replace(one, state="merged") if merged else one)
+    return kept

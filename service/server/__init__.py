@@ -1,0 +1,1 @@
+"""The service: a queue of studies and diagnoses on one cluster, behind an HTTP API."""

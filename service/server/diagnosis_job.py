@@ -1,0 +1,60 @@
+"""Runs one diagnosis of the queue; its steps go to a journal as the endings of a study do."""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from service.diagnosis.files import write_diagnosis
+from service.diagnosis.run import Step, request_for, run
+from service.dispatch import Dispatcher
+from storage.atomic import explained
+from storage.journal import Journal
+from storage.layout import StudyLayout
+from storage.records import SCHEMA_VERSION
+from workers.tasks.diagnosis_store import DiagnosisRequest
+from workers.tasks.sources import open_source
+
+
+def bring_source(
+    path: str, store: str, nodes: int, effects: tuple[str, ...] | None
+) -> DiagnosisRequest:
+    """Read what is diagnosed into the store; a task, so that a damaged image harms a worker only.
+
+    Raises
+    ------
+    InputError
+        If it cannot be diagnosed.
+    """
+    opened = open_source(Path(path))
+    opened.check()
+    return request_for(opened, Path(store), nodes, effects=effects)
+
+
+def run_diagnosis(
+    request: Mapping[str, Any], source: Path, folder: Path, store: Path, dispatcher: Dispatcher
+) -> None:
+    """Diagnose to the end, from wherever it stands; page and record go into `folder`.
+
+    Raises
+    ------
+    PalpateError, Interrupted
+        As `service.diagnosis.run.run`.
+    """
+    with explained(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    effects = request.get("effects")
+    named = None if effects is None else tuple(effects)
+    with Journal(StudyLayout(folder).journal) as journal:
+
+        def append(kind: str, **values: Any) -> None:
+            journal.append({"kind": kind, "schema_version": SCHEMA_VERSION} | values)
+
+        def observe(step: Step) -> None:
+            append("step", phase=step.phase, done=step.done, of=step.of, task=step.task)
+
+        append("session", began=datetime.now(UTC).isoformat(timespec="seconds"))
+        asked = dispatcher.call(bring_source, str(source), str(store), request["nodes"], named)
+        diagnosis = run(asked, dispatcher, observe)
+        write_diagnosis(diagnosis, folder)
+        append("end", reason="all is computed", verdict=diagnosis.summary.verdict)

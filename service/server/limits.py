@@ -1,0 +1,37 @@
+"""What a service accepts, at most."""
+
+from dataclasses import dataclass
+
+MIB = 2**20
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of one service.
+
+    Parameters
+    ----------
+    body_bytes : int
+        Of a request that is no upload.
+    upload_bytes, uploads_bytes : int
+        Of one uploaded file, and of all together.
+    uploads_files : int
+        Files of all uploads together.
+    evaluations : int
+        That a study may ask for.
+    population : int
+        Of one generation.
+    open_streams : int
+        Clients that follow events at once.
+    waiting_jobs : int
+        That have not ended.
+    """
+
+    body_bytes: int = 512 * 1024
+    upload_bytes: int = 1024 * MIB
+    uploads_bytes: int = 50 * 1024 * MIB
+    uploads_files: int = 20_000
+    evaluations: int = 500_000
+    population: int = 20_000
+    open_streams: int = 64
+    waiting_jobs: int = 1000

@@ -1,0 +1,66 @@
+"""Listens on an address and serves a service until it is asked to stop."""
+
+import socket
+from collections.abc import Iterable
+
+import uvicorn
+
+from service.server.app import create_app
+from service.server.guard import is_loopback
+from service.server.service import Service
+from storage.errors import InputError
+
+PORT = 8780
+CONCURRENT = 512
+GRACE_S = 3
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens; port 0 takes any.
+
+    Raises
+    ------
+    InputError
+        If the address is taken or not this machine's.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host, port))
+        listening.listen(256)
+    except (OSError, OverflowError) as error:
+        listening.close()
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(
+            f"Cannot listen at {host}:{port}: {reason}. Choose another --port or --host."
+        ) from error
+    return listening
+
+
+def url_of(listening: socket.socket) -> str:
+    """Return the address of a socket as a browser on this machine takes it."""
+    host, port = listening.getsockname()[:2]
+    if host in ("0.0.0.0", "::"):
+        host = "127.0.0.1"
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def serve(service: Service, listening: socket.socket, hosts: Iterable[str] = ()) -> None:
+    """Serve until SIGINT or SIGTERM."""
+    host = str(listening.getsockname()[0])
+    if not is_loopback(host) and host not in ("0.0.0.0", "::"):
+        hosts = {host, *hosts}
+    app = create_app(service, hosts=hosts, stopping=lambda: server.should_exit)
+    server = uvicorn.Server(
+        uvicorn.Config(
+            app,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            lifespan="off",
+            limit_concurrency=CONCURRENT,
+            timeout_graceful_shutdown=GRACE_S,
+        )
+    )
+    server.run(sockets=[listening])

@@ -1,0 +1,93 @@
+"""A service as a whole: its home, queue, runner, uploads, tokens and limits."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from service.server.home import ServiceHome
+from service.server.job_progress import ProgressBook
+from service.server.limits import Limits
+from service.server.queue import Queue
+from service.server.runner import OpenCluster, Runner
+from service.server.tokens import Tokens
+from service.server.uploads import Uploads
+from service.study import Tasks
+from storage.stores import Store, open_store
+
+
+@dataclass(frozen=True, eq=False)
+class Service:
+    """All parts of a service.
+
+    Parameters
+    ----------
+    read_token : bool
+        Whether reading needs a token, too.
+    """
+
+    home: ServiceHome
+    store: Store
+    queue: Queue
+    runner: Runner
+    uploads: Uploads
+    tokens: Tokens
+    progress: ProgressBook
+    limits: Limits
+    read_token: bool
+
+
+@contextmanager
+def open_service(
+    root: Path,
+    open_cluster: OpenCluster,
+    *,
+    store: Path | None = None,
+    limits: Limits | None = None,
+    read_token: bool = False,
+    tasks: Tasks | None = None,
+    at_once: int = 8,
+    reports: bool = True,
+) -> Iterator[Service]:
+    """Open the service in a folder; it takes up what is waiting there, until it is closed.
+
+    Parameters
+    ----------
+    root : Path
+        Made when missing.
+    open_cluster : callable
+        Opens the cluster that does the work.
+    store : Path, optional
+        Default: the folder ``store`` in `root`.
+    tasks : Tasks, optional
+        What is sent to the workers.
+    at_once : int
+        Jobs that run at the same time.
+    reports : bool
+        Write the page of a study that has ended.
+
+    Raises
+    ------
+    StoreError
+        If folder or store cannot be used, or another service uses them.
+    """
+    limits, root = limits or Limits(), root.expanduser().absolute()
+    home = ServiceHome(root, (store or root / "store").expanduser().absolute())
+    home.make()
+    opened = open_store(home.store)
+    queue = Queue(home.queue)
+    try:
+        uploads = Uploads(home.uploads, limits)
+        runner = Runner(
+            home, queue, uploads, open_cluster, tasks=tasks, at_once=at_once, reports=reports
+        )
+        tokens = Tokens(home.tokens)
+        runner.start()
+        try:
+            yield Service(
+                home, opened, queue, runner, uploads, tokens, ProgressBook(), limits, read_token
+            )
+        finally:
+            runner.stop()
+    finally:
+        queue.close()

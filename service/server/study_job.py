@@ -1,0 +1,56 @@
+"""Runs one study of the queue."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from service.dispatch import Dispatcher
+from service.spec import StudySpec
+from service.study import Study, Tasks
+from workers import THREAD_ENVIRONMENT
+from workers.spec import validated
+
+REPORT_S = 900.0
+
+
+def study_request(spec: StudySpec, accept_new_code: bool) -> dict[str, Any]:
+    """Return what the queue keeps of a study."""
+    return {"name": spec.name, "spec": spec.as_dict(), "accept_new_code": accept_new_code}
+
+
+def run_study(
+    request: Mapping[str, Any],
+    folder: Path,
+    store: Path,
+    dispatcher: Dispatcher,
+    dashboard: str,
+    tasks: Tasks | None = None,
+) -> None:
+    """Run a study to its end, from wherever it stands.
+
+    Raises
+    ------
+    PalpateError, Interrupted
+        As `Study.run`.
+    """
+    spec = validated(StudySpec, request["spec"], "The study")
+    accept = bool(request.get("accept_new_code"))
+    study = Study(spec, folder, store, tasks=tasks, accept_new_code=accept)
+    if not study.ended:
+        study.run(dispatcher, dashboard)
+
+
+def write_report(folder: Path) -> None:
+    """Write the page of a study, in a process of its own; a failure is no failure of the study."""
+    subprocess.run(
+        [sys.executable, "-m", "service", "report", str(folder), "--json"],
+        env=os.environ | THREAD_ENVIRONMENT,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        timeout=REPORT_S,
+        check=False,
+    )

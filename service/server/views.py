@@ -1,0 +1,64 @@
+"""What the API says of a job."""
+
+from pathlib import Path
+
+from service.server.api import Best, Evaluations, JobView, Phase, State
+from service.server.home import inside
+from service.server.queue import Job
+from service.server.service import Service
+from storage.errors import PalpateError
+
+FILES = {
+    "study": ("study.yaml", "journal.jsonl", "report.html", "crash.txt"),
+    "diagnosis": ("journal.jsonl", "diagnosis.json", "diagnosis.html", "crash.txt"),
+}
+
+
+def job_view(service: Service, job: Job) -> JobView:
+    """Return a job with its progress; a journal that cannot be read is its reason."""
+    view = JobView(
+        id=job.id,
+        kind=job.kind,
+        name=str(job.request.get("name", job.id)),
+        owner=job.owner,
+        priority=job.priority,
+        state=state_of(service, job),
+        reason=job.reason,
+        note=service.runner.note(job.id) if job.state == "waiting" else "",
+        submitted=job.submitted,
+        changed=job.changed,
+    )
+    folder = service.home.job(job.id)
+    try:
+        progress = service.progress.of(folder)
+    except PalpateError as error:
+        return view.model_copy(update={"reason": str(error)})
+    view.sessions, view.journal_bytes = progress.sessions, progress.bytes_read
+    view.stopped = progress.stopped
+    view.files = [name for name in FILES[job.kind] if job_file(service, job, name)]
+    if job.kind == "study":
+        search = job.request["spec"]["search"]
+        new = search["population"] - search["elite"]
+        at_most = search["population"] + new * (search["generations"] - 1)
+        view.evaluations = Evaluations(**progress.endings, at_most=at_most)
+        view.generations, view.generations_at_most = progress.generations, search["generations"]
+        view.per_minute = progress.per_minute
+        view.best = None if progress.best is None else Best.model_validate(progress.best)
+    elif progress.phase is not None:
+        view.phase = Phase.model_validate(progress.phase)
+    return view
+
+
+def state_of(service: Service, job: Job) -> State:
+    """Return the state of a job; one that waits may be running."""
+    if job.state == "waiting" and service.runner.is_running(job.id):
+        return "running"
+    return job.state
+
+
+def job_file(service: Service, job: Job, name: str) -> Path | None:
+    """Return the path of a file of a job; None if there is none of that name."""
+    if name not in FILES[job.kind]:
+        return None
+    path = service.home.job(job.id) / name
+    return inside(service.home.root, path) if path.is_file() else None

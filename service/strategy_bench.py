@@ -1,0 +1,182 @@
+"""Measures strategies on the same targets: evaluations and core-seconds to given errors.
+
+Each target is a compressed body with constants that the search does not see. Its study runs to
+its end in one process, so seconds are core-seconds; it is resumed where it was cut.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from service.results import study_results
+from service.search_replay import best_of, score_of
+from service.single_process import SingleProcess
+from service.spec import StudySpec, parse_spec
+from service.study import Study
+from service.study_log import StudyLog
+from storage.layout import StudyLayout
+from storage.records import EvaluationRecord
+
+STRATEGIES = ("least-squares", "genetic+least-squares", "genetic", "cma")
+# Young's moduli are the constants that a breast's image determines well.
+MODULI = ("E_fat_kpa", "E_glandular_kpa")
+NEAR = 0.02
+BOUNDS = {
+    "E_fat_kpa": (5, 20),
+    "eta_fat_kpa": (50, 200),
+    "E_glandular_kpa": (5, 80),
+    "eta_glandular_kpa": (50, 200),
+}
+# Targets lie in this part of the searched intervals, in logarithms.
+INNER = (0.1, 0.9)
+SEED = 445
+
+TEMPLATE = """
+name: {name}
+case:
+  reference: {{phantom: {{preset: 445ml, spacing_mm: {spacing_mm}, glandular_fraction: 0.2}}}}
+  mesh: {{nodes: {nodes}}}
+  load: {{force_n: 100}}
+target: {{constants: {constants}}}
+search:
+  strategy: {strategy}
+  parameters: {bounds}
+  {population}
+seed: {seed}
+"""
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What one study has reached.
+
+    Parameters
+    ----------
+    strategy : str
+    target : int
+    evaluations : int
+        In all.
+    core_s : float
+        Of all its evaluations.
+    until_near : int or None
+        Evaluations until the best so far has both moduli within 2 %; None if never.
+    core_s_until_near : float or None
+    gsf : float
+        Of the best candidate.
+    errors : mapping of str to float
+        Signed relative errors of the best candidate, by gene.
+    within : mapping of str to bool
+        Whether the 90 % interval holds the true value, by gene.
+    """
+
+    strategy: str
+    target: int
+    evaluations: int
+    core_s: float
+    until_near: int | None
+    core_s_until_near: float | None
+    gsf: float
+    errors: Mapping[str, float]
+    within: Mapping[str, bool]
+
+
+def targets(count: int) -> list[dict[str, float]]:
+    """Return the constants of targets: a Latin hypercube in the logarithms."""
+    rng = np.random.default_rng(SEED)
+    found: list[dict[str, float]] = [{} for _ in range(count)]
+    for name, (lower, upper) in BOUNDS.items():
+        unit = (rng.permutation(count) + rng.random(count)) / count
+        share = INNER[0] + (INNER[1] - INNER[0]) * unit
+        for target, s in zip(found, share, strict=True):
+            target[name] = float(f"{lower * (upper / lower) ** s:.4g}")
+    return found
+
+
+def study_of(
+    strategy: str, target: int, constants: Mapping[str, float], nodes: int, spacing_mm: float
+) -> StudySpec:
+    """Return the study of one strategy and target."""
+    few = "genetic" in strategy
+    text = TEMPLATE.format(
+        name=f"{strategy.replace('+', '-')}-{target}",
+        spacing_mm=spacing_mm,
+        nodes=nodes,
+        constants=dict(constants),
+        strategy=strategy,
+        bounds={name: list(ends) for name, ends in BOUNDS.items()},
+        population=_population(strategy) if few else "",
+        seed=target + 1,
+    )
+    return parse_spec(text, "the bench of strategies", Path())
+
+
+def measure(
+    folder: Path, strategies: Sequence[str], count: int, nodes: int, spacing_mm: float
+) -> Iterator[Reached]:
+    """Run the studies that have not ended yet, and yield what each has reached.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the studies; what is there is continued.
+    """
+    for number, constants in enumerate(targets(count)):
+        for strategy in strategies:
+            spec = study_of(strategy, number, constants, nodes, spacing_mm)
+            home = folder / spec.name
+            study = Study(spec, home, folder / "store")
+            if not study.ended:
+                study.run(SingleProcess())  # type: ignore[arg-type]
+            yield reached(home, strategy, number, constants)
+
+
+def reached(home: Path, strategy: str, target: int, constants: Mapping[str, float]) -> Reached:
+    """Read from the journal of a study what it has reached."""
+    log, results = StudyLog.read(StudyLayout(home).journal), study_results(home)
+    best = best_of(log.endings)
+    if best is None:
+        raise AssertionError("a target of the bench can be simulated")
+    order = [log.endings[c] for c in sorted(log.endings)]
+    near = _first_near(order, constants)
+    within = {}
+    if results.identification is not None:
+        for name, found in results.identification.constants.items():
+            gene, interval = results.estimates[name].gene, found.interval
+            inside = interval is not None and interval.lower <= constants[gene] <= interval.upper
+            within[gene] = inside
+    return Reached(
+        strategy=strategy,
+        target=target,
+        evaluations=len(order),
+        core_s=_seconds(order),
+        until_near=None if near is None else near + 1,
+        core_s_until_near=None if near is None else _seconds(order[: near + 1]),
+        gsf=score_of(best),
+        errors={gene: best.genes[gene] / value - 1 for gene, value in constants.items()},
+        within=within,
+    )
+
+
+def _first_near(order: Sequence[EvaluationRecord], constants: Mapping[str, float]) -> int | None:
+    """Return the position from which the best candidate so far stays near in both moduli."""
+    first: int | None = None
+    for i in range(len(order)):
+        best = best_of(dict(enumerate(order[: i + 1])))
+        near = best is not None and all(
+            abs(best.genes[gene] / constants[gene] - 1) <= NEAR for gene in MODULI
+        )
+        first = (i if first is None else first) if near else None
+    return first
+
+
+def _seconds(records: Sequence[EvaluationRecord]) -> float:
+    return float(sum(sum(record.seconds.values()) for record in records))
+
+
+def _population(strategy: str) -> str:
+    """Return the settings of the genetic part: the thesis' own, or a few generations of it."""
+    if strategy == "genetic":
+        return "population: 84\n  generations: 15"
+    return "population: 24\n  generations: 3"

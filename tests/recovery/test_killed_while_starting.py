@@ -1,0 +1,61 @@
+"""Worker processes killed with signal 9 before they have come up."""
+
+import os
+import threading
+from contextlib import suppress
+
+import psutil
+import pytest
+
+from service import cluster as cluster_module
+from service.cluster import open_cluster
+from service.dispatch import Dispatcher
+from service.errors import ClusterError
+
+
+class Killer:
+    """Kills the first worker processes of this process, or all, as soon as they appear."""
+
+    def __init__(self, most: float) -> None:
+        self.most, self.killed = most, set[int]()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._kill)
+
+    def _kill(self) -> None:
+        while len(self.killed) < self.most and not self._over.wait(0.01):
+            for process in psutil.Process().children(recursive=True):
+                with suppress(psutil.Error):
+                    command = " ".join(process.cmdline())
+                    new = process.pid not in self.killed and len(self.killed) < self.most
+                    if new and "multiprocessing.spawn" in command:
+                        process.kill()
+                        self.killed.add(process.pid)
+
+    def __enter__(self) -> "Killer":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+def test_workers_killed_while_they_start_are_replaced(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cluster_module, "MEND_EVERY_S", 0.2)
+    with Killer(most=3) as killer, open_cluster(workers=2) as cluster:
+        assert Dispatcher(cluster.client).call(os.getpid) not in killer.killed
+        cluster.client.wait_for_workers(2, timeout=60)
+    assert len(killer.killed) == 3
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_no_worker_that_starts_is_one_message(capfd: pytest.CaptureFixture[str]) -> None:
+    with (
+        Killer(most=float("inf")),
+        pytest.raises(ClusterError, match="No worker process has started in 3 attempts"),
+        open_cluster(workers=1),
+    ):
+        pass
+    assert "Traceback" not in capfd.readouterr().err

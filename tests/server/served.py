@@ -1,0 +1,42 @@
+"""A service in a process of its own: FOLDER, then --scheduler ADDRESS or --workers N.
+
+Its tasks are the stand-ins of tests/recovery. It writes its address to FOLDER/url.
+"""
+
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parent.parent / "recovery"))
+
+from stand_ins import TASKS
+
+from service.cluster import open_cluster
+from service.commands.interrupts import stop_requests
+from service.server.limits import Limits
+from service.server.serve import listen, serve, url_of
+from service.server.service import open_service
+from storage.atomic import write_file
+
+LIMITS = Limits(upload_bytes=2**20, uploads_bytes=4 * 2**20, body_bytes=2**17)
+
+
+def main(folder: str, where: str, value: str, port: str = "0", *more: str) -> None:
+    options = {"scheduler": value} if where == "--scheduler" else {"workers": int(value)}
+    with (
+        stop_requests(),
+        listen("127.0.0.1", int(port)) as listening,
+        open_service(
+            Path(folder),
+            lambda: open_cluster(**options),
+            tasks=TASKS,
+            reports=False,
+            limits=LIMITS,
+            read_token="--read-token" in more,
+        ) as service,
+    ):
+        write_file(Path(folder) / "url", url_of(listening).encode())
+        serve(service, listening)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,61 @@
+"""A service in a process of its own, started, killed and started again by the tests."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from service.client import Client
+
+TOKEN = "a-token-of-the-tests"
+SERVED = Path(__file__).parent / "served.py"
+
+
+class ServiceProcess:
+    """See the top of this file; `where` is --workers N or --scheduler ADDRESS."""
+
+    def __init__(self, home: Path, where: list[str], port: int = 0, *more: str) -> None:
+        self.home, self.port = home, port
+        self._command = [sys.executable, str(SERVED), str(home), *where]
+        self._more = more
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self, patience_s: float = 90.0) -> "ServiceProcess":
+        address = self.home / "url"
+        address.unlink(missing_ok=True)
+        self.home.mkdir(parents=True, exist_ok=True)
+        with (self.home.parent / "service.log").open("ab") as log:
+            self.process = subprocess.Popen(
+                [*self._command, str(self.port), *self._more],
+                env=os.environ | {"PALPATE_TOKEN": TOKEN},
+                stdout=log,
+                stderr=log,
+            )
+        until = time.monotonic() + patience_s
+        while not address.exists():
+            assert self.process.poll() is None, self.log
+            assert time.monotonic() < until, "the service does not start"
+            time.sleep(0.05)
+        return self
+
+    @property
+    def url(self) -> str:
+        return (self.home / "url").read_text()
+
+    @property
+    def log(self) -> str:
+        return (self.home.parent / "service.log").read_text()
+
+    def client(self, token: str | None = TOKEN) -> Client:
+        return Client(self.url, token or "")
+
+    def kill(self) -> None:
+        assert self.process is not None
+        self.process.kill()
+        self.process.wait()
+
+    def stop(self) -> int:
+        assert self.process is not None
+        self.process.terminate()
+        return self.process.wait(timeout=90)

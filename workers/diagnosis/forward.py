@@ -1,0 +1,40 @@
+"""Who solves the problems of a diagnosis: tetrahedra, unless an organ brings its own model."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+from storage.values import FloatArray
+from workers.mechanics.fem import sensitivity, solve
+
+
+class Forward(Protocol):
+    """Solves and differentiates one kind of problem; what it returns it is given again."""
+
+    def equilibrium(self, model: Any, problem: Any, start: Any = None) -> Any:
+        """Return an equilibrium with its ``solution``; see `workers.mechanics.fem.solve`."""
+
+    def tangents(self, at: Any, changes: Sequence[Any], tolerance: float) -> FloatArray:
+        """Return derivatives of the displacement; see `workers.mechanics.fem.sensitivity`."""
+
+    def loosened(self, problem: Any, tolerance_mm: float) -> Any:
+        """Return the problem with a coarser tolerance, where it has one."""
+
+    def direction(self, problem: Any) -> Sequence[float]:
+        """Return the direction in which the body is loaded, x, y, z."""
+
+
+class Tetrahedra:
+    """See `Forward`: the solver of `workers.mechanics.fem`."""
+
+    equilibrium = staticmethod(solve.equilibrium)
+    tangents = staticmethod(sensitivity.tangents)
+
+    def loosened(self, problem: Any, tolerance_mm: float) -> Any:
+        """See `Forward.loosened`."""
+        return replace(problem, tolerance_mm=max(problem.tolerance_mm, tolerance_mm))
+
+    def direction(self, problem: Any) -> Sequence[float]:
+        """See `Forward.direction`."""
+        axis: Sequence[float] = problem.load.device.axis
+        return axis

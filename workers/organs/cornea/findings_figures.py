@@ -1,0 +1,120 @@
+"""The findings of a fitted eye as figures of a report."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, as the report has them.
+COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")
+SOFT = "#5d6775"
+SMALL_PT = 9.0
+# Parts of a combination below this are not named.
+LEAST_PART = 0.15
+
+Described = tuple[Figure, str]
+
+
+def figures(numbers: Mapping[str, Any]) -> Iterator[Described]:
+    """Yield figures of the findings, each with the sentence that stands below it."""
+    yield _curve(numbers)
+    yield _singular_values(numbers)
+    yield _bounds(numbers)
+    if "profiles" in numbers:
+        yield _profiles(numbers["profiles"])
+
+
+def image_figure(image: np.ndarray[Any, Any]) -> Figure:
+    """Return a colour image as a figure as wide as the page."""
+    shown = Figure(figsize=(10.4, 10.4 * image.shape[0] / image.shape[1]), layout="constrained")
+    axes = shown.subplots()
+    axes.imshow(image)
+    axes.axis("off")
+    return shown
+
+
+def _axes(x_label: str, y_label: str, height_in: float = 3.4) -> tuple[Figure, Axes]:
+    shown = Figure(figsize=(7.8, height_in), layout="constrained", facecolor="white")
+    axes = shown.subplots()
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(colors=SOFT, labelsize=SMALL_PT)
+    axes.grid(True, axis="y", color="#d8dde4", linewidth=0.7)
+    axes.set(xlabel=x_label, ylabel=y_label)
+    axes.set_axisbelow(True)
+    return shown, axes
+
+
+def _curve(numbers: Mapping[str, Any]) -> Described:
+    curve = numbers["stress_curve"]
+    shown, axes = _axes("stretch", "stress, MPa")
+    axes.plot(curve["stretch"], curve["stress_mpa"], color=COLOURS[0], linewidth=1.8)
+    axes.fill_between(
+        curve["stretch"], curve["low_mpa"], curve["high_mpa"], color=COLOURS[0], alpha=0.2
+    )
+    axes.axvline(curve["attained"], color=SOFT, linestyle=":", linewidth=1.2)
+    return shown, (
+        "Stress over stretch of the fitted law, of a strip that is pulled, with the interval "
+        f"(95 %) that {numbers['noises']['pixels']} leave. Dotted: the largest stretch in this "
+        "eye; beyond it the image says nothing."
+    )
+
+
+def _singular_values(numbers: Mapping[str, Any]) -> Described:
+    labels = [
+        "\n".join(
+            f"{_plain(name)} {part:+.2f}"
+            for name, part in zip(numbers["constants"], direction, strict=True)
+            if abs(part) > LEAST_PART
+        )
+        for direction in numbers["directions"]
+    ]
+    shown, axes = _axes("", "shift, µm", 4.0)
+    _marks(axes, {"": numbers["singular_values_um"]}, labels)
+    return shown, (
+        "Shift of the contour, root mean square, when a combination of the logarithms of the "
+        "constants grows by one. Combinations that move it by less than the image can tell may "
+        "take any value."
+    )
+
+
+def _bounds(numbers: Mapping[str, Any]) -> Described:
+    noises, bounds = numbers["noises"], numbers["bounds"]
+    count = len(numbers["jet_fractions"])
+    series = {f"one image, {noises[key]}": bounds[key] for key in ("model", "pixels")}
+    if numbers["bounds_of_several_pressures"] is not None:
+        several = f"{count} pressures of the jet, {noises['pixels']}"
+        series[several] = numbers["bounds_of_several_pressures"]
+    shown, axes = _axes("", "relative error, %")
+    percents = {title: [100 * v for v in one.values()] for title, one in series.items()}
+    _marks(axes, percents, [_plain(name) for name in numbers["constants"]])
+    axes.legend(frameon=False, fontsize=SMALL_PT, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
+    return shown, (
+        "How well each constant can be known: Cramer-Rao bounds, one standard deviation."
+    )
+
+
+def _profiles(profiles: Sequence[Mapping[str, Any]]) -> Described:
+    shown, axes = _axes("held value over fitted value", "misfit, µm")
+    for profile, colour in zip(profiles, COLOURS, strict=False):
+        y = [np.nan if value is None else value for value in profile["misfit_um"]]
+        axes.plot(profile["factor"], y, "o-", color=colour, label=_plain(profile["name"]))
+    axes.legend(frameon=False, fontsize=SMALL_PT)
+    return shown, (
+        "Least misfit of the contour with one constant held at a multiple of its fitted value, "
+        "the others fitted again. What stays below the error of the image cannot be told from "
+        "the fit."
+    )
+
+
+def _marks(axes: Axes, series: Mapping[str, Sequence[float]], names: Sequence[str]) -> None:
+    for (title, values), colour in zip(series.items(), COLOURS, strict=False):
+        axes.plot(range(len(values)), values, "o", color=colour, label=title)
+    axes.set_yscale("log")
+    axes.set_xticks(range(len(names)), names, fontsize=SMALL_PT)
+    axes.set_xlim(-0.5, len(names) - 0.5)
+
+
+def _plain(name: str) -> str:
+    return name.removesuffix("_mpa")

@@ -1,0 +1,44 @@
+"""The gap in parts of the surfaces of a cornea, as rows of a summary."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.gap import LinearFit, gap
+from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.summary import RegionGap
+
+SURFACES = ("anterior surface", "posterior surface")
+
+
+def region_rows(diagnosis: Diagnosis) -> Iterator[RegionGap]:
+    """Yield the gap of the nominal model on each surface: all of it, left, middle and right."""
+    inverse, fit = diagnosis.analysis.inverse, LinearFit(diagnosis.analysis.linear)
+    x = inverse.frame.normalised(inverse.points.points)[:, 0]
+    parts = {
+        "all": np.ones(len(x), np.bool_),
+        "left third": x < -1 / 3,
+        "middle third": abs(x) <= 1 / 3,
+        "right third": x > 1 / 3,
+    }
+    for number, surface in enumerate(SURFACES):
+        for region, inside in parts.items():
+            chosen = inside & (inverse.points.interface == number)
+            if chosen.sum() < SETTINGS.gap.fewest_residuals:
+                continue
+            found, residual = gap(fit, chosen), fit.residual[chosen]
+            yield RegionGap(
+                scan=inverse.scans[0].name,
+                interface=surface,
+                region=region,
+                gap_mm=found.gap_mm,
+                low_mm=found.low_mm,
+                high_mm=found.high_mm,
+                noise_mm=found.noise_mm,
+                points=found.points,
+                signed_mean_mm=float(residual.mean()),
+                p50_mm=float(np.quantile(np.abs(residual), 0.5)),
+                p95_mm=float(np.quantile(np.abs(residual), 0.95)),
+                significant=bool(found.low_mm > SETTINGS.gap.nothing_mm),
+            )

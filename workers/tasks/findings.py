@@ -1,0 +1,25 @@
+"""The task that says what a fitted body tells; see `workers.organs.registry.Findings`."""
+
+from typing import Any
+
+from storage.plain import to_plain
+from storage.stores import open_store
+from storage.task_records import EvaluationRequest
+from workers.organs.registry import findings_of
+from workers.spec import validated
+from workers.tasks.body_store import BodyStore
+from workers.tasks.evaluation import case_of, case_organ
+
+
+def find(request: EvaluationRequest) -> dict[str, Any]:
+    """Return the findings of an evaluation that is done, as plain values; maybe none."""
+    organ, spec = case_organ(request["case"]), case_of(request["case"])
+    module = findings_of(spec.organ)
+    if module is None:
+        return {}
+    score = validated(organ.score_spec, request.get("score") or {}, "The score")
+    body, mesh = request["prepared"]["volume"], request["prepared"]["mesh"]
+    bodies = BodyStore(open_store(request["store"]), organ)
+    values = spec.complete(request["constants"])
+    landmarks = bodies.landmarks(body, spec)
+    return dict(to_plain(module.findings(bodies.model(mesh), spec, values, landmarks, score)))

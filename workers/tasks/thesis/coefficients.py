@@ -1,0 +1,117 @@
+"""The bar and the cylinder of thesis section 3.3, as tasks.
+
+::
+
+    bend_bar        one of nine loads   > the displacement
+    compare_bars    all of them         > 28 coefficients of eight wrong deformations
+    turn_cylinder   nothing             > JC, DC, MHD and GSF over the angle
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from storage.values import FloatArray
+from workers.mechanics.fem.outcome import Outcome
+from workers.tasks.task_store import TaskStore
+from workers.tasks.thesis.parts import Request, Spent, Watch
+from workers.thesis.bar import (
+    DEFORMATIONS,
+    Bar,
+    BarExperiment,
+    bend,
+    compared_bars,
+    force_of,
+    make_bar,
+)
+from workers.thesis.cylinder import CylinderRow, cylinder_experiment
+
+
+@dataclass(frozen=True)
+class Bend(Request):
+    """Bend the bar; number 0 is the gold deformation."""
+
+    MODULE: ClassVar[str] = __name__
+
+    number: int
+
+
+@dataclass(frozen=True)
+class Compare(Request):
+    """Compare all bars with the gold one; they are bent."""
+
+    MODULE: ClassVar[str] = __name__
+
+
+@dataclass(frozen=True)
+class Turn(Request):
+    """Turn the cylinder."""
+
+    MODULE: ClassVar[str] = __name__
+
+
+@dataclass(frozen=True, slots=True)
+class BentBar:
+    """How the simulation ended; beside it the displacement, in mm."""
+
+    spent: Spent
+    outcome: Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedBars:
+    """Rows of the bar."""
+
+    spent: Spent
+    experiment: BarExperiment
+
+
+@dataclass(frozen=True, slots=True)
+class TurnedCylinder:
+    """Rows of the cylinder."""
+
+    spent: Spent
+    rows: tuple[CylinderRow, ...]
+
+
+def bend_bar(request: Bend) -> Spent:
+    """Simulate one deformation of the bar."""
+    if not request.part.is_finished:
+        watch = Watch()
+        displacement, outcome = bend(_bar(request), force_of(request.number))
+        request.part.save(BentBar(watch.spent(), outcome), {"displacement_mm": displacement})
+    return request.spent
+
+
+def compare_bars(request: Compare) -> Spent:
+    """Compare the wrong deformations with the gold one.
+
+    Raises
+    ------
+    InputError
+        If the gold deformation did not converge.
+    """
+    if not request.part.is_finished:
+        watch = Watch()
+        bent = {n: _bent(request, n) for n in (0, *DEFORMATIONS)}
+        experiment = compared_bars(request.scale, _bar(request), bent)
+        request.part.save(ComparedBars(watch.spent(), experiment), {})
+    return request.spent
+
+
+def turn_cylinder(request: Turn) -> Spent:
+    """Compare the cylinder with itself over the angles of the thesis."""
+    if not request.part.is_finished:
+        watch = Watch()
+        rows = cylinder_experiment(request.scale)
+        request.part.save(TurnedCylinder(watch.spent(), rows), {})
+    return request.spent
+
+
+def _bar(request: Request) -> Bar:
+    make = lambda: make_bar(request.scale)  # noqa: E731
+    return TaskStore(request.store).cached(("bar", request.scale), make)
+
+
+def _bent(request: Request, number: int) -> tuple[FloatArray, Outcome]:
+    record, arrays = Bend(request.store, request.scale, number).part.load(BentBar)
+    return arrays["displacement_mm"], record.outcome

@@ -1,0 +1,165 @@
+"""Meshes and compressions of the ten phantoms (thesis section 4.4), as tasks.
+
+::
+
+    measure_mesh      a phantom, a kind of mesh        > quality, agreement with the voxels
+    press_phantom     these, a view and a material     > the deformed voxels
+    compare_pressed   two pressed phantoms             > compartments, one by one
+"""
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from storage.arrays import Arrays
+from storage.values import Triple, Volume
+from workers.body.mesh.hierarchy import Hierarchy
+from workers.mechanics.fem.outcome import Outcome
+from workers.tasks.task_store import TaskStore
+from workers.tasks.thesis.parts import Request, Spent, Watch, cached_phantom
+from workers.thesis.compression import Compressed, CompressionRow, LawName, View, compared, compress
+from workers.thesis.mesh_quality import MeshKind, QualityRow, mesh_of, quality_row
+from workers.thesis.phantoms import two_materials
+from workers.thesis.scale import Scale
+
+
+@dataclass(frozen=True)
+class Measure(Request):
+    """Measure one mesh of one phantom."""
+
+    MODULE: ClassVar[str] = __name__
+
+    phantom: int
+    mesh: MeshKind
+
+    @property
+    def kind(self) -> str:
+        """See `Request.kind`."""
+        return f"measure, {self.mesh}"
+
+
+@dataclass(frozen=True)
+class Press(Request):
+    """Press one phantom on one mesh."""
+
+    MODULE: ClassVar[str] = __name__
+
+    phantom: int
+    mesh: MeshKind
+    law: LawName
+    view: View
+
+    @property
+    def kind(self) -> str:
+        """See `Request.kind`."""
+        return f"press, {self.mesh}, {self.view}"
+
+
+@dataclass(frozen=True)
+class ComparePressed(Request):
+    """Compare a phantom on both meshes; both are pressed."""
+
+    MODULE: ClassVar[str] = __name__
+
+    phantom: int
+    law: LawName
+    view: View
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredMesh:
+    """A mesh of a phantom."""
+
+    spent: Spent
+    row: QualityRow
+
+
+@dataclass(frozen=True, slots=True)
+class PressedPhantom:
+    """A compression; beside it the voxels of compartments and tissues, if it converged."""
+
+    spent: Spent
+    outcome: Outcome
+    seconds_per_1000: float
+    tets: int
+    spacing_mm: Triple | None = field(default=None)
+    origins_mm: tuple[Triple, Triple] | None = field(default=None)
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedMeshes:
+    """Both meshes of a phantom compared."""
+
+    spent: Spent
+    row: CompressionRow
+
+
+def measure_mesh(request: Measure) -> Spent:
+    """Mesh a phantom and measure the tetrahedra.
+
+    Raises
+    ------
+    InputError
+        If a mesher is not installed.
+    """
+    if not request.part.is_finished:
+        watch = Watch()
+        row = quality_row(request.phantom, request.mesh, request.scale)
+        request.part.save(MeasuredMesh(watch.spent(), row), {})
+    return request.spent
+
+
+def press_phantom(request: Press) -> Spent:
+    """Press a phantom on one mesh, and carry its voxels along."""
+    if not request.part.is_finished:
+        watch = Watch()
+        hierarchy = cached_mesh(request.store, request.phantom, request.mesh, request.scale)
+        phantom = cached_phantom(request.store, request.phantom, request.scale)
+        pressed = compress(phantom, hierarchy, request.view, request.law)
+        arrays: Arrays = {}
+        spacing, origins = None, None
+        if pressed.compartments is not None and pressed.labels is not None:
+            ids, labels = pressed.compartments, pressed.labels
+            arrays = {"compartments": np.asarray(ids.values), "labels": np.asarray(labels.values)}
+            spacing, origins = labels.spacing_mm, (ids.origin_mm, labels.origin_mm)
+        tets = len(hierarchy.finest.mesh.tets)
+        outcome, each = pressed.outcome, pressed.seconds_per_1000
+        record = PressedPhantom(watch.spent(), outcome, each, tets, spacing, origins)
+        request.part.save(record, arrays)
+    return request.spent
+
+
+def compare_pressed(request: ComparePressed) -> Spent:
+    """Compare the glandular compartments of a phantom on its two meshes."""
+    if not request.part.is_finished:
+        watch = Watch()
+        law, view = request.law, request.view
+        adaptive, homogeneous = (
+            pressed(Press(request.store, request.scale, request.phantom, mesh, law, view))
+            for mesh in ("adaptive", "homogeneous")
+        )
+        row = compared(request.phantom, view, law, adaptive, homogeneous)
+        request.part.save(ComparedMeshes(watch.spent(), row), {})
+    return request.spent
+
+
+def pressed(request: Press) -> Compressed:
+    """Return a compression that is in the store."""
+    record, arrays = request.part.load(PressedPhantom)
+    ids, labels = None, None
+    if record.spacing_mm is not None and record.origins_mm is not None:
+        first, second = record.origins_mm
+        ids = Volume(arrays["compartments"], record.spacing_mm, first)
+        labels = Volume(arrays["labels"], record.spacing_mm, second)
+    return Compressed(ids, labels, record.outcome, record.seconds_per_1000)
+
+
+def cached_mesh(store: str, number: int, kind: MeshKind, scale: Scale) -> Hierarchy:
+    """Return the meshes of a phantom; made once by each process as long as its memory lasts."""
+
+    def make() -> Hierarchy:
+        labels = cached_phantom(store, number, scale).labels
+        return mesh_of(two_materials(labels), kind, scale)
+
+    return TaskStore(store).cached(("thesis mesh", number, kind, scale), make)

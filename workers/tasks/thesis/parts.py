@@ -1,0 +1,111 @@
+"""What the tasks of the thesis' experiments share: where a part lies, what it has cost."""
+
+import os
+import platform
+import time
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from storage.digest import digest
+from workers.body.phantom.breast import Phantom
+from workers.tasks.code_version import code_version
+from workers.tasks.task_store import Part, TaskStore
+from workers.thesis.phantoms import thesis_phantom
+from workers.thesis.scale import Scale
+
+
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """What a part has cost.
+
+    Parameters
+    ----------
+    wall_s, cpu_s : float
+        Seconds on the clock, and of this process on a processor: on a busy machine less.
+    machine : str
+        Where.
+    """
+
+    wall_s: float
+    cpu_s: float
+    machine: str
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """The first field of every record: all that progress and estimates ask of it."""
+
+    spent: Spent
+
+
+@dataclass(frozen=True)
+class Request:
+    """One part of an experiment; what names it are the fields of its class but `store`.
+
+    Parameters
+    ----------
+    store : str
+        Folder that all workers see.
+    scale : str
+        One of `workers.thesis.scale.SCALES`.
+    """
+
+    MODULE: ClassVar[str]
+
+    store: str
+    scale: Scale
+
+    @property
+    def part(self) -> Part:
+        """Where its result lies."""
+        which = [type(self).__name__, *astuple(self)[1:]]
+        return Part(TaskStore(self.store), digest("thesis", which, code_version(self.MODULE)))
+
+    @property
+    def kind(self) -> str:
+        """What takes about as long as itself: `press, adaptive, CC`."""
+        return type(self).__name__.lower()
+
+    @property
+    def label(self) -> str:
+        """Itself for a reader."""
+        return ", ".join(str(v) for v in (type(self).__name__.lower(), *astuple(self)[2:]))
+
+    @property
+    def spent(self) -> Spent:
+        """What it has cost; it is finished."""
+        return self.part.record(Timed).spent
+
+
+class Watch:
+    """Seconds since it was made.
+
+    Examples
+    --------
+    >>> Watch().spent().wall_s < 1
+    True
+    """
+
+    def __init__(self) -> None:
+        self._wall_s, self._cpu_s = time.perf_counter(), time.process_time()
+
+    def spent(self) -> Spent:
+        """Return what has been spent so far."""
+        wall_s, cpu_s = time.perf_counter() - self._wall_s, time.process_time() - self._cpu_s
+        return Spent(wall_s, cpu_s, machine())
+
+
+def machine() -> str:
+    """Name the processor, as far as the system tells, and the number of its cores."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.is_file() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    name = models[0] if models else platform.processor() or platform.machine()
+    return f"{name}, {os.cpu_count()} cores"
+
+
+def cached_phantom(store: str, number: int, scale: Scale) -> Phantom:
+    """Return a phantom of the thesis; made once by each process."""
+    make = lambda: thesis_phantom(number, scale)  # noqa: E731
+    return TaskStore(store).cached(("phantom", number, scale), make)

@@ -69,7 +69,6 @@ class JointEvidence:
         self._offset[:p] = nominal.offset
         A, residual = np.hstack(blocks), nominal.residual[:, None]
         self._plain = noise.plain(A, residual)
-        self._likeliest = noise.plain(A, residual, noise.likeliest)
         self._field = noise.with_field(A, residual) if noise.has_field else []
 
     @property
@@ -85,7 +84,7 @@ class JointEvidence:
         """Return by how much the smooth field raises it; None without a field."""
         if not self._field:
             return None
-        return self._average(self._field, effects) - self._average(self._likeliest, effects)
+        return self._average(self._field, effects) - self._average(self._plain, effects)
 
     def hypothesis(self, effects: tuple[str, ...]) -> Hypothesis:
         """Return the evidence of some effects together, with and without the smooth field."""

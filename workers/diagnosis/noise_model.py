@@ -99,12 +99,15 @@ class NoiseState:
         Of the numerical error, over what is believed.
     log_weight : float
         Logarithm of its prior.
+    share : float
+        Its probability, of all states, when the noise was learnt.
     """
 
     length: int
     scales: FloatArray
     numerical: float
     log_weight: float
+    share: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,10 +256,12 @@ class NoiseModel:
     def with_field(self, columns: FloatArray, residuals: FloatArray) -> list[Quadratic]:
         """Return the same with a smooth field in the noise, under the likeliest states.
 
-        See `plain`. What it gains is to be compared with `plain` under the same states.
+        See `plain`. The states that are left out are made good for by the share that they had
+        when the noise was learnt, with a smooth field then too.
         """
         p = columns.shape[1]
         share = np.log(max(1, self._n_fields) * len(self.amplitudes_mm))
+        share += np.log(sum(state.share for state in self.likeliest))
         found = []
         for length, states in self._by_length(self.likeliest):
             white = self._white(length, np.hstack([columns, residuals]))
@@ -287,7 +292,7 @@ class NoiseModel:
             return None
         quadratics = self.with_field(at.columns, at.residual[:, None])
         found = logsumexp([log_marginal(q, at.offset, at.one_sided)[0] for q in quadratics])
-        return float(found) - self.log_evidence(at, self.likeliest)
+        return float(found) - self.log_evidence(at)
 
     @property
     def has_field(self) -> bool:
@@ -410,7 +415,12 @@ def learnt_states(
     found.sort(key=lambda one: -one[0])
     kept = [state for value, state in found if value > found[0][0] - settings.hopeless_nats]
     total = float(logsumexp([state.log_weight for state in kept]))
-    return [replace(state, log_weight=state.log_weight - total) for state in kept]
+    shares = np.exp([value - found[0][0] for value, _ in found[: len(kept)]])
+    shares /= shares.sum()
+    return [
+        replace(state, log_weight=state.log_weight - total, share=float(share))
+        for state, share in zip(kept, shares, strict=True)
+    ]
 
 
 def _optimum(grams: Sequence[FloatArray], counts: IntArray, scales: FloatArray) -> FloatArray:

@@ -28,6 +28,7 @@ def noise_arrays(inverse: InverseProblem) -> Arrays:
         "noise_state_scales": np.stack([s.scales for s in learnt.states]),
         "noise_state_numerical": np.array([s.numerical for s in learnt.states]),
         "noise_state_log_weights": np.array([s.log_weight for s in learnt.states]),
+        "noise_state_shares": np.array([s.share for s in learnt.states]),
     }
 
 
@@ -45,6 +46,7 @@ def with_stored_noise(inverse: InverseProblem, arrays: Arrays) -> InverseProblem
         arrays["noise_state_scales"],
         arrays["noise_state_numerical"].tolist(),
         arrays["noise_state_log_weights"].tolist(),
+        arrays["noise_state_shares"].tolist(),
         strict=True,
     )
     learnt = LearntNoise(parts, tuple(NoiseState(*row) for row in rows))

@@ -1,4 +1,4 @@
-# One image for the scheduler, the workers and the driver, so that the code is the same on all.
+# One image for the scheduler, the workers and the service, so that the code is the same on all.
 FROM python:3.11-slim AS build
 
 WORKDIR /source
@@ -21,7 +21,7 @@ RUN pip install --no-cache-dir --disable-pip-version-check --no-deps .
 FROM python:3.11-slim
 
 RUN useradd --create-home --uid 1000 palpate \
-    && install --directory --owner palpate --group palpate /data
+    && install --directory --owner palpate --group palpate /data /home/palpate/.cache
 COPY --from=build /opt/palpate /opt/palpate
 
 # PYTHONSAFEPATH: a folder named `service` beside a study must not shadow the package.
@@ -42,5 +42,5 @@ ENV PATH=/opt/palpate/bin:$PATH \
 USER 1000
 WORKDIR /data
 VOLUME /data
-EXPOSE 8786 8787
+EXPOSE 8780 8786 8787
 CMD ["palpate", "--help"]

@@ -4,6 +4,7 @@
 #   make test        style, types, import rules and all quick tests
 #   make test-slow   the tests that take minutes or run at full scale
 #   make bench       figures: how long things take here
+#   make docs        the pages of docs/ as a site in site/, without a network
 #   make lint        style, types and import rules alone
 #
 # Another interpreter: make demo PYTHON=/usr/bin/python3.12 (3.11 or newer).
@@ -14,7 +15,7 @@ READY := $(VENV)/.ready
 PYTHON ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow bench lint format constraints clean
+.PHONY: help demo test test-slow bench docs lint format constraints clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -32,6 +33,9 @@ test-slow: $(READY)
 bench: $(READY)
 	$(BIN)/palpate bench --nodes 5000,20000,90000 --spacing 1,0.5,0.2
 
+docs: $(READY)
+	$(BIN)/mkdocs build --strict
+
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -47,7 +51,7 @@ constraints: $(READY)
 	$(BIN)/pip freeze --exclude-editable > constraints.txt
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 # The stamp is written last, so an installation cut short is taken up again.
 $(READY): pyproject.toml constraints.txt

@@ -39,7 +39,11 @@ def connect(url: str = "http://127.0.0.1:8780", token: str | None = None) -> "Se
         If nobody answers there.
     """
     client = Client(url, token, patience_s=5.0)
-    client.health()
+    try:
+        client.health()
+    except BaseException:
+        client.close()
+        raise
     client.patience_s = 120.0
     return Service(client)
 

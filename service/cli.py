@@ -22,20 +22,24 @@ from service.commands import (
     export,
     import_,
     import_case,
+    mammogram,
     mesh,
     new,
     open_,
     parameters,
     phantom,
     plan,
+    profile,
     report,
     run,
     serve,
     show,
     simulate,
+    slurm,
     status,
     store,
     strategies,
+    thesis,
     token,
 )
 from service.commands.settings import remember_command
@@ -90,6 +94,7 @@ app.command("run")(run.run)
 app.command("status")(status.status)
 app.command("show")(show.show)
 app.command("report")(report.report)
+app.command("profile")(profile.profile)
 app.command("open")(open_.open_)
 app.command("diagnose")(diagnose.diagnose)
 app.command("plan")(plan.plan)
@@ -102,8 +107,11 @@ app.command("parameters")(parameters.parameters)
 app.command("simulate")(simulate.simulate)
 app.command("export")(export.export)
 app.command("serve")(serve.serve)
+app.command("slurm")(slurm.slurm)
 app.add_typer(token.app, name="token")
 app.add_typer(store.app, name="store")
+app.command("thesis")(thesis.thesis)
+app.command("mammogram")(mammogram.mammogram)
 app.command("doctor")(doctor.doctor)
 app.command("bench")(bench.bench)
 app.command("strategies")(strategies.strategies)
@@ -127,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(typed: list[str]) -> int:
     try:
-        app(typed)
+        app(typed, prog_name="palpate")
     except PalpateError as error:
         return _explain(str(error))
     except SystemExit as ended:  # typer leaves so, with 2 for a wrong option and 130 for Ctrl-C

@@ -21,116 +21,30 @@ from pydantic import (
 )
 
 from service.search.base import Search
-from service.search.cma_search import CmaSearch, CmaSettings
-from service.search.genetic import GeneticSearch, GeneticSettings
+from service.search.cma_search import CmaSearch
+from service.search.genetic import GeneticSearch
 from service.search.least_squares import (
     FittedNames,
     LeastSquaresSearch,
     LeastSquaresSettings,
 )
-from service.search.operators import INITIAL, MUTATIONS
 from service.search.polished import PolishedSearch
-from service.search.space import Space
-from service.search.stall import Stall
+from service.search_spec import COARSE_LEVELS, LevelSpec, SearchSpec
 from storage.digest import digest
 from storage.errors import InputError
 from storage.task_records import FreeParameter
-from workers.mechanics.parameters import Bounds, unknown_name
+from workers.mechanics.parameters import unknown_name
 from workers.organs.registry import DEFAULT, MODULES, organ_named
 from workers.spec import (
     CaseSpec,
     Door,
     Identifiable,
-    Positive,
     ScoreSpec,
     TargetSpec,
     validated,
 )
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
-
-
-class StallSpec(Door):
-    """When to stop because nothing gets better; see `service.search.stall`."""
-
-    generations: Annotated[int, Field(ge=1)] = 5
-    tolerance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-6
-    rule: Literal["relative", "weighted"] = "relative"
-
-
-class LevelSpec(Door):
-    """A coarser resolution in which constants are fitted first."""
-
-    nodes: Annotated[int, Field(ge=100, le=5_000_000)]
-    spacing_mm: Positive
-
-
-class SearchSpec(Door):
-    """How the parameters are searched; the defaults are the thesis'.
-
-    ``stall: null`` never stops before the last generation. ``starts``, ``levels`` and
-    ``fit_evaluations`` are for the strategies with least squares, see
-    `service.search.least_squares`; the others for ``genetic`` and, as far as they apply, ``cma``.
-    """
-
-    parameters: Annotated[dict[str, Bounds], Field(min_length=1)]
-    strategy: Literal["genetic", "least-squares", "genetic+least-squares", "cma"] = "genetic"
-    starts: Annotated[int, Field(ge=1, le=100)] = 3
-    levels: tuple[LevelSpec, ...] | None = None
-    fit_evaluations: Annotated[int, Field(ge=2)] = 20
-    population: Annotated[int, Field(ge=2)] = 84
-    generations: Annotated[int, Field(ge=1)] = 15
-    elite: Annotated[int, Field(ge=0)] = 2
-    crossover_fraction: Annotated[float, Field(ge=0, le=1)] = 0.8
-    mutation: Literal["adaptive-feasible", "gaussian"] = "adaptive-feasible"
-    initial: Literal["uniform", "latin-hypercube"] = "uniform"
-    stall: StallSpec | None = StallSpec()
-
-    @model_validator(mode="after")
-    def _somebody_is_new(self) -> Self:
-        if self.elite >= self.population:
-            raise ValueError(
-                f"elite ({self.elite}) must be less than population ({self.population}): "
-                "somebody has to be new in every generation"
-            )
-        return self
-
-    @model_validator(mode="before")
-    @classmethod
-    def _few_candidates_for_cma(cls, data: Any) -> Any:
-        """Fill in what CMA-ES usually takes where the thesis' numbers would stand."""
-        if isinstance(data, Mapping) and data.get("strategy") == "cma":
-            return {"population": 12, "generations": 60, **data}
-        return data
-
-    @property
-    def by_derivatives(self) -> bool:
-        """Return whether the strategy needs derivatives."""
-        return "least-squares" in self.strategy
-
-    @property
-    def cma_settings(self) -> CmaSettings:
-        """Return the settings of `CmaSearch`."""
-        return CmaSettings(self.population, self.generations, self.settings.stall)
-
-    @property
-    def settings(self) -> GeneticSettings:
-        """Return the settings of `GeneticSearch`."""
-        stall = self.stall
-        return GeneticSettings(
-            population=self.population,
-            generations=self.generations,
-            elite=self.elite,
-            crossover_fraction=self.crossover_fraction,
-            stall=None if stall is None else Stall(**stall.model_dump()),
-            mutation=MUTATIONS[self.mutation],
-            initial=INITIAL[self.initial],
-        )
-
-    @property
-    def space(self) -> Space:
-        """Return the box that is searched, in the units at the door."""
-        return Space.from_bounds(self.parameters)
 
 
 class StudySpec(Door):
@@ -199,7 +113,7 @@ class StudySpec(Door):
         genetic = GeneticSearch(space, self.search.settings, self.seed)
         if strategy == "genetic":
             return genetic
-        fit = LeastSquaresSearch(space, self._fitted_names, self._fit_settings, self.seed)
+        fit = LeastSquaresSearch(space, self.fitted_names, self._fit_settings, self.seed)
         return fit if strategy == "least-squares" else PolishedSearch(genetic, fit)
 
     @property
@@ -244,7 +158,8 @@ class StudySpec(Door):
         return [{"name": n, "lower": lo, "upper": hi} for n, (lo, hi) in bounds.items()]
 
     @property
-    def _fitted_names(self) -> FittedNames:
+    def fitted_names(self) -> FittedNames:
+        """Return how the genes stand in the least-squares problem of an evaluation."""
         genes = [self.case.parameters.at_door(name) for name in self.search.parameters]
         return FittedNames(tuple(p.name for p in genes), tuple(p.unit.to_door(1.0) for p in genes))
 
@@ -279,13 +194,6 @@ class StudySpec(Door):
     def digest(self) -> str:
         """Return a short name of everything that the study file says."""
         return digest(self.as_dict())
-
-
-# Elements of about 5 and 3 mm in a breast of 445 ml; voxels with a fifth of that.
-COARSE_LEVELS = (
-    LevelSpec(nodes=5_000, spacing_mm=1.0),
-    LevelSpec(nodes=20_000, spacing_mm=0.5),
-)
 
 
 @cache
@@ -369,6 +277,8 @@ def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
         data = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         raise InputError(f"{where} is not valid YAML: {error}") from error
+    except RecursionError:
+        raise InputError(f"{where} is not a study: its lists are nested too deeply.") from None
     if not isinstance(data, dict):
         kind = "nothing" if data is None else type(data).__name__
         raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")

@@ -6,24 +6,22 @@ ending is evaluated. Scores are handed to the search in the order of the candida
 the number of workers nor an interruption changes what is proposed next.
 """
 
-import math
-import re
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from service.dispatch import Dispatcher, Ending
-from service.errors import ClusterError, GenerationCrashError
+from service.endings import blame_cluster_if_many, evaluation_record, refuse_if_all_crashed
 from service.hooks import Hooks, Observer, StudyFacts
 from service.search.base import Generation, Stopped
 from service.search_replay import PendingGeneration, SearchReplay, best_of
 from service.spec import StudySpec
 from service.study_folder import StudyFolder
 from service.study_log import StudyLog
+from service.study_work import StudyWork, Tasks
 from service.versions import versions
 from storage.atomic import write_file
 from storage.evaluations import load_evaluation
@@ -40,36 +38,11 @@ from storage.status import Status
 from storage.stores import Store, open_store
 from storage.task_records import (
     EvaluationRequest,
-    EvaluationResult,
-    PreparedBody,
-    PreparedLevel,
-    PreparedTarget,
-    Scores,
 )
 from storage.volumes import has_volume
 from workers.organs.registry import organ_named
-from workers.tasks import evaluation as evaluation_tasks
-from workers.tasks.findings import find
 
-# A generation that loses more than this share of its candidates accuses the cluster.
-MAX_LOST_SHARE = 0.2
-# What differs between two reasons that are one.
-NUMBERS = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
-NO_SHARED_TISSUE = "it has no score: candidate and target share no tissue compared"
-
-
-@dataclass(frozen=True)
-class Tasks:
-    """The functions that are sent to the workers; see `workers.tasks.evaluation`."""
-
-    prepare: Callable[..., PreparedBody] = evaluation_tasks.prepare_case
-    target: Callable[..., PreparedTarget] = evaluation_tasks.make_target
-    evaluate: Callable[..., EvaluationResult] = evaluation_tasks.evaluate
-    digest: Callable[..., str] = evaluation_tasks.evaluation_digest
-    keep_volume: Callable[..., str] = evaluation_tasks.keep_volume
-    compare: Callable[..., Mapping[str, Scores]] = evaluation_tasks.score_bodies
-    level: Callable[..., PreparedLevel] = evaluation_tasks.prepare_level
-    find: Callable[..., Mapping[str, Any]] = find
+__all__ = ["Conclusion", "Study", "Tasks"]
 
 
 @dataclass(frozen=True)
@@ -165,23 +138,6 @@ class Study:
             return _Run(self, journal, log, store, dispatcher).to_the_end(dashboard)
 
 
-@dataclass(frozen=True)
-class _Prepared:
-    """The body and the target of a run, in the store."""
-
-    body: PreparedBody
-    target: PreparedTarget
-
-
-@dataclass(frozen=True)
-class _Resolution:
-    """Body, mesh and target of one level, and the case with that mesh."""
-
-    case: Mapping[str, Any]
-    body: PreparedBody
-    target: str
-
-
 class _Run:
     """One run of a study, its journal locked."""
 
@@ -193,13 +149,12 @@ class _Run:
         self.began = time.monotonic()
         self.endings = dict(log.endings)
         self.case = self.spec.case.model_dump(mode="json")
-        self.score = self.spec.score.model_dump(mode="json")
 
     def to_the_end(self, dashboard: str) -> Conclusion:
         self._announce(dashboard)
-        prepared = self._prepare()
+        work = self._prepare()
         search = SearchReplay(self.spec.search_strategy, self.spec.search.space)
-        evaluation = _GenerationRun(self, prepared)
+        evaluation = _GenerationRun(self, work)
         generations: list[PendingGeneration] = []
         while isinstance(pending := search.propose(), PendingGeneration):
             generations.append(pending)
@@ -230,7 +185,7 @@ class _Run:
         )
         self.hooks.started(facts)
 
-    def _prepare(self) -> _Prepared:
+    def _prepare(self) -> StudyWork:
         """Bring case and target into the store, which is quick when they are there."""
         store, workers = str(self.store.root), self.dispatcher.threads
         body = self.dispatcher.call(self.tasks.prepare, self.case, store)
@@ -243,7 +198,8 @@ class _Run:
         self._append(
             SessionRecord(now, store, versions(), body, target, workers, self._elapsed_s())
         )
-        return _Prepared(body, target)
+        target_name = target["target"]
+        return StudyWork(self.spec, self.tasks, self.store, self.dispatcher, body, target_name)
 
     def _end(
         self,
@@ -255,9 +211,10 @@ class _Run:
         if best is None:
             return EndRecord(stopped.reason, None, None, {}, {}, self._elapsed_s())
         evaluation.make_volumes(generations[best.generation], [best.candidate])
-        at = evaluation.resolution(best.level)
-        before = evaluation.compare_with_target(at, at.body["volume"])
-        after = evaluation.compare_with_target(at, best.digest)
+        work = evaluation.work
+        at = work.resolution(best.level)
+        before = work.compare_with_target(at, at.body["volume"])
+        after = work.compare_with_target(at, best.digest)
         found = evaluation.findings(generations[best.generation], best.candidate)
         write_file(self.study.folder.layout.findings, dumps(found).encode())
         reason, elapsed_s = stopped.reason, self._elapsed_s()
@@ -292,11 +249,10 @@ class _Run:
 class _GenerationRun:
     """Evaluates the candidates of a run's generations on the cluster."""
 
-    def __init__(self, run: _Run, prepared: _Prepared) -> None:
-        self.run, self.prepared = run, prepared
+    def __init__(self, run: _Run, work: StudyWork) -> None:
+        self.run, self.work = run, work
         self.spec, self.tasks, self.hooks = run.spec, run.tasks, run.hooks
         self.store, self.dispatcher, self.endings = run.store, run.dispatcher, run.endings
-        self._resolutions: dict[int | None, _Resolution] = {}
 
     def evaluate(self, pending: PendingGeneration) -> None:
         """See that every candidate of a generation has an ending."""
@@ -324,7 +280,7 @@ class _GenerationRun:
         for ending in self.dispatcher.run(self.tasks.evaluate, calls):
             if ending.kind == "lost":
                 lost.append(ending)
-                _blame_cluster_if_many(lost, len(calls))
+                blame_cluster_if_many(lost, len(calls))
             elif ending.kind == "crashed" and not others:
                 crashed.append(ending)
             else:
@@ -333,7 +289,7 @@ class _GenerationRun:
                     self._journal(pending, sharing[earlier.key], earlier, reused=False)
                 crashed.clear()
         if not lost:
-            _refuse_if_all_crashed(crashed, pending.number)
+            refuse_if_all_crashed(crashed, pending.number)
         for ending in [*crashed, *lost]:
             self._journal(pending, sharing[ending.key], ending, reused=False)
 
@@ -363,33 +319,12 @@ class _GenerationRun:
                 calls.append((candidate, (self._request(pending, candidate),)))
         self.dispatcher.all(self.tasks.keep_volume, calls)
 
-    def compare_with_target(self, at: "_Resolution", volume: str) -> Mapping[str, Scores]:
-        """Score a stored volume against the target, tissue by tissue."""
-        store, score = str(self.store.root), self.run.score
-        return self.dispatcher.call(self.tasks.compare, at.case, store, at.target, volume, score)
-
     def differentiate(self, pending: PendingGeneration, candidate: int) -> Ending:
         """Evaluate a candidate once more, with derivatives."""
         request = self._request(pending, candidate, derivatives=True)
         calls = [(request["digest"], (request,))]
         (ending,) = self.dispatcher.run(self.tasks.evaluate, calls)
         return ending
-
-    def resolution(self, level: int | None) -> "_Resolution":
-        """Return body, mesh and target of a level, made where they are missing."""
-        if level not in self._resolutions:
-            self._resolutions[level] = self._resolution(level)
-        return self._resolutions[level]
-
-    def _resolution(self, level: int | None) -> "_Resolution":
-        case, body, target = self.run.case, self.prepared.body, self.prepared.target["target"]
-        if level is None:
-            return _Resolution(case, body, target)
-        coarse, store = self.spec.levels[level], str(self.store.root)
-        made = self.dispatcher.call(
-            self.tasks.level, case, body, target, coarse.spacing_mm, coarse.nodes, store
-        )
-        return _Resolution(made["case"], made["prepared"], made["target"])
 
     def findings(self, pending: PendingGeneration, candidate: int) -> Mapping[str, Any]:
         """Find out what the body of a candidate tells beside its constants."""
@@ -400,7 +335,7 @@ class _GenerationRun:
     ) -> None:
         """Write down an ending for all candidates that share it, then tell the observers."""
         records = [
-            _evaluation_record(pending, candidate, ending, reused or position > 0)
+            evaluation_record(pending, candidate, ending, reused or position > 0)
             for position, candidate in enumerate(candidates)
         ]
         self.run.journal.append(*(record.to_json() for record in records))
@@ -411,75 +346,6 @@ class _GenerationRun:
     def _request(
         self, pending: PendingGeneration, candidate: int, *, derivatives: bool = False
     ) -> EvaluationRequest:
-        constants = self.spec.constants_of(pending.genes(candidate))
-        at, score = self.resolution(pending.proposal.level), self.run.score
-        request: EvaluationRequest = {
-            "store": str(self.store.root),
-            "case": at.case,
-            "prepared": at.body,
-            "target": at.target,
-            "constants": constants,
-            "score": score,
-            "keep_volume": self.spec.keep == "all",
-        }
-        free = self.spec.free_parameters
-        more = [free] if derivatives or pending.proposal.derivatives else []
-        if more:
-            request["free"] = free
-        name = self.tasks.digest(at.case, at.body, at.target, constants, score, *more)
-        request["digest"] = name
-        return request
-
-
-def _blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:
-    """Raise where many are lost: then the cluster is to blame, and no candidate."""
-    if len(lost) > max(1, MAX_LOST_SHARE * evaluations):
-        raise ClusterError(
-            f"{len(lost)} of {evaluations} candidates have lost their workers again and again: "
-            f"{lost[0].reason}. The workers may have too little memory: start fewer with "
-            "--workers, then run the study again; what is finished is kept."
-        )
-
-
-def _refuse_if_all_crashed(crashed: list[Ending], generation: int) -> None:
-    """Raise where all candidates crash for one reason: the search would learn nothing."""
-    reasons = {NUMBERS.sub("#", ending.reason) for ending in crashed}
-    if len(crashed) > 1 and len(reasons) == 1:
-        raise GenerationCrashError(
-            f"All {len(crashed)} candidates of generation {generation + 1} have crashed for one "
-            f"reason: {crashed[0].reason}. None of them is journalled: put it right, and the same "
-            "command continues the study.",
-            crashed[0].traceback,
-        )
-
-
-def _evaluation_record(
-    pending: PendingGeneration, candidate: int, ending: Ending, reused: bool
-) -> EvaluationRecord:
-    """Make the journal's record of an ending."""
-    record = partial(
-        EvaluationRecord,
-        candidate=candidate,
-        generation=pending.number,
-        genes=pending.genes(candidate),
-        digest=ending.key,
-        attempts=max(1, ending.attempts),
-        reused=reused,
-        level=pending.proposal.level,
-    )
-    result: EvaluationResult | None = ending.value
-    if result is None:
-        status = Status.CRASHED if ending.kind == "crashed" else Status.LOST
-        traceback = ending.traceback if status is Status.CRASHED else ""
-        return record(status=status, reason=ending.reason, traceback=traceback)
-    record = partial(
-        record,
-        outcome=result.get("outcome"),
-        seconds=result.get("seconds", {}),
-        worker=result.get("worker", ""),
-        fit=result.get("fit"),
-    )
-    score = result.get("score")
-    if result["status"] == "done" and score is not None and score["gsf"] < math.inf:
-        return record(status=Status.DONE, score=score)
-    return record(status=Status.DIVERGED, reason=result.get("reason") or NO_SHARED_TISSUE)
+        proposal = pending.proposal
+        wanted = derivatives or proposal.derivatives
+        return self.work.request(pending.genes(candidate), proposal.level, derivatives=wanted)

@@ -5,6 +5,7 @@ Every key carries its unit. An unknown key is refused with the nearest known one
 raises it as an `InputError`. The keys of one organ stand in its own ``spec.py``.
 """
 
+import reprlib
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeVar
@@ -12,7 +13,6 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from storage.errors import InputError
-from workers.mechanics.compression import Compression
 from workers.mechanics.parameters import Vocabulary, unknown_name
 
 
@@ -110,10 +110,6 @@ class CaseSpec(Door):
         """
         return "absolute"
 
-    def compression(self) -> Compression | None:
-        """Return how plates press the body; None where there are none."""
-        return None
-
     def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
         """Return the searched stiffnesses that can all grow by one factor without any effect.
 
@@ -199,12 +195,18 @@ def explain(error: ValidationError) -> str:
     return "\n".join(_line(dict(e)) for e in error.errors(include_url=False))
 
 
+# Lists that refer to lists can be longer than any memory when they are written out.
+_SHORT = reprlib.Repr()
+_SHORT.maxdict = _SHORT.maxlist = _SHORT.maxtuple = 10
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 60, 60
+
+
 def _line(error: dict[str, Any]) -> str:
     path = ".".join(str(part) for part in error["loc"]) or "the whole"
     if error["type"] == "value_error":
         return f"  {path}: {error['ctx']['error']}"
     if error["type"] == "missing":
         return f"  {path}: this key is missing"
-    found = repr(error["input"])
+    found = _SHORT.repr(error["input"])
     found = found if len(found) <= 60 else f"{found[:57]}..."
     return f"  {path}: {error['msg']}, found {found}"

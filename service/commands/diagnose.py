@@ -1,6 +1,5 @@
 """`palpate diagnose`: why a simulated body differs from the real one."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from service.diagnosis.run import FinishedDiagnosis
-    from service.report.diagnosis_made import Origin
     from workers.diagnosis.summary import Summary
     from workers.tasks.diagnosis_store import DiagnosisRequest
 
@@ -68,6 +66,7 @@ def diagnose(
     from datetime import UTC, datetime
 
     from service.diagnosis.run import finished, request_for
+    from service.report.diagnosis_files import write_diagnosis
     from service.report.diagnosis_made import origin_of
     from storage.errors import InputError
     from storage.typed_json import to_json
@@ -92,7 +91,7 @@ def diagnose(
         raise interrupted()
     spent = None if stored else time.monotonic() - began
     origin = origin_of(opened, request, when, f"palpate diagnose {source}", spent)
-    page = _write(diagnosis, origin, out or RUNS / folder_name(source))
+    page = write_diagnosis(diagnosis, out or RUNS / folder_name(source), origin)
     if as_json:
         print_json(to_json(diagnosis.summary))
         return
@@ -165,22 +164,6 @@ def _with_plan(
         return None
     options = next_acquisitions(diagnosis.summary, plan)
     return replace(diagnosis, summary=replace(diagnosis.summary, next_acquisitions=options))
-
-
-def _write(diagnosis: "FinishedDiagnosis", origin: "Origin", folder: Path) -> Path:
-    from service.report.diagnosis_page import render
-    from storage.atomic import explained, write_file
-    from storage.plain import to_plain
-    from storage.typed_json import to_json
-
-    with explained(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    plain = to_plain(to_json(diagnosis.summary))
-    text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)
-    write_file(folder / "diagnosis.json", text.encode() + b"\n")
-    page = folder / "diagnosis.html"
-    write_file(page, render(diagnosis, origin).encode())
-    return page
 
 
 def print_verdict(summary: "Summary", console: "Console") -> None:

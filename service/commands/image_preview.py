@@ -71,9 +71,9 @@ def doubt(volume: Volume) -> str:
         return ""
     pixel_cm2 = volume.spacing_mm[0] * volume.spacing_mm[1] / 100
     return (
-        f"The body is wider at the high end of z ({nipple * pixel_cm2:.3g} cm2) than at the "
-        f"low end ({wall * pixel_cm2:.3g} cm2), where the chest wall should be. If z does not "
-        "run from chest wall to nipple, give --axes, such as -x,y,-z."
+        f"The body is wider at the high end of z ({nipple * pixel_cm2:.3g} cm2) than at the low "
+        f"end ({wall * pixel_cm2:.3g} cm2), where the chest wall should be. If z does not run from "
+        "chest wall to nipple, give --axes, such as -x,y,-z."
     )
 
 
@@ -113,7 +113,7 @@ def write_png(path: Path, volume: Volume, title: str) -> None:
         )
         panel.set_xlabel(f"{AXES[view.across]} (mm): {MEANING[AXES[view.across]]}", color=INK)
         panel.set_ylabel(f"{AXES[view.up]} (mm): {MEANING[AXES[view.up]]}", color=INK)
-        panel.set_title(f"{view.name}, {AXES[view.normal]} = {at_mm:.4g} mm", color=INK)
+        panel.set_title(f"{view.name}, {AXES[view.normal]} = {at_mm:.3g} mm", color=INK)
     there = [t for t in Tissue if t and (np.asarray(volume.values) == t).any()]
     patches = [Patch(facecolor=TISSUES[t], edgecolor=INK, label=t.name.lower()) for t in there]
     drawn.legend(handles=patches, loc="outside lower center", ncols=len(there), frameon=False)
@@ -142,7 +142,7 @@ def terminal_lines(volume: Volume, width: int, *, colours: bool) -> Iterator[Any
     blocks = []
     for view, at_mm, cut in shown:
         columns = max(2, round(panel * _size_mm(cut)[0] / largest))
-        title = Text(f"{view.name}, {AXES[view.normal]} {at_mm:.4g} mm"[:panel].ljust(panel))
+        title = Text(f"{view.name}, {AXES[view.normal]} {at_mm:.3g} mm"[:panel].ljust(panel))
         blocks.append([title, *_drawn(cut, columns, panel, colours)])
     if not beside:
         for block in blocks:

@@ -45,9 +45,11 @@ def print_report(results: "StudyResults", console: "Console") -> None:
         console.print(ONLY_RATIOS)
         ratios = [(r.name, *_numbers(r, "")) for r in results.ratios]
         print_table(console, ("ratio", "estimate", "target", "error"), ratios, right=(1, 2, 3))
-    headings = ("parameter", "estimate", "target", "error", "searched")
-    rows = _estimates(results)
-    print_table(console, headings, rows, title=results.name, right=(1, 2, 3, 4))
+    headings, rows = _estimates(results)
+    right = tuple(range(1, len(headings)))
+    print_table(console, headings, rows, title=results.name, right=right)
+    for text in _how_well(results):
+        console.print(text)
     if results.best is not None and results.best.score is not None:
         console.print(f"candidate {results.best.candidate}: {score_text(results.best.score)}")
     for label, score in results.best_scores.items():
@@ -63,12 +65,37 @@ def print_report(results: "StudyResults", console: "Console") -> None:
     console.print(f"{clock(results.wall_s)} in all; workers {clock(total_s)}: {stages or 'none'}")
 
 
-def _estimates(results: "StudyResults") -> list[tuple[str, ...]]:
+def _estimates(results: "StudyResults") -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return headings and rows; columns of which nothing is known are left out."""
+    known = results.identification
+    polished = any(e.before_polish is not None for e in results.estimates.values())
+    between = ("90 % interval",) * (known is not None) + ("before polish",) * polished
     rows: list[tuple[str, ...]] = []
     for name, e in results.estimates.items():
         unit = f" {e.unit}".rstrip()
-        rows.append((name, *_numbers(e, unit), f"{e.lower:g} to {e.upper:g}{unit}"))
-    return rows
+        estimate, target, error = _numbers(e, unit)
+        more = []
+        if known is not None:
+            constant = known.constants.get(name)
+            interval = None if constant is None else constant.interval
+            more.append(
+                "-" if interval is None else f"{interval.lower:.4g} to {interval.upper:.4g}"
+            )
+        if polished:
+            more.append("-" if e.before_polish is None else f"{e.before_polish:.4g}{unit}")
+        rows.append((name, estimate, *more, target, error, f"{e.lower:g} to {e.upper:g}{unit}"))
+    return ("parameter", "estimate", *between, "target", "error", "searched"), rows
+
+
+def _how_well(results: "StudyResults") -> list[str]:
+    """Return sentences on how well the image determines the constants."""
+    known = results.identification
+    if known is None:
+        return []
+    texts = [f"Weakly determined: {', '.join(known.weak)}."] if known.weak else []
+    if known.directions:
+        texts.append(f"Least known: {known.directions[-1].words}.")
+    return texts
 
 
 def _numbers(e: "ParameterEstimate | RatioEstimate", unit: str) -> tuple[str, str, str]:

@@ -52,6 +52,8 @@ def run(
     """
     with stop_requests() as requests:  # before the imports, which take a while
         scheduler, workers = cluster_options(scheduler, workers)
+        spec = load_spec(study)  # a slip is named before what takes a while is imported
+        home = folder or (study if study.is_dir() else RUNS / spec.name)
         from service.commands.tables import make_console
         from service.progress import progress_observer
         from service.report.live import LivePage
@@ -59,9 +61,8 @@ def run(
         from service.study import Study
         from storage.layout import StudyLayout
 
-        spec = load_spec(study)
-        home = folder or (study if study.is_dir() else RUNS / spec.name)
         progress, page = progress_observer(make_console(stderr=as_json)), LivePage(home)
+        completed = True
         with logging_to(StudyLayout(home).log) as log:
             opened = Study(
                 spec,
@@ -78,10 +79,12 @@ def run(
                 typer.echo(f"page: {page.path}, written after every generation", err=True)
                 with page:
                     completed = _completed(opened, progress, scheduler, workers, requests)
-                _write_page(home, quick=not completed)
+                if page.path.parent.is_dir():
+                    _write_page(home, quick=not completed)
                 if not completed:
                     log.note("interrupted")
-                    raise interrupted()
+        if not completed:
+            raise interrupted()
     _print(home, as_json)
 
 

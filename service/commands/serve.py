@@ -43,7 +43,7 @@ def serve(
     Ctrl-C stops it at any time; the same command goes on where it was. What writes needs a
     token, which `palpate token new NAME` makes.
     """
-    with stop_requests():
+    with stop_requests() as requests:
         from service.cluster import open_cluster
         from service.server.guard import is_loopback
         from service.server.limits import MIB, Limits
@@ -67,5 +67,5 @@ def serve(
                 token = service.tokens.new("first")
                 typer.echo(f"token (shown once; `palpate token` makes others): {token}")
             typer.echo(f"serving {service.home.root} at {url_of(listening)}")
-            listen_and_serve(service, listening, allow_host or ())
+            listen_and_serve(service, listening, allow_host or (), stop=lambda: requests)
             typer.echo("Stopping; what is finished is kept.", err=True)

@@ -85,8 +85,6 @@ def _notes_on_fibres(model: SolverModel) -> Iterator[str]:
         "Fibres: materials ELASTIC_FIBER..., which CalculiX has built in. In Abaqus write "
         "*ANISOTROPIC HYPERELASTIC, HOLZAPFEL instead."
     )
-    if any(m.fibres and m.c2_mpa for m in model.materials):
-        yield "Strain stiffening: left out in tissues with fibres."
 
 
 def _mesh(model: SolverModel) -> Iterator[str]:

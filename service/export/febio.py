@@ -65,6 +65,8 @@ def _notes(model: SolverModel) -> Iterator[str]:
     yield from model.remarks
     if any(m.c2_mpa for m in model.materials):
         yield "Strain stiffening (Yeoh's c2): left out."
+    if any(m.fibres for m in model.materials) and not model.tension_only:
+        yield "Fibres: in tension only; this body's push back under compression too."
     if model.wall_n_per_mm.any():
         yield "Chest wall: its springs are replaced by the displacements of its nodes."
 

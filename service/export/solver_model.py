@@ -91,6 +91,8 @@ class SolverModel:
         Dead forces on the nodes, weight included.
     isochoric_fibre : bool
         Whether fibres are measured by I4bar instead of I4.
+    tension_only : bool
+        Whether fibres that are shortened do nothing.
     constants : mapping of str to float
         For the header.
     remarks : tuple of str
@@ -107,6 +109,7 @@ class SolverModel:
     drift_n_per_mm: FloatArray
     force_n: FloatArray
     isochoric_fibre: bool
+    tension_only: bool
     constants: Mapping[str, float]
     remarks: tuple[str, ...]
 
@@ -114,6 +117,11 @@ class SolverModel:
 def comparable(problem: Problem) -> Problem:
     """Return the nearest problem that other solvers can be told."""
     constants = {tissue: replace(c, law=None) for tissue, c in problem.constants.items()}
+    if problem.isochoric_fibre:  # CalculiX has no material with these fibres that also stiffens
+        constants = {
+            tissue: replace(c, stiffening=0.0) if c.fibre_mpa or c.second_fibre_mpa else c
+            for tissue, c in constants.items()
+        }
     return replace(
         problem,
         constants=constants,
@@ -145,6 +153,7 @@ def solver_model(own: SolvedBody, told: SolvedBody) -> SolverModel:
         drift_n_per_mm=level.springs - wall,
         force_n=level.dead_load,
         isochoric_fibre=level.problem.isochoric_fibre,
+        tension_only=not level.problem.literal_fibre,
         constants=told.constants,
         remarks=tuple(_remarks(own, told)),
     )
@@ -246,6 +255,8 @@ def _remarks(own: SolvedBody, told: SolvedBody) -> list[str]:
         )
     if own.level.constants.laws:
         remarks.append("Matrix: neo-Hookean of the same E and nu, where this body has another law.")
+    if any(c.stiffening for c in problem.constants.values()) and problem.isochoric_fibre:
+        remarks.append("Strain stiffening: left out in tissues with fibres.")
     if any(problem.imaged_gravity_g):
         remarks.append("Nodes: the stress-free shape, which is not that of the image.")
     if problem.pressures:

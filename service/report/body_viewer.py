@@ -12,14 +12,13 @@ from markupsafe import Markup
 
 from service.formatting import number
 from service.report.packed import Json, packed, packed_points, packed_triangles, script
-from storage.values import FloatArray, IntArray, Triple
-from workers.mechanics.compression import Compression
+from storage.values import FloatArray, IntArray
+from workers.mechanics.pressed import Pressed
 
 SEQUENTIAL = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
 SIGNED = ("#053c5e", "#0072b2", "#9fc3dc", "#c9c5bd", "#eeb083", "#c44e00", "#6b2500")
 # How far plates and wall reach beyond the body, and how long arrows are, as shares of its size.
 BEYOND, ARROW = 0.1, 0.22
-ALONG_Y: Triple = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class BodyScan:
     Parameters
     ----------
     name : str
-    pressed : Compression
+    pressed : Pressed
     moved : sequence of mapping of str to ndarray, shape (n, 3)
         Vertices under load by the name of the model; empty where they are not known.
     gap : sequence of mapping of str to ndarray, shape (n,)
@@ -48,7 +47,7 @@ class BodyScan:
     """
 
     name: str
-    pressed: Compression
+    pressed: Pressed
     moved: Sequence[Mapping[str, FloatArray]]
     gap: Sequence[Mapping[str, FloatArray]] = field(default_factory=tuple)
 
@@ -160,7 +159,7 @@ def _scan(scan: BodyScan, rest: FloatArray, size: float) -> Json:
     }
 
 
-def _stage(vertices: FloatArray, pressed: Compression, size: float, loads: bool) -> Json:
+def _stage(vertices: FloatArray, pressed: Pressed, size: float, loads: bool) -> Json:
     """Return plates that touch the body, the chest wall below it, and the arrows of the load."""
     axis = np.asarray(pressed.axis) / np.linalg.norm(pressed.axis)
     deep = np.array([0.0, 0.0, 1.0])

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from service.formatting import count, number
 from service.report.provenance import Made
 from storage.digest import array_digest
-from workers.diagnosis.source import Source
-from workers.mechanics.compression import Compression
+from workers.diagnosis.source import PressedSource, Source
+from workers.mechanics.pressed import Pressed
 from workers.tasks.diagnosis_store import DiagnosisRequest
 
 
@@ -16,7 +16,7 @@ class Origin:
     """How a diagnosis was made, and the loads of its scans by name."""
 
     made: Made = field(default_factory=Made)
-    loads: Mapping[str, Compression] = field(default_factory=dict)
+    loads: Mapping[str, Pressed] = field(default_factory=dict)
 
 
 def origin_of(
@@ -48,13 +48,14 @@ def origin_of(
     inputs += [(name.replace("_", " "), array_digest(v.values)) for name, v in volumes.items()]
     points = f"points {number(request.spacing_mm, 2)} mm apart"
     mesh = f"about {count(nodes or request.nodes)} nodes; {points}"
-    return Origin(Made(when, command, seconds, inputs, mesh, _noise(source)), source.compressions)
+    loads = source.pressed if isinstance(source, PressedSource) else {}
+    return Origin(Made(when, command, seconds, inputs, mesh, _noise(source)), loads)
 
 
 def _noise(source: Source) -> str:
-    noise = source.noise
-    if noise is None:
+    if not isinstance(source, PressedSource):
         return ""
+    noise = source.segmentation_noise
     return (
         f"standard deviation {number(noise.sd_mm, 2)} mm over "
         f"{number(noise.correlation_mm, 2)} mm; of the scan at rest "

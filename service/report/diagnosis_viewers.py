@@ -18,7 +18,7 @@ from service.report.slices import VIEWS, middle_mm
 from storage.arrays import Arrays
 from storage.values import FloatArray, Tissue, Triple, Volume
 from workers.diagnosis.acquisition import INTERFACES
-from workers.mechanics.compression import Compression
+from workers.mechanics.pressed import Pressed
 
 WHEN = ("before", "after")
 COLOURS = {"outline": "#e9d3b4", "glandular": "#c2628f"}
@@ -36,7 +36,7 @@ NEAREST = 4
 
 
 def body_data(
-    found: Arrays, scans: Sequence[str], accused: str, loads: Mapping[str, Compression]
+    found: Arrays, scans: Sequence[str], accused: str, loads: Mapping[str, Pressed]
 ) -> Markup | None:
     """Return what the 3-D viewer shows; None if the store has no surfaces.
 
@@ -48,20 +48,13 @@ def body_data(
         Names of the loaded scans.
     accused : str
         Words for the effect; empty if there is none.
-    loads : mapping of str to Compression
+    loads : mapping of str to Pressed
         By the name of the scan, where they are known.
     """
     if not on_surfaces(found):
         return None
-    shapes = [
-        (number, one.name, *(found[f"shape_{one.name}_{part}"] for part in PARTS))
-        for number, one in enumerate(INTERFACES)
-        if f"shape_{one.name}_vertices" in found
-    ]
-    surfaces = [
-        BodySurface(name, COLOURS[name], np.asarray(vertices, np.float64), triangles)
-        for _, name, vertices, triangles in shapes
-    ]
+    numbers = [n for n, i in enumerate(INTERFACES) if f"shape_{i.name}_vertices" in found]
+    surfaces = [_surface(found, INTERFACES[number].name) for number in numbers]
     models = [
         (when, title)
         for when, title in titled(dict.fromkeys(WHEN, 0), accused)
@@ -70,9 +63,12 @@ def body_data(
     told = [
         BodyScan(
             name,
-            loads.get(name, Compression()),
-            [_moved(found, scan, vertices, models) for _, _, vertices, _ in shapes],
-            [_gaps(found, scan, number, vertices, models) for number, _, vertices, _ in shapes],
+            loads.get(name, Pressed()),
+            [_moved(found, scan, s.vertices, models) for s in surfaces],
+            [
+                _gaps(found, scan, number, s.vertices, models)
+                for number, s in zip(numbers, surfaces, strict=True)
+            ],
         )
         for scan, name in enumerate(scans)
     ]
@@ -118,6 +114,11 @@ def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | No
     )
 
 
+def _surface(found: Arrays, name: str) -> BodySurface:
+    vertices, triangles = (found[f"shape_{name}_{part}"] for part in PARTS)
+    return BodySurface(name, COLOURS[name], np.asarray(vertices, np.float64), triangles)
+
+
 def _moved(
     found: Arrays,
     scan: int,
@@ -150,7 +151,8 @@ def _gaps(
     if not own.any():
         return {}
     near = min(NEAREST, int(own.sum()))
-    away, which = (a.reshape(-1, near) for a in KDTree(found["points"][own]).query(vertices, near))
+    near_ones = KDTree(found["points"][own]).query(vertices, near)
+    away, which = (np.asarray(one).reshape(-1, near) for one in near_ones)
     weights = 1 / np.maximum(away, 0.1) ** 2
     weights /= weights.sum(axis=1, keepdims=True)
     gaps = {}

@@ -14,7 +14,12 @@ from storage.values import Triple, Volume
 
 # A volume of more voxels is thinned out: four million labels are some 300 kB in a page.
 MOST_VOXELS = 6_000_000
-TYPES = {"u1": np.dtype("u1"), "u2": np.dtype("<u2"), "u4": np.dtype("<u4"), "f4": np.dtype("<f4")}
+TYPES: dict[str, np.dtype[Any]] = {
+    "u1": np.dtype("u1"),
+    "u2": np.dtype("<u2"),
+    "u4": np.dtype("<u4"),
+    "f4": np.dtype("<f4"),
+}
 
 Json = dict[str, Any]
 

@@ -1,6 +1,6 @@
 """Says how the numbers of a page came about: when, from what, with which code and command."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -63,7 +63,7 @@ def study_provenance(data: StudyData) -> list[Row]:
     return rows
 
 
-def diagnosis_provenance(made: Made, versions: dict[str, str]) -> list[Row]:
+def diagnosis_provenance(made: Made, versions: Mapping[str, str]) -> list[Row]:
     """Return how a diagnosis was made."""
     rows: list[Row] = []
     if made.when:
@@ -80,7 +80,7 @@ def diagnosis_provenance(made: Made, versions: dict[str, str]) -> list[Row]:
     return rows
 
 
-def version_rows(versions: dict[str, str]) -> list[Row]:
+def version_rows(versions: Mapping[str, str]) -> list[Row]:
     """Return Palpate's version and that of its code, the others in one line."""
     known = dict(versions)
     rows = []

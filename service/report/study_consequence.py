@@ -21,7 +21,8 @@ def quotable(results: StudyResults) -> Markup:
     ratios = _ratios(known)
     if ratios:
         return ratios
-    good, reasons = [], {}
+    good: list[Markup] = []
+    reasons: dict[str, list[Markup]] = {}
     for name, estimate in found.items():
         why = _against(estimate, None if known is None else known.constants.get(name))
         if why:

@@ -21,7 +21,8 @@ from service.results import GenerationScores, ParameterEstimate
 from storage.records import EvaluationRecord
 from storage.status import Status
 from storage.values import Tissue
-from workers.mechanics.compression import Compression
+from workers.mechanics.pressed import Pressed
+from workers.organs.registry import pressed_of
 from workers.spec import CaseSpec
 
 # Named in the script, which looks for charts of this kind.
@@ -205,7 +206,7 @@ def body_data(bodies: Bodies, case: CaseSpec) -> Markup | None:
     ]
     scan = BodyScan(
         "",
-        case.compression() or Compression(),
+        pressed_of(case) or Pressed(),
         [{} if s.moved is None else {BEST: s.moved} for s in bodies.surfaces],
         [{} if s.gap_mm is None else {BEST: s.gap_mm} for s in bodies.surfaces],
     )

@@ -102,13 +102,13 @@ def _sections(
     undeformed, deformed = middle
     shown = []
     cuts: dict[str, Section] = {}
-    for title, volume, middle in (
+    for title, volume, at in (
         ("Undeformed", bodies.reference, undeformed),
         ("Target", bodies.target, deformed),
         ("Best candidate", bodies.best, deformed),
     ):
-        if volume is not None and middle is not None:
-            cuts[title] = section(volume, view, middle[view.normal])
+        if volume is not None and at is not None:
+            cuts[title] = section(volume, view, at[view.normal])
             shown.append((title, cuts[title], False))
     if "Target" in cuts and "Best candidate" in cuts:
         names = " + ".join(bodies.labels[t] for t in tissues)

@@ -35,7 +35,7 @@ class Svg:
     height: float
     parts: list[str] = field(default_factory=list)
 
-    def add(self, tag: str, text: str | None = None, **attributes: object) -> None:
+    def add(self, tag: str, text: str | None = None, /, **attributes: object) -> None:
         """Add an element; ``class_`` and ``stroke_width`` are written class and stroke-width."""
         head = "".join(
             f' {name.strip("_").replace("_", "-")}="{_written(value)}"'
@@ -78,7 +78,7 @@ class Svg:
         if not points:
             return
         places = "".join(f"M{_written(x)} {_written(y)}h0" for x, y in points)
-        told = {"data_i": " ".join(map(str, numbers))} if numbers else {}
+        told: dict[str, object] = {"data_i": " ".join(map(str, numbers))} if numbers else {}
         self.add("path", d=places, class_=f"dots {class_}", **told)
 
     def mark(self, kind: Mark, x: float, y: float, class_: str, size: float = 5.0) -> None:

@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from service.diagnosis.files import write_diagnosis
 from service.diagnosis.run import Step, request_for, run
 from service.dispatch import Dispatcher
+from service.report.diagnosis_files import write_diagnosis
 from storage.atomic import explained
 from storage.journal import Journal
 from storage.layout import StudyLayout

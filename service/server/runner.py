@@ -5,6 +5,7 @@ fair share decides. When the cluster is lost it is opened again, and what was ru
 """
 
 import logging
+import math
 import threading
 import time
 import traceback
@@ -117,9 +118,11 @@ class Runner:
         return identifier in self._active
 
     def note(self, identifier: str) -> str:
-        """Return why a job that waits is not running; empty if nothing is known."""
+        """Return why a job that waits gets no further; empty if nothing is known."""
         setback = self._setbacks.get(identifier)
-        return setback.note if setback else ""
+        if setback or self.cluster is None:
+            return setback.note if setback else self.trouble
+        return "" if self.threads else "the cluster has no workers"
 
     @property
     def threads(self) -> int:
@@ -199,6 +202,7 @@ class Runner:
                 stop=stop.is_set,
                 slots=slots,
                 priority=job.priority,
+                no_worker_s=math.inf,  # workers of a batch system may wait for days
             )
             self._work(job, dispatcher, cluster.dashboard)
         except Interrupted:

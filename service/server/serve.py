@@ -1,7 +1,8 @@
 """Listens on an address and serves a service until it is asked to stop."""
 
 import socket
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
 
 import uvicorn
 
@@ -46,21 +47,42 @@ def url_of(listening: socket.socket) -> str:
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def serve(service: Service, listening: socket.socket, hosts: Iterable[str] = ()) -> None:
-    """Serve until SIGINT or SIGTERM."""
+class _Server(uvicorn.Server):
+    """Leaves signals to whoever runs it: one that comes while it starts is not lost."""
+
+    def __init__(self, config: uvicorn.Config, stop: Callable[[], object]) -> None:
+        super().__init__(config)
+        self._stop = stop
+
+    def capture_signals(self) -> AbstractContextManager[None]:  # type: ignore[override]
+        return nullcontext()
+
+    async def on_tick(self, counter: int) -> bool:
+        if self._stop():
+            self.should_exit = True
+        return await super().on_tick(counter)
+
+
+def serve(
+    service: Service,
+    listening: socket.socket,
+    hosts: Iterable[str] = (),
+    *,
+    stop: Callable[[], object],
+) -> None:
+    """Serve until `stop` returns something true; it is asked ten times a second."""
     host = str(listening.getsockname()[0])
     if not is_loopback(host) and host not in ("0.0.0.0", "::"):
         hosts = {host, *hosts}
     app = create_app(service, hosts=hosts, stopping=lambda: server.should_exit)
-    server = uvicorn.Server(
-        uvicorn.Config(
-            app,
-            log_config=None,
-            access_log=False,
-            server_header=False,
-            lifespan="off",
-            limit_concurrency=CONCURRENT,
-            timeout_graceful_shutdown=GRACE_S,
-        )
+    config = uvicorn.Config(
+        app,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        lifespan="off",
+        limit_concurrency=CONCURRENT,
+        timeout_graceful_shutdown=GRACE_S,
     )
+    server = _Server(config, stop)
     server.run(sockets=[listening])

@@ -23,6 +23,7 @@ import pytest
 import yaml
 
 from service import retry
+from service.client import Client
 from service.cluster import CONFIG
 from workers import THREAD_ENVIRONMENT
 
@@ -88,9 +89,10 @@ def test_valid_by_docker_compose_itself(tmp_path: Path) -> None:
 # --- how it is wired -------------------------------------------------------------
 
 
-def test_one_scheduler_scaled_workers_one_driver(compose: dict[str, Any]) -> None:
+def test_one_scheduler_scaled_workers_one_service(compose: dict[str, Any]) -> None:
     services = compose["services"]
-    assert set(services) == {"scheduler", "worker", "driver"}
+    assert set(services) == {"scheduler", "worker", "service", "driver"}
+    assert services["driver"]["profiles"] == ["driver"]  # `up` starts the others
     assert services["worker"]["deploy"]["replicas"] >= 1
     # A fixed name or a published port would make --scale fail at the second worker.
     assert "container_name" not in services["worker"]
@@ -101,7 +103,12 @@ def test_one_scheduler_scaled_workers_one_driver(compose: dict[str, Any]) -> Non
 def test_every_service_waits_for_those_it_needs(compose: dict[str, Any]) -> None:
     services = compose["services"]
     waits = {name: set(service.get("depends_on", {})) for name, service in services.items()}
-    assert waits == {"scheduler": set(), "worker": {"scheduler"}, "driver": {"scheduler", "worker"}}
+    assert waits == {
+        "scheduler": set(),
+        "worker": {"scheduler"},
+        "service": {"scheduler"},
+        "driver": {"scheduler", "worker"},
+    }
     for service in services.values():
         for needed, how in service.get("depends_on", {}).items():
             assert how == {"condition": "service_healthy"}
@@ -109,10 +116,23 @@ def test_every_service_waits_for_those_it_needs(compose: dict[str, Any]) -> None
 
 
 def test_all_share_the_store_and_the_safe_path(compose: dict[str, Any]) -> None:
-    assert list(compose["volumes"]) == ["data"]
+    assert list(compose["volumes"]) == ["data", "cache"]
     for service in compose["services"].values():
         assert "data:/data" in service["volumes"]
         assert service["environment"]["PYTHONSAFEPATH"] == "1"
+
+
+def test_every_service_is_bounded_and_writes_where_it_may(compose: dict[str, Any]) -> None:
+    for name, service in compose["services"].items():
+        limits = service["deploy"]["resources"]["limits"]
+        assert limits["cpus"], name
+        assert limits["memory"], name
+        assert service["read_only"] is True
+        assert service["cap_drop"] == ["ALL"]
+        assert service["security_opt"] == ["no-new-privileges:true"]
+        assert "cache:/home/palpate/.cache" in service["volumes"]
+        assert any(mount.startswith("/tmp") for mount in service["tmpfs"])
+        assert name == "driver" or "test" in service["healthcheck"]
 
 
 def test_the_driver_runs_a_study_that_is_there(compose: dict[str, Any]) -> None:
@@ -130,15 +150,20 @@ def test_addresses_agree(compose: dict[str, Any]) -> None:
     scheduler = services["scheduler"]["command"]
     port = scheduler[scheduler.index("--port") + 1]
     assert services["worker"]["command"][2] == f"tcp://scheduler:{port}"
-    assert f"tcp://scheduler:{port}" in services["driver"]["command"]
+    for name in ("service", "driver"):
+        assert f"tcp://scheduler:{port}" in services[name]["command"]
+    command = services["service"]["command"]
+    port = command[command.index("--port") + 1]
+    assert f"localhost:{port}/api/v1/health" in services["service"]["healthcheck"]["test"][-1]
     for name in ("scheduler", "worker"):
         command = services[name]["command"]
         page = command[command.index("--dashboard-address") + 1]
         assert f"localhost{page}/health" in services[name]["healthcheck"]["test"][-1]
 
 
-def test_the_dashboard_is_open_to_this_machine_only(compose: dict[str, Any]) -> None:
+def test_ports_are_open_to_this_machine_only(compose: dict[str, Any]) -> None:
     assert compose["services"]["scheduler"]["ports"] == ["127.0.0.1:8787:8787"]
+    assert compose["services"]["service"]["ports"] == ["127.0.0.1:8780:8780"]
 
 
 def test_a_worker_takes_one_evaluation_and_no_more_memory_than_it_may(
@@ -250,9 +275,10 @@ def becomes_healthy(test: list[str], patience_s: float = 60) -> bool:
 
 def test_the_commands_start_and_their_health_checks_tell_the_truth(tmp_path: Path) -> None:
     """The file's own commands, with the host and the ports of a container replaced."""
-    ports = {name: str(free_port()) for name in ("8786", "8787", "8788")}
+    ports = {name: str(free_port()) for name in ("8780", "8786", "8787", "8788")}
     text = interpolated(COMPOSE.read_text()).replace("tcp://scheduler:", "tcp://127.0.0.1:")
-    text = text.replace("/tmp/dask", str(tmp_path / "dask"))
+    text = text.replace("/tmp/dask", str(tmp_path / "dask")).replace("0.0.0.0", "127.0.0.1")
+    text = re.sub(r"- /data/(\w+)$", rf"- {tmp_path}/\1", text, flags=re.MULTILINE)
     for written, free in ports.items():
         text = re.sub(rf"\b{written}\b", free, text)
     services = yaml.safe_load(text)["services"]
@@ -266,8 +292,23 @@ def test_the_commands_start_and_their_health_checks_tell_the_truth(tmp_path: Pat
         stack.enter_context(running(worker["command"], worker["environment"]))
         assert becomes_healthy(worker["healthcheck"]["test"])
         assert work_done(f"tcp://127.0.0.1:{ports['8786']}") == 5
+        service = services["service"]
+        assert not healthy(service["healthcheck"]["test"])
+        token = {"PALPATE_TOKEN": "a-token-of-the-tests"}
+        stack.enter_context(running(service["command"], service["environment"] | token))
+        assert becomes_healthy(service["healthcheck"]["test"])
+        assert cluster_of(f"http://127.0.0.1:{ports['8780']}", **token) == {"threads": 1}
     assert not healthy(scheduler["healthcheck"]["test"])
     assert not healthy(worker["healthcheck"]["test"])
+
+
+def cluster_of(url: str, patience_s: float = 60, **token: str) -> dict[str, int]:
+    """What the service knows of its cluster, as soon as it has one."""
+    with Client(url, token["PALPATE_TOKEN"]) as client:
+        deadline = time.monotonic() + patience_s
+        while not (found := client.cluster()).threads and time.monotonic() < deadline:
+            time.sleep(0.2)
+    return {"threads": found.threads}
 
 
 def work_done(address: str) -> int:

@@ -44,7 +44,7 @@ def found(accused: bool = True, **changes: Any) -> FinishedDiagnosis:
             for nominal, pressed in zip(NOMINAL_MM, PRESSED_MM, strict=True)
         ]
     )
-    maps = {
+    maps: dict[str, Any] = {
         "points": points.points,
         "interface": points.interface,
         "before": apart,

@@ -17,7 +17,7 @@ from service.report.diagnosis_made import Origin
 from service.report.study_surfaces import StudySurface
 from workers.comparison.observation.interface import GLANDULAR, OUTLINE
 from workers.diagnosis.pictures.shapes import shape
-from workers.mechanics.compression import Compression
+from workers.mechanics.pressed import Pressed
 
 api = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed: pip install .[dev]"
@@ -37,6 +37,11 @@ class Shown:
     page: Any
     problems: list[str] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
+
+    def asks(self, address: str) -> None:
+        """Note an address that is not part of the page."""
+        if not address.startswith(OWN):
+            self.requests.append(address)
 
     def canvas(self, selector: str) -> str:
         """Return the picture of a canvas."""
@@ -89,7 +94,7 @@ def diagnosis() -> str:
     points = told.maps["points"]
     for when, ends in (("before", NOMINAL_MM), ("after", PRESSED_MM)):
         told.maps[f"moved_{when}"] = np.stack([points / AT_REST_MM * end for end in ends])
-    loads = {SCANS[0]: Compression((0, 1, 0), 40.0), SCANS[1]: Compression((1, 0, 0), 40.0)}
+    loads = {SCANS[0]: Pressed((0, 1, 0), 40.0), SCANS[1]: Pressed((1, 0, 0), 40.0)}
     return diagnosis_page.render(told, Origin(loads=loads))
 
 
@@ -97,9 +102,9 @@ def shown(browser: Any, path: Path, width: int = WIDE, **options: Any) -> Shown:
     """Open a page as a user would, and wait for its viewers."""
     page = browser.new_page(viewport={"width": width, "height": 900}, **options)
     told = Shown(page)
-    page.on("console", lambda m: told.problems.append(m.text) if m.type != "log" else None)
+    page.on("console", lambda message: told.problems.append(message.text))
     page.on("pageerror", lambda error: told.problems.append(str(error)))
-    page.on("request", lambda r: r.url.startswith(OWN) or told.requests.append(r.url))
+    page.on("request", lambda request: told.asks(request.url))
     page.goto(path.as_uri())
     if options.get("java_script_enabled", True):
         page.wait_for_selector("html.has-slices.has-body", state="attached")

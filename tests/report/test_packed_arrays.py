@@ -12,7 +12,7 @@ import pytest
 from service.report.body_viewer import BodyScan, BodySurface, body_viewer
 from service.report.packed import TYPES, body_box_mm, packed, packed_volume, script, thinned
 from storage.values import FloatArray, Volume
-from workers.mechanics.compression import Compression
+from workers.mechanics.pressed import Pressed
 
 
 def unpacked(told: dict[str, Any]) -> np.ndarray:
@@ -85,7 +85,7 @@ def test_plates_touch_the_body_and_arrows_push_it(axis: tuple[float, float, floa
     told = told_by(
         body_viewer(
             [BodySurface("outline", "#ffffff", vertices, triangles)],
-            [BodyScan("40 N", Compression(axis, 40.0), [{"best": moved}], [{}])],
+            [BodyScan("40 N", Pressed(axis, 40.0), [{"best": moved}], [{}])],
             [("best", "best")],
             "gap",
         )

@@ -23,7 +23,7 @@ LIMITS = Limits(upload_bytes=2**20, uploads_bytes=4 * 2**20, body_bytes=2**17)
 def main(folder: str, where: str, value: str, port: str = "0", *more: str) -> None:
     options = {"scheduler": value} if where == "--scheduler" else {"workers": int(value)}
     with (
-        stop_requests(),
+        stop_requests() as requests,
         listen("127.0.0.1", int(port)) as listening,
         open_service(
             Path(folder),
@@ -35,7 +35,7 @@ def main(folder: str, where: str, value: str, port: str = "0", *more: str) -> No
         ) as service,
     ):
         write_file(Path(folder) / "url", url_of(listening).encode())
-        serve(service, listening)
+        serve(service, listening, stop=lambda: requests)
 
 
 if __name__ == "__main__":

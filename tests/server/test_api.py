@@ -149,6 +149,24 @@ def test_the_face_for_scripts(service: ServiceProcess, tmp_path: Path) -> None:
             connected.job("nix")
 
 
+def test_the_example_of_the_documentation(
+    service: ServiceProcess,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "service.md").read_text()
+    example = text.partition("```python\n")[2].partition("```")[0]
+    (tmp_path / "demo.yaml").write_text(named("documented"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PALPATE_TOKEN", TOKEN)
+    exec(example.replace("http://127.0.0.1:8780", service.url), {})
+    said = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in said[:-1]] == ["0", "1", "2", "3", "4"]
+    assert float(said[-1]) == pytest.approx(10, rel=0.2)
+    assert (tmp_path / "study.yaml").is_file()
+
+
 def test_images_are_uploaded_and_refused_when_there_are_none(
     client: Client, tmp_path: Path, service: ServiceProcess
 ) -> None:

@@ -89,6 +89,7 @@ def endings(home: Path) -> int:
 
 
 @pytest.mark.timeout(600)  # a minute where nobody else computes
+@pytest.mark.slow
 def test_every_evaluation_ends_exactly_once(tmp_path: Path) -> None:
     for name, text in STUDIES.items():
         run(tmp_path / "calm" / name, Inline(), small_spec(text))
@@ -122,10 +123,12 @@ def test_every_evaluation_ends_exactly_once(tmp_path: Path) -> None:
         records = list(Journal.read(StudyLayout(home / name).journal))
         ended = Counter(r["candidate"] for r in records if r["kind"] == "evaluation")
         assert set(ended.values()) == {1}
-        assert sum(r["kind"] == "end" for r in records) == 1
+        for kind in ("identification", "end"):
+            assert sum(r["kind"] == kind for r in records) == 1
     # Nothing is orphaned: what was computed is journalled, and no process is left.
     finished = {ending[2] for name in STUDIES for ending in told(home / name).values()}
-    assert set(executions(home / "left")) <= finished
+    tangents = len(set(executions(home / "left")) - finished)
+    assert tangents <= len(STUDIES)  # at the best candidate, in a record of their own
     assert not [p for p in psutil.Process().children() if p.status() != psutil.STATUS_ZOMBIE]
 
 

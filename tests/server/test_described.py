@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from service_process import TOKEN, ServiceProcess
@@ -12,7 +13,10 @@ CHECKS = (
 )
 
 
-def test_the_description_is_true_and_nothing_crashes(service: ServiceProcess) -> None:
+@pytest.mark.slow
+def test_the_description_is_true_and_nothing_crashes(
+    service: ServiceProcess, tmp_path: Path
+) -> None:
     pytest.importorskip("schemathesis", reason="schemathesis is not installed")
     run = subprocess.run(
         [
@@ -25,6 +29,7 @@ def test_the_description_is_true_and_nothing_crashes(service: ServiceProcess) ->
         capture_output=True,
         text=True,
         timeout=240,
+        cwd=tmp_path,
         check=False,
     )
     assert run.returncode == 0, run.stdout[-6000:] + run.stderr[-1000:]

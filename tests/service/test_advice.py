@@ -1,6 +1,7 @@
 """What to measure next: ranked by hand, and from a small cluster by the command."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,11 @@ def command(folder: Path) -> list[str]:
     return ["diagnose", str(folder / "small"), "--nodes", NODES, *where]
 
 
+def without_made(page: str) -> str:
+    """Return a page without when and how fast it was made."""
+    return re.sub(r"<dt>(Date|Run time)</dt><dd>.*?</dd>", "", page)
+
+
 def test_the_command_says_what_to_measure_next(
     runs: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,7 +78,8 @@ def test_the_command_says_what_to_measure_next(
     assert any(o["name"].startswith("a view, ") for o in options)
     assert "What to measure next" in page
     assert all(f"<td>{o['name']}</td>" in page.replace("&#39;", "'") for o in options)
-    assert (runs / "out" / "diagnosis.html").read_text() == page
+    again = (runs / "out" / "diagnosis.html").read_text()
+    assert without_made(again) == without_made(page)
     assert main([*command(runs), "--plan"]) == 0
     assert (
         f"Next, {options[0]['name']}: {worth(from_json(NextAcquisition, options[0]))}."

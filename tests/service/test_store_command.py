@@ -46,8 +46,8 @@ def study(tmp_path: Path) -> Path:
     run(folder, Inline())
     store = open_store(tmp_path / "runs" / "store")
     log = StudyLog.read(StudyLayout(folder).journal)
-    for record in log.endings.values():
-        save_field(store, record.digest, np.full((4, 3), record.candidate, dtype=np.float64))
+    for number, path in enumerate(sorted(store.layout.evaluations.iterdir())):
+        save_field(store, path.stem, np.full((4, 3), number, dtype=np.float64))
     session = log.last_session
     assert session is not None
     for name in (session.prepared["volume"], session.target["target"]):
@@ -106,9 +106,9 @@ def test_garbage_is_what_no_study_needs_and_nobody_touched(call: Call, study: Pa
     save_field(store, "part", np.zeros((2, 3)))
     save_evaluation(store, "gone", {"digest": "gone", "status": "diverged"})
     save_field(store, "young", np.zeros((2, 3)))
-    for path in [*old.values(), store.layout.evaluation("gone"), *store.layout.fields.iterdir()]:
-        if path.stem != "young":
-            os.utime(path, (1e9, 1e9))
+    needed = [store.layout.field(ending[2]) for ending in told(study).values()]
+    for path in [*old.values(), store.layout.evaluation("gone"), *needed]:
+        os.utime(path, (1e9, 1e9))
 
     code, out, _ = call("store", "gc", "--json")
     assert code == 0
@@ -146,7 +146,7 @@ def test_a_study_moves_and_goes_on_elsewhere(
     assert json.loads(call("status", "demo", "--json")[1])["store"] == str(moved.parent / "store")
     again = moved.with_name("again")
     run(again, Inline())  # the evaluations came along: none is computed again
-    assert executions(again) == []
+    assert not set(executions(again)) & {ending[2] for ending in endings.values()}
     assert told(again) == endings
     assert len(ran) > 0
     code, _, err = call("store", "import", tmp_path / "demo.tar")

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
@@ -13,9 +13,9 @@ from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.pictures.scan_pictures import Displacements
 from workers.diagnosis.summary import Summary
-from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.model import Model
+from workers.mechanics.pressed import Pressed
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +83,19 @@ class PlannedSource(HasContent, Protocol):
         """What is known before the loaded scans."""
 
 
+@runtime_checkable
+class PressedSource(Protocol):
+    """A source of segmented scans of a body between plates."""
+
+    @property
+    def pressed(self) -> Mapping[str, Pressed]:
+        """How the plates press it in each loaded scan, by name."""
+
+    @property
+    def segmentation_noise(self) -> SegmentationNoise:
+        """What its segmentations err by."""
+
+
 class Source(HasContent, Protocol):
     """Something that was imaged or measured, with a model of it."""
 
@@ -93,14 +106,6 @@ class Source(HasContent, Protocol):
     @property
     def scans(self) -> Sequence[str]:
         """Names of the loaded states, in order."""
-
-    @property
-    def compressions(self) -> Mapping[str, Compression]:
-        """How plates press the body, by loaded state; empty where there are no plates."""
-
-    @property
-    def noise(self) -> SegmentationNoise | None:
-        """The error of its interfaces as stated or usual; None where it has another form."""
 
     @property
     def effects(self) -> Sequence[Effect]:

@@ -21,6 +21,7 @@ from storage.task_records import FreeParameter
 from storage.values import FloatArray, Volume
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.parameters import Vocabulary
+from workers.organs.normal_equations import NormalEquations
 from workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec
 
 Arrays = dict[str, NDArray[Any]]
@@ -82,17 +83,14 @@ class Residuals:
     ----------
     mm : ndarray, shape (m,)
         Signed distances.
-    whitened : ndarray, shape (m,)
-        The same divided by their noise: of unit variance, independent.
-    tangents : ndarray, shape (m, p)
-        Derivatives of `whitened` by the free parameters: by their logarithms where `logarithmic`.
+    equations : NormalEquations
+        Of the free parameters: of their logarithms where `logarithmic`.
     noise : str
-        What they were divided by, in words.
+        What the distances were divided by, in words.
     """
 
     mm: FloatArray
-    whitened: FloatArray
-    tangents: FloatArray
+    equations: NormalEquations
     noise: str
 
 

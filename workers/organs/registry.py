@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from storage.errors import InputError
 from workers.mechanics.parameters import unknown_name
+from workers.mechanics.pressed import Pressed
 from workers.organs.organ import Organ
+from workers.spec import CaseSpec
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,6 +45,13 @@ def findings_of(organ: str) -> Findings | None:
     name = FINDINGS.get(organ)
     module: Any = None if name is None else import_module(name)
     return module
+
+
+def pressed_of(case: CaseSpec) -> Pressed | None:
+    """Return how plates press the body of a case; None for an organ without plates."""
+    pressed = getattr(organ_named(case.organ), "pressed", None)
+    found: Pressed | None = None if pressed is None else pressed(case)
+    return found
 
 
 def organ_module(name: str) -> str:

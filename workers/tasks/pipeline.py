@@ -142,15 +142,15 @@ def evaluate(
 def _normal_equations(
     residuals: Residuals, constants: Mapping[str, float], free: Sequence[FreeParameter]
 ) -> FitJson:
-    r, jacobian = residuals.whitened, residuals.tangents
+    equations = residuals.equations
     return {
         "parameters": [p["name"] for p in free],
         "logarithmic": [logarithmic(p) for p in free],
         "values": [float(constants[p["name"]]) for p in free],
-        "residuals": len(r),
+        "residuals": equations.residuals,
         "rms_mm": float(np.sqrt(np.mean(residuals.mm**2))),
-        "cost": float(r @ r),
-        "gradient": [float(v) for v in jacobian.T @ r],
-        "hessian": [[float(v) for v in row] for row in jacobian.T @ jacobian],
+        "cost": equations.cost,
+        "gradient": [float(v) for v in equations.gradient],
+        "hessian": [[float(v) for v in row] for row in equations.hessian],
         "noise": residuals.noise,
     }

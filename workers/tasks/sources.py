@@ -125,7 +125,7 @@ def refuse_study_file(path: Path) -> None:
         return
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError):
         return
     if isinstance(data, Mapping) and "case" in data and "search" in data:
         folder = f"runs/{data.get('name', 'NAME')}"

@@ -52,7 +52,7 @@ class Compressed:
         All tissues, for a mammogram.
     outcome : Outcome
     seconds_per_1000 : float
-        Time of the solver over thousands of tetrahedra (thesis Fig. 4.16).
+        Processor time of the solver over thousands of tetrahedra (thesis Fig. 4.16).
     """
 
     compartments: Volume | None
@@ -81,7 +81,7 @@ class CompressionRow:
     whole_jc, whole_mhd_mm : float
         Of all glandular compartments as one set.
     adaptive_s_per_1000, homogeneous_s_per_1000 : float
-        Seconds of the solver per 1000 tetrahedra.
+        Processor seconds of the solver per 1000 tetrahedra.
     """
 
     phantom: int
@@ -159,9 +159,9 @@ def compress(phantom: Phantom, hierarchy: Hierarchy, view: View, law: LawName) -
     mesh = hierarchy.finest.mesh
     model = prepare(hierarchy)
     problem = compression_problem(phantom.labels, view, law)
-    started = time.perf_counter()
+    started = time.process_time()
     solution = solve(model, problem)
-    seconds = (time.perf_counter() - started) / (len(mesh.tets) / 1000)
+    seconds = (time.process_time() - started) / (len(mesh.tets) / 1000)
     if not solution.outcome.converged:
         return Compressed(None, None, solution.outcome, seconds)
     ids, labels = phantom.compartments, phantom.labels

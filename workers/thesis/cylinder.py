@@ -16,7 +16,7 @@ from workers.comparison.similarity.score import Surface
 from workers.thesis.scale import Scale, check_scale
 
 LENGTH_MM, RADIUS_MM = 80.0, 10.0
-VOXEL_MM: dict[Scale, float] = {"sketch": 2.0, "reduced": 1.0, "full": 0.5}
+VOXEL_MM: dict[Scale, float] = {"sketch": 1.0, "reduced": 1.0, "full": 0.5}
 ANGLES_DEG = (0, 1, 2, *range(5, 180, 5), 178, 179, 180)
 
 
@@ -85,7 +85,7 @@ def cylinder_experiment(
     Parameters
     ----------
     scale : {"sketch", "reduced", "full"}
-        Voxels of 2, 1 or 0.5 mm.
+        Voxels of 1 mm, or 0.5 mm at full scale.
     surface : {"boundary", "all"}
         See `workers.comparison.coefficients.coefficients.coefficients`.
 

@@ -12,10 +12,10 @@ from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.pictures.scan_pictures import Displacements, pictures_of_scans
 from workers.diagnosis.source import SourceContent
 from workers.diagnosis.summary import Summary
-from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.pressed import Pressed
 from workers.organs.breast.case_acquisition import acquisition_of, mesh_of
 from workers.organs.breast.case_checks import check_case
 from workers.organs.breast.case_spec import CaseFile
@@ -60,19 +60,19 @@ class ScannedCaseSource:
         return self.case.names
 
     @property
-    def compressions(self) -> Mapping[str, Compression]:
-        """The plates of every scan."""
-        return {load.name: Compression(load.axis, load.force_n) for load in self.case.loads}
-
-    @property
-    def noise(self) -> SegmentationNoise:
-        """The error of its segmentations as stated."""
-        return self.case.noise
-
-    @property
     def effects(self) -> Sequence[Effect]:
         """What may be missing from the model of a breast."""
         return BREAST_EFFECTS
+
+    @property
+    def pressed(self) -> Mapping[str, Pressed]:
+        """How the plates press it in each loaded scan, by name."""
+        return {load.name: Pressed(load.axis, load.force_n) for load in self.case.loads}
+
+    @property
+    def segmentation_noise(self) -> SegmentationNoise:
+        """What its segmentations err by."""
+        return self.case.noise
 
     def check(self) -> None:
         """Refuse scans that cannot be one body under these loads."""

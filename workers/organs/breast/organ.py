@@ -10,6 +10,7 @@ import numpy as np
 from storage.errors import InputError
 from storage.task_records import FreeParameter
 from storage.values import FloatArray, Tissue, Volume
+from workers.body.images.coarser_voxels import in_coarser_voxels
 from workers.body.images.labels import (
     crop_to_body,
     default_map,
@@ -32,6 +33,7 @@ from workers.mechanics.fem.model import Model, prepare
 from workers.mechanics.fem.outcome import Solution
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.solve import solve
+from workers.mechanics.pressed import Pressed
 from workers.organs.breast.interface_fit import (
     BreastObservation,
     FittedBreast,
@@ -43,6 +45,7 @@ from workers.organs.breast.problem import (
     check_skin_layer,
     extent_of,
     materials_of,
+    pressed_by,
     problem_of,
 )
 from workers.organs.breast.spec import (
@@ -203,8 +206,6 @@ class Breast:
 
     def coarse(self, body: Volume, spacing_mm: float) -> Volume:
         """See `Organ.coarse`."""
-        if min(body.spacing_mm) > spacing_mm * (1 - 1e-6):
-            return body
         return in_coarser_voxels(body, spacing_mm)
 
     def coarse_case(self, case: BreastCase, nodes: int) -> BreastCase:
@@ -247,6 +248,10 @@ class Breast:
     def scorer(self, target: Volume, spec: BreastScore) -> Scorer:
         """See `Organ.scorer`; candidates lie on the lattice of the target, see `on_lattice`."""
         return Scorer(target, labels=spec.tissues, surface=spec.surface)
+
+    def pressed(self, case: BreastCase) -> Pressed:
+        """Return how the plates press; see `workers.organs.registry.pressed_of`."""
+        return pressed_by(case.load)
 
     def picture(self, body: Volume) -> Volume:
         """See `Organ.picture`."""
@@ -315,16 +320,6 @@ def on_lattice(volume: Volume, lattice: Volume) -> Volume:
     ox, oy, oz = (float(o) for o in lattice.origin_mm + first * spacing)
     empty = Volume(np.empty((nz, ny, nx), np.uint8), lattice.spacing_mm, (ox, oy, oz))
     return resample_labels(volume, empty)
-
-
-def in_coarser_voxels(volume: Volume, spacing_mm: float) -> Volume:
-    """Return a volume on a lattice of this spacing over the same box, by nearest voxels."""
-    spacing = np.asarray(volume.spacing_mm)
-    size = spacing * np.asarray(volume.shape_xyz)
-    nx, ny, nz = (int(n) for n in np.ceil(size / spacing_mm - 1e-6))
-    ox, oy, oz = (float(o) for o in volume.origin_mm - spacing / 2 + spacing_mm / 2)
-    three = (spacing_mm, spacing_mm, spacing_mm)
-    return resample_labels(volume, Volume(np.empty((nz, ny, nx), np.uint8), three, (ox, oy, oz)))
 
 
 def _image_of(spec: Door) -> ImageSpec:

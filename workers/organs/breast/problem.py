@@ -11,14 +11,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from storage.errors import InputError
-from storage.values import Tissue, Volume
+from storage.values import Tissue, Triple, Volume
 from workers.body.mesh.skin_thickness import skin_thickness_mm
-from workers.mechanics.compression import compression_axis
 from workers.mechanics.effects.breast_catalogue import BREAST_MODEL, with_effects
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Load
 from workers.mechanics.fem.problem import Constants, Membrane, Problem
 from workers.mechanics.parameters import BREAST
+from workers.mechanics.pressed import Pressed
 from workers.organs.breast.spec import LoadSpec, ModelSpec
 
 Extent = tuple[float, float]
@@ -113,6 +113,17 @@ def plates_of(
         raise AssertionError("plates end at a distance or at two positions")
     centre = sum(body if target is None else target) / 2
     return DistanceControl(centre - distance.final / 2, centre + distance.final / 2, device)
+
+
+def compression_axis(oblique_deg: float) -> Triple:
+    """From the lower to the upper plate."""
+    angle = np.radians(oblique_deg)
+    return -float(np.sin(angle)), float(np.cos(angle)), 0.0
+
+
+def pressed_by(load: LoadSpec) -> Pressed:
+    """How the plates of a load press a body."""
+    return Pressed(compression_axis(load.oblique_deg), load.force_n)
 
 
 def extent_of(volume: Volume, oblique_deg: float = 0.0) -> Extent:

@@ -10,7 +10,6 @@ from storage.values import Tissue
 from workers.body.images.labels import tissue_named
 from workers.body.images.orient import parse_axes
 from workers.body.phantom.settings import BreastPhantom
-from workers.mechanics.compression import Compression, compression_axis
 from workers.mechanics.effects.breast_catalogue import BREAST_MODEL
 from workers.mechanics.parameters import Vocabulary
 from workers.spec import (
@@ -210,10 +209,6 @@ class BreastCase(CaseSpec):
             if p.unit in FORCE_UNITS and values[p.name] and p.name not in searched and not follows:
                 return "absolute"
         return "ratio"
-
-    def compression(self) -> Compression:
-        """See `CaseSpec.compression`."""
-        return Compression(compression_axis(self.load.oblique_deg), self.load.force_n)
 
     def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
         """See `CaseSpec.common_scale`: with plates at a distance nothing fixes the forces."""

@@ -11,7 +11,6 @@ import numpy as np
 from storage.errors import InputError
 from storage.values import Tissue, Volume
 from workers.body.mesh.node_count import check_node_count, check_node_count_of
-from workers.mechanics.compression import compression_axis
 from workers.organs.breast.case_checks import (
     THICKNESS_VOXELS,
     Scan,
@@ -21,7 +20,7 @@ from workers.organs.breast.case_checks import (
     check_side,
     check_volume,
 )
-from workers.organs.breast.problem import extent_of
+from workers.organs.breast.problem import compression_axis, extent_of
 from workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget, PhantomSpec
 from workers.organs.study_checks import Finding
 

@@ -24,14 +24,14 @@ from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Valu
 from workers.diagnosis.pictures.scan_pictures import Displacements, pictures_of_scans
 from workers.diagnosis.source import FinishedStudy, SourceContent
 from workers.diagnosis.summary import Summary
-from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.model import Model, prepare
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.parameters import Bounds
-from workers.organs.breast.problem import extent_of, materials_of, problem_of
+from workers.mechanics.pressed import Pressed
+from workers.organs.breast.problem import extent_of, materials_of, pressed_by, problem_of
 from workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
 from workers.organs.breast.study_noise import study_noise
 from workers.spec import validated
@@ -138,9 +138,14 @@ class StudySource:
         return [f"{distance.final:g} mm" if distance is not None and known else "plates in place"]
 
     @property
-    def compressions(self) -> Mapping[str, Compression]:
-        """The plates of the study's one load."""
-        return dict.fromkeys(self.scans, self.pieces.case.compression())
+    def pressed(self) -> Mapping[str, Pressed]:
+        """How the plates press it under the one load."""
+        return dict.fromkeys(self.scans, pressed_by(self.pieces.case.load))
+
+    @property
+    def segmentation_noise(self) -> SegmentationNoise:
+        """What its segmentations err by."""
+        return self.noise
 
     @property
     def effects(self) -> Sequence[Effect]:

@@ -104,10 +104,8 @@ def findings(
     }
     numbers["stress_curve"] = _curve(eye, numbers["attained_stretches"][1], noise)
     if len(changes) > k:
-        others = replace(result, derivatives=result.derivatives[k:])
-        numbers["assumptions"] = _assumptions(
-            eye, others.derivatives, numbers["attained_stretches"][1]
-        )
+        best = numbers["stress_curve"]["best_known_stretch"]
+        numbers["assumptions"] = _assumptions(eye, result.derivatives[k:], best)
     if case.findings.profiles:
         numbers["profiles"] = _profiles(eye, score)
     numbers["not_measured"] = list(case.findings.not_measured)
@@ -183,7 +181,11 @@ def _curve(eye: FittedEye, largest: float, noise: ContourNoise) -> dict[str, Any
     stretch = np.linspace(1.0, 1.0 + BEYOND * (largest - 1.0), CURVE_POINTS)
     curve = stress_curve(eye.candidate.constants, eye.information, noise, stretch)
     reach = NORMAL_95 * curve.sd_mpa
+    known = 1 + int(np.argmin(curve.sd_mpa[1:] / curve.stress_mpa[1:]))
     return {
+        "best_known_stretch": float(stretch[known]),
+        "best_known_stress_mpa": float(curve.stress_mpa[known]),
+        "best_known_bound": float(curve.sd_mpa[known] / curve.stress_mpa[known]),
         "stretch": stretch.tolist(),
         "stress_mpa": curve.stress_mpa.tolist(),
         "low_mpa": (curve.stress_mpa - reach).tolist(),
@@ -192,10 +194,10 @@ def _curve(eye: FittedEye, largest: float, noise: ContourNoise) -> dict[str, Any
     }
 
 
-def _assumptions(eye: FittedEye, others: FloatArray, largest: float) -> dict[str, Any]:
+def _assumptions(eye: FittedEye, others: FloatArray, stretch: float) -> dict[str, Any]:
     """Return the parts by which stiffness would change if what was assumed were wrong.
 
-    Of G0, and of the stress at the largest stretch in the eye, which an image knows best.
+    Of G0, and of the stress at the stretch at which the image knows it best.
 
     The constants make good for it as far as they can, under `MODEL_ERROR` and `PRIOR_SD`.
     """
@@ -213,7 +215,7 @@ def _assumptions(eye: FittedEye, others: FloatArray, largest: float) -> dict[str
         changed[key] = {
             "by": words,
             "shear_modulus_part": float(shear_modulus_slope(candidate.constants) @ step),
-            "stress_part": float(stress_slope(candidate.constants, largest) @ step),
+            "stress_part": float(stress_slope(candidate.constants, stretch) @ step),
         }
     return changed
 

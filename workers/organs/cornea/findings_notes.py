@@ -44,8 +44,8 @@ def _missing(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
     if not changed:
         return [sentence]
     parts = ", ".join(
-        f"{one['by']} changes G0 by {100 * one['shear_modulus_part']:+.1f} % and the stress at "
-        f"the largest stretch by {100 * one['stress_part']:+.1f} %"
+        f"{one['by']} changes G0 by {100 * one['shear_modulus_part']:+.1f} % and the stress at the "
+        f"best known stretch by {100 * one['stress_part']:+.1f} %"
         for one in changed
     )
     return [sentence, f"How much hangs on that, the constants fitted again: {parts}."]
@@ -53,7 +53,10 @@ def _missing(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
 
 def _shear_modulus(numbers: Mapping[str, Any]) -> str:
     bounds, names = numbers["shear_modulus_bounds"], numbers["noises"]
+    curve = numbers["stress_curve"]
     return (
+        f"Best known is the stress at a stretch of {curve['best_known_stretch']:.3f}: "
+        f"{1000 * curve['best_known_stress_mpa']:.3g} kPa. "
         f"G0 = 1/2 Σ μα is {numbers['shear_modulus_mpa']:.3f} MPa. One such image could fix it "
         f"to {100 * bounds['pixels']:.2g} % if nothing but {names['pixels']} were wrong, and to "
         f"{100 * bounds['model']:.2g} % with an error of model or segmentation of "

@@ -25,11 +25,11 @@ from workers.diagnosis.pictures.scan_pictures import Displacements
 from workers.diagnosis.smooth_field import SmoothField
 from workers.diagnosis.source import FinishedStudy, SourceContent
 from workers.diagnosis.summary import Summary
-from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.parameters import Bounds
 from workers.organs.cornea.diagnosed_problem import CorneaForward, CorneaProblem
+from workers.organs.cornea.drawn_geometry import geometry_covariance
 from workers.organs.cornea.effect_catalogue import CORNEA_EFFECTS, SEARCHED_AS
 from workers.organs.cornea.organ import ORGAN
 from workers.organs.cornea.problem import candidate_of
@@ -143,16 +143,6 @@ class CorneaStudySource:
         return [f"{1000 * self.study.case.load.jet.pressure_mpa:g} kPa"]
 
     @property
-    def compressions(self) -> Mapping[str, Compression]:
-        """None: air and eye pressure press."""
-        return {}
-
-    @property
-    def noise(self) -> SegmentationNoise:
-        """The error of its contours."""
-        return self.study.noise
-
-    @property
     def effects(self) -> Sequence[Effect]:
         """What may be missing from the model of a cornea, less what was searched."""
         searched = set(self.study.bounds)
@@ -188,6 +178,8 @@ class CorneaStudySource:
         rows = np.arange(len(chosen)), chosen
         at = csr_matrix((np.ones(len(chosen)), rows), (len(chosen), len(mesh.nodes_mm)))
         model: Any = ORGAN.prepare(mesh)
+        near = self.problem()({})
+        drawn = geometry_covariance(near, study.noise, at, points.normals)
         return InverseProblem(
             model=model,
             frame=frame_of_section(mesh),
@@ -196,7 +188,7 @@ class CorneaStudySource:
             free=self.free,
             scans=[Scan(self.scans[0], self.problem(), SurfaceResidual(study.target))],
             noise=study.noise,
-            covariance=covariance(points, study.noise, 1),
+            covariance=covariance(points, study.noise, 1) + drawn,
             bias=np.zeros(len(points)),
             forward=CorneaForward(),
             something_else=SOMETHING_ELSE,

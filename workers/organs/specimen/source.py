@@ -19,7 +19,6 @@ from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan
 from workers.diagnosis.pictures.scan_pictures import Displacements
 from workers.diagnosis.source import SourceContent
 from workers.diagnosis.summary import PredictedState, Summary
-from workers.mechanics.compression import Compression
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.specimen_catalogue import specimen_effects
 from workers.mechanics.fem.fields import frame_of
@@ -127,16 +126,6 @@ class SpecimenSource:
     def free(self) -> list[FreeConstant]:
         """Young's modulus of each material."""
         return [FreeConstant(name, *bounds) for name, bounds in bounds_mpa(self.spec).items()]
-
-    @property
-    def compressions(self) -> Mapping[str, Compression]:
-        """None: what moves the body is in its file."""
-        return {}
-
-    @property
-    def noise(self) -> SegmentationNoise | None:
-        """None: its markers have a covariance of their own."""
-        return None
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:

@@ -50,7 +50,7 @@ def tetwild_mesh(labels: Volume, size_mm: float, tissue: Tissue = Tissue.GLANDUL
     """
     if not has_tetwild():
         raise InputError(f"{MISSING}.")
-    import pytetwild  # type: ignore[import-not-found,unused-ignore]
+    import pytetwild
 
     outline = outline_of(labels, float(max(labels.spacing_mm)))
     inner = level_set_of(labels, tissue)

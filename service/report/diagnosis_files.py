@@ -4,26 +4,36 @@ import json
 from pathlib import Path
 
 from service.diagnosis.run import FinishedDiagnosis
+from service.report.diagnosis_made import Origin
+from service.report.diagnosis_page import render
 from storage.atomic import explained, write_file
 from storage.plain import to_plain
 from storage.typed_json import to_json
 
 
-def write_diagnosis(diagnosis: FinishedDiagnosis, folder: Path) -> Path:
+def write_diagnosis(
+    diagnosis: FinishedDiagnosis, folder: Path, origin: Origin | None = None
+) -> Path:
     """Write ``diagnosis.json`` and ``diagnosis.html``; return the path of the page.
+
+    Parameters
+    ----------
+    diagnosis : FinishedDiagnosis
+    folder : Path
+        Made if it is not there.
+    origin : Origin, optional
+        How it was made, where that is known.
 
     Raises
     ------
     StoreError
         If the file system refuses.
     """
-    from service.report.diagnosis_page import render
-
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
     plain = to_plain(to_json(diagnosis.summary))
     text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)
     write_file(folder / "diagnosis.json", text.encode() + b"\n")
     page = folder / "diagnosis.html"
-    write_file(page, render(diagnosis).encode())
+    write_file(page, render(diagnosis, origin).encode())
     return page

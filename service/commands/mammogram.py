@@ -1,0 +1,99 @@
+"""`palpate mammogram` takes mammograms of the body of a study."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.commands.common import (
+    JsonOption,
+    StoreOption,
+    StudyArgument,
+    find_study,
+    print_json,
+)
+from service.commands.settings import RUNS
+
+if TYPE_CHECKING:
+    from workers.tasks.mammogram import TakenView
+
+
+def mammogram(
+    study: StudyArgument = None,
+    view: Annotated[
+        list[str] | None,
+        typer.Option(help="CC or MLO; may stand twice. Default: both.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder. Default: mammograms in the study's.", show_default=False),
+    ] = None,
+    pixel_mm: Annotated[float, typer.Option(help="Edge of the detector's pixels.")] = 0.2,
+    noise: Annotated[
+        bool, typer.Option("--noise/--no-noise", help="Quantum and electronic noise.")
+    ] = True,
+    store: StoreOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Take CC and MLO mammograms of the body that a study has fitted, as DICOM and PNG.
+
+    The body is pressed with the constants found, by the study's own force or plates, turned
+    by 45 degrees for MLO; where the target's constants are known, it is taken too, with the
+    signed difference.
+    """
+    from service.results import study_results
+    from storage.errors import InputError
+    from workers.tasks.mammogram import OBLIQUE_DEG, take_view
+
+    folder = find_study(study)
+    results = study_results(folder)
+    views: list[Any] = [v.upper() for v in view or OBLIQUE_DEG]
+    unknown = [v for v in views if v not in OBLIQUE_DEG]
+    if unknown:
+        raise InputError(f"--view {unknown[0]}: a view is CC or MLO.")
+    if results.best is None:
+        raise InputError(f"The study {folder} has no candidate with a score yet: let it run.")
+    spec = results.spec
+    target = spec.target.constants
+    place = store or (Path(results.store) if results.store else RUNS / "store")
+    home = out or folder / "mammograms"
+    written = []
+    for each in views:
+        taken = take_view(
+            spec.case.model_dump(mode="json"),
+            spec.constants_of(results.best.genes),
+            None if target is None else spec.case.parameters.from_door(target),
+            each,
+            str(place),
+            pixel_mm=pixel_mm,
+            noise_seed=0 if noise else None,
+        )
+        written += _write(taken, home, results.name)
+    if as_json:
+        print_json({"study": results.name, "views": views, "files": [str(f) for f in written]})
+        return
+    for file in written:
+        typer.echo(str(file))
+
+
+def _write(taken: "TakenView", folder: Path, name: str) -> list[Path]:
+    from service.thesis.write import png_bytes
+    from storage.atomic import explained, write_file
+    from workers.comparison.mammogram.dicom_image import dicom_bytes, mammogram_dataset
+    from workers.comparison.mammogram.picture import difference_picture, grey_picture
+
+    with explained(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    contents: dict[str, bytes] = {}
+    for who, one in (("fitted", taken.fitted), ("target", taken.target)):
+        if one is not None:
+            contents[f"{who}.png"] = png_bytes(grey_picture(one))
+            dataset = mammogram_dataset(one, taken.view, body_name=f"{name[:50]}^{who}")
+            contents[f"{who}.dcm"] = dicom_bytes(dataset)
+    if taken.target is not None:
+        contents["difference.png"] = png_bytes(difference_picture(taken.fitted, taken.target))
+    files = []
+    for ending, content in contents.items():
+        files.append(folder / f"{taken.view}-{ending}")
+        write_file(files[-1], content)
+    return files

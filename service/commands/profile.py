@@ -1,0 +1,70 @@
+"""`palpate profile` holds one constant at several values and fits the others again."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.commands.common import (
+    JsonOption,
+    SchedulerOption,
+    WorkersOption,
+    find_study,
+    print_json,
+)
+
+if TYPE_CHECKING:
+    from service.profile import Profile
+
+
+def profile(
+    study: Annotated[Path, typer.Argument(help="A study's folder, file or name.")],
+    name: Annotated[str, typer.Argument(help="A searched constant, such as eta_glandular.")],
+    points: Annotated[int, typer.Option(min=3, max=101, help="Values of the constant.")] = 9,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show how well the image is explained with a constant held at other values.
+
+    The other constants are fitted again at each. What was computed once stays in the store.
+    """
+    from dataclasses import asdict
+
+    from service.cluster import open_cluster
+    from service.dispatch import Dispatcher
+    from service.profile import profile_of
+    from service.spec import StudySpec
+    from service.study_log import read_study
+    from service.study_work import Tasks
+    from workers.spec import validated
+
+    folder = find_study(study)
+    record, log = read_study(folder)
+    spec = validated(StudySpec, record.spec, f"The study in {folder}")
+    with open_cluster(scheduler, workers) as cluster:
+        found = profile_of(spec, log, Tasks(), Dispatcher(cluster.client), name, points)
+    if as_json:
+        print_json(asdict(found))
+    else:
+        _print(found)
+
+
+def _print(found: "Profile") -> None:
+    from service.commands.tables import make_console, print_table
+
+    console = make_console()
+    others = [gene for gene in found.points[0].genes if gene != found.gene]
+    rows = [
+        (
+            f"{p.value:.4g}",
+            "failed" if p.rise is None else f"{p.rise:.2f}",
+            "-" if p.gsf is None else f"{p.gsf:.3f}",
+            *(f"{p.genes[gene]:.4g}" for gene in others),
+        )
+        for p in found.points
+    ]
+    headings = (found.gene, "rise", "GSF", *others)
+    print_table(console, headings, rows, right=tuple(range(len(headings))))
+    ends = ["beyond" if v is None else f"{v:.4g}" for v in (found.lower, found.upper)]
+    console.print(f"90 % interval of {found.gene} (rise below 2.71): {ends[0]} to {ends[1]}")

@@ -1,0 +1,68 @@
+"""`palpate slurm` makes a cluster of jobs of SLURM, for `palpate run` and `palpate serve`."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.commands.interrupts import stop_requests
+
+SAY_EVERY_S = 1.0
+
+
+def slurm(
+    workers: Annotated[int, typer.Option(min=1, help="Jobs, each of them one worker.")],
+    memory: Annotated[str, typer.Option(help="Of each job.")] = "4GB",
+    walltime: Annotated[str, typer.Option(help="Of each job.")] = "24:00:00",
+    queue: Annotated[str | None, typer.Option(help="Partition.")] = None,
+    account: Annotated[str | None, typer.Option(help="Who pays.")] = None,
+    option: Annotated[
+        list[str] | None, typer.Option(help="Another option of sbatch. Repeatable.")
+    ] = None,
+    setup: Annotated[
+        list[str] | None,
+        typer.Option(help="A line of shell before the worker: 'module load python'. Repeatable."),
+    ] = None,
+    host: Annotated[
+        str | None, typer.Option(help="Address of this machine that the workers can reach.")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the scheduler.")] = 0,
+    logs: Annotated[Path | None, typer.Option(help="Folder for what the jobs print.")] = None,
+    show: Annotated[bool, typer.Option(help="Show the script of a job, submit nothing.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Submit without asking.")] = False,
+) -> None:
+    """Start a scheduler here and workers as jobs of SLURM; Ctrl-C cancels them.
+
+    The script is shown before it is submitted.
+    """
+    from service.slurm import SlurmRequest, open_slurm
+
+    request = SlurmRequest(
+        workers=workers,
+        memory=memory,
+        walltime=walltime,
+        queue=queue,
+        account=account,
+        options=tuple(option or ()),
+        setup=tuple(setup or ()),
+        host=host,
+        port=port,
+        logs=logs,
+    )
+    with stop_requests() as requests, open_slurm(request) as cluster:
+        typer.echo(cluster.script)
+        if show:
+            return
+        if not yes and not typer.confirm(f"Submit this {workers} times?", err=True):
+            return
+        cluster.submit(workers)
+        typer.echo(f"submitted; in another window: palpate run --scheduler {cluster.address} ...")
+        if cluster.dashboard:
+            typer.echo(f"dashboard: {cluster.dashboard}")
+        before = -1
+        while not requests:
+            if (running := cluster.running) != before:
+                typer.echo(f"{running} of {workers} workers are up", err=True)
+                before = running
+            time.sleep(SAY_EVERY_S)

@@ -1,0 +1,156 @@
+"""`palpate thesis` runs the experiments of the thesis and binds them as a book."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.commands.common import (
+    JsonOption,
+    SchedulerOption,
+    StoreOption,
+    WorkersOption,
+    print_json,
+)
+from service.commands.interrupts import interrupted, stop_requests
+from service.commands.settings import RUNS
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from service.thesis.results import ThesisResults
+    from service.thesis.run import ThesisRequest
+
+EVERYTHING = ("all", "book")
+
+
+def thesis(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME",
+            help="coefficients, mesh-quality, mammogram, search, sensitivity, or all.",
+        ),
+    ],
+    full: Annotated[
+        bool, typer.Option("--full", help="At the thesis' own scale: hours to days.")
+    ] = False,
+    sketch: Annotated[
+        bool, typer.Option("--sketch", help="Coarse and quick, to see what comes out.")
+    ] = False,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the page, its JSON, mammograms and studies.")
+    ] = RUNS / "thesis",
+    strategy: Annotated[
+        str | None,
+        typer.Option(
+            help="Of the searches, as search.strategy of a study: genetic is the thesis' own. "
+            "Default: genetic+least-squares, of which the genetic part is told apart.",
+            show_default=False,
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only say about how long it would take.")
+    ] = False,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    store: StoreOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run experiments of the thesis and compare them with what it prints.
+
+    Without --full at a reduced scale. Ctrl-C stops it at any time; the same command
+    continues it, and what the store has is not made again.
+    """
+    request = _request(name, full, sketch, out, strategy, store)
+    from service.cluster import usable_cores
+    from service.thesis.estimate import estimate
+
+    about = estimate(request, workers or usable_cores())
+    typer.echo(f"thesis {name}, {request.scale} scale: {about.sentence}", err=True)
+    if dry_run:
+        return
+    if about.missing:
+        with stop_requests() as requests:
+            if not _completed(request, workers, scheduler, requests):
+                raise interrupted()
+    _show(request, name, as_json)
+
+
+def _request(
+    name: str,
+    full: bool,
+    sketch: bool,
+    out: Path,
+    strategy: str | None,
+    store: Path | None,
+) -> "ThesisRequest":
+    from service.thesis.experiments import EXPERIMENTS
+    from service.thesis.run import ThesisRequest
+    from service.thesis.search import POLISHED
+    from storage.errors import InputError
+    from workers.thesis.scale import Scale
+
+    if name not in (*EXPERIMENTS, *EVERYTHING):
+        raise InputError(
+            f"There is no experiment {name}. Name one of {', '.join(EXPERIMENTS)}, or all."
+        )
+    if full and sketch:
+        raise InputError("--full and --sketch exclude each other: give one of them.")
+    scale: Scale = "full" if full else "sketch" if sketch else "reduced"
+    chosen = EXPERIMENTS if name in EVERYTHING else [e for e in EXPERIMENTS if e == name]
+    home = (store or RUNS / "store").expanduser().absolute()
+    folder = out.expanduser().absolute()
+    return ThesisRequest(chosen, scale, home, folder, strategy or POLISHED)
+
+
+def _completed(
+    request: "ThesisRequest", workers: int | None, scheduler: str | None, requests: list[int]
+) -> bool:
+    """Run to the end; False if somebody asked to stop."""
+    from rich.console import Console
+
+    from service.cluster import open_cluster
+    from service.dispatch import Dispatcher
+    from service.errors import Interrupted
+    from service.thesis.progress import ThesisProgress
+    from service.thesis.run import run_thesis
+
+    try:
+        if requests:
+            return False
+        with open_cluster(scheduler, workers) as cluster:
+            dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
+            with ThesisProgress(Console(stderr=True, highlight=False)) as progress:
+                run_thesis(request, dispatcher, progress)
+    except (Interrupted, KeyboardInterrupt):
+        return False
+    return True
+
+
+def _show(request: "ThesisRequest", name: str, as_json: bool) -> None:
+    from service.commands.tables import make_console
+    from service.thesis.results import thesis_results
+    from service.thesis.write import write_all
+    from storage.typed_json import to_json
+
+    results = thesis_results(request)
+    page = write_all(results, request, "book" if name in EVERYTHING else name)
+    if as_json:
+        print_json(to_json(results))
+        return
+    print_verdicts(results, make_console())
+    typer.echo(f"page: {page}")
+
+
+def print_verdicts(results: "ThesisResults", console: "Console") -> None:
+    """Print every number of the thesis that was run, beside ours."""
+    from service.commands.tables import print_table
+    from service.thesis.verdicts import verdicts
+
+    rows = [
+        (v.place, v.what, v.printed, v.found, v.word)
+        for v in verdicts(results)
+        if v.word not in ("not run", "cannot be")
+    ]
+    print_table(console, ("where", "what", "thesis", "palpate", "verdict"), rows, right=(2, 3))

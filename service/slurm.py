@@ -1,0 +1,162 @@
+"""Starts a Dask scheduler here and its workers as jobs of SLURM, through dask-jobqueue.
+
+One job is one worker: a process, a thread and a core. Where the jobs run they need the same
+installation, and a file system that holds the store.
+"""
+
+import os
+import shutil
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import dask
+
+from service.cluster import CONFIG
+from service.errors import ClusterError
+from storage.atomic import explained
+from storage.errors import InputError
+from workers import THREAD_ENVIRONMENT
+
+DEATH_TIMEOUT_S = 300
+
+
+@dataclass(frozen=True)
+class SlurmRequest:
+    """What is asked of SLURM.
+
+    Parameters
+    ----------
+    workers : int
+        Jobs.
+    memory : str
+        Of each, such as ``"4GB"``; a worker that needs more is ended.
+    walltime : str
+        Such as ``"24:00:00"``.
+    queue, account : str, optional
+        Partition, and who pays.
+    options : tuple of str
+        Further options of sbatch: ``"--exclusive"``.
+    setup : tuple of str
+        Lines of shell before the worker starts: ``"module load python"``.
+    host : str, optional
+        Address of this machine that the workers can reach; default: found by Dask.
+    port : int
+        Of the scheduler; 0 takes any.
+    logs : Path, optional
+        Folder for what the jobs print.
+    """
+
+    workers: int
+    memory: str = "4GB"
+    walltime: str = "24:00:00"
+    queue: str | None = None
+    account: str | None = None
+    options: tuple[str, ...] = ()
+    setup: tuple[str, ...] = ()
+    host: str | None = None
+    port: int = 0
+    logs: Path | None = None
+
+
+@dataclass(frozen=True)
+class SlurmCluster:
+    """A scheduler that is running, whose workers are not submitted yet.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler.
+    dashboard : str
+        Of Dask's page.
+    script : str
+        Of one job.
+    """
+
+    address: str
+    dashboard: str
+    script: str
+    _cluster: Any
+
+    def submit(self, workers: int) -> None:
+        """Submit jobs until there are so many; jobs that end are submitted again."""
+        self._cluster.scale(jobs=workers)
+
+    @property
+    def running(self) -> int:
+        """Return how many workers have come up."""
+        return len(self._cluster.scheduler_info["workers"])
+
+
+@contextmanager
+def open_slurm(request: SlurmRequest) -> Iterator[SlurmCluster]:
+    """Start the scheduler; on leaving all jobs are cancelled.
+
+    Raises
+    ------
+    InputError
+        If dask-jobqueue is not installed.
+    ClusterError
+        If this machine has no SLURM, or the scheduler cannot be started.
+    """
+    try:
+        from dask_jobqueue import SLURMCluster
+    except ImportError:
+        raise InputError(
+            "SLURM needs dask-jobqueue, which is not installed: pip install 'palpate[slurm]'."
+        ) from None
+    for program in ("sbatch", "scancel"):
+        if shutil.which(program) is None:
+            raise ClusterError(
+                f"There is no {program} on this machine: run this where jobs are submitted, "
+                "such as the login node of the cluster."
+            )
+    if request.logs is not None:
+        with explained(request.logs):
+            request.logs.mkdir(parents=True, exist_ok=True)
+    with dask.config.set(CONFIG), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # jobqueue's own, of options that are left out
+        try:
+            cluster = SLURMCluster(
+                cores=1,
+                processes=1,
+                memory=request.memory,
+                walltime=request.walltime,
+                queue=request.queue,
+                account=request.account,
+                job_name="palpate",
+                death_timeout=DEATH_TIMEOUT_S,
+                job_extra_directives=list(request.options),
+                job_script_prologue=[*request.setup, *_exports()],
+                log_directory=None if request.logs is None else str(request.logs),
+                scheduler_options=_scheduler_options(request),
+                silence_logs="critical",
+            )
+        except (OSError, RuntimeError, ValueError) as error:
+            raise ClusterError(
+                f"The scheduler for SLURM cannot be started: {error}. Give another --host or "
+                "--port."
+            ) from error
+        with cluster:
+            yield SlurmCluster(
+                cluster.scheduler_address, cluster.dashboard_link, cluster.job_script(), cluster
+            )
+
+
+def _scheduler_options(request: SlurmRequest) -> dict[str, Any]:
+    options: dict[str, Any] = {"port": request.port, "dashboard_address": ":0"}
+    return options if request.host is None else options | {"host": request.host}
+
+
+def _exports() -> list[str]:
+    """Tell the workers what a cluster of this machine is told; see `service.cluster`."""
+    told = dict(THREAD_ENVIRONMENT) | {"PYTHONSAFEPATH": "1"}
+    for key, value in CONFIG.items():
+        if key.startswith("distributed.worker."):
+            told["DASK_" + key.upper().replace(".", "__").replace("-", "_")] = str(value)
+    if "PYTHONPATH" in os.environ:
+        told["PYTHONPATH"] = os.environ["PYTHONPATH"]
+    return [f"export {name}='{value}'" for name, value in told.items()]

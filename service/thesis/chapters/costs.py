@@ -1,0 +1,14 @@
+"""What an experiment has cost, beside what the thesis prints."""
+
+from service.formatting import count, duration
+from service.thesis.results import Cost
+
+
+def cost_rows(cost: Cost | None, thesis: str) -> list[tuple[str, str]]:
+    """Return the lines of a chapter's costs."""
+    rows = [("the thesis", thesis)]
+    if cost is not None:
+        rows.append(("Palpate, processor time", duration(cost.cpu_s)))
+        rows.append(("parts", f"{count(cost.parts)}, the longest {duration(cost.longest_s)}"))
+        rows.append(("on", cost.machine))
+    return rows

@@ -1,0 +1,80 @@
+"""The chapter of the simulated mammograms."""
+
+from collections.abc import Sequence
+
+from service.formatting import number
+from service.report.pictures import Picture, picture
+from service.thesis import charts
+from service.thesis.chapters.costs import cost_rows
+from service.thesis.experiments import SHOWN_PHANTOM, exposures
+from service.thesis.page import Chapter, Table
+from service.thesis.results import Cost, Exposed
+from workers.tasks.thesis.mammograms import ExposedPhantom
+from workers.thesis.mammogram import PIXEL_MM
+from workers.thesis.scale import Scale
+
+
+def chapter(found: Sequence[Exposed], cost: Cost | None, store: str, scale: Scale) -> Chapter:
+    """Return the chapter of thesis Fig. 4.18."""
+    least = min((e.attenuation_rms / e.quantum_rms for e in found), default=0.0)
+    most = max((e.attenuation_rms / e.quantum_rms for e in found), default=0.0)
+    return Chapter(
+        "mammogram",
+        "Mammograms of both meshes",
+        "Thesis 4.4",
+        f"The two meshes differ by {number(least, 2)} to {number(most, 2)} times what noise alone "
+        "does, around the glandular compartments, as the thesis shows.",
+        "A projection of the pressed phantom from a point, polyenergetic, without scatter, with an "
+        "ideal detector and two Poisson processes of noise; adaptive, homogeneous and their signed "
+        "difference as one figure. Geometry, spectrum and dose are not printed.",
+        "A cone from a point 650 mm above the detector through the labels of the voxels, exact "
+        "path lengths, a tungsten tube at 28 kV behind rhodium, 60 mAs, an ideal detector with "
+        f"pixels of {PIXEL_MM[scale]:g} mm, Poisson's law in every bin of energy and electronic "
+        "noise. Every phantom in both views, as PNG and DICOM beside this page.",
+        tables=(_table(found),),
+        pictures=_pictures(found, store, scale),
+        differences=(
+            "The difference is signed, as the text says; the caption of Fig. 4.18 calls it "
+            "absolute.",
+        ),
+        costs=cost_rows(cost, "not printed"),
+    )
+
+
+def _table(found: Sequence[Exposed]) -> Table:
+    rows = [
+        [
+            f"{e.phantom}, {e.view}",
+            number(e.attenuation_rms, 3),
+            number(e.quantum_rms, 3),
+            number(e.attenuation_rms / e.quantum_rms, 3),
+        ]
+        for e in found
+    ]
+    headings = ("Phantom", "Difference of the meshes", "Of noise alone", "Ratio")
+    note = "Root mean square of the difference of ln(open / energy), behind the body."
+    return Table("How far the two meshes differ", headings, rows, note=note)
+
+
+def _pictures(found: Sequence[Exposed], store: str, scale: Scale) -> list[Picture]:
+    there = {(e.phantom, e.view) for e in found}
+    made = []
+    for request in exposures(store, scale):
+        if request.phantom != SHOWN_PHANTOM or (request.phantom, request.view) not in there:
+            continue
+        _, arrays = request.part.load(ExposedPhantom)
+        shown = [
+            ("Adaptive mesh", arrays["adaptive"].T[::-1]),
+            ("Homogeneous mesh", arrays["homogeneous"].T[::-1]),
+            ("Signed difference", arrays["difference"].T[::-1]),
+        ]
+        made.append(
+            picture(
+                charts.pictures_in_a_row(shown),
+                f"{request.view} mammograms of phantom {request.phantom} on both meshes, and "
+                "their difference.",
+                f"Phantom {request.phantom}, {request.view} (thesis Fig. 4.18); chest wall "
+                "below. Grey: equal.",
+            )
+        )
+    return made

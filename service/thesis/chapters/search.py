@@ -1,0 +1,200 @@
+"""The chapter of the searches."""
+
+from collections.abc import Sequence
+from statistics import fmean, stdev
+
+from service.formatting import count, duration, number, symbol
+from service.report.pictures import picture
+from service.thesis import charts, printed
+from service.thesis.page import Chapter, Table, Text
+from service.thesis.results import Cost, FoundSearch, SearchResult
+from workers.thesis.identification import FORCE_N, TARGETS, TargetName
+from workers.thesis.scale import Scale
+
+
+def chapter(found: SearchResult, cost: Cost | None, scale: Scale) -> Chapter:
+    """Return the chapter of thesis section 4.5."""
+    names = [name for name in TARGETS if found.of(name)]
+    tables: list[Table] = []
+    for name in names:
+        tables += [_estimates(name, found.of(name)), _errors(name, found.of(name))]
+    tables.append(_spent(found))
+    return Chapter(
+        "search",
+        "The constants of ten phantoms",
+        "Thesis 4.5.6, Tables 4.4 to 4.6",
+        _verdict(found),
+        "A genetic algorithm (84 candidates, 15 generations, elite 2) finds four constants, five "
+        "with skin, from the glandular voxels of a phantom pressed by 100 N. Targets X1 and X2 "
+        "without skin for five phantoms each, X3 with skin for five.",
+        f"The same targets, bounds and stop rule through the studies of `palpate run`: strategy "
+        f"{found.strategy}, {found.population} candidates, {found.generations} generations at "
+        f"most, {count(found.nodes)} nodes, voxels of {found.spacing_mm:g} mm, "
+        f"{FORCE_N[scale]:g} N. Errors are of one mesh: target and candidates share it.",
+        tables=tables,
+        pictures=[
+            picture(
+                charts.errors(found.of(name), printed.SEARCHES[name]),
+                f"Relative errors of each constant for {name}.",
+                f"{name}: every phantom is a mark; thesis above, Palpate below.",
+            )
+            for name in names
+        ],
+        differences=_differences(scale, found),
+        costs=_costs(found, cost),
+    )
+
+
+def _verdict(found: SearchResult) -> str:
+    parts = []
+    for name in TARGETS:
+        searches = found.of(name)
+        if searches:
+            error = 100 * fmean(s.constants[0].error for s in searches)
+            theirs = 100 * printed.SEARCHES[name].error[0]
+            parts.append(f"{number(error, 2)} % for {name} (thesis {number(theirs, 3)} %)")
+    each = fmean(s.cpu_s for s in found.searches) / 60
+    return (
+        f"Mean error of E fat: {', '.join(parts)}. A search took {number(each, 3)} core minutes, "
+        f"the thesis {count(round(printed.HOURS * printed.CORES))} core hours."
+    )
+
+
+def _estimates(target: TargetName, searches: Sequence[FoundSearch]) -> Table:
+    table = printed.SEARCHES[target]
+    theirs = {row.phantom: row for row in table.rows}
+    rows: list[list[Text]] = [
+        ["target", *(number(v) for v in TARGETS[target].values()), "1", "0", "0", ""]
+    ]
+    for s in searches:
+        row = theirs[s.phantom]
+        mm = row.mhd_voxels * printed.VOXEL_MM
+        rows.append(
+            [
+                f"{s.phantom}, thesis",
+                *(number(v) for v in row.constants_kpa),
+                number(row.jc, 3),
+                number(row.mhd_voxels, 3),
+                number(mm, 3),
+                "≈ 1000",
+            ]
+        )
+        rows.append(
+            [
+                f"{s.phantom}, Palpate",
+                *(number(c.estimate) for c in s.constants),
+                number(s.jc, 4),
+                number(s.mhd_voxels, 3),
+                number(s.mhd_mm, 3),
+                count(s.evaluations),
+            ]
+        )
+    names = [symbol(c.name, "") for c in searches[0].constants]
+    headings = ("Phantom", *names, "JC", "MHD, voxels", "MHD, mm", "Evaluations")
+    note = "Constants in kPa. Voxels of the thesis: 0.2 mm."
+    return Table(f"Estimates for {target} ({table.name})", headings, rows, note=note)
+
+
+def _errors(target: TargetName, searches: Sequence[FoundSearch]) -> Table:
+    table = printed.SEARCHES[target]
+    rows: list[list[Text]] = []
+    for n, constant in enumerate(searches[0].constants):
+        every = [s.constants[n] for s in searches]
+        estimates = [c.estimate for c in every]
+        sd = stdev(estimates) if len(estimates) > 1 else None
+        before = [c.genetic_error for c in every if c.genetic_error is not None]
+        bounds = [c.bound for c in every if c.bound is not None]
+        rows.append(
+            [
+                symbol(constant.name, ""),
+                number(table.mean[n]),
+                number(fmean(estimates)),
+                number(table.sd[n], 3),
+                number(sd, 3),
+                _percent(table.error[n]),
+                _percent(fmean(before)) if before else "–",
+                _percent(fmean(c.error for c in every)),
+                _percent(fmean(bounds)) if bounds else "–",
+                coverage(every),
+            ]
+        )
+    headings = (
+        "",
+        "Mean, thesis",
+        "Palpate",
+        "Deviation, thesis",
+        "Palpate",
+        "Error, thesis",
+        "Genetic part",
+        "Palpate",
+        "At best",
+        "Within interval",
+    )
+    note = (
+        "Error: mean of |estimate − target| / target. At best: the standard deviation that the "
+        "tangents allow (Cramér-Rao, with the noise of the image). Within interval: in how many "
+        "searches the 90 % interval holds the target. " + table.note
+    )
+    return Table(f"Statistics for {target}", headings, rows, note=note.strip())
+
+
+def coverage(constants: Sequence) -> str:  # type: ignore[type-arg]
+    """Say in how many of the searches the interval holds the target."""
+    known = [c for c in constants if c.interval is not None]
+    if not known:
+        return "–"
+    inside = sum(c.interval[0] <= c.target <= c.interval[1] for c in known)
+    return f"{inside} of {len(known)}"
+
+
+def _percent(share: float) -> str:
+    return f"{number(100 * share, 3)} %"
+
+
+def _spent(found: SearchResult) -> Table:
+    rows = [
+        [
+            f"{s.target}, {s.phantom}",
+            count(s.evaluations),
+            duration(s.cpu_s),
+            duration(s.wall_s),
+            s.stopped,
+        ]
+        for s in found.searches
+    ]
+    headings = ("Search", "Evaluations", "Workers' time", "On the clock", "Why it stopped")
+    return Table("What each search cost", headings, rows, (4,))
+
+
+def _costs(found: SearchResult, cost: Cost | None) -> list[tuple[str, Text]]:
+    core_hours = printed.HOURS * printed.CORES
+    mean = fmean(s.cpu_s for s in found.searches)
+    rows: list[tuple[str, Text]] = [
+        ("the thesis, one search", f"48 h on 12 cores, {core_hours:g} core hours"),
+        ("on", printed.MACHINE),
+        ("Palpate, one search", f"{duration(mean)} of one worker, on its clock"),
+        ("ratio", f"{count(round(core_hours * 3600 / mean))} times less"),
+    ]
+    if cost is not None:
+        rows += [("all searches", f"{duration(cost.cpu_s)} of one worker"), ("on", cost.machine)]
+    return rows
+
+
+def _differences(scale: Scale, found: SearchResult) -> list[str]:
+    texts = [
+        "The thesis names neither crossover, mutation, selection nor seeds; Palpate takes those "
+        "of MATLAB's ga. No estimate of a single phantom can come out the same.",
+        "η multiplies a fibre term along chest wall to nipple that is nearly inextensible; the "
+        "deformed shape hardly depends on it, and an estimate lies somewhere in a flat valley.",
+        "MHD is measured between boundary voxels, which is what the printed pairs of JC and MHD "
+        "imply.",
+        "The skin of the thesis has no printed thickness; here it is a membrane of 1.5 mm.",
+    ]
+    if scale != "full":
+        smaller = (
+            "The reduced search has bodies of an eighth of the volume, a coarser mesh, larger "
+            f"voxels and {found.population} instead of 84 candidates. Its hours are not those of "
+            "the thesis' scale; run with --full for these."
+        )
+        texts.insert(0, smaller)
+    return texts

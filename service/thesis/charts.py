@@ -1,0 +1,217 @@
+"""Draws the charts of the book."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from service.formatting import label
+from service.report.canvas import SMALL_PT, TEXT_PT, calm, figure, legend
+from service.report.palette import BLUE, GREY, INK, ORANGE, SOFT_INK, VERMILION
+from service.thesis import printed
+from service.thesis.results import FoundSearch, Varied
+from workers.comparison.coefficients.coefficients import HAUSDORFF_NAMES
+from workers.thesis.cylinder import CylinderRow
+from workers.thesis.mesh_quality import BINS, MEASURES, RANGES, QualityRow
+from workers.thesis.selection import Selection
+
+WIDTH_IN = 10.4
+TARGET_LINE: Mapping[str, Any] = {"color": INK, "linewidth": 1.1, "linestyle": (0, (2, 2))}
+# Okabe and Ito (2008), beside the blue, orange and grey of all charts.
+LINES = (BLUE, ORANGE, "#009e73", "#cc79a7", VERMILION, GREY)
+KIND_COLOURS = dict(
+    zip(
+        ("homogeneous", "adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm", "fTetWild"),
+        LINES,
+        strict=True,
+    )
+)
+# Six plots, as the thesis divides its 28 curves; a line style for each of a plot.
+PLOTS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("overlap and volume", ("JC", "DC", "dV")),
+    ("percentiles 50, 75", HAUSDORFF_NAMES[:8]),
+    ("percentile 90, maximum", HAUSDORFF_NAMES[8:16]),
+    ("means", HAUSDORFF_NAMES[16:]),
+    ("signed mean", ("SM",)),
+    ("means and deviations", ("mean_dX", "mean_dY", "std_dX", "std_dY")),
+)
+
+
+def coefficient_curves(selection: Selection) -> Figure:
+    """Draw the 28 normalised coefficients over the deformations of the bar (Fig. 3.5)."""
+    drawn = figure(WIDTH_IN, 6.2)
+    for axes, (title, names) in zip(drawn.subplots(2, 3).ravel(), PLOTS, strict=True):
+        calm(axes)
+        for n, name in enumerate(names):
+            kept = name in selection.rejected
+            style: dict[str, Any] = {"linestyle": (0, (2, 2))} if kept else {}
+            bold = 2.6 if name == "D22" else 1.4
+            axes.plot(
+                selection.numbers,
+                selection.curves[name],
+                color=LINES[n % len(LINES)],
+                linewidth=bold,
+                marker="o",
+                markersize=3,
+                label=name,
+                **style,
+            )
+        axes.set_title(
+            title, fontsize=TEXT_PT, color=INK, loc="left", pad=20 if len(names) < 5 else 34
+        )
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_xlabel("deformation", fontsize=SMALL_PT)
+        legend(axes, ncols=4, handlelength=1.1)
+        shown = axes.get_legend()
+        if shown is not None:
+            shown.set_in_layout(False)  # columns stay as wide as each other
+    return drawn
+
+
+def cylinder_curves(rows: Sequence[CylinderRow]) -> Figure:
+    """Draw JC, DC and GSF over the angle (Figs. 3.7 and 3.8)."""
+    drawn = figure(WIDTH_IN, 3.2)
+    left, right = (calm(axes, grid="both") for axes in drawn.subplots(1, 2))
+    angles = [row.angle_deg for row in rows]
+    left.plot(angles, [row.jc for row in rows], color=BLUE, linewidth=2, label="JC")
+    left.plot(angles, [row.dc for row in rows], color=ORANGE, linewidth=2, label="DC")
+    left.set(xlabel="angle, degrees", ylim=(0, 1.02))
+    legend(left)
+    finite = [row for row in rows if np.isfinite(row.gsf)]
+    right.plot(
+        [row.angle_deg for row in finite], [row.gsf for row in finite], color=BLUE, linewidth=2
+    )
+    right.set(xlabel="angle, degrees", ylabel="GSF; −∞ at 0 and 180")
+    for axes in (left, right):
+        axes.set_xticks(range(0, 181, 30))
+    return drawn
+
+
+def quality_bars(rows: Sequence[QualityRow]) -> Figure:
+    """Draw the means of M1 to M5 of each kind of mesh (Fig. 4.15)."""
+    kinds = [kind for kind in KIND_COLOURS if any(row.kind == kind for row in rows)]
+    names = ("M1", "M2", "M3", "M4", "M5")
+    drawn = figure(WIDTH_IN, 3.4)
+    axes = calm(drawn.subplots())
+    width = 0.8 / len(kinds)
+    for n, kind in enumerate(kinds):
+        of_kind = [row for row in rows if row.kind == kind]
+        values = [[row.m5 if m == "M5" else row.mean[m] for row in of_kind] for m in names]
+        means, sds = [np.mean(v) for v in values], [np.std(v) for v in values]
+        at = np.arange(len(names)) + (n - (len(kinds) - 1) / 2) * width
+        axes.bar(
+            at,
+            means,
+            0.92 * width,
+            yerr=sds,
+            color=KIND_COLOURS[kind],
+            label=kind,
+            error_kw={"ecolor": SOFT_INK, "elinewidth": 1},
+        )
+    axes.set_xticks(range(len(names)), names)
+    axes.set(ylim=(0, 1.02), ylabel="mean of the phantoms, 1 is best")
+    legend(axes, ncols=6)
+    return drawn
+
+
+def quality_histograms(rows: Sequence[QualityRow]) -> Figure:
+    """Draw how the tetrahedra of all phantoms are spread over each measure."""
+    drawn = figure(WIDTH_IN, 2.6)
+    kinds = [k for k in ("adaptive", "homogeneous", "fTetWild") if any(r.kind == k for r in rows)]
+    for axes, name in zip(drawn.subplots(1, len(MEASURES)), MEASURES, strict=True):
+        calm(axes, grid="")
+        low, high = RANGES[name]
+        edges = np.linspace(low, high, BINS + 1)
+        for kind in kinds:
+            counts = np.sum([row.histograms[name] for row in rows if row.kind == kind], axis=0)
+            share = counts / counts.sum()
+            axes.stairs(share, edges, color=KIND_COLOURS[kind], linewidth=1.6, label=kind)
+        axes.set(yticks=[], xlabel="aspect ratio" if name == "aspect" else name)
+        axes.set_xlim((1, 5) if name == "aspect" else (0, 1))
+    handles, labels = drawn.axes[0].get_legend_handles_labels()
+    drawn.legend(
+        handles,
+        labels,
+        frameon=False,
+        fontsize=SMALL_PT,
+        labelcolor=SOFT_INK,
+        loc="outside upper left",
+        ncols=3,
+    )
+    return drawn
+
+
+def pictures_in_a_row(shown: Sequence[tuple[str, NDArray[Any]]], *, labels: bool = False) -> Figure:
+    """Draw grey or coloured pictures beside each other."""
+    rows, columns = shown[0][1].shape[:2]
+    height = min(5.0, 0.3 + WIDTH_IN / len(shown) * rows / columns)
+    drawn = figure(WIDTH_IN, height)
+    made = drawn.subplots(1, len(shown), squeeze=False)[0]
+    for axes, (title, values) in zip(made, shown, strict=True):
+        kind: dict[str, Any] = {} if labels else {"cmap": "gray", "vmin": 0, "vmax": 255}
+        axes.imshow(values, interpolation="nearest", **kind)
+        axes.set_title(title, fontsize=SMALL_PT, color=INK, loc="left")
+        axes.axis("off")
+    return drawn
+
+
+def errors(found: Sequence[FoundSearch], table: printed.SearchTable) -> Figure:
+    """Draw the relative errors of every constant: the thesis', ours, and before the polish."""
+    names = [c.name for c in found[0].constants]
+    drawn = figure(WIDTH_IN, 0.75 + 0.55 * len(names))
+    axes = calm(drawn.subplots(), grid="x")
+    targets = [c.target for c in found[0].constants]
+    for row, target in enumerate(targets):
+        theirs = [max(abs(r.constants_kpa[row] / target - 1), 1e-4) for r in table.rows]
+        ours = [max(s.constants[row].error, 1e-4) for s in found]
+        before = [s.constants[row].genetic_error for s in found]
+        axes.plot(theirs, [row - 0.2] * len(theirs), "D", color=GREY, markersize=5, alpha=0.9)
+        known = [max(b, 1e-4) for b in before if b is not None]
+        axes.plot(known, [row] * len(known), "s", color=ORANGE, markersize=5, alpha=0.9)
+        axes.plot(ours, [row + 0.2] * len(ours), "o", color=BLUE, markersize=6, alpha=0.9)
+    axes.set_xscale("log")
+    axes.set_xlim(8e-5, 1.2)
+    axes.set_xticks([1e-4, 1e-3, 1e-2, 1e-1, 1], ["≤ 0.01 %", "0.1 %", "1 %", "10 %", "100 %"])
+    axes.set_yticks(range(len(names)), [label(n, "") for n in names], fontsize=TEXT_PT, color=INK)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_xlabel("relative error of one phantom")
+    for marker, colour, text in _error_marks(found):
+        axes.plot([], [], marker, color=colour, label=text)
+    legend(axes)
+    return drawn
+
+
+def _error_marks(found: Sequence[FoundSearch]) -> list[tuple[str, str, str]]:
+    marks = [("D", GREY, "thesis"), ("o", BLUE, "Palpate")]
+    if any(c.genetic_error is not None for s in found for c in s.constants):
+        marks.insert(1, ("s", ORANGE, "Palpate, genetic part alone"))
+    return marks
+
+
+def sensitivity_curves(varied: Sequence[Varied]) -> Figure:
+    """Draw JC and MHD over each constant (Fig. 4.22 is the one of eta_glandular)."""
+    drawn = figure(WIDTH_IN, 4.2)
+    grid: NDArray[Any] = drawn.subplots(2, len(varied), sharey="row", squeeze=False)
+    for column, one in enumerate(varied):
+        name = one.constant.removesuffix("_kpa")
+        _curve(grid[0, column], one, one.jc, BLUE)
+        _curve(grid[1, column], one, one.mhd_voxels, VERMILION)
+        grid[0, column].set_title(label(name, ""), fontsize=TEXT_PT, color=INK, loc="left")
+        grid[1, column].set_xlabel("kPa", fontsize=SMALL_PT)
+    grid[0, 0].set_ylabel("JC")
+    grid[1, 0].set_ylabel("MHD, voxels")
+    return drawn
+
+
+def _curve(axes: Axes, one: Varied, values: Sequence[float | None], colour: str) -> None:
+    calm(axes, grid="both")
+    known = [(x, y) for x, y in zip(one.values_kpa, values, strict=True) if y is not None]
+    axes.plot(
+        [x for x, _ in known], [y for _, y in known], color=colour, marker="o", markersize=3.5
+    )
+    axes.axvline(one.at_target, **TARGET_LINE)
+    axes.xaxis.set_major_locator(MaxNLocator(4))

@@ -1,0 +1,147 @@
+"""About how long what is still missing takes, from what such parts have cost before."""
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+from service.formatting import duration
+from service.thesis.experiments import phases_of
+from service.thesis.run import ThesisRequest
+from service.thesis.search import SearchRun
+from workers.tasks.thesis.parts import Request, machine
+
+RECORDED = Path(__file__).with_name("recorded_seconds.json")
+
+Seconds = dict[str, float]
+"""Processor seconds of a part, by its kind."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What parts have cost.
+
+    Parameters
+    ----------
+    machine : str
+        Where.
+    seconds : mapping of str to float
+        Processor seconds of one part or search, by kind; of searches those of the workers.
+    """
+
+    machine: str
+    seconds: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """About how long it takes.
+
+    Parameters
+    ----------
+    cpu_s : float
+        Processor seconds of the parts that are missing.
+    workers : int
+    missing, of : int
+        Parts and searches.
+    machines : tuple of str
+        Where such parts were timed.
+    unknown : int
+        Missing parts of kinds that nobody has timed at this scale.
+    """
+
+    cpu_s: float
+    workers: int
+    missing: int
+    of: int
+    machines: tuple[str, ...]
+    unknown: int
+
+    @property
+    def sentence(self) -> str:
+        """Say it."""
+        if not self.missing:
+            return f"All {self.of} parts are in the store: nothing to compute."
+        known = self.missing - self.unknown
+        parts = f"{self.missing} of {self.of} parts are missing"
+        if not known:
+            return f"{parts}; none of them has been timed at this scale yet."
+        where = " and ".join(self.machines)
+        text = (
+            f"{parts}: about {duration(self.cpu_s / self.workers)} on {self.workers} free "
+            f"core{'s' if self.workers > 1 else ''} (timed on {where})"
+        )
+        if self.unknown:
+            return f"{text}, without {self.unknown} that nobody has timed at this scale."
+        return f"{text}."
+
+
+def estimate(request: ThesisRequest, workers: int) -> Estimate:
+    """Estimate the time of all that the store does not have.
+
+    Parts of the same kind in the store come first, since they were timed here; else
+    those that are shipped.
+    """
+    store = str(request.store)
+    parts = {r.part.name: r for e in request.experiments for r in parts_of(e, store, request.scale)}
+    here = _seconds(parts.values(), request.searches)
+    shipped = shipped_seconds(request.scale)
+    wanted: list[tuple[str, float]] = [
+        (r.kind, 1.0) for r in parts.values() if not r.part.is_finished
+    ]
+    searches = request.searches
+    for run in searches:
+        if not run.is_finished:
+            done = run.evaluations / run.most_evaluations
+            wanted.append((kind_of(run), max(0.0, 1.0 - done)))
+    cpu_s, unknown, machines = 0.0, 0, set()
+    for kind, share in wanted:
+        if kind in here:
+            cpu_s += share * here[kind]
+            machines.add("this machine")
+        elif shipped is not None and kind in shipped.seconds:
+            cpu_s += share * shipped.seconds[kind]
+            machines.add(shipped.machine)
+        else:
+            unknown += 1
+    of = len(parts) + len(searches)
+    return Estimate(cpu_s, max(1, workers), len(wanted), of, tuple(sorted(machines)), unknown)
+
+
+def parts_of(experiment: str, store: str, scale: str) -> list[Request]:
+    """Return all parts of an experiment but its studies."""
+    return [r for phase in phases_of(experiment, store, scale) for r in phase.requests]  # type: ignore[arg-type]
+
+
+def kind_of(run: SearchRun) -> str:
+    """Name what takes about as long as a search."""
+    return f"search, {run.target}, {run.spec.search.strategy}"
+
+
+def recorded_here(request: ThesisRequest) -> Recorded:
+    """Return what the parts in the store have cost, by kind."""
+    store = str(request.store)
+    parts = [r for e in request.experiments for r in parts_of(e, store, request.scale)]
+    return Recorded(machine(), _seconds(parts, request.searches))
+
+
+def shipped_seconds(scale: str) -> Recorded | None:
+    """Return what was recorded when Palpate was made; None where nothing was at this scale."""
+    text = json.loads(RECORDED.read_text(encoding="utf-8"))
+    found = text["seconds"].get(scale)
+    return None if found is None else Recorded(text["machine"], found)
+
+
+def _seconds(parts: Iterable[Request], runs: Iterable[SearchRun]) -> Seconds:
+    """Median processor seconds of a part by kind, of those that are finished."""
+    by_kind: dict[str, list[float]] = {}
+    for request in parts:
+        if request.part.is_finished:
+            by_kind.setdefault(request.kind, []).append(request.spent.cpu_s)
+    for run in runs:
+        results = run.results()
+        if results is not None and results.stages:
+            total = sum(time.total_s for time in results.stages.values())
+            by_kind.setdefault(kind_of(run), []).append(total)
+    return {kind: median(seconds) for kind, seconds in by_kind.items()}

@@ -1,0 +1,154 @@
+"""Which parts each experiment of the thesis consists of, in the order of their needs.
+
+::
+
+    coefficients   nine bars > compared; the cylinder
+    mesh-quality   meshes; compressions > compared
+    mammogram      compressions > mammograms
+    search         studies, see `service.thesis.search`
+    sensitivity    every constant varied
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from workers.body.mesh.adaptive.tetwild import has_tetwild
+from workers.tasks.thesis.coefficients import (
+    Bend,
+    Compare,
+    Turn,
+    bend_bar,
+    compare_bars,
+    turn_cylinder,
+)
+from workers.tasks.thesis.mammograms import Expose, take_mammograms
+from workers.tasks.thesis.meshes import (
+    ComparePressed,
+    Measure,
+    Press,
+    compare_pressed,
+    measure_mesh,
+    press_phantom,
+)
+from workers.tasks.thesis.parts import Request, Spent
+from workers.tasks.thesis.sensitivity import Vary, vary_constant
+from workers.thesis.bar import DEFORMATIONS
+from workers.thesis.compression import AXES, LawName
+from workers.thesis.identification import TARGETS, TargetName, bounds_of
+from workers.thesis.mesh_quality import MeshKind, kinds_at
+from workers.thesis.phantoms import NUMBERS
+from workers.thesis.scale import Scale
+
+Experiment = Literal["coefficients", "mesh-quality", "mammogram", "search", "sensitivity"]
+EXPERIMENTS: tuple[Experiment, ...] = get_args(Experiment)
+LAWS: tuple[LawName, ...] = get_args(LawName)
+PRESSED_ON: tuple[MeshKind, ...] = ("adaptive", "homogeneous")
+# Values of each constant, evenly over its interval, the target beside them.
+VALUES: dict[Scale, int] = {"sketch": 3, "reduced": 9, "full": 16}
+# Which phantom shows the sensitivity, and the mesh slices.
+SHOWN_PHANTOM = 3
+
+AnyRequest = Any  # a request of the phase's task
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Parts that do not need each other.
+
+    Parameters
+    ----------
+    title : str
+        What is done, for a reader.
+    task : callable
+        Takes a request, leaves the part in the store, returns what it has cost.
+    requests : sequence of Request
+    """
+
+    title: str
+    task: Callable[[AnyRequest], Spent]
+    requests: Sequence[Request]
+
+    @property
+    def missing(self) -> list[Request]:
+        """Return the parts that the store does not have."""
+        return [request for request in self.requests if not request.part.is_finished]
+
+
+def phases_of(experiment: Experiment, store: str, scale: Scale) -> list[Phase]:
+    """Return what an experiment asks of the workers, one phase after the other."""
+    make = {
+        "coefficients": _coefficients,
+        "mesh-quality": _mesh_quality,
+        "mammogram": _mammogram,
+        "search": lambda *_: [],
+        "sensitivity": _sensitivity,
+    }[experiment]
+    return make(store, scale)
+
+
+def measured_meshes(store: str, scale: Scale) -> list[Measure]:
+    """Return the meshes whose quality is measured; fTetWild only where it is installed."""
+    kinds = kinds_at(scale, other_mesher=has_tetwild())
+    return [Measure(store, scale, n, kind) for n, kind in product(NUMBERS[scale], kinds)]
+
+
+def compressions(store: str, scale: Scale, laws: Sequence[LawName] = LAWS) -> list[Press]:
+    """Return the compressions; those on one mesh stand together."""
+    every = product(NUMBERS[scale], PRESSED_ON, laws, AXES)
+    return [Press(store, scale, number, mesh, law, view) for number, mesh, law, view in every]
+
+
+def comparisons(store: str, scale: Scale) -> list[ComparePressed]:
+    """Return the comparisons of both meshes."""
+    every = product(NUMBERS[scale], LAWS, AXES)
+    return [ComparePressed(store, scale, number, law, view) for number, law, view in every]
+
+
+def exposures(store: str, scale: Scale) -> list[Expose]:
+    """Return the mammograms, two views of every phantom."""
+    return [Expose(store, scale, n, view) for n, view in product(NUMBERS[scale], AXES)]
+
+
+def variations(store: str, scale: Scale) -> list[Vary]:
+    """Return all values of all constants: four on the model without skin, E_skin with it."""
+    shown: list[tuple[TargetName, str]] = [("X1", name) for name in TARGETS["X1"]]
+    shown.append(("X3", "E_skin_kpa"))
+    found = []
+    for target, constant in shown:
+        low, high = bounds_of(target)[constant]
+        values = {*np.linspace(low, high, VALUES[scale]).tolist(), TARGETS[target][constant]}
+        found += [Vary(store, scale, target, SHOWN_PHANTOM, constant, v) for v in sorted(values)]
+    return found
+
+
+def _coefficients(store: str, scale: Scale) -> list[Phase]:
+    bars = [Bend(store, scale, number) for number in (0, *DEFORMATIONS)]
+    return [
+        Phase("bending the bar", bend_bar, bars),
+        Phase("comparing the bars", compare_bars, [Compare(store, scale)]),
+        Phase("turning the cylinder", turn_cylinder, [Turn(store, scale)]),
+    ]
+
+
+def _mesh_quality(store: str, scale: Scale) -> list[Phase]:
+    return [
+        Phase("measuring meshes", measure_mesh, measured_meshes(store, scale)),
+        Phase("pressing phantoms", press_phantom, compressions(store, scale)),
+        Phase("comparing both meshes", compare_pressed, comparisons(store, scale)),
+    ]
+
+
+def _mammogram(store: str, scale: Scale) -> list[Phase]:
+    return [
+        Phase("pressing phantoms", press_phantom, compressions(store, scale, ("neo-Hookean",))),
+        Phase("taking mammograms", take_mammograms, exposures(store, scale)),
+    ]
+
+
+def _sensitivity(store: str, scale: Scale) -> list[Phase]:
+    requests = variations(store, scale)
+    return [Phase("varying the constants", vary_constant, requests)]

@@ -1,0 +1,131 @@
+"""The searches of thesis section 4.5 as studies, each in a folder of its own."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from service.dispatch import Dispatcher
+from service.hooks import Observer, StudyFacts
+from service.results import StudyResults, study_results
+from service.spec import StudySpec
+from service.study import Study
+from service.study_log import StudyLog
+from service.versions import versions
+from storage.digest import digest
+from storage.layout import StudyLayout
+from storage.records import EvaluationRecord
+from workers.spec import validated
+from workers.thesis.identification import TARGETS, TargetName, bounds_of, case_of, runs_at
+from workers.thesis.scale import Scale
+
+GENETIC, POLISHED = "genetic", "genetic+least-squares"
+POPULATION: dict[Scale, int] = {"sketch": 6, "reduced": 30, "full": 84}
+GENERATIONS: dict[Scale, int] = {"sketch": 2, "reduced": 12, "full": 15}
+ELITE = 2
+
+
+@dataclass(frozen=True)
+class SearchRun:
+    """One search of the thesis.
+
+    Parameters
+    ----------
+    target : str
+        X1, X2 or X3.
+    phantom : int
+    spec : StudySpec
+    folder : Path
+        Named after the study and the code, so that newer code begins anew.
+    """
+
+    target: TargetName
+    phantom: int
+    spec: StudySpec
+    folder: Path
+
+    @property
+    def most_evaluations(self) -> int:
+        """If nothing stops it early; the elite is not evaluated again."""
+        return self.spec.most_evaluations
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether it has come to its end."""
+        return StudyLog.read(StudyLayout(self.folder).journal).end is not None
+
+    @property
+    def evaluations(self) -> int:
+        """How many candidates have an ending."""
+        return len(StudyLog.read(StudyLayout(self.folder).journal).endings)
+
+    def results(self) -> StudyResults | None:
+        """Return what it has found; None if it has not ended."""
+        return study_results(self.folder) if self.is_finished else None
+
+
+def study_of_run(target: TargetName, phantom: int, scale: Scale, strategy: str) -> StudySpec:
+    """Return the study of one search.
+
+    Raises
+    ------
+    InputError
+        If the strategy is unknown.
+    """
+    search: dict[str, Any] = {
+        "parameters": bounds_of(target),
+        "strategy": strategy,
+        "population": POPULATION[scale],
+        "generations": GENERATIONS[scale],
+        "elite": ELITE,
+        "stall": {"generations": 5, "tolerance": 1e-6},
+    }
+    record = {
+        "name": f"{target}-phantom-{phantom}",
+        "case": case_of(target, phantom, scale),
+        "target": {"constants": TARGETS[target]},
+        "search": search,
+        "seed": phantom,
+    }
+    return validated(StudySpec, record, f"The search of {target}, phantom {phantom}")
+
+
+def search_runs(folder: Path, scale: Scale, strategy: str) -> list[SearchRun]:
+    """Return all searches of a scale, with their folders below `folder`."""
+    runs = []
+    for target, phantom in runs_at(scale):
+        spec = study_of_run(target, phantom, scale, strategy)
+        short = digest(spec.digest, versions()["code"])[:8]
+        home = folder / "studies" / scale / f"{target}-phantom-{phantom}-{short}"
+        runs.append(SearchRun(target, phantom, spec, home))
+    return runs
+
+
+Counted = Callable[[SearchRun, int], object]
+"""Called with a search and how many of its candidates have an ending."""
+
+
+def run_search(run: SearchRun, store: Path, dispatcher: Dispatcher, counted: Counted) -> None:
+    """Run one search to its end, from wherever it stands; see `service.study.Study.run`."""
+    counter = _Counter(run, counted)
+    Study(run.spec, run.folder, store, observers=[counter]).run(dispatcher)
+
+
+def finished(runs: list[SearchRun]) -> Iterator[tuple[SearchRun, StudyResults]]:
+    """Return the searches that have ended, with what they have found."""
+    for run in runs:
+        results = run.results()
+        if results is not None:
+            yield run, results
+
+
+class _Counter(Observer):
+    def __init__(self, run: SearchRun, counted: Counted) -> None:
+        self.run, self.counted, self.ended = run, counted, 0
+
+    def started(self, facts: StudyFacts) -> None:
+        self.counted(self.run, 0)
+
+    def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        self.ended += 1
+        self.counted(self.run, self.ended)

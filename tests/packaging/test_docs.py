@@ -1,0 +1,76 @@
+"""The docs build without a warning, and their pages load nothing from elsewhere."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+# What a browser fetches by itself; a link that a reader may follow is none.
+LOADS = re.compile(
+    r"""(?:<(?:script|img|iframe|source|video|audio|embed|object)\b[^>]*?(?:src|data)\s*=\s*
+        |<link\b[^>]*?href\s*=\s*
+        |url\(\s*
+        |@import\s+
+        |importScripts\(\s*
+        |fetch\(\s*)
+        ["']?(?:https?:)?//[^\s"')>]+""",
+    re.IGNORECASE | re.VERBOSE,
+)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("mkdocs", reason="mkdocs is not installed (pip install -e .[dev])")
+    folder = tmp_path_factory.mktemp("docs") / "site"
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_every_page_is_in_the_navigation(site: Path) -> None:
+    pages = {path.stem for path in (ROOT / "docs").glob("*.md")} | {"commands"}
+    built = {path.stem for path in site.glob("*.html")} - {"404"}
+    assert built == pages
+    front = (site / "index.html").read_text()
+    assert all(f'href="{page}.html"' in front for page in pages - {"index"})
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    files = [p for p in site.rglob("*") if p.suffix in (".html", ".css", ".js")]
+    assert len(files) > 10
+    found = {p.name: m.group() for p in files for m in LOADS.finditer(p.read_text(errors="ignore"))}
+    assert found == {}
+
+
+def test_a_load_would_be_seen() -> None:
+    assert LOADS.search('<script defer src="https://example.org/a.js"></script>')
+    assert LOADS.search("<link rel='stylesheet' href='//example.org/a.css'>")
+    assert LOADS.search("@font-face { src: url(http://example.org/a.woff2) }")
+    assert not LOADS.search('<a href="https://example.org">a link</a>')
+
+
+def test_what_pages_show_is_there(site: Path) -> None:
+    shown = re.compile(r'<(?:img|script|link)\b[^>]*?(?:src|href)="([^"#]+)"')
+    for page in set(site.glob("*.html")) - {site / "404.html"}:  # which a server shows anywhere
+        for name in shown.findall(page.read_text()):
+            assert name.startswith("data:") or (site / name.split("?")[0]).is_file(), (page, name)
+
+
+def test_every_command_is_in_the_reference(site: Path) -> None:
+    text = (site / "commands.html").read_text()
+    from service.cli import app
+
+    names = [command.name for command in app.registered_commands]
+    assert len(names) > 15
+    for name in names:
+        assert f"Usage: palpate {name}" in text
+    assert "Usage: palpate blind " in text

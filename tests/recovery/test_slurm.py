@@ -1,0 +1,115 @@
+"""Workers as jobs of SLURM, with a stand-in that runs the script as a process of this machine."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from stand_ins import Inline, assert_each_ran_once, run, told
+
+from service.cluster import open_cluster
+from service.dispatch import Dispatcher
+from service.errors import ClusterError
+from service.slurm import SlurmRequest, open_slurm
+
+pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed")
+
+# The script is copied: jobqueue removes it as soon as it is submitted.
+SBATCH = """#!/bin/sh
+number=$$
+cp "$1" {jobs}/$number.sh
+setsid /bin/sh {jobs}/$number.sh > {jobs}/$number.out 2>&1 &
+echo $! > {jobs}/$number.pid
+echo "Submitted batch job $number"
+"""
+SCANCEL = """#!/bin/sh
+for number in "$@"; do kill -TERM -- -$(cat {jobs}/$number.pid); done
+"""
+
+
+@pytest.fixture
+def jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """SLURM's programs first on the PATH; the folder of the jobs that are submitted."""
+    folder, programs = tmp_path / "jobs", tmp_path / "bin"
+    folder.mkdir()
+    programs.mkdir()
+    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
+        (programs / name).write_text(text.format(jobs=folder))
+        (programs / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
+    here = str(Path(__file__).parent)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, os.environ.get("PYTHONPATH", "")]))
+    yield folder
+    for pid in folder.glob("*.pid"):
+        with suppress(ProcessLookupError, ValueError):
+            os.killpg(int(pid.read_text()), signal.SIGKILL)
+
+
+def test_a_study_on_jobs_of_slurm(jobs: Path, tmp_path: Path) -> None:
+    run(tmp_path / "here" / "demo", Inline())
+    folder = tmp_path / "runs" / "demo"
+    request = SlurmRequest(
+        workers=2,
+        memory="1GB",
+        queue="short",
+        options=("--exclusive",),
+        setup=("echo module load python",),
+        host="127.0.0.1",
+    )
+    with open_slurm(request) as cluster:
+        assert not list(jobs.glob("*.sh"))  # shown before it is submitted
+        for line in (
+            "#SBATCH -p short",
+            "#SBATCH --exclusive",
+            "#SBATCH --cpus-per-task=1",
+            "#SBATCH --mem=954M",
+            "#SBATCH -t 24:00:00",
+            "echo module load python",
+            "export OMP_NUM_THREADS='1'",
+            "export DASK_DISTRIBUTED__WORKER__MEMORY__SPILL='False'",
+        ):
+            assert line in cluster.script.splitlines(), cluster.script
+        assert "--nthreads 1" in cluster.script
+        cluster.submit(2)
+        with open_cluster(cluster.address) as opened:
+            run(folder, Dispatcher(opened.client))
+    submitted = [script.read_text() for script in jobs.glob("*.sh")]
+    assert len(submitted) == 2
+    assert told(folder) == told(tmp_path / "here" / "demo")
+    assert_each_ran_once(folder)
+
+
+def test_without_slurm_there_is_one_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/nowhere")
+    with (
+        pytest.raises(ClusterError, match="There is no sbatch on this machine"),
+        open_slurm(SlurmRequest(workers=1)),
+    ):
+        pass
+
+
+def test_the_command_shows_the_script_and_submits_nothing(jobs: Path) -> None:
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "service",
+            "slurm",
+            "--workers",
+            "3",
+            "--show",
+            "--host",
+            "127.0.0.1",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "#SBATCH -J palpate" in done.stdout
+    assert not list(jobs.glob("*.sh"))

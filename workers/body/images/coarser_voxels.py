@@ -1,0 +1,21 @@
+"""Samples label volumes on coarser lattices."""
+
+import numpy as np
+
+from storage.values import Volume
+from workers.body.images.labels import resample_labels
+
+
+def in_coarser_voxels(volume: Volume, spacing_mm: float) -> Volume:
+    """Return a volume on a lattice of this spacing over the same box, by nearest voxels.
+
+    The volume itself where its voxels are as large, or nearly.
+    """
+    if max(volume.spacing_mm) > spacing_mm * (1 - 1e-6):
+        return volume
+    spacing = np.asarray(volume.spacing_mm)
+    size = spacing * np.asarray(volume.shape_xyz)
+    nx, ny, nz = (int(n) for n in np.ceil(size / spacing_mm - 1e-6))
+    ox, oy, oz = (float(o) for o in volume.origin_mm - spacing / 2 + spacing_mm / 2)
+    three = (spacing_mm, spacing_mm, spacing_mm)
+    return resample_labels(volume, Volume(np.empty((nz, ny, nx), np.uint8), three, (ox, oy, oz)))

@@ -1,0 +1,96 @@
+"""Mammograms of the body of a study, pressed as the study presses it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from storage.errors import InputError
+from storage.stores import open_store
+from storage.volumes import load_volume
+from workers.comparison.mammogram.dicom_image import View
+from workers.comparison.mammogram.exposure import Mammogram, Noise, expose
+from workers.comparison.mammogram.geometry import CC_AXIS, Unit, geometry_of, mlo_axis
+from workers.comparison.mammogram.spectrum import spectrum_of
+from workers.tasks.evaluation import simulate_once
+
+OBLIQUE_DEG: dict[View, float] = {"CC": 0.0, "MLO": 45.0}
+
+
+@dataclass(frozen=True, eq=False)
+class TakenView:
+    """Mammograms of one view.
+
+    Parameters
+    ----------
+    view : {"CC", "MLO"}
+    fitted : Mammogram
+        Of the body with the constants that the study has found.
+    target : Mammogram or None
+        With those of the target, in the same geometry; None where they are not known.
+    """
+
+    view: View
+    fitted: Mammogram
+    target: Mammogram | None
+
+
+def take_view(
+    case: Mapping[str, Any],
+    fitted: Mapping[str, float],
+    target: Mapping[str, float] | None,
+    view: View,
+    store: str,
+    *,
+    pixel_mm: float = 0.2,
+    noise_seed: int | None = 0,
+) -> TakenView:
+    """Press the body of a case for one view and take its mammogram.
+
+    Parameters
+    ----------
+    case : dict
+        Of a breast, as `CaseSpec` writes it; its plates are turned to the view.
+    fitted, target : mapping of str to float
+        Constants, inside names and units.
+    view : {"CC", "MLO"}
+    store : str
+    pixel_mm : float
+        Edge of the detector's pixels.
+    noise_seed : int, optional
+        None for a mammogram without noise.
+
+    Raises
+    ------
+    InputError
+        If the case is not of a breast, or its compression does not converge.
+    """
+    if case.get("organ", "breast") != "breast":
+        raise InputError(
+            f"A mammogram is of a breast, and this study is of the {case['organ']}. Name a study "
+            "of a breast."
+        )
+    load = {**case["load"], "oblique_deg": OBLIQUE_DEG[view]}
+    turned = {**case, "load": load}
+    bodies = [None if values is None else _pressed(turned, values, view, store)
+              for values in (fitted, target)]  # fmt: skip
+    first, second = bodies
+    assert first is not None
+    axis = CC_AXIS if view == "CC" else mlo_axis(OBLIQUE_DEG[view])
+    geometry, spectrum = geometry_of(first, axis, Unit(pixel_mm=pixel_mm)), spectrum_of("w_rh")
+
+    def taken(body: Any, more: int) -> Mammogram:
+        noise = None if noise_seed is None else Noise(noise_seed + more)
+        return expose(body, geometry, spectrum, noise=noise)
+
+    return TakenView(view, taken(first, 0), None if second is None else taken(second, 1))
+
+
+def _pressed(case: Mapping[str, Any], values: Mapping[str, float], view: View, store: str) -> Any:
+    result = simulate_once(dict(case), values, store)
+    volume = result.get("volume")
+    if result["status"] != "done" or volume is None:
+        raise InputError(
+            f"The {view} compression does not converge: {result['reason']}. Leave that view out "
+            "with --view."
+        )
+    return load_volume(open_store(store), volume)

@@ -76,7 +76,6 @@ def run(
             else:
                 if not opened.begun:
                     _look_first(opened, accept_implausible, elsewhere=scheduler is not None)
-                typer.echo(f"page: {page.path}, written after every generation", err=True)
                 with page:
                     completed = _completed(opened, progress, scheduler, workers, requests)
                 if page.path.parent.is_dir():

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean
 from typing import Literal
 
@@ -244,14 +244,16 @@ def _compression(results: ThesisResults) -> Iterator[Verdict]:
             why,
         )
         if wanted.jc is not None and wanted.mhd_mm is not None:
-            yield equal(
+            judged = at_most(
                 place,
                 f"Jaccard coefficient, {view}",
-                wanted.jc,
-                None if mean is None else mean.jc,
+                1 - wanted.jc,
+                None if mean is None else 1 - mean.jc,
                 "",
                 why,
             )
+            shown = judged.found if mean is None else _text(mean.jc, "")
+            yield replace(judged, printed=_text(wanted.jc, ""), found=shown)
             yield at_most(
                 place,
                 f"modified Hausdorff distance, {view}",

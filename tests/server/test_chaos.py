@@ -89,6 +89,7 @@ def endings(home: Path) -> int:
 
 
 @pytest.mark.timeout(600)  # a minute where nobody else computes
+@pytest.mark.slow
 def test_every_evaluation_ends_exactly_once(tmp_path: Path) -> None:
     for name, text in STUDIES.items():
         run(tmp_path / "calm" / name, Inline(), small_spec(text))

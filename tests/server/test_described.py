@@ -13,6 +13,7 @@ CHECKS = (
 )
 
 
+@pytest.mark.slow
 def test_the_description_is_true_and_nothing_crashes(
     service: ServiceProcess, tmp_path: Path
 ) -> None:

@@ -31,6 +31,7 @@ from workers.thesis.bar import DEFORMATIONS, bar_experiment
 from workers.thesis.mesh_quality import BINS, MEASURES
 
 
+@pytest.mark.slow
 def test_bars_bent_one_by_one_are_the_experiment(tmp_path: Path) -> None:
     store = str(tmp_path / "store")
     for number in (0, *DEFORMATIONS):

@@ -6,7 +6,7 @@ from service.server.api import Best, Evaluations, JobView, Phase, State
 from service.server.home import inside
 from service.server.queue import Job
 from service.server.service import Service
-from storage.errors import PalpateError
+from storage.errors import PalpateError, StoreError
 
 FILES = {
     "study": ("study.yaml", "journal.jsonl", "report.html", "crash.txt"),
@@ -35,7 +35,7 @@ def job_view(service: Service, job: Job) -> JobView:
         return view.model_copy(update={"reason": str(error)})
     view.sessions, view.journal_bytes = progress.sessions, progress.bytes_read
     view.stopped = progress.stopped
-    view.files = [name for name in FILES[job.kind] if job_file(service, job, name)]
+    view.files = [name for name in FILES[job.kind] if _is_offered(service, job, name)]
     if job.kind == "study":
         search = job.request["spec"]["search"]
         new = search["population"] - search["elite"]
@@ -54,6 +54,14 @@ def state_of(service: Service, job: Job) -> State:
     if job.state == "waiting" and service.runner.is_running(job.id):
         return "running"
     return job.state
+
+
+def _is_offered(service: Service, job: Job, name: str) -> bool:
+    """Say whether a file is there; one that leads elsewhere hides no other job from a list."""
+    try:
+        return job_file(service, job, name) is not None
+    except StoreError:
+        return False
 
 
 def job_file(service: Service, job: Job, name: str) -> Path | None:

@@ -115,8 +115,9 @@ def test_an_interrupt_says_how_to_go_on(
 ) -> None:
     (tmp_path / "my study.yaml").write_text(STUDY)
     arguments = ["run", "my study.yaml", "--store", "a store", "--workers", "1"]
+    # A shell without job control starts what is in the background deaf to SIGINT.
     with subprocess.Popen(
-        ["palpate", *arguments],
+        ["env", "--default-signal=INT,TERM", "palpate", *arguments],
         cwd=tmp_path,
         env=palpate,
         stderr=subprocess.PIPE,

@@ -39,7 +39,7 @@ case:
   reference: {{phantom: {{preset: 445ml, spacing_mm: {spacing_mm}, glandular_fraction: 0.2}}}}
   mesh: {{nodes: {nodes}}}
   load: {{force_n: 100}}
-target: {{constants: {constants}}}
+target: {{constants: {constants}{target_mesh}}}
 search:
   strategy: {strategy}
   parameters: {bounds}
@@ -94,16 +94,36 @@ def targets(count: int) -> list[dict[str, float]]:
     return found
 
 
-def study_of(
-    strategy: str, target: int, constants: Mapping[str, float], nodes: int, spacing_mm: float
-) -> StudySpec:
+@dataclass(frozen=True)
+class Bench:
+    """How large the bench is.
+
+    Parameters
+    ----------
+    targets : int
+    nodes : int
+        Of the candidates' mesh.
+    spacing_mm : float
+    target_nodes : int or None
+        Of the target's own mesh; None where target and candidates share one.
+    """
+
+    targets: int = 10
+    nodes: int = 2000
+    spacing_mm: float = 1.0
+    target_nodes: int | None = None
+
+
+def study_of(strategy: str, target: int, constants: Mapping[str, float], bench: Bench) -> StudySpec:
     """Return the study of one strategy and target."""
     few = "genetic" in strategy
+    finer = bench.target_nodes
     text = TEMPLATE.format(
         name=f"{strategy.replace('+', '-')}-{target}",
-        spacing_mm=spacing_mm,
-        nodes=nodes,
+        spacing_mm=bench.spacing_mm,
+        nodes=bench.nodes,
         constants=dict(constants),
+        target_mesh="" if finer is None else f", mesh: {{nodes: {finer}}}",
         strategy=strategy,
         bounds={name: list(ends) for name, ends in BOUNDS.items()},
         population=_population(strategy) if few else "",
@@ -112,9 +132,7 @@ def study_of(
     return parse_spec(text, "the bench of strategies", Path())
 
 
-def measure(
-    folder: Path, strategies: Sequence[str], count: int, nodes: int, spacing_mm: float
-) -> Iterator[Reached]:
+def measure(folder: Path, strategies: Sequence[str], bench: Bench) -> Iterator[Reached]:
     """Run the studies that have not ended yet, and yield what each has reached.
 
     Parameters
@@ -122,9 +140,9 @@ def measure(
     folder : Path
         Of the studies; what is there is continued.
     """
-    for number, constants in enumerate(targets(count)):
+    for number, constants in enumerate(targets(bench.targets)):
         for strategy in strategies:
-            spec = study_of(strategy, number, constants, nodes, spacing_mm)
+            spec = study_of(strategy, number, constants, bench)
             home = folder / spec.name
             study = Study(spec, home, folder / "store")
             if not study.ended:

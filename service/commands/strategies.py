@@ -23,6 +23,10 @@ def strategies(
     targets: Annotated[int, typer.Option(min=1, help="How many targets.")] = 10,
     nodes: Annotated[int, typer.Option(min=100, help="Of the mesh.")] = 2000,
     spacing_mm: Annotated[float, typer.Option("--spacing", help="Voxel size in mm.")] = 1.0,
+    target_nodes: Annotated[
+        int | None,
+        typer.Option(min=100, help="Of the targets' own mesh. Default: that of the candidates."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Search the same targets by each strategy, and count what it takes.
@@ -32,13 +36,14 @@ def strategies(
     """
     from dataclasses import asdict
 
-    from service.strategy_bench import STRATEGIES, measure
+    from service.strategy_bench import STRATEGIES, Bench, measure
 
     chosen = only.split(",")
     if unknown := sorted(set(chosen) - set(STRATEGIES)):
         raise InputError(f"--only {unknown[0]}: expected some of {', '.join(STRATEGIES)}.")
     rows = []
-    for row in measure(folder, chosen, targets, nodes, spacing_mm):
+    bench = Bench(targets, nodes, spacing_mm, target_nodes)
+    for row in measure(folder, chosen, bench):
         rows.append(row)
         typer.echo(line(row), err=as_json)
     if as_json:

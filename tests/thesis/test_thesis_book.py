@@ -13,7 +13,8 @@ from service.thesis import printed
 from service.thesis.book import render
 from service.thesis.experiments import SHOWN_PHANTOM
 from service.thesis.results import ThesisResults
-from service.thesis.verdicts import at_most, equal, verdicts
+from service.thesis.verdict import at_most, equal
+from service.thesis.verdicts import verdicts
 from storage.plain import to_plain
 from storage.typed_json import from_json, to_json
 from workers.tasks.thesis.mammograms import Expose, ExposedPhantom
@@ -111,7 +112,7 @@ def test_errors_of_eta_that_grow_are_said_with_a_reason() -> None:
     ]
     bad = replace(whole(), search=replace(search_result(), searches=tuple(searches)))
     judged = {(v.place, v.what): v for v in verdicts(bad)}
-    eta = judged["Table 4.4", "mean relative error of eta_glandular"]
+    eta = judged["Table 4.4", "mean relative error of eta_glandular, polished"]
     assert eta.word == "not reproduced"
     assert "flat valley" in eta.reason
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.strategy_bench import study_of, targets
+from service.strategy_bench import Bench, study_of, targets
 from workers.organs.breast.organ import ORGAN
 
 NAMES = ("E_fat", "eta_fat", "E_glandular", "eta_glandular")
@@ -14,7 +14,7 @@ NAMES = ("E_fat", "eta_fat", "E_glandular", "eta_glandular")
 @pytest.fixture(scope="module")
 def fitted() -> Any:
     """Return a function from constants, over the true ones, to a least-squares problem."""
-    spec = study_of("least-squares", 0, targets(10)[0], 900, 2.0)
+    spec = study_of("least-squares", 0, targets(10)[0], Bench(nodes=900, spacing_mm=2.0))
     case = spec.case
     body = ORGAN.make_body(case.reference)  # type: ignore[attr-defined]
     mesh = ORGAN.make_mesh(body, case)  # type: ignore[arg-type]

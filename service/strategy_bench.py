@@ -49,6 +49,26 @@ seed: {seed}
 
 
 @dataclass(frozen=True)
+class Improvement:
+    """The best candidate of a study after some evaluations.
+
+    Parameters
+    ----------
+    evaluations : int
+    core_s : float
+        Of these evaluations.
+    gsf : float
+    error : float
+        The larger relative error of the two Young's moduli.
+    """
+
+    evaluations: int
+    core_s: float
+    gsf: float
+    error: float
+
+
+@dataclass(frozen=True)
 class Reached:
     """What one study has reached.
 
@@ -69,6 +89,8 @@ class Reached:
         Signed relative errors of the best candidate, by gene.
     within : mapping of str to bool
         Whether the 90 % interval holds the true value, by gene.
+    improvements : tuple of Improvement
+        Every change of the best candidate.
     """
 
     strategy: str
@@ -80,6 +102,7 @@ class Reached:
     gsf: float
     errors: Mapping[str, float]
     within: Mapping[str, bool]
+    improvements: tuple[Improvement, ...]
 
 
 def targets(count: int) -> list[dict[str, float]]:
@@ -157,7 +180,8 @@ def reached(home: Path, strategy: str, target: int, constants: Mapping[str, floa
     if best is None:
         raise AssertionError("a target of the bench can be simulated")
     order = [log.endings[c] for c in sorted(log.endings)]
-    near = _first_near(order, constants)
+    improvements = _improvements(order, constants)
+    near = _near_from(improvements)
     within = {}
     if results.identification is not None:
         for name, found in results.identification.constants.items():
@@ -169,24 +193,41 @@ def reached(home: Path, strategy: str, target: int, constants: Mapping[str, floa
         target=target,
         evaluations=len(order),
         core_s=_seconds(order),
-        until_near=None if near is None else near + 1,
-        core_s_until_near=None if near is None else _seconds(order[: near + 1]),
+        until_near=None if near is None else near.evaluations,
+        core_s_until_near=None if near is None else near.core_s,
         gsf=score_of(best),
         errors={gene: best.genes[gene] / value - 1 for gene, value in constants.items()},
         within=within,
+        improvements=improvements,
     )
 
 
-def _first_near(order: Sequence[EvaluationRecord], constants: Mapping[str, float]) -> int | None:
-    """Return the position from which the best candidate so far stays near in both moduli."""
-    first: int | None = None
-    for i in range(len(order)):
+def _improvements(
+    order: Sequence[EvaluationRecord], constants: Mapping[str, float]
+) -> tuple[Improvement, ...]:
+    """Return every change of the best candidate, in the order of the candidates."""
+    found: list[Improvement] = []
+    before, core_s = None, 0.0
+    for i, record in enumerate(order):
+        core_s += _seconds([record])
         best = best_of(dict(enumerate(order[: i + 1])))
-        near = best is not None and all(
-            abs(best.genes[gene] / constants[gene] - 1) <= NEAR for gene in MODULI
-        )
-        first = (i if first is None else first) if near else None
-    return first
+        if best is None or best is before:
+            continue
+        before = best
+        error = max(abs(best.genes[gene] / constants[gene] - 1) for gene in MODULI)
+        found.append(Improvement(i + 1, core_s, score_of(best), error))
+    return tuple(found)
+
+
+def _near_from(improvements: Sequence[Improvement]) -> Improvement | None:
+    """Return that from which the best candidate stays near in both moduli."""
+    near = None
+    for one in improvements:
+        if one.error > NEAR:
+            near = None
+        elif near is None:
+            near = one
+    return near
 
 
 def _seconds(records: Sequence[EvaluationRecord]) -> float:

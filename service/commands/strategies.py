@@ -32,11 +32,13 @@ def strategies(
     """Search the same targets by each strategy, and count what it takes.
 
     In one process; least-squares takes seconds a target, genetic some ten minutes. Studies that
-    have ended are read, those that were cut go on.
+    have ended are read, those that were cut go on. FOLDER/strategies.svg shows score and errors
+    over evaluations and seconds.
     """
     from dataclasses import asdict
 
     from service.strategy_bench import STRATEGIES, Bench, measure
+    from service.strategy_chart import write_chart
 
     chosen = only.split(",")
     if unknown := sorted(set(chosen) - set(STRATEGIES)):
@@ -46,11 +48,14 @@ def strategies(
     for row in measure(folder, chosen, bench):
         rows.append(row)
         typer.echo(line(row), err=as_json)
+    chart = folder / "strategies.svg"
+    write_chart(rows, chart)
     if as_json:
         print_json([asdict(row) for row in rows])
         return
     for text in summary(rows):
         typer.echo(text)
+    typer.echo(f"chart: {chart}")
 
 
 def line(row: "Reached") -> str:

@@ -16,7 +16,8 @@ from service.preflight import preflight
 from service.progress import progress_observer
 from service.report.study_data import read_study_data
 from service.report.study_page import write_report
-from service.results import StudyResults, study_results
+from service.results import StudyResults
+from service.results_reader import study_results
 from service.spec import StudySpec, read_spec
 from service.study import Study as StudyLoop
 from service.study_log import read_study

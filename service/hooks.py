@@ -84,10 +84,6 @@ class Hooks(Observer):
     def __init__(self, observers: Iterable[Observer] = ()) -> None:
         self._observers = list(observers)
 
-    def add(self, observer: Observer) -> None:
-        """Let one more observer hear what happens from now on."""
-        self._observers.append(observer)
-
     def _call(self, hook: str, *args: Any) -> None:
         for observer in list(self._observers):
             try:

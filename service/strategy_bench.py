@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.results import study_results
+from service.results_reader import study_results
 from service.search_replay import best_of, score_of
 from service.single_process import SingleProcess
 from service.spec import StudySpec, parse_spec

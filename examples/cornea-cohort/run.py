@@ -22,7 +22,8 @@ import typer
 from palpate import StudySpec, study_spec
 from service.cluster import open_cluster
 from service.dispatch import Dispatcher
-from service.results import StudyResults, study_results
+from service.results import StudyResults
+from service.results_reader import study_results
 from service.study import Study
 from storage.stores import open_store
 from workers.organs.cornea.cohort import (

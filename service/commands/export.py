@@ -94,7 +94,7 @@ def _constants(
         raise InputError(f"{study} is a study file: --candidate needs the folder of a study.")
     if candidate != "best" and not candidate.isdecimal():
         raise InputError(f"--candidate {candidate}: expected a number, or best.")
-    from service.results import candidate_results
+    from service.results_reader import candidate_results
 
     found = candidate_results(study, None if candidate == "best" else int(candidate))
     return spec.constants_of(found.genes), f"candidate {found.candidate}"

@@ -41,7 +41,7 @@ def mammogram(
     by 45 degrees for MLO; where the target's constants are known, it is taken too, with the
     signed difference.
     """
-    from service.results import study_results
+    from service.results_reader import study_results
     from storage.errors import InputError
     from workers.tasks.mammogram import OBLIQUE_DEG, take_view
 

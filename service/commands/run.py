@@ -138,8 +138,8 @@ def _write_page(home: Path, *, quick: bool) -> None:
 def _print(home: Path, as_json: bool) -> None:
     from service.commands.report import print_report
     from service.commands.tables import make_console
-    from service.results import study_results
     from service.results_json import study_json
+    from service.results_reader import study_results
 
     results = study_results(home)
     if as_json:

@@ -10,8 +10,8 @@ from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, R
 from fastapi import Path as PathParameter
 from fastapi.responses import FileResponse, StreamingResponse
 
-from service.results import candidate_results, study_results
 from service.results_json import candidate_json, study_json
+from service.results_reader import candidate_results, study_results
 from service.server.access import Here, Writer, reader
 from service.server.api import (
     DiagnosisSubmission,

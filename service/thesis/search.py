@@ -7,7 +7,8 @@ from typing import Any
 
 from service.dispatch import Dispatcher
 from service.hooks import Observer, StudyFacts
-from service.results import StudyResults, study_results
+from service.results import StudyResults
+from service.results_reader import study_results
 from service.spec import StudySpec
 from service.study import Study
 from service.study_log import StudyLog

@@ -10,8 +10,8 @@ from stand_ins import SPEC, Inline, assert_each_ran_once, executions, run, small
 
 from service.dispatch import Ending
 from service.errors import Interrupted
-from service.results import study_results
 from service.results_json import study_json
+from service.results_reader import study_results
 from service.spec import StudySpec
 from service.study_log import StudyLog
 from storage.errors import InputError

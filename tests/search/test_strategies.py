@@ -13,7 +13,12 @@ from boxes import contains
 from service.search.base import Generation, Proposal, Search, Stopped
 from service.search.cma_search import CmaSearch, CmaSettings
 from service.search.genetic import GeneticSearch, GeneticSettings
-from service.search.least_squares import FittedNames, LeastSquaresSearch, LeastSquaresSettings
+from service.search.least_squares import (
+    NEW_STARTS,
+    FittedNames,
+    LeastSquaresSearch,
+    LeastSquaresSettings,
+)
 from service.search.polished import PolishedSearch
 from service.search.space import FloatArray, Space
 from storage.task_records import FitJson
@@ -118,13 +123,18 @@ def test_the_best_within_the_box_lies_on_its_wall() -> None:
     assert found[0] == pytest.approx(cubes @ STRETCHES / (STRETCHES @ STRETCHES), rel=1e-3)
 
 
-def test_starts_that_fail_end_alone() -> None:
+def test_a_start_that_fails_is_taken_anew() -> None:
     history, proposals, _ = followed(least_squares(), fails=[1])
-    assert len(proposals[0].genes) == 3
-    assert len(proposals[1].genes) == 2
+    undisturbed = followed(least_squares())[1]
+    assert len(proposals[0].genes) == len(proposals[1].genes) == 3
+    assert np.array_equal(proposals[1].genes[[0, 2]], undisturbed[1].genes[[0, 2]])
+    assert not np.allclose(proposals[1].genes[1], undisturbed[1].genes[1])
     assert history[-1].genes[0] == pytest.approx(TRUTH, rel=1e-3)
+
+
+def test_a_fit_ends_where_no_start_can_be_simulated() -> None:
     _, proposals, reason = followed(least_squares(), fails=range(100))
-    assert len(proposals) == 1
+    assert [len(p.genes) for p in proposals] == [3] * (NEW_STARTS + 1)
     assert reason == "no start of the fit could be simulated"
 
 

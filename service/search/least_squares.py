@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.search.base import Generation, Proposal, Stopped
-from service.search.descent import Descent, SquaredSum, advance, begin
+from service.search.descent import Descent, SquaredSum, Tolerance, advance, begin
 from service.search.log_space import LogSpace
 from service.search.space import FloatArray, Space
 from storage.errors import InputError
@@ -25,8 +25,9 @@ from storage.task_records import FitJson
 
 # Starts beside the middle lie in this part of the box, where simulations converge.
 START_RANGE = (0.15, 0.85)
-# In units of the noise: on a coarse mesh the error of the mesh is larger than that of the image.
-COARSE_TOLERANCE, FINE_TOLERANCE = 1.0, 0.01
+# On a coarse mesh and in coarse voxels the optimum itself is elsewhere, by several standard
+# deviations: the last per cent of its sum of squares leads nowhere.
+COARSE_TOLERANCE, FINE_TOLERANCE = Tolerance(1.0, part=0.01), Tolerance(0.1)
 # A start that cannot be simulated is taken anew, anywhere in the box, so many times.
 NEW_STARTS = 10
 # Descents that come so near to another one, in logarithms, follow it no further.

@@ -103,7 +103,7 @@ def test_a_load_that_makes_no_sense_has_no_equilibrium(problem: CorneaProblem) -
 def test_a_limbus_that_is_held_is_let_go_by_a_difference(problem: CorneaProblem) -> None:
     """An elastic limbus has other unknowns than one that is held."""
     effect = next(e for e in CORNEA_EFFECTS if e.name == "limbus_compliance")
-    where = {n: 0.0 for n in effect.names}
+    where = dict.fromkeys(effect.names, 0.0)
     solved = SOLVER.equilibrium(None, problem)
     (slope,) = SOLVER.tangents(solved, effect.changes(problem, FRAME, where))
     h = 1e-3 * effect.prior_sd[0]

@@ -29,6 +29,7 @@ from service.search.least_squares import (
     LeastSquaresSettings,
 )
 from service.search.polished import PolishedSearch
+from service.search.steady import SteadyGenetic
 from service.search_spec import COARSE_LEVELS, LevelSpec, SearchSpec
 from storage.digest import digest
 from storage.errors import InputError
@@ -117,8 +118,17 @@ class StudySpec(Door):
         return fit if strategy == "least-squares" else PolishedSearch(genetic, fit)
 
     @property
+    def steady_search(self) -> SteadyGenetic:
+        """Return the search without barriers, ready to propose."""
+        search = self.search
+        in_flight = search.in_flight or search.population
+        return SteadyGenetic(search.space, search.settings, self.seed, in_flight)
+
+    @property
     def most_evaluations(self) -> int:
         """Return the number of evaluations if the search never stops early."""
+        if self.search.steady:
+            return self.search.population * self.search.generations
         fit = self._fit_settings.most_evaluations
         genetic = self.search.settings.most_evaluations
         return {

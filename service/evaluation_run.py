@@ -64,14 +64,14 @@ class EvaluationRun:
         for name, candidates in sharing.items():
             stored = load_evaluation(self.work.store, name)
             if stored is None:
-                calls.append((name, (requests[name],)))
+                calls.append((name, self.work.arguments(requests[name])))
             else:
                 ending = Ending(name, "returned", stored)
                 self.write_down(candidates, ending, reused=True)
         lost = []
         crashed = []  # are not journalled while nothing but crashes has come
         others = self._has_other_endings(pending)
-        for ending in self.dispatcher.run(self.work.tasks.evaluate, calls):
+        for ending in self.dispatcher.run(self.work.evaluate, calls):
             if ending.kind == "lost":
                 lost.append(ending)
                 blame_cluster_if_many(lost, len(calls))
@@ -124,8 +124,8 @@ class EvaluationRun:
     def differentiate(self, candidate: int) -> Ending:
         """Evaluate a candidate once more, with derivatives."""
         request = self.request(candidate, derivatives=True)
-        calls = [(request["digest"], (request,))]
-        (ending,) = self.dispatcher.run(self.work.tasks.evaluate, calls)
+        calls = [(request["digest"], self.work.arguments(request))]
+        (ending,) = self.dispatcher.run(self.work.evaluate, calls)
         return ending
 
     def findings(self, candidate: int) -> Mapping[str, Any]:

@@ -40,6 +40,7 @@ from workers.spec import (
     CaseSpec,
     Door,
     Identifiable,
+    Positive,
     ScoreSpec,
     TargetSpec,
     validated,
@@ -53,7 +54,8 @@ class StudySpec(Door):
 
     Case, target and score are those of the organ that the case names; validating any study
     gives one of `study_of` that organ. ``keep`` says which deformed bodies stay in the
-    store beside those of the target and of the best candidate.
+    store beside those of the target and of the best candidate. An evaluation that takes longer
+    than ``deadline_s`` is tried once more, then it has failed; see `workers.tasks.deadline`.
     """
 
     name: Name
@@ -63,6 +65,7 @@ class StudySpec(Door):
     search: SearchSpec
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
     keep: Literal["best", "elites", "all"] = "best"
+    deadline_s: Positive | None = None
 
     @model_validator(mode="wrap")
     @classmethod
@@ -197,8 +200,11 @@ class StudySpec(Door):
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values, defaults written out."""
-        return self.model_dump(mode="json")
+        """Return plain values, defaults written out, but for what older studies do not have."""
+        values = self.model_dump(mode="json")
+        if self.deadline_s is None:
+            del values["deadline_s"]
+        return values
 
     @property
     def digest(self) -> str:

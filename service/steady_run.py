@@ -55,7 +55,7 @@ class SteadyRun:
         for record in list(endings.values()):
             hooks.evaluation_ended(record, True)
             self._add(record, replayed=True)
-        for ending in dispatcher.run(self._evaluation.work.tasks.evaluate, self._calls()):
+        for ending in dispatcher.run(self._evaluation.work.evaluate, self._calls()):
             self._take(ending)
         self._write_down_crashed()
         if self._replay.ended % self._size:
@@ -91,7 +91,7 @@ class SteadyRun:
         self._sharing[name] = [candidate]
         stored = load_evaluation(evaluation.work.store, name)
         if stored is None:
-            yield name, (request,)
+            yield name, evaluation.work.arguments(request)
         else:
             self._write_down(Ending(name, "returned", stored), reused=True)
 

@@ -15,6 +15,7 @@
       meshes/<digest>.zarr      mesh hierarchies
       fields/<digest>.zarr      nodal displacements
       evaluations/<digest>.json finished evaluations
+      overruns/<digest>         evaluations that have overrun their deadline, a byte each time
 """
 
 import re
@@ -121,6 +122,10 @@ class StoreLayout:
     def evaluation(self, digest: str) -> Path:
         """Return the path of one finished evaluation."""
         return self.evaluations / f"{_checked(digest)}.json"
+
+    def overruns(self, digest: str) -> Path:
+        """Return the path of the file that counts how often one overran its deadline."""
+        return self.root / "overruns" / _checked(digest)
 
 
 def _checked(digest: str) -> str:

@@ -64,7 +64,7 @@ def study_results(folder: Path) -> StudyResults:
         spec=spec,
         state=_state(folder, log),
         stop_reason=None if end is None else end.reason,
-        estimates=_estimates(spec, best, _before_polish(spec, log)),
+        estimates=estimates_of(spec, best, _before_polish(spec, log)),
         best=best,
         counts=_counts(endings),
         generations=tuple(_generations(spec, log)),
@@ -150,7 +150,7 @@ def _before_polish(spec: StudySpec, log: StudyLog) -> EvaluationRecord | None:
     return best_searched(log.endings) if polished else None
 
 
-def _estimates(
+def estimates_of(
     spec: StudySpec, best: EvaluationRecord | None, before: EvaluationRecord | None
 ) -> dict[str, ParameterEstimate]:
     parameters = spec.case.parameters

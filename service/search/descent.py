@@ -24,6 +24,30 @@ SHRINK_BELOW, GROW_ABOVE = 0.25, 0.75
 # Below this part of the largest curvature a direction is not followed.
 RIDGE = 1e-9
 
+
+@dataclass(frozen=True)
+class Tolerance:
+    """By how much a sum of squares should fall for another step to be worth it.
+
+    It has converged when less than the larger of both is expected.
+
+    Parameters
+    ----------
+    noises : float
+        In units of the noise that it shows: 0.1 is a third of a standard deviation, which the
+        intervals of the constants include.
+    part : float
+        Of the sum itself.
+    """
+
+    noises: float
+    part: float = 0.0
+
+    def least_fall(self, here: "SquaredSum") -> float:
+        """Return the larger of both at a point."""
+        return max(self.noises * here.noise, self.part * here.value)
+
+
 State = Literal["running", "converged", "failed", "merged"]
 
 
@@ -99,7 +123,7 @@ def begin(at: FloatArray, radius: float = FIRST_RADIUS) -> Descent:
 
 
 def advance(
-    descent: Descent, there: SquaredSum | None, logs: LogSpace, tolerance: float, most: int
+    descent: Descent, there: SquaredSum | None, logs: LogSpace, tolerance: Tolerance, most: int
 ) -> Descent:
     """Return the descent after the evaluation of its trial point.
 
@@ -107,9 +131,7 @@ def advance(
     ----------
     there : SquaredSum or None
         None where the simulation failed.
-    tolerance : float
-        It has converged when the sum of squares is expected to fall by less, in units of the
-        noise that it shows: 0.01 is a tenth of a standard deviation.
+    tolerance : Tolerance
     most : int
         Evaluations; the best point then stands.
     """
@@ -132,12 +154,12 @@ def advance(
     return _next(moved, logs, tolerance, most)
 
 
-def _next(descent: Descent, logs: LogSpace, tolerance: float, most: int) -> Descent:
+def _next(descent: Descent, logs: LogSpace, tolerance: Tolerance, most: int) -> Descent:
     here = descent.here
     if here is None:
         raise AssertionError("a descent goes on from an evaluation")
     step, expected = best_step(here, descent.at, descent.radius, logs)
-    small = expected < tolerance * here.noise or descent.radius < SMALLEST_RADIUS
+    small = expected < tolerance.least_fall(here) or descent.radius < SMALLEST_RADIUS
     if small or descent.evaluations >= most:
         return replace(descent, trial=descent.at, expected=0.0, state="converged")
     trial = np.clip(descent.at + step, logs.lower, logs.upper)

@@ -5,6 +5,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from service.server.bodies import BodiesMaker
+from service.server.cluster_load import ClusterLoad
 from service.server.home import ServiceHome
 from service.server.job_progress import ProgressBook
 from service.server.limits import Limits
@@ -36,6 +38,8 @@ class Service:
     progress: ProgressBook
     limits: Limits
     read_token: bool
+    bodies: BodiesMaker
+    load: ClusterLoad
 
 
 @contextmanager
@@ -82,13 +86,24 @@ def open_service(
         runner = Runner(
             home, queue, uploads, open_cluster, tasks=tasks, at_once=at_once, reports=reports
         )
-        tokens = Tokens(home.tokens)
+        tokens, bodies = Tokens(home.tokens), BodiesMaker()
         runner.start()
         try:
             yield Service(
-                home, opened, queue, runner, uploads, tokens, ProgressBook(), limits, read_token
+                home,
+                opened,
+                queue,
+                runner,
+                uploads,
+                tokens,
+                ProgressBook(),
+                limits,
+                read_token,
+                bodies,
+                ClusterLoad(lambda: runner.cluster),
             )
         finally:
+            bodies.close()
             runner.stop()
     finally:
         queue.close()

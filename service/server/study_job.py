@@ -47,7 +47,7 @@ def run_study(
 def write_report(folder: Path) -> None:
     """Write the page of a study, in a process of its own; a failure is no failure of the study."""
     subprocess.run(
-        [sys.executable, "-m", "service", "report", str(folder), "--json"],
+        [sys.executable, "-m", "service", "report", str(folder)],
         env=os.environ | THREAD_ENVIRONMENT,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

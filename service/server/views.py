@@ -8,6 +8,7 @@ from service.server.queue import Job
 from service.server.service import Service
 from storage.errors import PalpateError, StoreError
 
+ENDED = ("finished", "failed", "cancelled")
 FILES = {
     "study": ("study.yaml", "journal.jsonl", "report.html", "crash.txt"),
     "diagnosis": ("journal.jsonl", "diagnosis.json", "diagnosis.html", "crash.txt"),
@@ -47,6 +48,11 @@ def job_view(service: Service, job: Job) -> JobView:
     elif progress.phase is not None:
         view.phase = Phase.model_validate(progress.phase)
     return view
+
+
+def view_now(service: Service, job: Job) -> JobView:
+    """Return a job as it has become."""
+    return job_view(service, service.queue.get(job.id) or job)
 
 
 def state_of(service: Service, job: Job) -> State:

@@ -41,7 +41,7 @@ from workers.organs.registry import organ_named
 # A cornea is thicker at the limbus; the table prints the centre alone.
 THICKER_AT_LIMBUS_MM = 0.105
 # Of each candidate that is fitted, at most.
-FIT_EVALUATIONS = 40
+FIT_EVALUATIONS = 30
 MU_PA, ALPHA = [1, 40_000], [0.1, 100]
 
 
@@ -84,9 +84,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--at-once", type=int, default=3, help="studies in flight")
     parser.add_argument("--eyes", type=int, default=len(TABLE_5_2), help="the first so many")
     parser.add_argument("--elements", type=int, default=960, help="6-node triangles of an eye")
-    parser.add_argument("--population", type=int, default=40)
-    parser.add_argument("--generations", type=int, default=3)
-    parser.add_argument("--starts", type=int, default=3, help="candidates that are then fitted")
+    parser.add_argument("--population", type=int, default=24)
+    parser.add_argument("--generations", type=int, default=1)
+    parser.add_argument("--starts", type=int, default=2, help="candidates that are then fitted")
     return parser.parse_args()
 
 

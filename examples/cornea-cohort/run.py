@@ -42,7 +42,7 @@ from workers.organs.registry import organ_named
 THICKER_AT_LIMBUS_MM = 0.105
 # Of each candidate that is fitted, at most; first with some 250 triangles.
 FIT_EVALUATIONS = 30
-COARSE = {"levels": [{"nodes": 500, "spacing_mm": 1}]}
+COARSE = [{"nodes": 500, "spacing_mm": 1}]
 MU_PA, ALPHA = [1, 40_000], [0.1, 100]
 
 
@@ -85,12 +85,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--at-once", type=int, default=3, help="studies in flight")
     parser.add_argument("--eyes", type=int, default=len(TABLE_5_2), help="the first so many")
     parser.add_argument("--elements", type=int, default=960, help="6-node triangles of an eye")
-    parser.add_argument(
-        "--strategy",
-        default="least-squares",
-        choices=("least-squares", "genetic+least-squares", "genetic"),
-        help="genetic is the thesis' own",
-    )
+    parser.add_argument("--strategy", default="genetic+least-squares", help="or genetic alone")
+    parser.add_argument("--population", type=int, default=24, help="84 in the thesis")
+    parser.add_argument("--generations", type=int, default=1, help="15 in the thesis")
     return parser.parse_args()
 
 
@@ -120,9 +117,11 @@ def spec_of(eye: CohortEye, wanted: argparse.Namespace) -> StudySpec:
             "search": {
                 "parameters": {"mu1_pa": MU_PA, "alpha1": ALPHA, "mu2_pa": MU_PA, "alpha2": ALPHA},
                 "strategy": wanted.strategy,
+                "population": wanted.population,
+                "generations": wanted.generations,
                 "stall": None,
-                **({} if wanted.strategy == "genetic" else {"fit_evaluations": FIT_EVALUATIONS}),
-                **(COARSE if wanted.strategy == "least-squares" else {}),
+                "fit_evaluations": FIT_EVALUATIONS,
+                "levels": COARSE,
             },
             "seed": 2 * eye.patient + (eye.side == "right"),
         }

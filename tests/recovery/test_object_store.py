@@ -25,7 +25,7 @@ from storage.stores import open_store
 MOMENTS = ("began", "seconds", "elapsed_s", "store")
 REAL = """
 name: real
-case: {reference: {phantom: {preset: 250ml, spacing_mm: 2}}, mesh: {nodes: 500}}
+case: {reference: {phantom: {preset: 250ml, spacing_mm: 2}}, mesh: {nodes: 1200}}
 target: {constants: {E_fat_kpa: 12, E_glandular_kpa: 30}}
 search:
   parameters: {E_fat_kpa: [5, 20], E_glandular_kpa: [5, 80]}
@@ -78,6 +78,7 @@ def test_the_journal_is_that_of_a_local_store(bucket: str, tmp_path: Path) -> No
     assert str(last.store) == f"{bucket}/store"
 
 
+@pytest.mark.slow
 def test_real_evaluations_are_the_same_to_the_last_bit(bucket: str, tmp_path: Path) -> None:
     spec = parse_spec(REAL, "the test's study", Path())
     for place, store in (("local", tmp_path / "store"), ("bucket", f"{bucket}/store")):

@@ -15,6 +15,7 @@
       meshes/<digest>.zarr      mesh hierarchies
       fields/<digest>.zarr      nodal displacements
       evaluations/<digest>.json finished evaluations
+      overruns/<digest>-<n>     evaluations that have overrun their deadline for the n-th time
       locks/<name>.json         who looks after the store just now
 
 A study lies in a local folder, a store there or in a bucket; see `storage.places`.
@@ -134,6 +135,10 @@ class StoreLayout:
     def evaluation(self, digest: str) -> Place:
         """Return the path of one finished evaluation."""
         return self.evaluations / f"{_checked(digest)}.json"
+
+    def overrun(self, digest: str, number: int) -> Place:
+        """Return the path of the file that says that one overran its deadline so often."""
+        return self.root / "overruns" / f"{_checked(digest)}-{number}"
 
 
 def _checked(digest: str) -> str:

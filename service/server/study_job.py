@@ -19,7 +19,13 @@ REPORT_S = 900.0
 
 def study_request(spec: StudySpec, accept_new_code: bool) -> dict[str, Any]:
     """Return what the queue keeps of a study."""
-    return {"name": spec.name, "spec": spec.as_dict(), "accept_new_code": accept_new_code}
+    return {
+        "name": spec.name,
+        "spec": spec.as_dict(),
+        "accept_new_code": accept_new_code,
+        "most_evaluations": spec.most_evaluations,
+        "most_generations": spec.most_generations,
+    }
 
 
 def run_study(

@@ -135,6 +135,11 @@ def misbehave(store: Store, fat: float) -> None:
         raise ZeroDivisionError(f"no such tissue: E_fat = {fat}")
     if fat > manners.get("full_disk_above", math.inf):
         raise StoreError("the disk of this worker is full")
+    if fat > manners.get("hang_above", math.inf) or (
+        fat > manners.get("hang_once_above", math.inf)
+        and store.backend.create(store.root / f"hung-{fat}", b"")
+    ):
+        time.sleep(60)
     if fat > manners.get("die_above", math.inf):
         os.kill(os.getpid(), 9)
 

@@ -17,6 +17,7 @@ import typer
 from service.commands import (
     bench,
     blind,
+    certs,
     diagnose,
     doctor,
     export,
@@ -108,6 +109,7 @@ app.command("simulate")(simulate.simulate)
 app.command("export")(export.export)
 app.command("serve")(serve.serve)
 app.command("slurm")(slurm.slurm)
+app.command("certs")(certs.certs)
 app.add_typer(token.app, name="token")
 app.add_typer(store.app, name="store")
 app.command("thesis")(thesis.thesis)

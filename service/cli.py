@@ -17,7 +17,6 @@ import typer
 from service.commands import (
     bench,
     blind,
-    certs,
     diagnose,
     doctor,
     export,
@@ -109,7 +108,6 @@ app.command("simulate")(simulate.simulate)
 app.command("export")(export.export)
 app.command("serve")(serve.serve)
 app.command("slurm")(slurm.slurm)
-app.command("certs")(certs.certs)
 app.add_typer(token.app, name="token")
 app.add_typer(store.app, name="store")
 app.command("thesis")(thesis.thesis)

@@ -161,11 +161,6 @@ def open_cluster(
 @contextmanager
 def _existing(address: str, connect_s: float) -> Iterator[Cluster]:
     check_reachable(address, connect_s)
-    if address.startswith("tls:") and not dask.config.get("distributed.comm.tls.client.cert"):
-        raise ClusterError(
-            f"{address} asks for certificates, and Dask is configured with none: export "
-            "DASK_CONFIG=FOLDER, the folder that `palpate certs FOLDER` made."
-        )
     with _unlogged("distributed"):
         try:
             client = Client(address, timeout=HANDSHAKE_S, set_as_default=False)

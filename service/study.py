@@ -25,6 +25,7 @@ from service.study_work import StudyWork, Tasks
 from service.versions import versions
 from storage.atomic import write_file
 from storage.journal import Journal
+from storage.places import Location, place_of
 from storage.plain import dumps
 from storage.records import (
     EndRecord,
@@ -81,7 +82,7 @@ class Study:
     ----------
     ended, begun : bool
         Whether its search has stopped; whether body and target were ever prepared.
-    store : Path
+    store : Path or ObjectPath
         Where volumes and evaluations go.
 
     Raises
@@ -96,7 +97,7 @@ class Study:
         self,
         spec: StudySpec,
         folder: Path,
-        store: str | Path | None = None,
+        store: Location | None = None,
         *,
         tasks: Tasks | None = None,
         observers: Iterable[Observer] = (),
@@ -109,7 +110,7 @@ class Study:
         log = self.folder.check()
         self.ended = log.end is not None
         self.begun = bool(log.sessions)
-        self.store = Path(store or self.folder.default_store(log))
+        self.store = place_of(store or self.folder.default_store(log))
         self._given_store = store
 
     def run(self, dispatcher: Dispatcher, dashboard: str = "") -> Conclusion:

@@ -30,9 +30,10 @@ def run(
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            help="Folder of volumes and evaluations, seen by all workers. Default: "
+            metavar="FOLDER|s3://BUCKET/PREFIX",
+            help="Store of volumes and evaluations, seen by all workers. Default: "
             "$PALPATE_STORE, else that of the last run, else the folder store beside the study's.",
             show_default=False,
         ),
@@ -76,7 +77,6 @@ def run(
             else:
                 if not opened.begun:
                     _look_first(opened, accept_implausible, elsewhere=scheduler is not None)
-                typer.echo(f"page: {page.path}, written after every generation", err=True)
                 with page:
                     completed = _completed(opened, progress, scheduler, workers, requests)
                 if page.path.parent.is_dir():

@@ -10,6 +10,7 @@ from typing import Any
 from service.dispatch import Dispatcher
 from service.spec import StudySpec
 from service.study import Study, Tasks
+from storage.places import Location
 from workers import THREAD_ENVIRONMENT
 from workers.spec import validated
 
@@ -30,7 +31,7 @@ def study_request(spec: StudySpec, accept_new_code: bool) -> dict[str, Any]:
 def run_study(
     request: Mapping[str, Any],
     folder: Path,
-    store: Path,
+    store: Location,
     dispatcher: Dispatcher,
     dashboard: str,
     tasks: Tasks | None = None,

@@ -8,12 +8,13 @@ its reason. Processes without a nanny are left alone, as nobody would start them
 
 import os
 import threading
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterable
 
 from distributed import get_worker
 
+from storage.backend import backend_of
 from storage.evaluations import load_evaluation
+from storage.places import Place
 from storage.stores import open_store
 from storage.task_records import EvaluationRequest, EvaluationResult
 from workers.resources import worker_name
@@ -36,10 +37,11 @@ def evaluate_within(
         That is no property of the candidate alone, so the store does not keep it.
     """
     store = open_store(request["store"])
-    overruns = store.layout.overruns(request["digest"])
-    stored = load_evaluation(store, request["digest"])
-    if _count(overruns) >= MOST_OVERRUNS and stored is None:
-        overruns.unlink(missing_ok=True)  # another study may have more patience
+    numbers = range(1, MOST_OVERRUNS + 1)
+    overruns = [store.layout.overrun(request["digest"], number) for number in numbers]
+    before = [place for place in overruns if backend_of(place).is_file(place)]
+    if len(before) == MOST_OVERRUNS and load_evaluation(store, request["digest"]) is None:
+        _remove(before)  # another study may have more patience
         return {
             "digest": request["digest"],
             "status": "diverged",
@@ -53,19 +55,21 @@ def evaluate_within(
         }
     if not _has_nanny():
         return evaluate(request)
-    timer = threading.Timer(deadline_s, _end_process, (overruns,))
+    this_time = overruns[min(len(before), MOST_OVERRUNS - 1)]
+    timer = threading.Timer(deadline_s, _end_process, (this_time,))
     timer.daemon = True
     timer.start()
     try:
         result = evaluate(request)
     finally:
         timer.cancel()
-    overruns.unlink(missing_ok=True)
+    _remove(before)
     return result
 
 
-def _count(overruns: Path) -> int:
-    return overruns.stat().st_size if overruns.is_file() else 0
+def _remove(places: Iterable[Place]) -> None:
+    for place in places:
+        backend_of(place).remove(place)
 
 
 def _has_nanny() -> bool:
@@ -75,10 +79,6 @@ def _has_nanny() -> bool:
         return False
 
 
-def _end_process(overruns: Path) -> None:
-    overruns.parent.mkdir(exist_ok=True)
-    with overruns.open("ab") as file:
-        file.write(b"x")
-        file.flush()
-        os.fsync(file.fileno())
+def _end_process(overrun: Place) -> None:
+    backend_of(overrun).create(overrun, b"")
     os._exit(EXIT_CODE)

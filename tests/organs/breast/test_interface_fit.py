@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.strategy_bench import study_of, targets
+from service.strategy_bench import Bench, study_of, targets
 from workers.organs.breast.organ import ORGAN
 
 NAMES = ("E_fat", "eta_fat", "E_glandular", "eta_glandular")
@@ -24,7 +24,7 @@ class _Breast:
 @pytest.fixture(scope="module")
 def breast() -> _Breast:
     """Return a breast, and a function from constants, over the true ones, to its equations."""
-    spec = study_of("least-squares", 0, targets(10)[0], 900, 2.0)
+    spec = study_of("least-squares", 0, targets(10)[0], Bench(nodes=900, spacing_mm=2.0))
     case = spec.case
     body = ORGAN.make_body(case.reference)  # type: ignore[attr-defined]
     mesh = ORGAN.make_mesh(body, case)  # type: ignore[arg-type]

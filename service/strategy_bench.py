@@ -208,7 +208,7 @@ def reached(home: Path, strategy: str, target: int, constants: Mapping[str, floa
         raise AssertionError("a target of the bench can be simulated")
     order = [log.endings[c] for c in sorted(log.endings)]
     improvements = _improvements(order, constants)
-    near = _near_from(improvements)
+    near = near_from(improvements)
     within = {}
     if results.identification is not None:
         for name, found in results.identification.constants.items():
@@ -246,7 +246,7 @@ def _improvements(
     return tuple(found)
 
 
-def _near_from(improvements: Sequence[Improvement]) -> Improvement | None:
+def near_from(improvements: Sequence[Improvement]) -> Improvement | None:
     """Return that from which the best candidate stays near in both moduli."""
     near = None
     for one in improvements:

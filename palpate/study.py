@@ -116,8 +116,9 @@ class Study:
         scheduler : str, optional
             Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
         store : str or Path, optional
-            Folder of volumes and evaluations that all workers see. Default: that of the
-            last run, else the folder ``store`` beside the study's.
+            Store of volumes and evaluations that all workers see, a folder or
+            ``s3://BUCKET/PREFIX``. Default: that of the last run, else the folder
+            ``store`` beside the study's.
         progress : bool
             Show a progress bar.
         observers : iterable of Observer

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from service.hooks import Observer, StudyFacts
-from service.search.base import Generation, Proposal
+from service.search.base import Generation
 from storage.layout import StudyLayout
 from storage.records import EvaluationRecord
 from storage.status import Status
@@ -65,11 +65,11 @@ class Progress(Observer):
         """Say what comes next."""
         self.phase = "making the target" if what == "case" else "searching"
 
-    def generation_begun(self, number: int, proposal: Proposal) -> None:
+    def generation_begun(self, number: int, evaluations: int) -> None:
         """Count anew within the generation."""
         self.phase = "searching"
         self.generation = number
-        self.evaluations = len(proposal.to_evaluate)
+        self.evaluations = evaluations
         self.ended_in_generation = 0
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:

@@ -36,6 +36,7 @@ from service.search_replay import (
     equally_good,
 )
 from service.spec import StudySpec
+from service.steady_replay import replayed
 from service.study_log import StudyLog, read_study
 from storage.errors import InputError
 from storage.journal import Journal
@@ -141,6 +142,8 @@ def _state(folder: Path, log: StudyLog) -> StudyState:
 def _replayed(
     spec: StudySpec, log: StudyLog
 ) -> Iterable[tuple[PendingGeneration, Generation | None]]:
+    if spec.search.steady:
+        return replayed(spec.steady_search, log.endings)
     return SearchReplay(spec.search_strategy, spec.search.space).replay(log.endings)
 
 

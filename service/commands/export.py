@@ -12,7 +12,7 @@ from service.commands.common import (
     load_spec,
     print_json,
 )
-from service.commands.settings import store_folder
+from service.commands.settings import store_place
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def export(
     check_case(spec.case)
     case = spec.case.model_dump(mode="json")
     target = spec.target.model_dump(mode="json")
-    where = str(store_folder(store))
+    where = str(store_place(store))
     body = solve_body(case, stated, where, f"{spec.name}, {whose}", target)
     shown = export_solved(files, body, as_told=comparable)
     record = _record(shown, whose, files)

@@ -30,9 +30,10 @@ def run(
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            help="Folder of volumes and evaluations, seen by all workers. Default: "
+            metavar="FOLDER|s3://BUCKET/PREFIX",
+            help="Store of volumes and evaluations, seen by all workers. Default: "
             "$PALPATE_STORE, else that of the last run, else the folder store beside the study's.",
             show_default=False,
         ),

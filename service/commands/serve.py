@@ -17,9 +17,10 @@ def serve(
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            help="Folder of volumes and evaluations that all workers see. Default: HOME/store.",
+            metavar="FOLDER|s3://BUCKET/PREFIX",
+            help="Store of volumes and evaluations that all workers see. Default: HOME/store.",
             show_default=False,
         ),
     ] = None,

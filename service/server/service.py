@@ -15,6 +15,7 @@ from service.server.runner import OpenCluster, Runner
 from service.server.tokens import Tokens
 from service.server.uploads import Uploads
 from service.study import Tasks
+from storage.places import Location, place_of
 from storage.stores import Store, open_store
 
 
@@ -46,7 +47,7 @@ def open_service(
     root: Path,
     open_cluster: OpenCluster,
     *,
-    store: Path | None = None,
+    store: Location | None = None,
     limits: Limits | None = None,
     read_token: bool = False,
     tasks: Tasks | None = None,
@@ -61,7 +62,7 @@ def open_service(
         Made when missing.
     open_cluster : callable
         Opens the cluster that does the work.
-    store : Path, optional
+    store : str or Path, optional
         Default: the folder ``store`` in `root`.
     tasks : Tasks, optional
         What is sent to the workers.
@@ -76,7 +77,7 @@ def open_service(
         If folder or store cannot be used, or another service uses them.
     """
     limits, root = limits or Limits(), root.expanduser().absolute()
-    home = ServiceHome(root, (store or root / "store").expanduser().absolute())
+    home = ServiceHome(root, place_of(store or root / "store"))
     home.make()
     opened = open_store(home.store)
     queue = Queue(home.queue)

@@ -10,6 +10,7 @@ from typing import Any
 from service.dispatch import Dispatcher
 from service.spec import StudySpec
 from service.study import Study, Tasks
+from storage.places import Location
 from workers import THREAD_ENVIRONMENT
 from workers.spec import validated
 
@@ -18,13 +19,19 @@ REPORT_S = 900.0
 
 def study_request(spec: StudySpec, accept_new_code: bool) -> dict[str, Any]:
     """Return what the queue keeps of a study."""
-    return {"name": spec.name, "spec": spec.as_dict(), "accept_new_code": accept_new_code}
+    return {
+        "name": spec.name,
+        "spec": spec.as_dict(),
+        "accept_new_code": accept_new_code,
+        "most_evaluations": spec.most_evaluations,
+        "most_generations": spec.most_generations,
+    }
 
 
 def run_study(
     request: Mapping[str, Any],
     folder: Path,
-    store: Path,
+    store: Location,
     dispatcher: Dispatcher,
     dashboard: str,
     tasks: Tasks | None = None,

@@ -23,7 +23,8 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium h
 
 WIDE, NARROW = 1400, 480
 PATIENCE_MS = 30_000
-SLOW = SPEC.replace("population: 12", "population: 40").replace("generations: 5", "generations: 50")
+SLOW = SPEC.replace("population: 12", "population: 40\n  stall: null")
+SLOW = SLOW.replace("generations: 5", "generations: 100")
 REAL = """
 name: real
 case:

@@ -135,11 +135,10 @@ def misbehave(store: Store, fat: float) -> None:
         raise ZeroDivisionError(f"no such tissue: E_fat = {fat}")
     if fat > manners.get("full_disk_above", math.inf):
         raise StoreError("the disk of this worker is full")
-    hung = store / f"hung-{fat}"
     if fat > manners.get("hang_above", math.inf) or (
-        fat > manners.get("hang_once_above", math.inf) and not hung.exists()
+        fat > manners.get("hang_once_above", math.inf)
+        and store.backend.create(store.root / f"hung-{fat}", b"")
     ):
-        hung.touch()
         time.sleep(60)
     if fat > manners.get("die_above", math.inf):
         os.kill(os.getpid(), 9)
@@ -196,8 +195,16 @@ def told(folder: Path) -> dict[int, tuple[Any, ...]]:
 
 def executions(folder: Path) -> list[str]:
     """Digests of finished evaluations, once for each time they were computed."""
-    path = folder.parent / "store" / LOG
-    return path.read_text().split() if path.exists() else []
+    return executed(folder.parent / "store")
+
+
+def executed(location: Location) -> list[str]:
+    """The same of a store, in a folder or a bucket."""
+    store = open_store(location, create=False)
+    log = store.root / LOG
+    if isinstance(log, Path):
+        return log.read_text().split() if log.exists() else []
+    return [entry.place.stem for entry in store.backend.entries(log)]
 
 
 def assert_each_ran_once(folder: Path, cut_off: int = 0) -> None:

@@ -40,9 +40,8 @@ from workers.organs.registry import organ_named
 
 # A cornea is thicker at the limbus; the table prints the centre alone.
 THICKER_AT_LIMBUS_MM = 0.105
-# Of each candidate that is fitted, at most; first with some 250 triangles.
-FIT_EVALUATIONS = 30
-COARSE = [{"nodes": 500, "spacing_mm": 1}]
+# Of each candidate that is fitted, at most.
+FIT_EVALUATIONS = 40
 MU_PA, ALPHA = [1, 40_000], [0.1, 100]
 
 
@@ -86,8 +85,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--eyes", type=int, default=len(TABLE_5_2), help="the first so many")
     parser.add_argument("--elements", type=int, default=960, help="6-node triangles of an eye")
     parser.add_argument("--strategy", default="genetic+least-squares", help="or genetic alone")
-    parser.add_argument("--population", type=int, default=24, help="84 in the thesis")
-    parser.add_argument("--generations", type=int, default=1, help="15 in the thesis")
+    parser.add_argument("--population", type=int, default=30, help="84 in the thesis")
+    parser.add_argument("--generations", type=int, default=2, help="15 in the thesis")
+    parser.add_argument("--starts", type=int, default=2, help="candidates that are then fitted")
     return parser.parse_args()
 
 
@@ -120,8 +120,8 @@ def spec_of(eye: CohortEye, wanted: argparse.Namespace) -> StudySpec:
                 "population": wanted.population,
                 "generations": wanted.generations,
                 "stall": None,
+                "starts": wanted.starts,
                 "fit_evaluations": FIT_EVALUATIONS,
-                "levels": COARSE,
             },
             "seed": 2 * eye.patient + (eye.side == "right"),
         }

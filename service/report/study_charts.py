@@ -7,6 +7,7 @@ which candidate a dot is.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 from service.formatting import number
 from service.report.svg import (
@@ -96,7 +97,7 @@ def convergence(
             svg.mark(mark, places[index], y, kind, 3.5)  # type: ignore[arg-type]
     steps = [across.at(n + 1) for n in range(len(best))]
     svg.polyline(zip(steps, (_finite(up, m) for m in mean), strict=True), "mean")
-    heights = [_finite(up, max(b, low)) for b in best]
+    heights = [_finite(up, max(b, low)) for b in accumulate(best, min)]
     svg.polyline(zip(steps, heights, strict=True), "best")
     svg.dots(
         [(x, y) for x, y in zip(steps, heights, strict=True) if math.isfinite(y)], "best-so-far"

@@ -73,7 +73,7 @@ def name_of(
 def evaluate(request: Record) -> Any:
     """Sleep, then write a record as a simulation would."""
     store, name = open_store(request["store"]), request["digest"]
-    seconds = Durations.seconds(store.root, name)
+    seconds = Durations.seconds(Path(request["store"]), name)
     time.sleep(seconds)
     constants: Mapping[str, float] = request["constants"]
     apart = math.hypot(*(constants[key] / true - 1 for key, true in TRUTH.items())) + 1e-9

@@ -40,8 +40,9 @@ from workers.organs.registry import organ_named
 
 # A cornea is thicker at the limbus; the table prints the centre alone.
 THICKER_AT_LIMBUS_MM = 0.105
-# Of each candidate that is fitted, at most.
-FIT_EVALUATIONS = 40
+# Of each candidate that is fitted, at most; first with some 250 triangles.
+FIT_EVALUATIONS = 30
+COARSE = {"levels": [{"nodes": 500, "spacing_mm": 1}]}
 MU_PA, ALPHA = [1, 40_000], [0.1, 100]
 
 
@@ -84,9 +85,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--at-once", type=int, default=3, help="studies in flight")
     parser.add_argument("--eyes", type=int, default=len(TABLE_5_2), help="the first so many")
     parser.add_argument("--elements", type=int, default=960, help="6-node triangles of an eye")
-    parser.add_argument("--population", type=int, default=40)
-    parser.add_argument("--generations", type=int, default=3)
-    parser.add_argument("--starts", type=int, default=3, help="candidates that are then fitted")
+    parser.add_argument(
+        "--strategy",
+        default="least-squares",
+        choices=("least-squares", "genetic+least-squares", "genetic"),
+        help="genetic is the thesis' own",
+    )
     return parser.parse_args()
 
 
@@ -115,12 +119,10 @@ def spec_of(eye: CohortEye, wanted: argparse.Namespace) -> StudySpec:
             "target": {"constants": eye.constants._asdict()},
             "search": {
                 "parameters": {"mu1_pa": MU_PA, "alpha1": ALPHA, "mu2_pa": MU_PA, "alpha2": ALPHA},
-                "strategy": "genetic+least-squares",
-                "population": wanted.population,
-                "generations": wanted.generations,
+                "strategy": wanted.strategy,
                 "stall": None,
-                "starts": wanted.starts,
-                "fit_evaluations": FIT_EVALUATIONS,
+                **({} if wanted.strategy == "genetic" else {"fit_evaluations": FIT_EVALUATIONS}),
+                **(COARSE if wanted.strategy == "least-squares" else {}),
             },
             "seed": 2 * eye.patient + (eye.side == "right"),
         }

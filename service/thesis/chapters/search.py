@@ -28,8 +28,7 @@ def chapter(found: SearchResult, cost: Cost | None, scale: Scale) -> Chapter:
         "with skin, from the glandular voxels of a phantom pressed by 100 N. Targets X1 and X2 "
         "without skin for five phantoms each, X3 with skin for five.",
         f"The same targets, bounds and stop rule through the studies of `palpate run`: strategy "
-        f"{found.strategy}, {found.population} candidates, {found.generations} generations at "
-        f"most, {count(found.nodes)} nodes, voxels of {found.spacing_mm:g} mm, "
+        f"{_effort(found)}, {count(found.nodes)} nodes, voxels of {found.spacing_mm:g} mm, "
         f"{FORCE_N[scale]:g} N. Errors are of one mesh: target and candidates share it.",
         tables=tables,
         pictures=[
@@ -42,6 +41,15 @@ def chapter(found: SearchResult, cost: Cost | None, scale: Scale) -> Chapter:
         ],
         differences=_differences(scale, found),
         costs=_costs(found, cost),
+    )
+
+
+def _effort(found: SearchResult) -> str:
+    """Name the strategy, and how many candidates it takes where that is set."""
+    if found.strategy == "least-squares":
+        return "least-squares, three starts"
+    return (
+        f"{found.strategy}, {found.population} candidates, {found.generations} generations at most"
     )
 
 
@@ -191,9 +199,11 @@ def _differences(scale: Scale, found: SearchResult) -> list[str]:
         "The skin of the thesis has no printed thickness; here it is a membrane of 1.5 mm.",
     ]
     if scale != "full":
+        alone = found.strategy == "least-squares"
+        fewer = "" if alone else f" and {found.population} instead of 84 candidates"
         smaller = (
             "The reduced search has bodies of an eighth of the volume, a coarser mesh, larger "
-            f"voxels and {found.population} instead of 84 candidates. Its hours are not those of "
+            f"voxels{fewer}. Its hours are not those of "
             "the thesis' scale; run with --full for these."
         )
         texts.insert(0, smaller)

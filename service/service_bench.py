@@ -33,7 +33,7 @@ from workers import THREAD_ENVIRONMENT
 
 POPULATION = 200
 # Workers, population, generations, how long evaluations take, modes. Two workers are processes,
-# as on a workstation; the others threads of one process, which sleep.
+# as on a workstation; the others threads of one worker, which sleep.
 CASES: tuple[tuple[int, int, int, Durations, tuple[str, ...]], ...] = (
     (2, 84, 1, Durations(1.0), ("barrier",)),
     (12, 84, 4, Durations(1.0, 0.8), ("barrier", "steady")),
@@ -156,23 +156,24 @@ def busy(
 ) -> Busy:
     """Run a study of sleeping tasks on so many workers.
 
-    Up to `MOST_PROCESSES` are processes; more are threads of this one, for they only sleep.
+    Up to `MOST_PROCESSES` are processes; more are threads of one worker, for they only sleep.
     """
     durations.write(folder / "store")
     spec = parse_spec(text_of(mode, population, generations, mode=mode), "bench", Path())
-    options = {"dashboard_address": ":0", "silence_logs": "CRITICAL"}
+    real = workers <= MOST_PROCESSES
     with (
         tempfile.TemporaryDirectory(prefix="palpate-bench-") as scratch,
         LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=workers <= MOST_PROCESSES,
+            n_workers=workers if real else 1,
+            threads_per_worker=1 if real else workers,
+            processes=real,
             local_directory=scratch,
-            **options,
+            dashboard_address=":0",
+            silence_logs="CRITICAL",
         ) as cluster,
         DaskClient(cluster, set_as_default=False) as client,
     ):
-        client.wait_for_workers(workers)
+        client.wait_for_workers(workers if real else 1)
         Study(spec, folder / mode, folder / "store", tasks=TASKS).run(Dispatcher(client))
     log = StudyLog.read(StudyLayout(folder / mode).journal)
     computed = [r for r in log.endings.values() if not r.reused]

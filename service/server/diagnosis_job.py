@@ -33,11 +33,11 @@ def bring_source(
         If it cannot be diagnosed, or an effect is not in its catalogue.
     """
     opened = open_source(Path(path))
-    opened.check()
     known = [effect.name for effect in opened.effects]
     for name in effects or ():
         if name not in known:
             raise InputError(unknown_name("effect", name, known))
+    opened.check()
     request = request_for(opened, store, nodes, effects=effects)
     return request, origin_of(opened, request, when, "", None)
 

@@ -1,7 +1,9 @@
 """A diagnosis over HTTP that is really computed, and the same by `palpate diagnose`.
 
 The scans are a phantom's between plates of which one is tilted; the service runs the real tasks
-on one worker, and suspects two effects.
+on one worker, and suspects two effects. Some 40 s once the kernels are compiled:
+
+    pytest -m slow tests/server/test_diagnosis_over_http.py
 """
 
 import json
@@ -12,7 +14,7 @@ from typing import Any
 
 import httpx
 import pytest
-from compressed_breast import PRESSED, SCANS, write_case
+from compressed_breast import PHANTOM, PRESSED, SCANS, described, write_case, write_scan
 from service_process import TOKEN, ServiceProcess
 
 import palpate
@@ -20,6 +22,7 @@ from service.cli import main
 from service.client import Client, JobEvent
 from service.diagnosis.run import request_for
 from storage.errors import InputError
+from workers.body.phantom.breast import generate_breast
 
 NODES = 600
 SUSPECTS = ["plate_tilt", "segmentation_offset"]
@@ -53,7 +56,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]
 
 
 @pytest.fixture
-def client(served: ServiceProcess) -> Iterator[Client]:
+def real_client(served: ServiceProcess) -> Iterator[Client]:
     with served.client() as connected:
         yield connected
 
@@ -104,14 +107,16 @@ def diagnosed_here(
     return shown.err, json.loads(shown.out)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_over_http_is_that_of_the_command(
     served: ServiceProcess,
-    client: Client,
+    real_client: Client,
     case: Path,
     few_suspects: None,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    client = real_client
     for name in ("case.json", SCANS[0], SCANS[2]):
         client.upload(case / name, "tilted")
     job = client.submit_diagnosis(upload="tilted", nodes=NODES, effects=SUSPECTS)
@@ -151,6 +156,7 @@ def test_a_diagnosis_over_http_is_that_of_the_command(
     assert again == found
 
 
+@pytest.mark.slow
 def test_a_study_that_has_run_is_diagnosed(
     served: ServiceProcess,
     few_suspects: None,
@@ -175,8 +181,13 @@ def test_a_study_that_has_run_is_diagnosed(
     assert viewed(page) == viewed((tmp_path / "out" / "diagnosis.html").read_text())
 
 
-def test_an_effect_that_is_misspelt_is_one_message(served: ServiceProcess, case: Path) -> None:
-    with palpate.connect(served.url, TOKEN) as connected:
+def test_an_effect_that_is_misspelt_is_one_message(service: ServiceProcess, tmp_path: Path) -> None:
+    case = tmp_path / "misspelt"
+    case.mkdir()
+    for name in (SCANS[0], SCANS[2]):
+        write_scan(case / name, generate_breast(PHANTOM, seed=5).labels)
+    (case / "case.json").write_text(json.dumps(described(PRESSED[1:])))
+    with palpate.connect(service.url, TOKEN) as connected:
         job = connected.diagnose(case, nodes=NODES, effects=["plate_tlit"])
         with pytest.raises(InputError, match="did you mean 'plate_tilt'"):
             job.wait()

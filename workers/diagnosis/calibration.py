@@ -1,5 +1,6 @@
 """The nominal model at its optimum, with the noise of the scans and of the mesh known."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,17 @@ from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, TetMesh
 from workers.comparison.observation.noise import correlation
 from workers.comparison.observation.point_interpolation import interpolation
-from workers.diagnosis.discrepancy import SmoothField
-from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit
+from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit, residuals
 from workers.diagnosis.inverse_problem import InverseProblem, unknowns
-from workers.diagnosis.scan_prediction import PredictedScan, compare_with_scan, predict_scan
+from workers.diagnosis.noise_model import LearntNoise, believed, learnt_states
+from workers.diagnosis.noise_parts import noise_parts
+from workers.diagnosis.nuisances import smooth_columns
+from workers.diagnosis.scan_prediction import (
+    ComparedScan,
+    PredictedScan,
+    compare_with_scan,
+    predict_scan,
+)
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.fem.model import Model
 
@@ -46,9 +54,11 @@ def calibrate(
         compare_with_scan(inverse, scan, free, first.z, v.at)
         for scan, v in zip(inverse.scans, first.predictions, strict=True)
     ]
-    inverse = with_common_error(inverse)
     if finer is not None:
-        inverse = with_mesh_error(inverse, finer, first, predictions)
+        inverse = with_mesh_bias(inverse, finer, first, predictions)
+    rows = np.tile(kept, len(inverse.scans))
+    columns = first.jacobian[rows] * free.sd
+    inverse = with_learnt_noise(inverse, columns, predictions)
     second = fit(inverse, free, first.z, [v.at for v in predictions])
     if second is None:
         raise AssertionError("the start of the second fit is the end of the first")
@@ -84,10 +94,10 @@ def with_common_error(inverse: InverseProblem) -> InverseProblem:
     return replace(inverse, covariance=inverse.covariance + common + each)
 
 
-def with_mesh_error(
-    inverse: InverseProblem, finer: Model, at: Fit, predictions: list[PredictedScan]
+def with_mesh_bias(
+    inverse: InverseProblem, finer: Model, at: Fit, predictions: Sequence[PredictedScan]
 ) -> InverseProblem:
-    """Take off what a finer mesh moves the points by, and add what that leaves unknown."""
+    """Take off what a finer mesh moves the points by."""
     to_points = interpolation_of(finer, inverse)
     bias = []
     for scan, coarse in zip(inverse.scans, predictions, strict=True):
@@ -97,11 +107,39 @@ def with_mesh_error(
         if fine is None:
             return inverse
         bias.append(-((fine.points - coarse.points) * coarse.normals).sum(axis=1))
-    b: FloatArray = np.concatenate(bias)
-    normals = np.concatenate([v.normals for v in predictions])
-    points = np.tile(inverse.points.points, (len(inverse.scans), 1))
-    smooth = SmoothField().covariance(points, normals, inverse.rows, SETTINGS.mesh.error_length_mm)
-    return replace(inverse, bias=b, covariance=inverse.covariance + (b**2).mean() * smooth)
+    return replace(inverse, bias=np.concatenate(bias))
+
+
+def with_learnt_noise(
+    inverse: InverseProblem, columns: FloatArray, predictions: Sequence[ComparedScan]
+) -> InverseProblem:
+    """Find out how large and how smooth the noise is; see `workers.diagnosis.noise_model`.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+    columns : ndarray, shape (m, p)
+        Derivatives of the residuals by the constants, per prior standard deviation.
+    predictions : sequence of ComparedScan
+        Of the fit at which they were taken.
+    """
+    parts = noise_parts(inverse, predictions)
+    if not inverse.is_segmented:
+        learnt = believed(parts)
+    else:
+        amplitude, length = SETTINGS.noise.learning_field
+        field = smooth_columns(
+            np.tile(inverse.points.points, (len(inverse.scans), 1)),
+            np.concatenate([one.normals for one in predictions]),
+            inverse.rows,
+            np.full(parts.size, amplitude),
+            length,
+            SETTINGS.smooth_field.state_correlation,
+            SETTINGS.smooth_field.rank_tolerance,
+        )
+        found = learnt_states(parts, columns, residuals(inverse, predictions), field)
+        learnt = LearntNoise(parts, tuple(found))
+    return replace(inverse, learnt=learnt, covariance=learnt.covariance)
 
 
 def interpolation_of(model: Model, inverse: InverseProblem) -> csr_matrix:

@@ -8,6 +8,7 @@ import numpy as np
 from storage.values import FloatArray
 from workers.diagnosis.inverse_problem import InverseProblem, Unknowns
 from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.noise_model import LinearHypothesis
 from workers.diagnosis.scan_prediction import (
     ComparedScan,
     PredictedScan,
@@ -54,7 +55,7 @@ class Fit:
         return values | {n: float(v) for n, v in rest}
 
     def linearised(self, inverse: InverseProblem) -> Linearised:
-        """Return residuals, derivatives and noise around the optimum."""
+        """Return residuals, derivatives and noise around the optimum; poses are in the noise."""
         u = self.unknowns
         return Linearised(
             residuals(inverse, self.predictions),
@@ -62,6 +63,31 @@ class Fit:
             u.sd,
             self.z - u.mean,
             inverse.covariance_factor,
+        )
+
+    def linearised_with_poses(self, inverse: InverseProblem) -> Linearised:
+        """Return the same with poses and drawing as free parameters after the others.
+
+        A gap is what they leave: where a scan lies is no fault of the model.
+        """
+        u, nuisances = self.unknowns, inverse.nuisances
+        q = nuisances.shape[1]
+        return Linearised(
+            residuals(inverse, self.predictions),
+            np.hstack([self.jacobian, nuisances]),
+            np.append(u.sd, np.ones(q)),
+            np.append(self.z - u.mean, np.zeros(q)),
+            inverse.scatter_factor,
+        )
+
+    def hypothesis(self, inverse: InverseProblem) -> LinearHypothesis:
+        """Return the same for `workers.diagnosis.noise_model.NoiseModel`."""
+        u = self.unknowns
+        return LinearHypothesis(
+            residuals(inverse, self.predictions),
+            self.jacobian * u.sd,
+            (self.z - u.mean) / u.sd,
+            u.one_sided,
         )
 
 

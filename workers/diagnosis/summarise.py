@@ -19,6 +19,7 @@ from workers.diagnosis.summary import (
     GapEstimate,
     GapShrinkage,
     GapSummary,
+    InterfaceNoise,
     JointFitSummary,
     ParameterEstimate,
     RegionGap,
@@ -60,6 +61,18 @@ def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Sum
         constants=_constants(diagnosis),
         refits=tuple(_joint_fit(diagnosis, names) for names in diagnosis.joint_fits),
         points=len(analysis.inverse.points),
+        noise=_noise(analysis.inverse),
+    )
+
+
+def _noise(inverse: InverseProblem) -> tuple[InterfaceNoise, ...] | None:
+    """Return how exactly each interface is drawn; None where noise was measured."""
+    if inverse.learnt is None or not inverse.is_segmented:
+        return None
+    stated, scales = inverse.noise.sd_mm, inverse.learnt.states[0].scales
+    return tuple(
+        InterfaceNoise(one.name, stated, float(stated * scale))
+        for one, scale in zip(INTERFACES, scales, strict=False)
     )
 
 
@@ -124,15 +137,16 @@ def _posterior_sd(diagnosis: Diagnosis, names: tuple[str, ...]) -> FloatArray:
 def _gap_mm(diagnosis: Diagnosis) -> GapSummary:
     inverse, nominal = diagnosis.analysis.inverse, diagnosis.analysis.linear
     floor_mm = _floor_mm(inverse, nominal)
-    before = gap(LinearFit(nominal), floor_mm=floor_mm)
+    posed = diagnosis.analysis.linear_with_poses
+    before = gap(LinearFit(posed), floor_mm=floor_mm)
     alone = GapSummary(_estimate(before), before.noise_mm, floor_mm, None, None, None)
     best = diagnosis.best
     if best is None:
         return alone
-    with_effect = best.fit.linearised(inverse)
-    fitted = _compared(shrinkage(nominal, with_effect, SETTINGS.gap.seed, floor_mm=floor_mm))
+    with_effect = best.fit.linearised_with_poses(inverse)
+    fitted = _compared(shrinkage(posed, with_effect, SETTINGS.gap.seed, floor_mm=floor_mm))
     inside = replace(alone, before=fitted.before, after=fitted.after, share=fitted.share)
-    return _with_held_out(inside, inverse, nominal, with_effect)
+    return _with_held_out(inside, inverse, posed, with_effect)
 
 
 def _with_held_out(
@@ -174,7 +188,7 @@ def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
 
 def _where(diagnosis: Diagnosis) -> Iterator[RegionGap]:
     inverse = diagnosis.analysis.inverse
-    fit = LinearFit(diagnosis.analysis.linear)
+    fit = LinearFit(diagnosis.analysis.linear_with_poses)
     own = np.tile(inverse.points.interface, len(inverse.scans))
     z = np.tile(inverse.frame.normalised(inverse.points.points)[:, 2], len(inverse.scans))
     depths = {

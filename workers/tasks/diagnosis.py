@@ -37,6 +37,7 @@ from workers.tasks.diagnosis_store import (
     Outcome,
     SensitivityRecord,
 )
+from workers.tasks.learnt_noise import noise_arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +73,10 @@ def calibrate_nominal(request: DiagnosisRequest) -> CalibrationRecord:
         inverse, fit = calibrate(whole, store.finer())
         arrays = {
             "kept": kept_of(whole.points, inverse.points),
-            "covariance": inverse.covariance,
             "bias": inverse.bias,
             "z": fit.z,
             "jacobian": fit.jacobian,
-        }
+        } | noise_arrays(inverse)
         record = CalibrationRecord(
             points=len(inverse.points),
             constants={

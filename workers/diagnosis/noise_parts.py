@@ -1,0 +1,90 @@
+"""What the noise of a case is made of, at the first fit of its constants."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.comparison.observation.noise import correlation, covariance
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.noise_model import NoiseParts
+from workers.diagnosis.nuisances import drawing_columns, pose_columns, smooth_columns
+from workers.diagnosis.scan_prediction import ComparedScan
+from workers.diagnosis.settings import SETTINGS
+
+
+def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> NoiseParts:
+    """Return the noise of an inverse problem whose constants have been fitted once.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+        With the bias of its mesh, and the covariance that is stated.
+    predictions : sequence of ComparedScan
+        One for each scan.
+    """
+    scans, interface = len(inverse.scans), inverse.points.interface
+    sd_mm = inverse.noise.sd_mm
+    common = SETTINGS.noise.common * sd_mm
+    if inverse.is_segmented:
+        pose = pose_columns(
+            [one.points for one in predictions],
+            [one.normals for one in predictions],
+            inverse.frame.centre_mm,
+            SETTINGS.pose.shift_sd_mm,
+            SETTINGS.pose.turn_sd_deg,
+        )
+        each = SETTINGS.pose.drawing * sd_mm
+        fixed = np.hstack([pose, drawing_columns(interface, scans, common, each)])
+    else:
+        fixed = drawing_columns(interface, scans, common, 0.0)
+    return NoiseParts(
+        stated=stated_covariances(inverse),
+        lengths=noise_lengths(inverse),
+        groups=np.tile(interface, scans),
+        fixed=fixed,
+        numerical=_numerical(inverse, predictions),
+    )
+
+
+def noise_lengths(inverse: InverseProblem) -> tuple[float, ...]:
+    """Return correlation lengths over the stated one; measured noise has its own only."""
+    return SETTINGS.noise.lengths if inverse.is_segmented else (1.0,)
+
+
+def stated_covariances(inverse: InverseProblem) -> tuple[FloatArray, ...]:
+    """Return that of the observation for each correlation length, shape (m, m)."""
+    if not inverse.is_segmented:
+        return (inverse.covariance + _smoother(inverse, 1.0),)
+    found = []
+    for factor in noise_lengths(inverse):
+        noise = replace(inverse.noise, correlation_mm=factor * inverse.noise.correlation_mm)
+        drawn = covariance(inverse.points, noise, len(inverse.scans))
+        found.append(drawn + _smoother(inverse, factor))
+    return tuple(found)
+
+
+def _smoother(inverse: InverseProblem, factor: float) -> FloatArray:
+    """Return what of each scan's noise is smoother than its correlation length says."""
+    settings, noise = SETTINGS.noise, inverse.noise
+    smooth = correlation(inverse.points, settings.smoother_lengths * factor * noise.correlation_mm)
+    variance = (settings.smoother * noise.sd_mm) ** 2
+    return np.asarray(np.kron(np.eye(len(inverse.scans)), variance * smooth), np.float64)
+
+
+def _numerical(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
+    """Return the columns of the numerical error; it grows with the element and the load."""
+    settings, shape = SETTINGS.numerical, (len(inverse.scans), -1)
+    difference = np.sqrt((inverse.bias.reshape(shape) ** 2).mean(axis=1))
+    each = np.hypot(settings.of_difference * difference, settings.least_mm)
+    if not inverse.is_segmented:
+        each = settings.of_difference * difference
+    return smooth_columns(
+        np.tile(inverse.points.points, (len(inverse.scans), 1)),
+        np.concatenate([one.normals for one in predictions]),
+        inverse.rows,
+        np.repeat(each, len(inverse.points)),
+        settings.length_mm,
+        settings.state_correlation if inverse.is_segmented else settings.state_correlation_markers,
+    )

@@ -8,10 +8,9 @@ from scipy.sparse import csr_matrix
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, TetMesh
-from workers.comparison.observation.noise import correlation
 from workers.comparison.observation.point_interpolation import interpolation
 from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit, residuals
-from workers.diagnosis.inverse_problem import InverseProblem, unknowns
+from workers.diagnosis.inverse_problem import InverseProblem, Scan, unknowns
 from workers.diagnosis.noise_model import LearntNoise, believed, learnt_states
 from workers.diagnosis.noise_parts import noise_parts
 from workers.diagnosis.nuisances import smooth_columns
@@ -23,10 +22,11 @@ from workers.diagnosis.scan_prediction import (
 )
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.fem.model import Model
+from workers.scan_threads import Each
 
 
 def calibrate(
-    inverse: InverseProblem, finer: Model | None = None
+    inverse: InverseProblem, finer: Model | None = None, each: Each = map
 ) -> tuple[InverseProblem, SolvedFit]:
     """Fit the nominal constants, then once more where the scans can be trusted.
 
@@ -35,6 +35,8 @@ def calibrate(
     inverse : InverseProblem
     finer : Model, optional
         A finer mesh of the same body: what it moves the points by is taken off.
+    each : callable
+        Calls a function with every scan; see `workers.diagnosis.gauss_newton.fit`.
 
     Raises
     ------
@@ -42,7 +44,7 @@ def calibrate(
         If the nominal model cannot be simulated.
     """
     free = unknowns(inverse.free, [])
-    first = fit(inverse, free, free.mean, [None] * len(inverse.scans))
+    first = fit(inverse, free, free.mean, [None] * len(inverse.scans), each=each)
     if first is None:
         raise InputError(
             "The nominal model was not solved at the middle of the plausible intervals: "
@@ -55,11 +57,11 @@ def calibrate(
         for scan, v in zip(inverse.scans, first.predictions, strict=True)
     ]
     if finer is not None:
-        inverse = with_mesh_bias(inverse, finer, first, predictions)
+        inverse = with_mesh_bias(inverse, finer, first, predictions, each)
     rows = np.tile(kept, len(inverse.scans))
     columns = first.jacobian[rows] * free.sd
     inverse = with_learnt_noise(inverse, columns, predictions)
-    second = fit(inverse, free, first.z, [v.at for v in predictions])
+    second = fit(inverse, free, first.z, [v.at for v in predictions], each=each)
     if second is None:
         raise AssertionError("the start of the second fit is the end of the first")
     return inverse, second
@@ -82,28 +84,21 @@ def clear(inverse: InverseProblem, at: Fit) -> BoolArray:
     return alone
 
 
-def with_common_error(inverse: InverseProblem) -> InverseProblem:
-    """Add that an interface, or a region of it, may be drawn a little too large or small."""
-    noise = inverse.noise
-    own = np.tile(inverse.points.interface, len(inverse.scans))
-    common = (SETTINGS.noise.common * noise.sd_mm) ** 2 * (own[:, None] == own)
-    smooth = correlation(inverse.points, SETTINGS.noise.smoother_lengths * noise.correlation_mm)
-    each = np.kron(
-        np.eye(len(inverse.scans)), (SETTINGS.noise.smoother * noise.sd_mm) ** 2 * smooth
-    )
-    return replace(inverse, covariance=inverse.covariance + common + each)
-
-
 def with_mesh_bias(
-    inverse: InverseProblem, finer: Model, at: Fit, predictions: Sequence[PredictedScan]
+    inverse: InverseProblem,
+    finer: Model,
+    at: Fit,
+    predictions: Sequence[PredictedScan],
+    each: Each = map,
 ) -> InverseProblem:
     """Take off what a finer mesh moves the points by."""
-    to_points = interpolation_of(finer, inverse)
+    fine_problem = replace(inverse, model=finer, at_points=interpolation_of(finer, inverse))
+
+    def predicted(scan: Scan) -> PredictedScan | None:
+        return predict_scan(fine_problem, scan, at.unknowns, at.z, None)
+
     bias = []
-    for scan, coarse in zip(inverse.scans, predictions, strict=True):
-        fine = predict_scan(
-            replace(inverse, model=finer, at_points=to_points), scan, at.unknowns, at.z, None
-        )
+    for fine, coarse in zip(each(predicted, inverse.scans), predictions, strict=True):
         if fine is None:
             return inverse
         bias.append(-((fine.points - coarse.points) * coarse.normals).sum(axis=1))

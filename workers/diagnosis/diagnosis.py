@@ -154,7 +154,8 @@ def _weighed(
     analysis: NominalAnalysis, nominal: LinearHypothesis, names: tuple[str, ...], fitted: JointFit
 ) -> Hypothesis:
     at = fitted.fit.hypothesis(analysis.inverse)
-    at = at.with_errors(analysis.form.columns(nominal.residual - at.residual))
+    pattern = analysis.registered(nominal.residual - at.residual)
+    at = at.with_errors(analysis.form.columns(pattern))
     return Hypothesis(names, analysis.noise.log_evidence(at), analysis.noise.field_gain(at))
 
 

@@ -41,7 +41,8 @@ class FormError:
         Parameters
         ----------
         pattern : ndarray, shape (m,)
-            What the effects of a hypothesis change of the residuals, constants included, in mm.
+            What the effects of a hypothesis change of the residuals, once constants and poses
+            have followed, in mm.
         """
         return self.envelope(pattern)[:, None] * self._modes
 

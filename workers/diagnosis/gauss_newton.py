@@ -6,18 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from storage.values import FloatArray
-from workers.diagnosis.inverse_problem import InverseProblem, Unknowns
+from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.noise_model import LinearHypothesis
 from workers.diagnosis.scan_prediction import (
     ComparedScan,
+    Pose,
     PredictedScan,
     ScanJacobian,
+    compare_with_scan,
     derivatives,
     predict_scan,
 )
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.fem.solve import Equilibrium
+from workers.scan_threads import Each
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +104,10 @@ class SolvedFit(Fit):
         """Return where another fit may begin."""
         return [one.at for one in self.predictions]
 
+    def poses(self) -> list[Pose | None]:
+        """Return where the scans lie."""
+        return [one.pose for one in self.predictions]
+
 
 def residuals(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
     """Return residuals of all scans, less what the mesh adds, shape (m,)."""
@@ -112,6 +119,8 @@ def fit(
     unknowns: Unknowns,
     start: FloatArray,
     starts: Sequence[Equilibrium | None],
+    poses: Sequence[Pose | None] | None = None,
+    each: Each = map,
 ) -> SolvedFit | None:
     """Find the most probable parameters.
 
@@ -121,6 +130,10 @@ def fit(
         Where to begin.
     starts : sequence of Equilibrium
         Of each scan, near there; None to solve from rest.
+    poses : sequence of Pose, optional
+        Where the scans lie to begin with; as their headers say.
+    each : callable
+        Calls a function with every scan, as `map` does; maybe several at a time.
 
     Returns
     -------
@@ -128,43 +141,75 @@ def fit(
         None if the simulation at the start does not converge.
     """
     z = np.clip(start, unknowns.lower, unknowns.upper)
-    predictions = _predict_scans(inverse, unknowns, z, starts)
+    nowhere: Sequence[Pose | None] = poses or [None] * len(starts)
+    predictions = _predict_scans(inverse, unknowns, z, starts, nowhere, each)
     if predictions is None:
         return None
     cost = _cost(inverse, unknowns, z, predictions)
     jacobians: list[ScanJacobian] | None = None
     fall = np.inf
     for iteration in range(1, SETTINGS.fit.max_iterations + 1):
-        jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians)
+        jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
         J = np.vstack([jacobian.columns for jacobian in jacobians])
         step, expected = _step(inverse, unknowns, z, predictions, J)
         if expected < SETTINGS.fit.tolerance:
             return SolvedFit(unknowns, z, predictions, J, cost, True, iteration)
-        found = _descend(inverse, unknowns, z, predictions, cost, step)
+        found = _descend(inverse, unknowns, z, predictions, cost, step, each)
         if found is None and not all(jacobian.fresh for jacobian in jacobians):
             jacobians = None  # columns taken over from elsewhere may point uphill
             continue
         if found is None:
-            return SolvedFit(unknowns, z, predictions, J, cost, True, iteration)
+            at_rest = expected < SETTINGS.fit.at_rest
+            return SolvedFit(unknowns, z, predictions, J, cost, at_rest, iteration)
         fall = cost - found[2]
         z, predictions, cost = found
         if fall < SETTINGS.fit.tolerance:
             break
-    jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians)
+    jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
     J = np.vstack([jacobian.columns for jacobian in jacobians])
     return SolvedFit(unknowns, z, predictions, J, cost, fall < SETTINGS.fit.tolerance, iteration)
 
 
 def _predict_scans(
-    inverse: InverseProblem, unknowns: Unknowns, z: FloatArray, starts: Sequence[Equilibrium | None]
+    inverse: InverseProblem,
+    unknowns: Unknowns,
+    z: FloatArray,
+    starts: Sequence[Equilibrium | None],
+    poses: Sequence[Pose | None],
+    each: Each,
 ) -> tuple[PredictedScan, ...] | None:
+    def predicted(scan: Scan, start: Equilibrium | None, pose: Pose | None) -> PredictedScan | None:
+        return predict_scan(inverse, scan, unknowns, z, start, pose)
+
     found = []
-    for scan, start in zip(inverse.scans, starts, strict=True):
-        one = predict_scan(inverse, scan, unknowns, z, start)
+    for one in each(predicted, inverse.scans, starts, poses):
         if one is None:
             return None
         found.append(one)
-    return tuple(found)
+    return registered(inverse, unknowns, z, found)
+
+
+def registered(
+    inverse: InverseProblem, unknowns: Unknowns, z: FloatArray, found: Sequence[PredictedScan]
+) -> tuple[PredictedScan, ...]:
+    """Compare with the scans once more where the residuals say that they lie."""
+    found = tuple(found)
+    if not inverse.has_poses:
+        return found
+    settings, k = SETTINGS.pose, len(inverse.points)
+    sd = np.repeat([settings.shift_sd_mm, settings.turn_sd_deg], 3)
+    N = inverse.nuisances[:, : len(sd) * len(found)]
+    for _ in range(settings.registrations):
+        white = _whiten(inverse, np.column_stack([N, residuals(inverse, found)]))
+        p = white[:, :-1].T @ white[:, -1]
+        along = (N @ p).reshape(-1, k)
+        found = tuple(
+            compare_with_scan(inverse, scan, unknowns, z, one.at, Pose(sd * own, extra))
+            for scan, one, own, extra in zip(
+                inverse.scans, found, p.reshape(len(found), -1), along, strict=True
+            )
+        )
+    return found
 
 
 def _jacobians(
@@ -173,10 +218,14 @@ def _jacobians(
     z: FloatArray,
     predictions: Sequence[PredictedScan],
     before: Sequence[ScanJacobian] | None,
+    each: Each,
 ) -> list[ScanJacobian]:
     known: Sequence[ScanJacobian | None] = before or [None] * len(predictions)
-    rows = zip(inverse.scans, predictions, known, strict=True)
-    return [derivatives(inverse, scan, unknowns, z, v, last) for scan, v, last in rows]
+
+    def differentiated(scan: Scan, at: PredictedScan, last: ScanJacobian | None) -> ScanJacobian:
+        return derivatives(inverse, scan, unknowns, z, at, last)
+
+    return list(each(differentiated, inverse.scans, predictions, known))
 
 
 def _cost(
@@ -223,6 +272,13 @@ def _step(
     return np.asarray(step * u.sd * length), float(-g @ step)
 
 
+def _places(
+    predictions: Sequence[PredictedScan],
+) -> tuple[list[Equilibrium | None], list[Pose | None]]:
+    """Return from where the next trial of a line search is solved and compared."""
+    return [v.at for v in predictions], [v.pose for v in predictions]
+
+
 def _descend(
     inverse: InverseProblem,
     u: Unknowns,
@@ -230,11 +286,12 @@ def _descend(
     predictions: Sequence[PredictedScan],
     cost: float,
     step: FloatArray,
+    each: Each,
 ) -> tuple[FloatArray, tuple[PredictedScan, ...], float] | None:
     length = 1.0
     for _ in range(SETTINGS.fit.max_halvings):
         trial = np.clip(z + length * step, u.lower, u.upper)
-        found = _predict_scans(inverse, u, trial, [v.at for v in predictions])
+        found = _predict_scans(inverse, u, trial, *_places(predictions), each)
         if found is not None:
             cost_there = _cost(inverse, u, trial, found)
             if cost_there < cost:

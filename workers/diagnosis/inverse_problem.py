@@ -148,6 +148,11 @@ class InverseProblem:
             return np.zeros((len(self.bias), 0))
         return self.learnt.parts.fixed
 
+    @property
+    def has_poses(self) -> bool:
+        """Whether scans may lie elsewhere than their headers say."""
+        return self.learnt is not None and self.is_segmented
+
     @cached_property
     def rows(self) -> IntArray:
         """The scan of each residual, shape (s k,)."""

@@ -24,28 +24,45 @@ def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) ->
     predictions : sequence of ComparedScan
         One for each scan.
     """
-    scans, interface = len(inverse.scans), inverse.points.interface
-    sd_mm = inverse.noise.sd_mm
-    common = SETTINGS.noise.common * sd_mm
-    if inverse.is_segmented:
-        pose = pose_columns(
-            [one.points for one in predictions],
-            [one.normals for one in predictions],
-            inverse.frame.centre_mm,
-            SETTINGS.pose.shift_sd_mm,
-            SETTINGS.pose.turn_sd_deg,
-        )
-        each = SETTINGS.pose.drawing * sd_mm
-        fixed = np.hstack([pose, drawing_columns(interface, scans, common, each)])
-    else:
-        fixed = drawing_columns(interface, scans, common, 0.0)
+    moved, normals = [v.points for v in predictions], [v.normals for v in predictions]
     return NoiseParts(
         stated=stated_covariances(inverse),
         lengths=noise_lengths(inverse),
-        groups=np.tile(interface, scans),
-        fixed=fixed,
+        groups=np.tile(inverse.points.interface, len(inverse.scans)),
+        fixed=_nuisances(inverse, moved, normals),
         numerical=_numerical(inverse, predictions),
     )
+
+
+def planned_covariance(inverse: InverseProblem) -> FloatArray:
+    """Return that of scans that are not made yet, shape (m, m), in mm^2.
+
+    As it is stated, with poses and drawing; points are where the body is at rest.
+    """
+    scans, points = len(inverse.scans), inverse.points
+    drawn = covariance(points, inverse.noise, scans) + _smoother(inverse, 1.0)
+    fixed = _nuisances(inverse, [points.points] * scans, [points.normals] * scans)
+    return np.asarray(drawn + fixed @ fixed.T)
+
+
+def _nuisances(
+    inverse: InverseProblem, moved: Sequence[FloatArray], normals: Sequence[FloatArray]
+) -> FloatArray:
+    """Return the columns of poses and drawing for interfaces that are where they were moved."""
+    scans, interface = len(inverse.scans), inverse.points.interface
+    sd_mm = inverse.noise.sd_mm
+    common = SETTINGS.noise.common * sd_mm
+    if not inverse.is_segmented:
+        return drawing_columns(interface, scans, common, 0.0)
+    pose = pose_columns(
+        moved,
+        normals,
+        inverse.frame.centre_mm,
+        SETTINGS.pose.shift_sd_mm,
+        SETTINGS.pose.turn_sd_deg,
+    )
+    each = SETTINGS.pose.drawing * sd_mm
+    return np.hstack([pose, drawing_columns(interface, scans, common, each)])
 
 
 def noise_lengths(inverse: InverseProblem) -> tuple[float, ...]:

@@ -68,20 +68,34 @@ class NominalAnalysis:
         learnt, prior = self.inverse.learnt, self.inverse.something_else
         if learnt is None:
             raise ValueError("the noise is learnt with the calibration")
-        normals = np.concatenate([scan.normals for scan in self.nominal.predictions])
-        fields = [
-            smooth_columns(
-                self._points,
-                normals,
-                self.inverse.rows,
-                np.ones(len(normals)),
-                length,
-                prior.state_correlation,
-                SETTINGS.smooth_field.rank_tolerance,
-            )
-            for length in prior.lengths_mm
-        ]
+        fields = [self._smooth_columns(length) for length in prior.lengths_mm]
         return NoiseModel(learnt.parts, learnt.states, fields, prior.amplitudes_mm)
+
+    def registered(self, change: FloatArray) -> FloatArray:
+        """Return a change of the residuals, shape (m,), less what poses and drawing take of it."""
+        nuisances = self.inverse.nuisances
+        white = self.linear.whiten(np.column_stack([nuisances, change]))
+        return np.asarray(change - nuisances @ (white[:, :-1].T @ white[:, -1]))
+
+    @property
+    def field(self) -> FloatArray:
+        """Columns of a smooth field of middling amplitude and length, shape (m, r), in mm."""
+        prior = self.inverse.something_else
+        amplitude = sorted(prior.amplitudes_mm)[len(prior.amplitudes_mm) // 2]
+        length = sorted(prior.lengths_mm)[len(prior.lengths_mm) // 2]
+        return amplitude * self._smooth_columns(length)
+
+    def _smooth_columns(self, length_mm: float) -> FloatArray:
+        normals = np.concatenate([scan.normals for scan in self.nominal.predictions])
+        return smooth_columns(
+            self._points,
+            normals,
+            self.inverse.rows,
+            np.ones(len(normals)),
+            length_mm,
+            self.inverse.something_else.state_correlation,
+            SETTINGS.smooth_field.rank_tolerance,
+        )
 
     @cached_property
     def form(self) -> FormError:

@@ -91,6 +91,9 @@ class PoseSettings:
     turn_sd_deg: float = 0.3
     # In standard deviations of the segmentation: an interface drawn too large in one scan.
     drawing: float = 0.1
+    # [numerics] How often a scan is moved to where its residuals say that it lies: the second
+    # time by a tenth of the first.
+    registrations: int = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +120,8 @@ class NumericalSettings:
 class FormSettings:
     """Of how far a real effect's pattern differs from that of the catalogue [prior].
 
-    The pattern is what the effect changes of the residuals once the constants have followed. The
-    error is a smooth part of it.
+    The pattern is what the effect changes of the residuals once constants and poses have followed.
+    The error is a smooth part of it.
     """
 
     relative_sd: float = 0.2
@@ -140,6 +143,9 @@ class FitSettings:
     shortening: float = 0.4
     # [principle] A fall of minus twice the log posterior below this changes no verdict: 0.025 nats.
     tolerance: float = 0.05
+    # [principle] Where no step of the line search falls, the fit has converged if less than this
+    # fall was expected: half a nat.
+    at_rest: float = 1.0
     # [numerics] Longest step of a parameter in prior standard deviations.
     longest_step: float = 1.5
     # [numerics] Difference of the logarithm of a constant for its derivative.
@@ -162,6 +168,8 @@ class SensitivitySettings:
     # [by hand] Magnitudes at which a one-sided effect is tried, in prior standard deviations:
     # one that is plausible, and one near zero, where such effects are steepest.
     secant_magnitudes: tuple[float, ...] = (1.0, 0.25)
+    # [numerics] How often a magnitude that cannot be simulated is halved.
+    secant_halvings: int = 2
     # [numerics] Columns only choose what is fitted: relative error of a tangent, Newton's last
     # step of a secant in mm.
     tangent_error: float = 1e-4

@@ -22,7 +22,7 @@ import numpy as np
 from storage.digest import digest
 from storage.errors import StoreError
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
-from workers.diagnosis.gauss_newton import Fit, SolvedFit
+from workers.diagnosis.gauss_newton import Fit, SolvedFit, registered
 from workers.diagnosis.inverse_problem import InverseProblem, unknowns
 from workers.diagnosis.joint_fit import JointFit
 from workers.diagnosis.nominal_analysis import NominalAnalysis
@@ -279,7 +279,7 @@ class DiagnosisStore:
         return SolvedFit(
             unknowns=free,
             z=z,
-            predictions=solved,
+            predictions=registered(inverse, free, z, solved),
             jacobian=arrays["jacobian"],
             cost=record.cost,
             converged=record.converged,

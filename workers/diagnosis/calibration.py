@@ -9,6 +9,7 @@ from scipy.sparse import csr_matrix
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, TetMesh
 from workers.comparison.observation.point_interpolation import interpolation
+from workers.diagnosis.anchored_scan import anchored
 from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit, residuals
 from workers.diagnosis.inverse_problem import InverseProblem, Scan, unknowns
 from workers.diagnosis.noise_model import LearntNoise, believed, learnt_states
@@ -61,6 +62,7 @@ def calibrate(
     rows = np.tile(kept, len(inverse.scans))
     columns = first.jacobian[rows] * free.sd
     inverse = with_learnt_noise(inverse, columns, predictions)
+    inverse = with_anchored_scans(inverse, [v.points for v in predictions])
     second = fit(inverse, free, first.z, [v.at for v in predictions], each=each)
     if second is None:
         raise AssertionError("the start of the second fit is the end of the first")
@@ -103,6 +105,18 @@ def with_mesh_bias(
             return inverse
         bias.append(-((fine.points - coarse.points) * coarse.normals).sum(axis=1))
     return replace(inverse, bias=np.concatenate(bias))
+
+
+def with_anchored_scans(inverse: InverseProblem, anchors: Sequence[FloatArray]) -> InverseProblem:
+    """Keep the noise of drawn interfaces what it is at the anchors, shape (k, 3) for each scan."""
+    if not inverse.is_segmented:
+        return inverse
+    length = inverse.noise.correlation_mm
+    scans = [
+        anchored(scan, anchor, inverse.points, length)
+        for scan, anchor in zip(inverse.scans, anchors, strict=True)
+    ]
+    return replace(inverse, scans=scans, anchors=tuple(anchors))
 
 
 def with_learnt_noise(

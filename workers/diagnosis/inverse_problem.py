@@ -105,6 +105,9 @@ class InverseProblem:
         noise was measured.
     learnt : LearntNoise, optional
         The noise as the calibration has found it; `covariance` then is its likeliest one.
+    anchors : sequence of ndarray, shape (k, 3)
+        Where the noise of each scan was read; see `workers.diagnosis.anchored_scan`. None
+        before the calibration.
     arms : csr_matrix, shape (k, n), optional
         From displacements of the nodes to those of the end of an arm of 1 mm, which
         stands on the surface at the point, less those of its foot. None where no point
@@ -126,6 +129,7 @@ class InverseProblem:
     arms: csr_matrix | None = None
     is_segmented: bool = True
     learnt: LearntNoise | None = None
+    anchors: Sequence[FloatArray] = ()
     forward: Forward = field(default_factory=Tetrahedra)
     something_else: SmoothField = field(default_factory=SmoothField)
 

@@ -41,6 +41,10 @@ class PointSettings:
     clear_noises: float = 5.0
     # [by hand] Of that reach, by which the distance may differ: curvature and blur.
     clear_slack: float = 0.1
+    # [numerics] Rings of the disc over which an interface is averaged, with its middle: their
+    # radii in correlation lengths of the segmentation, and the points on each. Beyond one length
+    # little noise is left, and the interface's own shape begins to go.
+    disc: tuple[tuple[float, int], ...] = ((0.5, 6), (1.0, 8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +95,9 @@ class PoseSettings:
     turn_sd_deg: float = 0.3
     # In standard deviations of the segmentation: an interface drawn too large in one scan.
     drawing: float = 0.1
-    # [numerics] How often a scan is moved to where its residuals say that it lies: the second
-    # time by a tenth of the first.
-    registrations: int = 2
+    # [numerics] How often a scan is moved to where its residuals say that it lies, in every step
+    # of a fit: a second time would be by a tenth of the first.
+    registrations: int = 1
 
 
 @dataclass(frozen=True, slots=True)

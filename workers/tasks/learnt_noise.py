@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from storage.arrays import Arrays
+from workers.diagnosis.calibration import with_anchored_scans
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.noise_model import LearntNoise, NoiseParts, NoiseState
 from workers.diagnosis.noise_parts import noise_lengths, stated_covariances
@@ -21,7 +22,8 @@ def noise_arrays(inverse: InverseProblem) -> Arrays:
     learnt = inverse.learnt
     if learnt is None:
         raise ValueError("the noise is learnt with the calibration")
-    return {
+    anchors = {"noise_anchors": np.stack(inverse.anchors)} if inverse.anchors else {}
+    return anchors | {
         "noise_fixed": learnt.parts.fixed,
         "noise_numerical": learnt.parts.numerical,
         "noise_state_lengths": np.array([s.length for s in learnt.states], np.int32),
@@ -50,4 +52,7 @@ def with_stored_noise(inverse: InverseProblem, arrays: Arrays) -> InverseProblem
         strict=True,
     )
     learnt = LearntNoise(parts, tuple(NoiseState(*row) for row in rows))
-    return replace(inverse, learnt=learnt, covariance=learnt.covariance)
+    known = replace(inverse, learnt=learnt, covariance=learnt.covariance)
+    return (
+        with_anchored_scans(known, list(arrays["noise_anchors"])) if inverse.is_segmented else known
+    )

@@ -197,7 +197,7 @@ def registered(
     if not inverse.has_poses:
         return found
     settings, k = SETTINGS.pose, len(inverse.points)
-    sd = np.repeat([settings.shift_sd_mm, settings.turn_sd_deg], 3)
+    sd = np.repeat(inverse.pose_sd, 3)
     N = inverse.nuisances[:, : len(sd) * len(found)]
     for _ in range(settings.registrations):
         white = _whiten(inverse, np.column_stack([N, residuals(inverse, found)]))

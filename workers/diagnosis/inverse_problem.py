@@ -14,6 +14,7 @@ from workers.comparison.observation.noise import SegmentationNoise
 from workers.diagnosis.forward import Forward, Tetrahedra
 from workers.diagnosis.linearisation import factored
 from workers.diagnosis.noise_model import LearntNoise
+from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.smooth_field import SmoothField
 from workers.mechanics.effects.base import Effect, one_sided
 from workers.mechanics.fem.fields import Frame
@@ -112,6 +113,9 @@ class InverseProblem:
         From displacements of the nodes to those of the end of an arm of 1 mm, which
         stands on the surface at the point, less those of its foot. None where no point
         is a marker.
+    pose_sd : tuple of float
+        How far a scan may lie from where its header puts it: along each axis in mm, about each
+        in degrees.
     forward : Forward
     something_else : SmoothField
         Prior of the field that stands for what is not in the catalogue.
@@ -130,6 +134,7 @@ class InverseProblem:
     is_segmented: bool = True
     learnt: LearntNoise | None = None
     anchors: Sequence[FloatArray] = ()
+    pose_sd: tuple[float, float] = (SETTINGS.pose.shift_sd_mm, SETTINGS.pose.turn_sd_deg)
     forward: Forward = field(default_factory=Tetrahedra)
     something_else: SmoothField = field(default_factory=SmoothField)
 

@@ -58,8 +58,7 @@ def _nuisances(
         moved,
         normals,
         inverse.frame.centre_mm,
-        SETTINGS.pose.shift_sd_mm,
-        SETTINGS.pose.turn_sd_deg,
+        *inverse.pose_sd,
     )
     each = SETTINGS.pose.drawing * sd_mm
     return np.hstack([pose, drawing_columns(interface, scans, common, each)])

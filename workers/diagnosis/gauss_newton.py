@@ -192,24 +192,37 @@ def _predict_scans(
 def registered(
     inverse: InverseProblem, unknowns: Unknowns, z: FloatArray, found: Sequence[PredictedScan]
 ) -> tuple[PredictedScan, ...]:
-    """Compare with the scans once more where the residuals say that they lie."""
+    """Compare with the scans where the residuals say that they lie.
+
+    A cost belongs to parameters only where this has settled: off the interface it is too low.
+    """
     found = tuple(found)
     if not inverse.has_poses:
         return found
     settings, k = SETTINGS.pose, len(inverse.points)
     sd = np.repeat(inverse.pose_sd, 3)
     N = inverse.nuisances[:, : len(sd) * len(found)]
+    white_N = _whiten(inverse, N)
+    before = np.zeros(N.shape[1])
+    for one, rows in zip(found, _split(before, len(found)), strict=True):
+        if one.pose is not None:
+            rows[:] = one.pose.motion / np.where(sd > 0, sd, 1.0)
     for _ in range(settings.registrations):
-        white = _whiten(inverse, np.column_stack([N, residuals(inverse, found)]))
-        p = white[:, :-1].T @ white[:, -1]
-        along = (N @ p).reshape(-1, k)
+        after = white_N.T @ _whiten(inverse, residuals(inverse, found))
+        if np.abs(after - before).max() < settings.settled:
+            break
+        poses = zip(_split(after, len(found)), (N @ after).reshape(-1, k), strict=True)
         found = tuple(
-            compare_with_scan(inverse, scan, unknowns, z, one.at, Pose(sd * own, extra))
-            for scan, one, own, extra in zip(
-                inverse.scans, found, p.reshape(len(found), -1), along, strict=True
-            )
+            compare_with_scan(inverse, scan, unknowns, z, one.at, Pose(sd * own, along))
+            for scan, one, (own, along) in zip(inverse.scans, found, poses, strict=True)
         )
+        before = after
     return found
+
+
+def _split(values: FloatArray, parts: int) -> FloatArray:
+    """Return a view with a row for each scan."""
+    return values.reshape(parts, -1)
 
 
 def _jacobians(

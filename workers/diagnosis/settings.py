@@ -95,9 +95,10 @@ class PoseSettings:
     turn_sd_deg: float = 0.3
     # In standard deviations of the segmentation: an interface drawn too large in one scan.
     drawing: float = 0.1
-    # [numerics] How often a scan is moved to where its residuals say that it lies, in every step
-    # of a fit: a second time would be by a tenth of the first.
-    registrations: int = 1
+    # [numerics] A scan is moved to where its residuals say that it lies until that changes by less
+    # than this, in the standard deviations above: 0.01 mm. How often at most.
+    settled: float = 0.03
+    registrations: int = 8
 
 
 @dataclass(frozen=True, slots=True)

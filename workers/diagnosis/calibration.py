@@ -53,20 +53,28 @@ def calibrate(
         )
     kept = clear(inverse, first)
     inverse = inverse.keeping(kept)
-    predictions = [
-        compare_with_scan(inverse, scan, free, first.z, v.at)
-        for scan, v in zip(inverse.scans, first.predictions, strict=True)
-    ]
+    predictions = _compared(inverse, first, first.predictions)
     if finer is not None:
         inverse = with_mesh_bias(inverse, finer, first, predictions, each)
     rows = np.tile(kept, len(inverse.scans))
     columns = first.jacobian[rows] * free.sd
-    inverse = with_learnt_noise(inverse, columns, predictions)
     inverse = with_anchored_scans(inverse, [v.points for v in predictions])
+    predictions = _compared(inverse, first, predictions)
+    inverse = with_learnt_noise(inverse, columns, predictions)
     second = fit(inverse, free, first.z, [v.at for v in predictions], each=each)
     if second is None:
         raise AssertionError("the start of the second fit is the end of the first")
     return inverse, second
+
+
+def _compared(
+    inverse: InverseProblem, at: Fit, solved: Sequence[PredictedScan]
+) -> list[PredictedScan]:
+    """Compare what was solved with the scans again, at the points and as the problem has them."""
+    return [
+        compare_with_scan(inverse, scan, at.unknowns, at.z, v.at)
+        for scan, v in zip(inverse.scans, solved, strict=True)
+    ]
 
 
 def clear(inverse: InverseProblem, at: Fit) -> BoolArray:

@@ -43,7 +43,7 @@ def diagnose(
     scheduler : str, optional
         Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
     store : str or Path
-        Folder that all workers see.
+        Folder that all workers see, or ``s3://BUCKET/PREFIX``.
     page : str or Path, optional
         Where the HTML page is written.
 
@@ -62,7 +62,7 @@ def diagnose(
     """
     opened = open_source(Path(source))
     opened.check()
-    request = request_for(opened, Path(store), nodes, effects=effects)
+    request = request_for(opened, store, nodes, effects=effects)
     diagnosis = finished(request)
     if diagnosis is None:
         with open_cluster(scheduler, workers) as cluster:

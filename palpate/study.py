@@ -16,7 +16,8 @@ from service.preflight import preflight
 from service.progress import progress_observer
 from service.report.study_data import read_study_data
 from service.report.study_page import write_report
-from service.results import StudyResults, study_results
+from service.results import StudyResults
+from service.results_reader import study_results
 from service.spec import StudySpec, read_spec
 from service.study import Study as StudyLoop
 from service.study_log import read_study
@@ -115,8 +116,9 @@ class Study:
         scheduler : str, optional
             Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
         store : str or Path, optional
-            Folder of volumes and evaluations that all workers see. Default: that of the
-            last run, else the folder ``store`` beside the study's.
+            Store of volumes and evaluations that all workers see, a folder or
+            ``s3://BUCKET/PREFIX``. Default: that of the last run, else the folder
+            ``store`` beside the study's.
         progress : bool
             Show a progress bar.
         observers : iterable of Observer

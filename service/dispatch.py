@@ -19,9 +19,9 @@ it is raised here and stops the study.
 import queue
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 from uuid import uuid4
 
@@ -29,6 +29,7 @@ from distributed import Client, Future, KilledWorker
 
 from service.errors import ClusterError, Interrupted, TaskError
 from service.slots import OwnSlots, Slots
+from service.submission import NOT_YET, Patience, Submission, TaskCalls, WaitingCalls, ready
 from service.task_failures import (
     as_cluster_error,
     death,
@@ -38,10 +39,10 @@ from service.task_failures import (
 )
 from storage.errors import PalpateError
 
+__all__ = ["NOT_YET", "Dispatcher", "Ending", "TaskCalls", "value_of"]
+
 Task = Callable[..., Any]
 """A function that workers can import: small arguments, a small record back."""
-TaskCalls = Iterable[tuple[Any, tuple[Any, ...]]]
-"""Keys, and the arguments of a task for each."""
 Returned = TypeVar("Returned")
 
 TICK_S = 0.25
@@ -80,41 +81,7 @@ class Ending:
     attempts: int = 1
 
 
-@dataclass
-class _Submission:
-    key: Any
-    arguments: tuple[Any, ...]
-    attempts: int = 0
-    future: Any = field(default=None, repr=False)
-
-
-_Arrived = queue.SimpleQueue[_Submission]
-
-
-class _Waiting:
-    """Calls that have not been sent, read one ahead."""
-
-    def __init__(self, calls: TaskCalls) -> None:
-        self._calls = (_Submission(key, arguments) for key, arguments in calls)
-        self._next = next(self._calls, None)
-
-    def __bool__(self) -> bool:
-        return self._next is not None
-
-    def pop(self) -> _Submission:
-        first, self._next = self._next, next(self._calls, None)
-        assert first is not None
-        return first
-
-
-class _Patience:
-    """When a task has ended last, and when there was a worker last."""
-
-    def __init__(self) -> None:
-        self.ended = self.worked = time.monotonic()
-
-    def restart(self) -> None:
-        self.ended = self.worked = time.monotonic()
+_Arrived = queue.SimpleQueue[Submission]
 
 
 class Dispatcher:
@@ -202,7 +169,8 @@ class Dispatcher:
         task : callable
             Importable by the workers; small arguments, a small record back.
         calls : iterable of (key, arguments)
-            Read only as fast as tasks end.
+            Read only as fast as tasks end. `NOT_YET` stands for one that has to wait for an
+            ending; there must be a task under way then.
 
         Raises
         ------
@@ -214,9 +182,9 @@ class Dispatcher:
             If the study is told to stop.
         """
         arrived: _Arrived = queue.SimpleQueue()
-        waiting, patience = _Waiting(calls), _Patience()
-        in_flight: dict[int, _Submission] = {}
-        suspects: list[_Submission] = []  # have one attempt left, and nothing else runs meanwhile
+        waiting, patience = WaitingCalls(calls), Patience()
+        in_flight: dict[int, Submission] = {}
+        suspects: list[Submission] = []  # have one attempt left, and nothing else runs meanwhile
         try:
             while True:
                 for submission in self._to_send(waiting, suspects, in_flight):
@@ -224,7 +192,7 @@ class Dispatcher:
                     self._send(task, submission, arrived)
                 if not (in_flight or waiting or suspects):
                     return
-                arrival = self._wait(arrived, patience, bool(waiting), bool(in_flight))
+                arrival = self._wait(arrived, patience, waiting.ready, bool(in_flight))
                 if arrival is None:
                     continue
                 ending = self._ending(arrival)
@@ -244,18 +212,18 @@ class Dispatcher:
                 self._leave(in_flight, submission)
 
     def _to_send(
-        self, waiting: _Waiting, suspects: list[_Submission], in_flight: dict[int, _Submission]
-    ) -> Iterator[_Submission]:
+        self, waiting: WaitingCalls, suspects: list[Submission], in_flight: dict[int, Submission]
+    ) -> Iterator[Submission]:
         """Yield what can be sent now; whatever kills its workers goes last and alone.
 
         If a worker dies, the task that waited behind another one is submitted again.
         """
-        while waiting and self.slots.take(self.threads):
+        while waiting.ready and self.slots.take(self.threads):
             yield waiting.pop()
-        if suspects and not waiting and not in_flight and self.slots.take(self.threads):
+        if suspects and not (waiting.ready or in_flight) and self.slots.take(self.threads):
             yield suspects.pop()
 
-    def _leave(self, in_flight: dict[int, _Submission], submission: _Submission) -> None:
+    def _leave(self, in_flight: dict[int, Submission], submission: Submission) -> None:
         del in_flight[id(submission)]
         self.slots.give_back()
         self._release(submission)
@@ -263,7 +231,7 @@ class Dispatcher:
     @contextmanager
     def meanwhile(self, task: Task, calls: TaskCalls) -> Iterator[None]:
         """Run tasks beside others; nobody waits for them or learns how they end."""
-        sent = [_Submission(key, arguments) for key, arguments in calls]
+        sent = [Submission(*call) for call in ready(calls)]
         try:
             for submission in sent:
                 self._send(task, submission, queue.SimpleQueue())
@@ -272,7 +240,7 @@ class Dispatcher:
             for submission in sent:
                 self._release(submission)
 
-    def _send(self, task: Task, submission: _Submission, arrived: _Arrived) -> None:
+    def _send(self, task: Task, submission: Submission, arrived: _Arrived) -> None:
         submission.attempts += 1
         # The key is new every time: Dask remembers the end of a key for a while.
         key = f"{task.__name__}-{uuid4().hex}"
@@ -282,7 +250,7 @@ class Dispatcher:
             )
         submission.future.add_done_callback(lambda _: arrived.put(submission))
 
-    def _release(self, submission: _Submission) -> None:
+    def _release(self, submission: Submission) -> None:
         """Let the scheduler forget a task; one that has not started will not start."""
         if submission.future is not None:
             with suppress(Exception):
@@ -290,8 +258,8 @@ class Dispatcher:
             submission.future = None
 
     def _wait(
-        self, arrived: _Arrived, patience: _Patience, waiting: bool, in_flight: bool
-    ) -> _Submission | None:
+        self, arrived: _Arrived, patience: Patience, waiting: bool, in_flight: bool
+    ) -> Submission | None:
         """Return what arrives next; None after a moment, for a slot may have become free."""
         if self.stop():
             raise Interrupted
@@ -331,7 +299,7 @@ class Dispatcher:
                 raise OSError(f"the connection is {self.client.status}")
             return dict(self.client.nthreads())
 
-    def _ending(self, submission: _Submission) -> Ending | None:
+    def _ending(self, submission: Submission) -> Ending | None:
         """Return the ending of a task that has arrived; None if it is to be submitted again."""
         future: Future = submission.future
         if future is None or future.status in ("cancelled", "lost"):

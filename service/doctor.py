@@ -2,7 +2,6 @@
 
 import os
 import platform
-import shutil
 import socket
 import sys
 from collections.abc import Callable, Mapping
@@ -19,7 +18,7 @@ from service.shadows import other_distributions, other_packages
 from service.versions import code_digest, versions
 from storage.digest import source_digest
 from storage.errors import PalpateError
-from storage.stores import open_store
+from storage.store_probe import probe_store
 
 GIB = 1024**3
 SCARCE_BYTES = 2 * GIB
@@ -54,10 +53,15 @@ class KernelFacts(TypedDict):
 
 
 class StoreFacts(TypedDict):
-    """The store that was tried, and the room that is left there."""
+    """The store that was tried; ``free_bytes`` is None in a bucket.
+
+    ``takes_once`` says whether of two processes that create one name the second is refused: by a
+    file system always, by an object store if it honours If-None-Match.
+    """
 
     root: str
-    free_bytes: int
+    free_bytes: int | None
+    takes_once: bool
 
 
 @dataclass(frozen=True)
@@ -136,18 +140,15 @@ def try_kernels() -> KernelFacts:
 
 
 def try_store(location: str) -> StoreFacts:
-    """Write to the store from this process, and see how much room there is.
+    """Write, read and list from this process, and see how much room there is.
 
     Raises
     ------
     StoreError
         If it cannot be used.
     """
-    store = open_store(location)
-    probe = store.root / f".palpate-probe-{os.getpid()}"
-    probe.write_bytes(b"\0" * 4096)
-    probe.unlink()
-    return {"root": str(store.root), "free_bytes": shutil.disk_usage(store.root).free}
+    probe = probe_store(location)
+    return {"root": probe.root, "free_bytes": probe.free_bytes, "takes_once": probe.takes_once}
 
 
 def examine(cluster: Cluster, store: str) -> Examination:
@@ -164,10 +165,23 @@ def examine(cluster: Cluster, store: str) -> Examination:
         what = "a worker cannot use the store: all need the same folder"
         _try(what, lambda: dispatcher.call(try_store, store), problems)
         _try("numba does not work on a worker", lambda: dispatcher.call(try_kernels), problems)
-    if store_facts is not None and store_facts["free_bytes"] < SCARCE_BYTES:
-        free = store_facts["free_bytes"] / GIB
-        problems.append(f"only {free:.1f} GiB are free where the store is")
+    if store_facts is not None:
+        problems += _store_problems(store_facts)
     return Examination(problems, processes, cluster.dashboard, store_facts, kernels)
+
+
+def _store_problems(facts: StoreFacts) -> list[str]:
+    problems = []
+    free = facts["free_bytes"]
+    if free is not None and free < SCARCE_BYTES:
+        problems.append(f"only {free / GIB:.1f} GiB are free where the store is")
+    if not facts["takes_once"]:
+        problems.append(
+            "the object store ignores If-None-Match: studies are safe, but two maintenance "
+            "commands (migrate, gc --delete, check --repair) can run at once. Use a server that "
+            "honours it, or see to it that only one runs"
+        )
+    return problems
 
 
 def _cluster_processes(cluster: Cluster, problems: list[str]) -> dict[str, ProcessFacts]:

@@ -1,7 +1,6 @@
 """Writes numbers and names as a reader wants them."""
 
 import math
-import re
 from typing import Any
 
 from markupsafe import Markup, escape
@@ -10,6 +9,7 @@ MINUS = "\u2212"
 NARROW = "\u202f"
 NONE = "\u2013"
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _GREEK = {"eta": "η", "nu": "ν", "E": "E"}
 
 
@@ -20,6 +20,8 @@ def number(value: float | None, digits: int = 4) -> str:
     --------
     >>> number(10.1234), number(12345678.0), number(float("inf")), number(None)
     ('10.12', '12345678', '∞', '–')
+    >>> number(-1.2e-10)
+    '−1.20·10⁻¹⁰'
     """
     if value is None or math.isnan(value):
         return NONE
@@ -30,7 +32,7 @@ def number(value: float | None, digits: int = 4) -> str:
         text = f"{value:.0f}"
     elif size and size < 1e-3:
         mantissa, exponent = f"{value:.{digits - 2}e}".split("e")
-        text = f"{mantissa}·10^{int(exponent)}"
+        text = f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
     else:
         text = f"{value:.{digits}g}"
     return text.replace("-", MINUS)
@@ -52,12 +54,15 @@ def percent(share: float | None, digits: int = 1) -> str:
 
     Examples
     --------
-    >>> percent(0.0123), percent(-0.2), percent(None)
-    ('+1.2 %', '−20.0 %', '–')
+    >>> percent(0.0123), percent(-0.2), percent(-0.0001), percent(None)
+    ('+1.2 %', '−20.0 %', '0.0 %', '–')
     """
     if share is None:
         return NONE
-    return f"{100 * share:+.{digits}f} %".replace("-", MINUS)
+    size = f"{abs(100 * share):.{digits}f}"
+    if not float(size):
+        return f"{size} %"
+    return f"{'+' if share > 0 else MINUS}{size} %"
 
 
 def duration(seconds: float) -> str:
@@ -116,17 +121,6 @@ def symbol(name: str, unit: str = "") -> Markup:
     head, _, tail = bare(name, unit).partition("_")
     below = Markup("<sub>{}</sub>").format(tail.replace("_", " ")) if tail else Markup("")
     return Markup("<i>{}</i>").format(_GREEK.get(head, head)) + below
-
-
-def powers(text: str) -> Markup:
-    """Raise the powers of ten that `number` writes.
-
-    Examples
-    --------
-    >>> powers("1.4·10^−10")
-    Markup('1.4·10<sup>−10</sup>')
-    """
-    return Markup(re.sub(r"\^([−\d]+)", r"<sup>\1</sup>", str(escape(text))))
 
 
 def joined(items: list[Any]) -> Markup:

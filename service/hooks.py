@@ -4,7 +4,7 @@
 
     started            once, before anything is sent to the cluster
     prepared           the case and the target are in the store
-    generation_begun   a population is proposed
+    generation_begun   so many candidates are about to be evaluated
     evaluation_ended   once for each ending that is journalled, in order of arrival
     generation_ended   all scores of a population are known
     stopped            the search has found its end
@@ -19,7 +19,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from service.search.base import Generation, Proposal
+from service.search.base import Generation
 from storage.records import EvaluationRecord
 from storage.task_records import PreparedBody, PreparedTarget
 
@@ -65,8 +65,8 @@ class Observer:
     ) -> None:
         """Note that the case or the target is in the store."""
 
-    def generation_begun(self, number: int, proposal: Proposal) -> None:
-        """Note that a population is about to be evaluated."""
+    def generation_begun(self, number: int, evaluations: int) -> None:
+        """Note that a generation of so many evaluations begins."""
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
         """Note the ending of one candidate, which the journal has."""
@@ -84,10 +84,6 @@ class Hooks(Observer):
     def __init__(self, observers: Iterable[Observer] = ()) -> None:
         self._observers = list(observers)
 
-    def add(self, observer: Observer) -> None:
-        """Let one more observer hear what happens from now on."""
-        self._observers.append(observer)
-
     def _call(self, hook: str, *args: Any) -> None:
         for observer in list(self._observers):
             try:
@@ -104,8 +100,8 @@ class Hooks(Observer):
     ) -> None:
         self._call("prepared", what, record)
 
-    def generation_begun(self, number: int, proposal: Proposal) -> None:
-        self._call("generation_begun", number, proposal)
+    def generation_begun(self, number: int, evaluations: int) -> None:
+        self._call("generation_begun", number, evaluations)
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
         self._call("evaluation_ended", record, replayed)

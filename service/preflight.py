@@ -9,6 +9,7 @@ from pathlib import Path
 
 from service.spec import StudySpec
 from storage.errors import InputError
+from storage.places import Place
 from workers.mechanics.parameters import Bounds, Parameter
 from workers.organs.study_checks import Finding
 from workers.tasks.study_checks import study_findings
@@ -27,14 +28,14 @@ USUAL_NODES = 20_000
 
 
 def preflight(
-    spec: StudySpec, store: Path, *, accept_implausible: bool = False, elsewhere: bool = False
+    spec: StudySpec, store: Place, *, accept_implausible: bool = False, elsewhere: bool = False
 ) -> list[str]:
     """Return warnings about a study that is about to run for the first time.
 
     Parameters
     ----------
     spec : StudySpec
-    store : Path
+    store : Path or ObjectPath
         Where volumes and evaluations will go; images are brought there.
     accept_implausible : bool
         Warn of what would be refused otherwise.
@@ -69,7 +70,7 @@ def _refused(findings: list[Finding], accept_implausible: bool) -> list[Finding]
     return [finding for finding in findings if finding.severity not in accepted]
 
 
-def _of_the_file(spec: StudySpec, store: Path) -> Iterator[Finding]:
+def _of_the_file(spec: StudySpec, store: Place) -> Iterator[Finding]:
     yield from _intervals(spec)
     yield from _evaluations(spec)
     yield from _space(spec, store)
@@ -141,8 +142,10 @@ def _evaluations(spec: StudySpec) -> Iterator[Finding]:
     )
 
 
-def _space(spec: StudySpec, store: Path) -> Iterator[Finding]:
-    there = store.expanduser().absolute()
+def _space(spec: StudySpec, store: Place) -> Iterator[Finding]:
+    if not isinstance(store, Path):
+        return  # nobody knows what is left in a bucket
+    there = store
     while not there.exists():
         there = there.parent
     free = shutil.disk_usage(there).free

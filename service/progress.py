@@ -3,6 +3,7 @@
 import math
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Literal
 
 from rich.console import Console, Group, RenderableType
@@ -12,7 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from service.hooks import Observer, StudyFacts
-from service.search.base import Generation, Proposal
+from service.search.base import Generation
+from storage.layout import StudyLayout
 from storage.records import EvaluationRecord
 from storage.status import Status
 from storage.task_records import PreparedBody, PreparedTarget
@@ -63,11 +65,11 @@ class Progress(Observer):
         """Say what comes next."""
         self.phase = "making the target" if what == "case" else "searching"
 
-    def generation_begun(self, number: int, proposal: Proposal) -> None:
+    def generation_begun(self, number: int, evaluations: int) -> None:
         """Count anew within the generation."""
         self.phase = "searching"
         self.generation = number
-        self.evaluations = len(proposal.to_evaluate)
+        self.evaluations = evaluations
         self.ended_in_generation = 0
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
@@ -126,6 +128,7 @@ class Progress(Observer):
         if self.per_minute:
             rate = f"{self.per_minute:.1f} per minute on {facts.workers} workers"
             rows.append(("rate", f"{rate}, at most {clock(self.left_s)} left"))
+        rows.append(("page", f"{_page(facts)}, new after every generation"))
         if facts.dashboard:
             rows.append(("dashboard", facts.dashboard))
         return rows
@@ -166,6 +169,7 @@ class PlainProgress(Progress):
         super().started(facts)
         where = f", dashboard {facts.dashboard}" if facts.dashboard else ""
         self._line(f"{facts.name}: {facts.workers} workers, study folder {facts.folder}{where}")
+        self._line(f"page: {_page(facts)}, new after every generation")
 
     def prepared(
         self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
@@ -214,6 +218,10 @@ def clock(seconds: float) -> str:
     if minutes < 60:
         return f"{minutes} min {whole % 60} s"
     return f"{hours} h {minutes % 60} min" if days == 0 else f"{days} d {hours % 24} h"
+
+
+def _page(facts: StudyFacts) -> str:
+    return str(StudyLayout(Path(facts.folder)).report)
 
 
 def _gsf(record: EvaluationRecord) -> float:

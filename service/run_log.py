@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from service.hooks import Observer, StudyFacts
-from service.search.base import Generation, Proposal
+from service.search.base import Generation
 from storage.records import EvaluationRecord
 from storage.status import Status
 from storage.task_records import PreparedBody, PreparedTarget
@@ -70,9 +70,9 @@ class RunLog(Observer):
         """Log that body or target are there."""
         _log.info("%s prepared: %s", what, dict(record))
 
-    def generation_begun(self, number: int, proposal: Proposal) -> None:
+    def generation_begun(self, number: int, evaluations: int) -> None:
         """Log a new generation."""
-        _log.info("generation %d begun: %d candidates", number + 1, len(proposal.to_evaluate))
+        _log.info("generation %d begun: %d candidates", number + 1, evaluations)
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
         """Log what has failed; the journal has the rest."""

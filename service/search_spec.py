@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from service.search.cma_search import CmaSettings
 from service.search.genetic import GeneticSettings
@@ -35,6 +35,9 @@ class SearchSpec(Door):
     ``stall: null`` never stops before the last generation. ``starts``, ``levels`` and
     ``fit_evaluations`` are for the strategies with least squares, see
     `service.search.least_squares`; the others for ``genetic`` and, as far as they apply, ``cma``.
+    ``mode: steady`` has no barrier between generations: a candidate is bred as soon as one has
+    ended, up to `in_flight` of them at once (default: a population); see
+    `service.search.steady`.
     """
 
     parameters: Annotated[dict[str, Bounds], Field(min_length=1)]
@@ -49,6 +52,28 @@ class SearchSpec(Door):
     mutation: Literal["adaptive-feasible", "gaussian"] = "adaptive-feasible"
     initial: Literal["uniform", "latin-hypercube"] = "uniform"
     stall: StallSpec | None = StallSpec()
+    mode: Literal["barrier", "steady"] = "barrier"
+    in_flight: Annotated[int, Field(ge=1)] | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what older studies do not have, or their digests would change."""
+        values: dict[str, Any] = handler(self)
+        later = {"mode": "barrier", "in_flight": None}
+        return {k: v for k, v in values.items() if k not in later or v != later[k]}
+
+    @model_validator(mode="after")
+    def _steady_is_genetic(self) -> Self:
+        if self.steady and self.strategy != "genetic":
+            raise ValueError(f"mode: steady needs strategy: genetic, got {self.strategy}")
+        if self.in_flight is not None and not self.steady:
+            raise ValueError("in_flight needs mode: steady")
+        return self
+
+    @property
+    def steady(self) -> bool:
+        """Return whether there is no barrier between generations."""
+        return self.mode == "steady"
 
     @model_validator(mode="after")
     def _somebody_is_new(self) -> Self:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 from service.dispatch import Ending, Task, TaskCalls
+from service.submission import ready
 from storage.errors import StoreError
 
 Returned = TypeVar("Returned")
@@ -21,11 +22,11 @@ class SingleProcess:
 
     def all(self, task: Callable[..., Returned], calls: TaskCalls) -> list[Returned]:
         """Run tasks that must not fail."""
-        return [task(*arguments) for _, arguments in calls]
+        return [task(*arguments) for _, arguments in ready(calls)]
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Run tasks that may fail: an exception is a crash, but for those of the store."""
-        for key, arguments in calls:
+        for key, arguments in ready(calls):
             try:
                 yield Ending(key, "returned", task(*arguments))
             except StoreError:

@@ -29,6 +29,7 @@ from service.search.least_squares import (
     LeastSquaresSettings,
 )
 from service.search.polished import PolishedSearch
+from service.search.steady import SteadyGenetic
 from service.search_spec import COARSE_LEVELS, LevelSpec, SearchSpec
 from storage.digest import digest
 from storage.errors import InputError
@@ -39,6 +40,7 @@ from workers.spec import (
     CaseSpec,
     Door,
     Identifiable,
+    Positive,
     ScoreSpec,
     TargetSpec,
     validated,
@@ -52,7 +54,8 @@ class StudySpec(Door):
 
     Case, target and score are those of the organ that the case names; validating any study
     gives one of `study_of` that organ. ``keep`` says which deformed bodies stay in the
-    store beside those of the target and of the best candidate.
+    store beside those of the target and of the best candidate. An evaluation that takes longer
+    than ``deadline_s`` is tried once more, then it has failed; see `workers.tasks.deadline`.
     """
 
     name: Name
@@ -62,6 +65,7 @@ class StudySpec(Door):
     search: SearchSpec
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
     keep: Literal["best", "elites", "all"] = "best"
+    deadline_s: Positive | None = None
 
     @model_validator(mode="wrap")
     @classmethod
@@ -117,8 +121,17 @@ class StudySpec(Door):
         return fit if strategy == "least-squares" else PolishedSearch(genetic, fit)
 
     @property
+    def steady_search(self) -> SteadyGenetic:
+        """Return the search without barriers, ready to propose."""
+        search = self.search
+        in_flight = search.in_flight or search.population
+        return SteadyGenetic(search.space, search.settings, self.seed, in_flight)
+
+    @property
     def most_evaluations(self) -> int:
         """Return the number of evaluations if the search never stops early."""
+        if self.search.steady:
+            return self.search.population * self.search.generations
         fit = self._fit_settings.most_evaluations
         genetic = self.search.settings.most_evaluations
         return {
@@ -187,8 +200,11 @@ class StudySpec(Door):
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values, defaults written out."""
-        return self.model_dump(mode="json")
+        """Return plain values, defaults written out, but for what older studies do not have."""
+        values = self.model_dump(mode="json")
+        if self.deadline_s is None:
+            del values["deadline_s"]
+        return values
 
     @property
     def digest(self) -> str:

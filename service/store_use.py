@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from service.study_log import read_study
-from storage.atomic import discard, is_temporary, temporary_sibling
 from storage.errors import StoreError
 from storage.layout import StudyLayout
+from storage.places import Place
 from storage.stores import Store
 from storage.volumes import volume_meta
 
@@ -24,16 +24,15 @@ class StudyUse:
     fields: frozenset[str]
     evaluations: frozenset[str]
 
-    def paths(self, store: Store) -> list[Path]:
-        """Return where they lie, as far as they are there."""
+    def places(self, store: Store) -> list[Place]:
+        """Return where they lie, or would lie."""
         layout = store.layout
-        wanted = [
+        return [
             *(layout.volume(name) for name in sorted(self.volumes)),
             *(layout.mesh(name) for name in sorted(self.meshes)),
             *(layout.field(name) for name in sorted(self.fields)),
             *(layout.evaluation(name) for name in sorted(self.evaluations)),
         ]
-        return [path for path in wanted if path.exists()]
 
 
 def study_use(folder: Path) -> StudyUse:
@@ -70,11 +69,11 @@ class Garbage:
 
     Parameters
     ----------
-    paths : list of Path
+    paths : list of Path or ObjectPath
     size_bytes : int
     """
 
-    paths: list[Path]
+    paths: list[Place]
     size_bytes: int
 
 
@@ -92,46 +91,37 @@ def find_garbage(
     images : bool
         Imported images, too; nobody can make them again.
     """
-    kept = {path for use in uses for path in use.paths(store)}
+    kept = {place for use in uses for place in use.places(store)}
     oldest = time.time() - older_than_days * DAY_S
+    day_ago = time.time() - DAY_S
     paths = []
     for folder in store.layout.folders:
-        for entry in sorted(folder.iterdir()):
-            if entry in kept or is_temporary(entry) or entry.stat().st_mtime > oldest:
+        for entry in store.backend.entries(folder):
+            if entry.half_written:  # and given up, for nobody writes one thing for a day
+                paths += [entry.place] if entry.modified_s < day_ago else []
                 continue
-            if folder == store.layout.volumes and not images and _is_imported(store, entry):
+            if entry.place in kept or entry.modified_s > oldest:
                 continue
-            paths.append(entry)
-    return Garbage(paths, sum(_size(path) for path in paths))
+            if folder == store.layout.volumes and not images and _is_imported(store, entry.place):
+                continue
+            paths.append(entry.place)
+    return Garbage(paths, sum(store.backend.size_bytes(path) for path in paths))
 
 
-def remove(garbage: Garbage) -> None:
+def remove(store: Store, garbage: Garbage) -> None:
     """Remove it, records of evaluations first: they vouch for the rest.
 
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the place cannot be written.
     """
     for path in sorted(garbage.paths, key=lambda path: path.suffix != ".json"):
-        aside = temporary_sibling(path)
-        try:
-            path.rename(aside)
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            raise StoreError(f"{path} cannot be removed: {error.strerror}.") from error
-        discard(aside)
+        store.backend.remove(path)
 
 
-def _is_imported(store: Store, entry: Path) -> bool:
+def _is_imported(store: Store, entry: Place) -> bool:
     try:
         return "name" in volume_meta(store, entry.stem)
     except StoreError:
         return True  # damaged: `palpate store check` decides
-
-
-def _size(path: Path) -> int:
-    if path.is_file():
-        return path.stat().st_size
-    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())

@@ -1,16 +1,18 @@
 """Measures strategies on the same targets: evaluations and core-seconds to given errors.
 
 Each target is a compressed body with constants that the search does not see. Its study runs to
-its end in one process, so seconds are core-seconds; it is resumed where it was cut.
+its end in one process and counts seconds on the processor; it is resumed where it was cut.
 """
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from service.results import study_results
+from service.dispatch import Ending, Task, TaskCalls
+from service.results_reader import study_results
 from service.search_replay import best_of, score_of
 from service.single_process import SingleProcess
 from service.spec import StudySpec, parse_spec
@@ -39,13 +41,33 @@ case:
   reference: {{phantom: {{preset: 445ml, spacing_mm: {spacing_mm}, glandular_fraction: 0.2}}}}
   mesh: {{nodes: {nodes}}}
   load: {{force_n: 100}}
-target: {{constants: {constants}}}
+target: {{constants: {constants}{target_mesh}}}
 search:
   strategy: {strategy}
   parameters: {bounds}
   {population}
 seed: {seed}
 """
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """The best candidate of a study after some evaluations.
+
+    Parameters
+    ----------
+    evaluations : int
+    core_s : float
+        Of these evaluations.
+    gsf : float
+    error : float
+        The larger relative error of the two Young's moduli.
+    """
+
+    evaluations: int
+    core_s: float
+    gsf: float
+    error: float
 
 
 @dataclass(frozen=True)
@@ -69,6 +91,8 @@ class Reached:
         Signed relative errors of the best candidate, by gene.
     within : mapping of str to bool
         Whether the 90 % interval holds the true value, by gene.
+    improvements : tuple of Improvement
+        Every change of the best candidate.
     """
 
     strategy: str
@@ -80,6 +104,7 @@ class Reached:
     gsf: float
     errors: Mapping[str, float]
     within: Mapping[str, bool]
+    improvements: tuple[Improvement, ...]
 
 
 def targets(count: int) -> list[dict[str, float]]:
@@ -94,16 +119,58 @@ def targets(count: int) -> list[dict[str, float]]:
     return found
 
 
-def study_of(
-    strategy: str, target: int, constants: Mapping[str, float], nodes: int, spacing_mm: float
-) -> StudySpec:
+class OneCore(SingleProcess):
+    """Has evaluations say their seconds on the processor, which others' work does not lengthen."""
+
+    def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
+        """Run tasks that may fail, see `SingleProcess.run`."""
+        for call in calls:
+            began = time.process_time()
+            for ending in super().run(task, [call]):
+                yield _with_seconds(ending, time.process_time() - began)
+
+
+def _with_seconds(ending: Ending, core_s: float) -> Ending:
+    """Let the stages of an evaluation that was made now take so many seconds together."""
+    value = ending.value
+    if not isinstance(value, Mapping) or value.get("reused") or not value.get("seconds"):
+        return ending
+    wall_s = sum(value["seconds"].values())
+    share = core_s / wall_s if wall_s > 0 else 1.0
+    seconds = {stage: share * s for stage, s in value["seconds"].items()}
+    return replace(ending, value={**value, "seconds": seconds})
+
+
+@dataclass(frozen=True)
+class Bench:
+    """How large the bench is.
+
+    Parameters
+    ----------
+    targets : int
+    nodes : int
+        Of the candidates' mesh.
+    spacing_mm : float
+    target_nodes : int or None
+        Of the target's own mesh; None where target and candidates share one.
+    """
+
+    targets: int = 10
+    nodes: int = 2000
+    spacing_mm: float = 1.0
+    target_nodes: int | None = None
+
+
+def study_of(strategy: str, target: int, constants: Mapping[str, float], bench: Bench) -> StudySpec:
     """Return the study of one strategy and target."""
     few = "genetic" in strategy
+    finer = bench.target_nodes
     text = TEMPLATE.format(
         name=f"{strategy.replace('+', '-')}-{target}",
-        spacing_mm=spacing_mm,
-        nodes=nodes,
+        spacing_mm=bench.spacing_mm,
+        nodes=bench.nodes,
         constants=dict(constants),
+        target_mesh="" if finer is None else f", mesh: {{nodes: {finer}}}",
         strategy=strategy,
         bounds={name: list(ends) for name, ends in BOUNDS.items()},
         population=_population(strategy) if few else "",
@@ -112,9 +179,7 @@ def study_of(
     return parse_spec(text, "the bench of strategies", Path())
 
 
-def measure(
-    folder: Path, strategies: Sequence[str], count: int, nodes: int, spacing_mm: float
-) -> Iterator[Reached]:
+def measure(folder: Path, strategies: Sequence[str], bench: Bench) -> Iterator[Reached]:
     """Run the studies that have not ended yet, and yield what each has reached.
 
     Parameters
@@ -122,13 +187,13 @@ def measure(
     folder : Path
         Of the studies; what is there is continued.
     """
-    for number, constants in enumerate(targets(count)):
+    for number, constants in enumerate(targets(bench.targets)):
         for strategy in strategies:
-            spec = study_of(strategy, number, constants, nodes, spacing_mm)
+            spec = study_of(strategy, number, constants, bench)
             home = folder / spec.name
             study = Study(spec, home, folder / "store")
             if not study.ended:
-                study.run(SingleProcess())  # type: ignore[arg-type]
+                study.run(OneCore())  # type: ignore[arg-type]
             yield reached(home, strategy, number, constants)
 
 
@@ -139,7 +204,8 @@ def reached(home: Path, strategy: str, target: int, constants: Mapping[str, floa
     if best is None:
         raise AssertionError("a target of the bench can be simulated")
     order = [log.endings[c] for c in sorted(log.endings)]
-    near = _first_near(order, constants)
+    improvements = _improvements(order, constants)
+    near = _near_from(improvements)
     within = {}
     if results.identification is not None:
         for name, found in results.identification.constants.items():
@@ -151,24 +217,41 @@ def reached(home: Path, strategy: str, target: int, constants: Mapping[str, floa
         target=target,
         evaluations=len(order),
         core_s=_seconds(order),
-        until_near=None if near is None else near + 1,
-        core_s_until_near=None if near is None else _seconds(order[: near + 1]),
+        until_near=None if near is None else near.evaluations,
+        core_s_until_near=None if near is None else near.core_s,
         gsf=score_of(best),
         errors={gene: best.genes[gene] / value - 1 for gene, value in constants.items()},
         within=within,
+        improvements=improvements,
     )
 
 
-def _first_near(order: Sequence[EvaluationRecord], constants: Mapping[str, float]) -> int | None:
-    """Return the position from which the best candidate so far stays near in both moduli."""
-    first: int | None = None
-    for i in range(len(order)):
+def _improvements(
+    order: Sequence[EvaluationRecord], constants: Mapping[str, float]
+) -> tuple[Improvement, ...]:
+    """Return every change of the best candidate, in the order of the candidates."""
+    found: list[Improvement] = []
+    before, core_s = None, 0.0
+    for i, record in enumerate(order):
+        core_s += _seconds([record])
         best = best_of(dict(enumerate(order[: i + 1])))
-        near = best is not None and all(
-            abs(best.genes[gene] / constants[gene] - 1) <= NEAR for gene in MODULI
-        )
-        first = (i if first is None else first) if near else None
-    return first
+        if best is None or best is before:
+            continue
+        before = best
+        error = max(abs(best.genes[gene] / constants[gene] - 1) for gene in MODULI)
+        found.append(Improvement(i + 1, core_s, score_of(best), error))
+    return tuple(found)
+
+
+def _near_from(improvements: Sequence[Improvement]) -> Improvement | None:
+    """Return that from which the best candidate stays near in both moduli."""
+    near = None
+    for one in improvements:
+        if one.error > NEAR:
+            near = None
+        elif near is None:
+            near = one
+    return near
 
 
 def _seconds(records: Sequence[EvaluationRecord]) -> float:

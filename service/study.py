@@ -7,25 +7,25 @@ the number of workers nor an interruption changes what is proposed next.
 """
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
-from service.dispatch import Dispatcher, Ending
-from service.endings import blame_cluster_if_many, evaluation_record, refuse_if_all_crashed
+from service.dispatch import Dispatcher
+from service.evaluation_run import EvaluationRun
 from service.hooks import Hooks, Observer, StudyFacts
 from service.search.base import Generation, Stopped
 from service.search_replay import PendingGeneration, SearchReplay, best_of
 from service.spec import StudySpec
+from service.steady_run import SteadyRun
 from service.study_folder import StudyFolder
 from service.study_log import StudyLog
 from service.study_work import StudyWork, Tasks
 from service.versions import versions
 from storage.atomic import write_file
-from storage.evaluations import load_evaluation
 from storage.journal import Journal
+from storage.places import Location, place_of
 from storage.plain import dumps
 from storage.records import (
     EndRecord,
@@ -34,12 +34,7 @@ from storage.records import (
     IdentificationRecord,
     SessionRecord,
 )
-from storage.status import Status
 from storage.stores import Store, open_store
-from storage.task_records import (
-    EvaluationRequest,
-)
-from storage.volumes import has_volume
 from workers.organs.registry import organ_named
 
 __all__ = ["Conclusion", "Study", "Tasks"]
@@ -87,7 +82,7 @@ class Study:
     ----------
     ended, begun : bool
         Whether its search has stopped; whether body and target were ever prepared.
-    store : Path
+    store : Path or ObjectPath
         Where volumes and evaluations go.
 
     Raises
@@ -102,7 +97,7 @@ class Study:
         self,
         spec: StudySpec,
         folder: Path,
-        store: str | Path | None = None,
+        store: Location | None = None,
         *,
         tasks: Tasks | None = None,
         observers: Iterable[Observer] = (),
@@ -115,7 +110,7 @@ class Study:
         log = self.folder.check()
         self.ended = log.end is not None
         self.begun = bool(log.sessions)
-        self.store = Path(store or self.folder.default_store(log))
+        self.store = place_of(store or self.folder.default_store(log))
         self._given_store = store
 
     def run(self, dispatcher: Dispatcher, dashboard: str = "") -> Conclusion:
@@ -153,26 +148,42 @@ class _Run:
     def to_the_end(self, dashboard: str) -> Conclusion:
         self._announce(dashboard)
         work = self._prepare()
+        evaluation = EvaluationRun(work, self.journal, self.hooks, self.endings)
+        search = self._search_steadily if self.spec.search.steady else self._search
+        stopped, history = search(evaluation)
+        best_candidate = best_of(self.endings)
+        if best_candidate is not None and self.log.identification is None:
+            self._identify(best_candidate, evaluation)
+        if self.log.end is None:
+            self._append(self._end(stopped, best_candidate, evaluation))
+        self.hooks.stopped(stopped.reason)
+        return Conclusion(stopped.reason, best_candidate, history)
+
+    def _search(self, evaluation: EvaluationRun) -> tuple[Stopped, tuple[Generation, ...]]:
+        """Evaluate one generation after the other."""
         search = SearchReplay(self.spec.search_strategy, self.spec.search.space)
-        evaluation = _GenerationRun(self, work)
-        generations: list[PendingGeneration] = []
         while isinstance(pending := search.propose(), PendingGeneration):
-            generations.append(pending)
-            self.hooks.generation_begun(pending.number, pending.proposal)
+            self.hooks.generation_begun(pending.number, len(pending.candidates))
             evaluation.evaluate(pending)
             generation = search.complete(pending, self.endings)
             evaluation.keep_volumes(pending, generation)
-            if not self.log.endings.keys() >= set(pending.candidates):
-                best = float(generation.scores.min())
-                self._append(GenerationRecord(pending.number, best, self._elapsed_s()))
-            self.hooks.generation_ended(pending.number, generation)
-        best_candidate = best_of(self.endings)
-        if best_candidate is not None and self.log.identification is None:
-            self._identify(generations[best_candidate.generation], best_candidate, evaluation)
-        if self.log.end is None:
-            self._append(self._end(pending, best_candidate, generations, evaluation))
-        self.hooks.stopped(pending.reason)
-        return Conclusion(pending.reason, best_candidate, tuple(search.history))
+            self._generation_ended(
+                pending.number, generation, self.log.endings.keys() >= set(pending.candidates)
+            )
+        return pending, tuple(search.history)
+
+    def _search_steadily(self, evaluation: EvaluationRun) -> tuple[Stopped, tuple[Generation, ...]]:
+        """Evaluate without a barrier between generations."""
+        search = SteadyRun(self.spec.steady_search, evaluation, self._generation_ended)
+        found = search.to_the_end(self.log.endings)
+        evaluation.keep_best()
+        return found
+
+    def _generation_ended(self, number: int, generation: Generation, replayed: bool) -> None:
+        if not replayed:
+            best = float(generation.scores.min())
+            self._append(GenerationRecord(number, best, self._elapsed_s()))
+        self.hooks.generation_ended(number, generation)
 
     def _announce(self, dashboard: str) -> None:
         facts = StudyFacts(
@@ -205,24 +216,21 @@ class _Run:
         self,
         stopped: Stopped,
         best: EvaluationRecord | None,
-        generations: list[PendingGeneration],
-        evaluation: "_GenerationRun",
+        evaluation: EvaluationRun,
     ) -> EndRecord:
         if best is None:
             return EndRecord(stopped.reason, None, None, {}, {}, self._elapsed_s())
-        evaluation.make_volumes(generations[best.generation], [best.candidate])
+        evaluation.make_volumes([best.candidate])
         work = evaluation.work
         at = work.resolution(best.level)
         before = work.compare_with_target(at, at.body["volume"])
         after = work.compare_with_target(at, best.digest)
-        found = evaluation.findings(generations[best.generation], best.candidate)
+        found = evaluation.findings(best.candidate)
         write_file(self.study.folder.layout.findings, dumps(found).encode())
         reason, elapsed_s = stopped.reason, self._elapsed_s()
         return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)
 
-    def _identify(
-        self, pending: PendingGeneration, best: EvaluationRecord, evaluation: "_GenerationRun"
-    ) -> None:
+    def _identify(self, best: EvaluationRecord, evaluation: EvaluationRun) -> None:
         """Find out what the image tells of the constants, from the tangents at the best one."""
         reason = organ_named(self.spec.case.organ).no_derivatives
         if best.fit is not None:
@@ -230,7 +238,7 @@ class _Run:
         elif reason:
             self._append(IdentificationRecord(best.candidate, None, reason))
         else:
-            ending = evaluation.differentiate(pending, best.candidate)
+            ending = evaluation.differentiate(best.candidate)
             if ending.kind == "lost":  # of its workers; the next run tries again
                 return
             fit = (ending.value or {}).get("fit")
@@ -244,108 +252,3 @@ class _Run:
 
     def _elapsed_s(self) -> float:
         return time.monotonic() - self.began
-
-
-class _GenerationRun:
-    """Evaluates the candidates of a run's generations on the cluster."""
-
-    def __init__(self, run: _Run, work: StudyWork) -> None:
-        self.run, self.work = run, work
-        self.spec, self.tasks, self.hooks = run.spec, run.tasks, run.hooks
-        self.store, self.dispatcher, self.endings = run.store, run.dispatcher, run.endings
-
-    def evaluate(self, pending: PendingGeneration) -> None:
-        """See that every candidate of a generation has an ending."""
-        sharing: dict[str, list[int]] = {}  # equal candidates have one evaluation
-        requests: dict[str, EvaluationRequest] = {}
-        for candidate in pending.candidates:
-            if candidate in self.endings:
-                pending.check(self.endings[candidate])
-                self.hooks.evaluation_ended(self.endings[candidate], True)
-                continue
-            request = self._request(pending, candidate)
-            sharing.setdefault(request["digest"], []).append(candidate)
-            requests[request["digest"]] = request
-        calls = []
-        for name, candidates in sharing.items():
-            stored = load_evaluation(self.store, name)
-            if stored is None:
-                calls.append((name, (requests[name],)))
-            else:
-                ending = Ending(name, "returned", stored)
-                self._journal(pending, candidates, ending, reused=True)
-        lost = []
-        crashed = []  # are not journalled while nothing but crashes has come
-        others = self._has_other_endings(pending)
-        for ending in self.dispatcher.run(self.tasks.evaluate, calls):
-            if ending.kind == "lost":
-                lost.append(ending)
-                blame_cluster_if_many(lost, len(calls))
-            elif ending.kind == "crashed" and not others:
-                crashed.append(ending)
-            else:
-                others = True
-                for earlier in [*crashed, ending]:
-                    self._journal(pending, sharing[earlier.key], earlier, reused=False)
-                crashed.clear()
-        if not lost:
-            refuse_if_all_crashed(crashed, pending.number)
-        for ending in [*crashed, *lost]:
-            self._journal(pending, sharing[ending.key], ending, reused=False)
-
-    def _has_other_endings(self, pending: PendingGeneration) -> bool:
-        """Return whether a candidate of a generation has ended otherwise than in a crash.
-
-        One that an earlier generation had already says nothing of this one.
-        """
-        earlier = {r.digest for r in self.endings.values() if r.generation < pending.number}
-        ended = [self.endings[c] for c in pending.candidates if c in self.endings]
-        return any(r.status is not Status.CRASHED and r.digest not in earlier for r in ended)
-
-    def keep_volumes(self, pending: PendingGeneration, generation: Generation) -> None:
-        """Store the deformed volumes that the study file asks to keep."""
-        if self.spec.keep == "best":
-            return
-        count = len(generation.scores) if self.spec.keep == "all" else self.spec.search.elite
-        kept = [pending.first + int(index) for index in generation.ranking[:count]]
-        self.make_volumes(pending, [c for c in kept if pending.carried_from(c) is None])
-
-    def make_volumes(self, pending: PendingGeneration, candidates: list[int]) -> None:
-        """Store the deformed volumes of candidates, made from fields that are stored."""
-        calls = []
-        for candidate in candidates:
-            ending = self.endings[candidate]
-            if ending.status is Status.DONE and not has_volume(self.store, ending.digest):
-                calls.append((candidate, (self._request(pending, candidate),)))
-        self.dispatcher.all(self.tasks.keep_volume, calls)
-
-    def differentiate(self, pending: PendingGeneration, candidate: int) -> Ending:
-        """Evaluate a candidate once more, with derivatives."""
-        request = self._request(pending, candidate, derivatives=True)
-        calls = [(request["digest"], (request,))]
-        (ending,) = self.dispatcher.run(self.tasks.evaluate, calls)
-        return ending
-
-    def findings(self, pending: PendingGeneration, candidate: int) -> Mapping[str, Any]:
-        """Find out what the body of a candidate tells beside its constants."""
-        return self.dispatcher.call(self.tasks.find, self._request(pending, candidate))
-
-    def _journal(
-        self, pending: PendingGeneration, candidates: list[int], ending: Ending, *, reused: bool
-    ) -> None:
-        """Write down an ending for all candidates that share it, then tell the observers."""
-        records = [
-            evaluation_record(pending, candidate, ending, reused or position > 0)
-            for position, candidate in enumerate(candidates)
-        ]
-        self.run.journal.append(*(record.to_json() for record in records))
-        for record in records:
-            self.endings[record.candidate] = record
-            self.hooks.evaluation_ended(record, False)
-
-    def _request(
-        self, pending: PendingGeneration, candidate: int, *, derivatives: bool = False
-    ) -> EvaluationRequest:
-        proposal = pending.proposal
-        wanted = derivatives or proposal.derivatives
-        return self.work.request(pending.genes(candidate), proposal.level, derivatives=wanted)

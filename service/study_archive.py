@@ -24,7 +24,6 @@ from typing import Any
 from service.store_use import study_use
 from service.study_log import StudyLog, read_study
 from service.versions import versions
-from storage.arrays import load_arrays
 from storage.atomic import (
     discard,
     explained,
@@ -33,9 +32,12 @@ from storage.atomic import (
     replacing,
     temporary_sibling,
 )
+from storage.copies import copy_entry, local_copy
 from storage.errors import InputError, StoreError
 from storage.journal import Journal
 from storage.layout import StudyLayout
+from storage.local_backend import entries
+from storage.places import Location
 from storage.plain import dumps, loads
 from storage.stores import Store, check_schema, open_store
 
@@ -86,27 +88,28 @@ def export_study(folder: Path, archive: Path) -> Archived:
     if Journal.is_being_written(StudyLayout(folder).journal):
         raise StoreError(f"{folder} is running: export it when it has stopped.")
     store = open_store(log.last_session.store, create=False)
-    members = list(_members(folder, store))
-    hashes = {name: _sha256(path) for name, path in members}
     name = str(study.spec["name"])
     manifest = {"schema_version": SCHEMA_VERSION, "study": name, "versions": versions()}
-    text = dumps(manifest | {"sha256": hashes}).encode()
-    with explained(archive), replacing(archive) as temporary, tarfile.open(temporary, "w") as tar:
-        _add(tar, MANIFEST, io.BytesIO(text), len(text))
-        for member, path in members:
-            with path.open("rb") as file:
-                _add(tar, member, file, path.stat().st_size)
-    return Archived(name, len(members), sum(path.stat().st_size for _, path in members))
+    with explained(archive), _scratch_beside(archive) as scratch:
+        members = list(_members(folder, store, scratch))
+        hashes = {member: _sha256(path) for member, path in members}
+        text = dumps(manifest | {"sha256": hashes}).encode()
+        with replacing(archive) as temporary, tarfile.open(temporary, "w") as tar:
+            _add(tar, MANIFEST, io.BytesIO(text), len(text))
+            for member, path in members:
+                with path.open("rb") as file:
+                    _add(tar, member, file, path.stat().st_size)
+        return Archived(name, len(members), sum(path.stat().st_size for _, path in members))
 
 
-def import_study(archive: Path, folder: Path, location: Path) -> Archived:
+def import_study(archive: Path, folder: Path, location: Location) -> Archived:
     """Unpack a study; it can be read, diagnosed and continued there.
 
     Parameters
     ----------
     folder : Path
         Of the study; must not exist.
-    location : Path
+    location : str or Path
         The store that receives what the study needs; what it has is kept.
 
     Raises
@@ -124,7 +127,7 @@ def import_study(archive: Path, folder: Path, location: Path) -> Archived:
         manifest = _manifest(tar, archive)
         with explained(folder):
             folder.parent.mkdir(parents=True, exist_ok=True)
-            with _aside(store) as parts, publishing(folder) as unpacked:
+            with _scratch_beside(folder) as parts, publishing(folder) as unpacked:
                 unpacked.mkdir()
                 places = {"study": unpacked, "store": parts}
                 size = _unpack(tar, manifest["sha256"], places, archive)
@@ -160,18 +163,21 @@ def _reading(archive: Path) -> Iterator[tarfile.TarFile]:
         raise _damaged(archive, str(error)) from error
 
 
-def _members(folder: Path, store: Store) -> Iterator[tuple[str, Path]]:
+def _members(folder: Path, store: Store, scratch: Path) -> Iterator[tuple[str, Path]]:
     for name in STUDY_FILES:
         if (folder / name).is_file():
             yield f"study/{name}", folder / name
-    for path in study_use(folder).paths(store):
-        inside = path.relative_to(store.root)
-        if path.is_file():
-            yield f"store/{inside.as_posix()}", path
-            continue
-        for file in sorted(path.rglob("*")):
-            if file.is_file() and not is_temporary(file):
-                yield f"store/{file.relative_to(store.root).as_posix()}", file
+    wanted = set(study_use(folder).places(store))
+    for part in store.layout.folders:
+        present = [entry.place for entry in store.backend.entries(part) if entry.place in wanted]
+        for path in (local_copy(place, scratch) for place in present):
+            inside = f"store/{part.name}/{path.name}"
+            if path.is_file():
+                yield inside, path
+                continue
+            for file in sorted(path.rglob("*")):
+                if file.is_file() and not is_temporary(file):
+                    yield f"{inside}/{file.relative_to(path).as_posix()}", file
 
 
 def _add(tar: tarfile.TarFile, name: str, file: Any, size: int) -> None:
@@ -199,9 +205,9 @@ def _manifest(tar: tarfile.TarFile, archive: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def _aside(store: Store) -> Iterator[Path]:
-    """Give a folder on the file system of the store that readers ignore."""
-    folder = temporary_sibling(store.root / "import")
+def _scratch_beside(path: Path) -> Iterator[Path]:
+    """Give a folder for what is packed or unpacked, where there is room for it."""
+    folder = temporary_sibling(path)
     folder.mkdir()
     try:
         yield folder
@@ -246,15 +252,10 @@ def _say_where_the_store_is(folder: Path, store: Store) -> None:
 
 
 def _publish_store(parts: Path, store: Store) -> None:
-    """Move what the store lacks into it; records of evaluations last, as they vouch."""
+    """Copy what the store lacks into it; records of evaluations last, as they vouch."""
     for folder in store.layout.folders:
-        here = parts / folder.name
-        for entry in sorted(here.iterdir()) if here.is_dir() else []:
-            if entry.is_dir():
-                load_arrays(entry)  # whole, by its own checksums
-            place = folder / entry.name
-            if not place.exists():
-                entry.rename(place)
+        for entry in entries(parts / folder.name):
+            copy_entry(entry.place, folder / entry.place.name)
 
 
 def _sha256(path: Path) -> str:

@@ -11,6 +11,7 @@ from storage.atomic import explained, write_file
 from storage.errors import InputError
 from storage.journal import Journal
 from storage.layout import StudyLayout
+from storage.places import Place, place_of
 from storage.records import StudyRecord
 from storage.task_records import PreparedBody, PreparedTarget
 
@@ -81,11 +82,12 @@ class StudyFolder:
         journal.append(StudyRecord(self.spec.digest, self.spec.as_dict(), versions()).to_json())
         return log
 
-    def default_store(self, log: StudyLog) -> Path:
+    def default_store(self, log: StudyLog) -> Place:
         """Return the store of the last run if it is still there, else the one beside the study."""
-        if log.last_session is not None and Path(log.last_session.store).is_dir():
-            return Path(log.last_session.store)
-        return self.root.parent / "store"
+        last = None if log.last_session is None else place_of(log.last_session.store)
+        if last is None or (isinstance(last, Path) and not last.is_dir()):
+            return self.root.parent / "store"
+        return last
 
     def check_same(self, log: StudyLog, prepared: PreparedBody, target: PreparedTarget) -> None:
         """Refuse to go on with another body or target than before.

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from service.dispatch import Dispatcher
+from service.dispatch import Dispatcher, Task
 from service.spec import StudySpec
 from storage.stores import Store
 from storage.task_records import (
@@ -16,6 +16,7 @@ from storage.task_records import (
     Scores,
 )
 from workers.tasks import evaluation as evaluation_tasks
+from workers.tasks.deadline import evaluate_within
 from workers.tasks.findings import find
 
 
@@ -99,6 +100,16 @@ class StudyWork:
         name = self.tasks.digest(at.case, at.body, at.target, constants, self.score, *more)
         request["digest"] = name
         return request
+
+    @property
+    def evaluate(self) -> Task:
+        """Return the task that evaluates a candidate, with a deadline where there is one."""
+        return self.tasks.evaluate if self.spec.deadline_s is None else evaluate_within
+
+    def arguments(self, request: EvaluationRequest) -> tuple[Any, ...]:
+        """Return what `evaluate` is called with."""
+        deadline_s = self.spec.deadline_s
+        return (request,) if deadline_s is None else (deadline_s, self.tasks.evaluate, request)
 
     def compare_with_target(self, at: Resolution, volume: str) -> Mapping[str, Scores]:
         """Score a stored volume against the target, tissue by tissue."""

@@ -9,7 +9,7 @@ import service.search
 import workers
 from storage.digest import source_digest
 
-PACKAGES = ("numpy", "scipy", "numba", "scikit-image", "zarr", "dask", "distributed")
+PACKAGES = ("numpy", "scipy", "numba", "scikit-image", "zarr", "dask", "distributed", "cma")
 
 
 @cache

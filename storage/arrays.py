@@ -1,14 +1,12 @@
 """Saves named arrays in one Zarr group: the form of everything large in a store.
 
-Format 3, zstd, written under a temporary name and renamed when complete. The group
-carries a CRC-32 of every array, because Zarr reads a chunk that is missing as
-zeros without a word.
+Format 3, zstd, published when complete. The group carries a CRC-32 of every array, because
+Zarr reads a chunk that is missing as zeros without a word.
 """
 
 import math
 import zlib
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,9 +14,10 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
-from storage.atomic import explained, publishing, withdraw
+from storage.backend import ARRAYS_IN, DESCRIPTION, backend_of
 from storage.errors import StoreError
-from storage.plain import from_plain, to_plain
+from storage.places import Place
+from storage.plain import from_plain, loads, to_plain
 from storage.stores import check_schema
 
 SCHEMA_VERSION = 1
@@ -34,7 +33,7 @@ Meta = dict[str, Any]
 
 
 def save_arrays(
-    path: Path, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any] | None = None
+    path: Place, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any] | None = None
 ) -> None:
     """Write arrays as one group, whole or not at all.
 
@@ -43,8 +42,8 @@ def save_arrays(
 
     Parameters
     ----------
-    path : Path
-        The group to be; its folder exists.
+    path : Path or ObjectPath
+        The group to be; a local one has its folder.
     arrays : mapping of str to ndarray
         Numbers or booleans of any shape, in any memory layout.
     meta : mapping, optional
@@ -53,20 +52,19 @@ def save_arrays(
     Raises
     ------
     StoreError
-        If an array holds no numbers, or the file system refuses.
+        If an array holds no numbers, or the place cannot be written.
     """
     for name, array in arrays.items():
         _check_array(name, array)
     if exists(path):
         return
-    withdraw(path)  # a folder that has lost its description would keep its name for ever
     attributes = {
         "schema_version": SCHEMA_VERSION,
         "meta": to_plain(meta or {}),
         "crc32": {name: _crc32(array) for name, array in arrays.items()},
     }
-    with explained(path), publishing(path) as temporary:
-        group = zarr.create_group(temporary, zarr_format=3, attributes=attributes)
+
+    def fill(group: zarr.Group) -> None:
         for name, array in arrays.items():
             stored = group.create_array(
                 name,
@@ -80,13 +78,15 @@ def save_arrays(
             )
             stored[...] = array
 
+    backend_of(path).publish_group(path, attributes, fill)
 
-def load_arrays(path: Path, names: Iterable[str] | None = None) -> tuple[Arrays, Meta]:
+
+def load_arrays(path: Place, names: Iterable[str] | None = None) -> tuple[Arrays, Meta]:
     """Read a group.
 
     Parameters
     ----------
-    path : Path
+    path : Path or ObjectPath
     names : iterable of str, optional
         Arrays to read; all by default.
 
@@ -109,11 +109,7 @@ def load_arrays(path: Path, names: Iterable[str] | None = None) -> tuple[Arrays,
     for name in checksums if names is None else names:
         if name not in checksums:
             raise StoreError(f"{path} has no array {name!r}, only: {', '.join(sorted(checksums))}.")
-        try:
-            stored = zarr.open_array(path, path=name, mode="r")
-            array = np.asarray(stored[...])
-        except (OSError, ValueError, RuntimeError, KeyError) as error:
-            raise _damaged(path, f"array {name!r} cannot be read: {error}") from error
+        array = _read_array(path, attributes.get(ARRAYS_IN, ""), name)
         array = array.astype(array.dtype.newbyteorder("="), order="C", copy=False)
         if _crc32(array) != checksums[name]:
             raise _damaged(path, f"the checksum of array {name!r} is wrong")
@@ -121,7 +117,7 @@ def load_arrays(path: Path, names: Iterable[str] | None = None) -> tuple[Arrays,
     return arrays, from_plain(attributes["meta"])
 
 
-def load_meta(path: Path) -> Meta:
+def load_meta(path: Place) -> Meta:
     """Read what was given as `meta`, without the arrays.
 
     Raises
@@ -134,27 +130,36 @@ def load_meta(path: Path) -> Meta:
     return from_plain(_attributes(path)["meta"])
 
 
-def exists(path: Path) -> bool:
+def exists(path: Place) -> bool:
     """Return whether a complete group is there."""
-    return (path / "zarr.json").is_file()
+    return backend_of(path).is_file(path / DESCRIPTION)
 
 
-def _attributes(path: Path) -> dict[str, Any]:
-    if not exists(path):
+def _read_array(path: Place, inside: str, name: str) -> NDArray[Any]:
+    with backend_of(path).zarr_group(path) as group:
+        try:
+            stored = zarr.open_array(group.store, path=group.inside(inside, name), mode="r")
+            return np.asarray(stored[...])
+        except (OSError, ValueError, RuntimeError, KeyError) as error:
+            raise _damaged(path, f"array {name!r} cannot be read: {error}") from error
+
+
+def _attributes(path: Place) -> dict[str, Any]:
+    try:
+        attributes = loads(backend_of(path).read(path / DESCRIPTION))["attributes"]
+        check_schema(attributes["schema_version"], SCHEMA_VERSION, path)
+    except FileNotFoundError as error:
         raise StoreError(
             f"{path} is not in the store. Run the study again: what is missing is made again."
-        )
-    try:
-        attributes = zarr.open_group(path, mode="r", zarr_format=3).attrs.asdict()
-        check_schema(attributes["schema_version"], SCHEMA_VERSION, path)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        ) from error
+    except (ValueError, KeyError, TypeError) as error:
         raise _damaged(path, f"its description cannot be read: {error!r}") from error
     if not all(isinstance(attributes.get(key), dict) for key in ("meta", "crc32")):
         raise _damaged(path, "its description is incomplete")
     return attributes
 
 
-def _damaged(path: Path, what: str) -> StoreError:
+def _damaged(path: Place, what: str) -> StoreError:
     return StoreError(
         f"{path} is damaged: {what}. Remove that folder and run the study again: it is made again."
     )

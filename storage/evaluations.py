@@ -6,7 +6,6 @@ A record is written last, after field and volume, and so vouches for them.
 from collections.abc import Mapping
 from typing import Any, cast
 
-from storage.atomic import write_file
 from storage.errors import StoreError
 from storage.plain import dumps, from_plain, loads, to_plain
 from storage.stores import Store, check_schema
@@ -29,10 +28,10 @@ def save_evaluation(store: Store, digest: str, record: Mapping[str, Any]) -> Non
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the place cannot be written.
     """
     text = dumps({"schema_version": SCHEMA_VERSION, "record": to_plain(record)})
-    write_file(store.layout.evaluation(digest), text.encode() + b"\n")
+    store.backend.write(store.layout.evaluation(digest), text.encode() + b"\n")
 
 
 def load_evaluation(store: Store, digest: str) -> EvaluationResult | None:
@@ -47,15 +46,11 @@ def load_evaluation(store: Store, digest: str) -> EvaluationResult | None:
     """
     path = store.layout.evaluation(digest)
     try:
-        written = loads(path.read_bytes())
+        written = loads(store.backend.read(path))
         check_schema(written["schema_version"], SCHEMA_VERSION, path)
         return cast(EvaluationResult, from_plain(dict(written["record"])))
     except FileNotFoundError:
         return None
-    except OSError as error:
-        raise StoreError(
-            f"{path} cannot be read: {error.strerror or error}. Check its permissions."
-        ) from error
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(
             f"{path} is damaged ({error!r}). Remove that file and run the study again: this "

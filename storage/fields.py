@@ -24,7 +24,7 @@ def save_field(store: Store, digest: str, displacement_mm: FloatArray) -> None:
     Raises
     ------
     StoreError
-        If shape or type are others, or the file system refuses.
+        If shape or type are others, or the place cannot be written.
     """
     shape, dtype = displacement_mm.shape, displacement_mm.dtype
     if len(shape) != 2 or shape[1] not in (2, 3) or dtype != np.float64:

@@ -15,6 +15,10 @@
       meshes/<digest>.zarr      mesh hierarchies
       fields/<digest>.zarr      nodal displacements
       evaluations/<digest>.json finished evaluations
+      overruns/<digest>-<n>     evaluations that have overrun their deadline for the n-th time
+      locks/<name>.json         who looks after the store just now
+
+A study lies in a local folder, a store there or in a bucket; see `storage.places`.
 """
 
 import re
@@ -22,6 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from storage.errors import StoreError
+from storage.places import Place
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
@@ -70,57 +75,70 @@ class StoreLayout:
 
     Parameters
     ----------
-    root : Path
-        The folder of the store.
+    root : Path or ObjectPath
+        The folder of the store, or its prefix in a bucket.
     """
 
-    root: Path
+    root: Place
 
     @property
-    def marker(self) -> Path:
+    def marker(self) -> Place:
         """Return the path of the file that makes a folder a store."""
         return self.root / "palpate-store.json"
 
     @property
-    def volumes(self) -> Path:
+    def volumes(self) -> Place:
         """Return the folder of bodies: voxel volumes, or sections as named arrays."""
         return self.root / "volumes"
 
     @property
-    def meshes(self) -> Path:
+    def meshes(self) -> Place:
         """Return the folder of mesh hierarchies."""
         return self.root / "meshes"
 
     @property
-    def fields(self) -> Path:
+    def fields(self) -> Place:
         """Return the folder of displacements."""
         return self.root / "fields"
 
     @property
-    def evaluations(self) -> Path:
+    def evaluations(self) -> Place:
         """Return the folder of finished evaluations."""
         return self.root / "evaluations"
 
     @property
-    def folders(self) -> tuple[Path, ...]:
-        """Return all folders of a store."""
+    def locks(self) -> Place:
+        """Return the folder of what one process has taken, and no other may."""
+        return self.root / "locks"
+
+    @property
+    def folders(self) -> tuple[Place, ...]:
+        """Return all folders of what a store holds."""
         return self.volumes, self.meshes, self.fields, self.evaluations
 
-    def volume(self, digest: str) -> Path:
+    def volume(self, digest: str) -> Place:
         """Return the path of one voxel volume."""
         return self.volumes / f"{_checked(digest)}.zarr"
 
-    def mesh(self, digest: str) -> Path:
+    def mesh(self, digest: str) -> Place:
         """Return the path of one mesh hierarchy."""
         return self.meshes / f"{_checked(digest)}.zarr"
 
-    def field(self, digest: str) -> Path:
+    def field(self, digest: str) -> Place:
         """Return the path of one displacement field."""
         return self.fields / f"{_checked(digest)}.zarr"
 
-    def evaluation(self, digest: str) -> Path:
+    def lock(self, name: str) -> Place:
+        """Return the path of one lock; see `storage.store_lock`."""
+        return self.locks / f"{_checked(name)}.json"
+
+    def evaluation(self, digest: str) -> Place:
         """Return the path of one finished evaluation."""
         return self.evaluations / f"{_checked(digest)}.json"
+
+    def overrun(self, digest: str, number: int) -> Place:
+        """Return the path of the file that says that one overran its deadline so often."""
+        return self.root / "overruns" / f"{_checked(digest)}-{number}"
 
 
 def _checked(digest: str) -> str:

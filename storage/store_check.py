@@ -7,13 +7,12 @@ the store instead of being removed.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 from storage.arrays import load_arrays
-from storage.atomic import explained, is_temporary
 from storage.errors import NewerSchemaError, StoreError
 from storage.evaluations import load_evaluation
 from storage.fields import has_field
+from storage.places import Place
 from storage.stores import Store
 from storage.volumes import has_volume
 
@@ -26,11 +25,11 @@ class Damage:
 
     Parameters
     ----------
-    path : Path
+    path : Path or ObjectPath
     reason : str
     """
 
-    path: Path
+    path: Place
     reason: str
 
 
@@ -43,13 +42,13 @@ class StoreCheck:
     counts : dict of str to int
         Entries by folder, damaged ones included.
     damages : list of Damage
-    leftovers : list of Path
+    leftovers : list of Path or ObjectPath
         Half written when a process ended; readers pass them over.
     """
 
     counts: dict[str, int]
     damages: list[Damage]
-    leftovers: list[Path]
+    leftovers: list[Place]
 
 
 def check_store(store: Store) -> StoreCheck:
@@ -65,39 +64,36 @@ def check_store(store: Store) -> StoreCheck:
     layout = store.layout
     counts: dict[str, int] = {}
     damages: list[Damage] = []
-    leftovers: list[Path] = []
+    leftovers: list[Place] = []
     for folder in layout.folders:
-        entries = sorted(folder.iterdir()) if folder.is_dir() else []
-        leftovers += [entry for entry in entries if is_temporary(entry)]
-        whole = [entry for entry in entries if not is_temporary(entry)]
+        entries = store.backend.entries(folder)
+        leftovers += [entry.place for entry in entries if entry.half_written]
+        whole = [entry.place for entry in entries if not entry.half_written]
         counts[folder.name] = len(whole)
         damages += list(_damages(store, folder, whole, {damage.path for damage in damages}))
     return StoreCheck(counts, damages, leftovers)
 
 
-def set_aside(store: Store, damages: list[Damage]) -> Path:
+def set_aside(store: Store, damages: list[Damage]) -> Place:
     """Move what is damaged into a folder of its own and return that.
 
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the place cannot be written.
     """
-    root = store.root / DAMAGED
+    root, backend = store.root / DAMAGED, store.backend
     for damage in damages:
-        target = root / damage.path.parent.name
-        with explained(target):
-            target.mkdir(parents=True, exist_ok=True)
-            number, place = 1, target / damage.path.name
-            while place.exists():
-                number += 1
-                place = target / f"{damage.path.name}.{number}"
-            damage.path.rename(place)
+        folder, name = root / damage.path.parent.name, damage.path.name
+        taken = {entry.place.name for entry in backend.entries(folder)}
+        numbered = (f"{name}.{number}" for number in range(2, len(taken) + 3))
+        free = name if name not in taken else next(n for n in numbered if n not in taken)
+        backend.move(damage.path, folder / free)
     return root
 
 
 def _damages(
-    store: Store, folder: Path, entries: list[Path], damaged: set[Path]
+    store: Store, folder: Place, entries: list[Place], damaged: set[Place]
 ) -> Iterator[Damage]:
     records = folder == store.layout.evaluations
     for entry in entries:
@@ -115,7 +111,7 @@ def _damages(
             yield Damage(entry, reason)
 
 
-def _record_damage(store: Store, entry: Path, damaged: set[Path]) -> str:
+def _record_damage(store: Store, entry: Place, damaged: set[Place]) -> str:
     if entry.suffix != ".json":
         return f"{entry} is no record of an evaluation."
     record = load_evaluation(store, entry.stem)

@@ -1,25 +1,20 @@
-"""Opens a store: one folder that workers and driver share.
+"""Opens a store: what workers and driver share, a local folder or a prefix in a bucket.
 
 Volumes, meshes, fields and finished evaluations lie there by digest, so
 any study that asks for the same thing finds it. Nothing in a store is changed
 once written; everything can be made again.
 """
 
-import os
-import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from storage.atomic import clean_leftovers, explained, write_file
+from storage.backend import Backend, backend_of
 from storage.errors import NewerSchemaError, StoreError
 from storage.layout import StoreLayout
+from storage.places import Location, Place, place_of
 from storage.plain import dumps, loads
 
 SCHEMA_VERSION = 1
-
-# A Path made of a URL has lost one of its slashes.
-_URL = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,28 +23,33 @@ class Store:
 
     Parameters
     ----------
-    root : Path
-        Its folder, absolute.
+    root : Path or ObjectPath
+        Its folder, absolute; or its prefix in a bucket.
     """
 
-    root: Path
+    root: Place
 
     @property
     def layout(self) -> StoreLayout:
-        """Return the paths of the store."""
+        """Return the places of the store."""
         return StoreLayout(self.root)
+
+    @property
+    def backend(self) -> Backend[Any]:
+        """Return what reads and writes there."""
+        return backend_of(self.root)
 
     def __str__(self) -> str:
         return str(self.root)
 
 
-def open_store(location: str | Path, *, create: bool = True) -> Store:
+def open_store(location: Location, *, create: bool = True) -> Store:
     """Open a store, or make one.
 
     Parameters
     ----------
-    location : str or Path
-        A folder; ``~`` is the user's home.
+    location : str, Path or ObjectPath
+        A folder, ``~`` is the user's home; or ``s3://BUCKET/PREFIX``.
     create : bool
         Make the store if it is not there, and be ready to write. Without it the
         store must exist and may be read-only.
@@ -57,73 +57,67 @@ def open_store(location: str | Path, *, create: bool = True) -> Store:
     Raises
     ------
     StoreError
-        If the location is a URL, is missing, cannot be written or is no store.
+        If the location is missing, cannot be reached or written, is no store or of an
+        older schema.
     NewerSchemaError
         If a newer version of Palpate made the store.
     """
-    url = _URL.match(str(location))
-    if url:
+    store = Store(place_of(location))
+    layout, backend = store.layout, store.backend
+    version = stored_schema(store)
+    if version is not None and version < SCHEMA_VERSION:
         raise StoreError(
-            f"{location} is a URL ({url['scheme']}), but this version keeps stores in local "
-            "folders only. Give a folder that all workers can reach, such as /data/palpate."
+            f"{store} is of an older schema ({version}; this version uses {SCHEMA_VERSION}). Stop "
+            f"what uses it and run `palpate store migrate --store {store}`."
         )
-    root = Path(location).expanduser().absolute()
-    layout = StoreLayout(root)
     if create:
-        _make(layout)
-    _check(layout)
-    if _writable(root):
-        for folder in (root, *layout.folders):
-            clean_leftovers(folder)
-    return Store(root)
+        backend.prepare(layout.root, layout.folders)
+        if version is None:
+            write_schema(store, SCHEMA_VERSION)
+    elif version is None:
+        raise StoreError(
+            f"{layout.root} is not a store: it {backend.why_no_store(layout.root)}. Give the "
+            "store of an earlier run, or run a study to make one."
+        )
+    backend.clean(layout.root, layout.folders)
+    return store
 
 
-def _make(layout: StoreLayout) -> None:
-    if layout.root.exists() and not layout.root.is_dir():
-        raise StoreError(f"{layout.root} is a file, expected a folder. Choose another store.")
-    with explained(layout.root):
-        layout.root.mkdir(parents=True, exist_ok=True)
-        if layout.marker.exists():
-            _check(layout)  # a newer store is left as it is
-        for folder in layout.folders:
-            folder.mkdir(exist_ok=True)
-    for folder in (layout.root, *layout.folders):
-        if not _writable(folder):
-            raise StoreError(
-                f"{folder} cannot be written by you. Choose another store or change its "
-                "permissions."
-            )
-    if not layout.marker.exists():
-        about = "A store of Palpate: volumes, meshes and evaluations by digest."
-        text = dumps({"schema_version": SCHEMA_VERSION, "about": about})
-        write_file(layout.marker, text.encode() + b"\n")
+def write_schema(store: Store, version: int) -> None:
+    """Write the description of a store, which says of which schema it is.
+
+    Raises
+    ------
+    StoreError
+        If the place cannot be written.
+    """
+    about = "A store of Palpate: volumes, meshes and evaluations by digest."
+    text = dumps({"schema_version": version, "about": about})
+    store.backend.write(store.layout.marker, text.encode() + b"\n")
 
 
-def _writable(folder: Path) -> bool:
-    effective = os.access in os.supports_effective_ids
-    return os.access(folder, os.W_OK | os.X_OK, effective_ids=effective)
+def stored_schema(store: Store) -> int | None:
+    """Return the schema version of a store; None if there is no store.
 
-
-def _check(layout: StoreLayout) -> None:
+    Raises
+    ------
+    StoreError
+        If the description of the store cannot be read or is damaged.
+    NewerSchemaError
+        If a newer version of Palpate made the store.
+    """
+    marker = store.layout.marker
     try:
-        version = loads(layout.marker.read_bytes())["schema_version"]
-        check_schema(version, SCHEMA_VERSION, layout.root)
-    except FileNotFoundError as error:
-        problem = "has no palpate-store.json" if layout.root.is_dir() else "is missing"
-        raise StoreError(
-            f"{layout.root} is not a store: it {problem}. Give the store of an earlier run, or "
-            "run a study to make one."
-        ) from error
-    except OSError as error:
-        raise StoreError(
-            f"{layout.marker} cannot be read: {error.strerror or error}. Check the path and its "
-            "permissions."
-        ) from error
+        version = loads(store.backend.read(marker))["schema_version"]
+        check_schema(version, SCHEMA_VERSION, store.root)
+    except FileNotFoundError:
+        return None
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(
-            f"{layout.marker} is damaged ({error}). Remove that file and run the study again: "
+            f"{marker} is damaged ({error}). Remove that file and run the study again: "
             "what the store holds is found again."
         ) from error
+    return int(version)
 
 
 def check_schema(version: Any, known: int, where: object) -> None:

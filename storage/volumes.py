@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from storage.arrays import exists, load_arrays, load_meta, save_arrays
-from storage.atomic import is_temporary
 from storage.errors import StoreError
 from storage.stores import Store
 from storage.values import Tissue, Triple, Volume
@@ -95,11 +94,9 @@ def has_volume(store: Store, digest: str) -> bool:
 
 def list_volumes(store: Store) -> list[str]:
     """Return the digests of all volumes, sorted."""
-    folder = store.layout.volumes
-    if not folder.is_dir():
-        return []
-    paths = (path for path in folder.glob("*.zarr") if not is_temporary(path))
-    return sorted(path.stem for path in paths if exists(path))
+    entries = store.backend.entries(store.layout.volumes)
+    whole = (entry.place for entry in entries if not entry.half_written)
+    return sorted(place.stem for place in whole if place.suffix == ".zarr" and exists(place))
 
 
 def _are_tissues(volume: Volume) -> bool:

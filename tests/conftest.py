@@ -1,8 +1,34 @@
-"""Helpers of a test room are imported by name from the room's own folder."""
+"""Helpers of a test room are imported by name from the room's own folder.
+
+Fixtures that several rooms need: an object store, a bucket of it.
+"""
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 for room in sorted(Path(__file__).parent.rglob("*")):
     if room.is_dir() and not room.name.startswith(("_", ".")):
         sys.path.append(str(room))
+
+
+@pytest.fixture(scope="session")
+def object_server() -> Iterator[Any]:
+    """A running S3 server; skips where one is missing."""
+    from object_server import started
+
+    server = started()
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def bucket(object_server: Any, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The address of an empty bucket, which this process and its children can reach."""
+    from object_server import set_environment
+
+    set_environment(object_server.environment, monkeypatch)
+    return f"s3://{object_server.new_bucket()}"

@@ -22,8 +22,10 @@ import typer
 from palpate import StudySpec, study_spec
 from service.cluster import open_cluster
 from service.dispatch import Dispatcher
-from service.results import StudyResults, study_results
+from service.results import StudyResults
+from service.results_reader import study_results
 from service.study import Study
+from storage.errors import InputError
 from storage.stores import open_store
 from workers.organs.cornea.cohort import (
     AVERAGE_CORNEA_JC,
@@ -38,6 +40,8 @@ from workers.organs.registry import organ_named
 
 # A cornea is thicker at the limbus; the table prints the centre alone.
 THICKER_AT_LIMBUS_MM = 0.105
+# Of each candidate that is fitted, at most.
+FIT_EVALUATIONS = 40
 MU_PA, ALPHA = [1, 40_000], [0.1, 100]
 
 
@@ -57,11 +61,16 @@ def main() -> None:
             if not study.ended:
                 study.run(Dispatcher(cluster.client))
 
-        running = [(folder, pool.submit(run, spec, folder)) for _, spec, folder in studies]
-        for folder, future in running:
-            future.result()
-            typer.echo(f"{folder.name} is done")
-    found = [(eye, study_results(folder)) for eye, _, folder in studies]
+        running = [(eye, folder, pool.submit(run, spec, folder)) for eye, spec, folder in studies]
+        found = []
+        for eye, folder, future in running:
+            try:
+                future.result()
+            except InputError as error:  # such as a prestress that does not converge
+                typer.echo(f"{folder.name} cannot be searched: {error}")
+            else:
+                found.append((eye, study_results(folder)))
+                typer.echo(f"{folder.name} is done")
     typer.echo("\n".join(fitted_table(found)))
     typer.echo("\n".join(average_table(eyes)))
 
@@ -75,8 +84,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--at-once", type=int, default=3, help="studies in flight")
     parser.add_argument("--eyes", type=int, default=len(TABLE_5_2), help="the first so many")
     parser.add_argument("--elements", type=int, default=960, help="6-node triangles of an eye")
-    parser.add_argument("--population", type=int, default=84)
-    parser.add_argument("--generations", type=int, default=15)
+    parser.add_argument("--population", type=int, default=40)
+    parser.add_argument("--generations", type=int, default=3)
+    parser.add_argument("--starts", type=int, default=3, help="candidates that are then fitted")
     return parser.parse_args()
 
 
@@ -105,9 +115,12 @@ def spec_of(eye: CohortEye, wanted: argparse.Namespace) -> StudySpec:
             "target": {"constants": eye.constants._asdict()},
             "search": {
                 "parameters": {"mu1_pa": MU_PA, "alpha1": ALPHA, "mu2_pa": MU_PA, "alpha2": ALPHA},
+                "strategy": "genetic+least-squares",
                 "population": wanted.population,
                 "generations": wanted.generations,
                 "stall": None,
+                "starts": wanted.starts,
+                "fit_evaluations": FIT_EVALUATIONS,
             },
             "seed": 2 * eye.patient + (eye.side == "right"),
         }

@@ -20,6 +20,7 @@ from service.dispatch import Dispatcher, Ending
 from service.errors import ClusterError, TaskError
 from storage.atomic import explained
 from storage.errors import InputError, StoreError
+from storage.places import Location
 from storage.stores import open_store
 from workers.tasks.diagnosis_store import DiagnosisRequest
 
@@ -34,7 +35,7 @@ class Answering:
     Parameters
     ----------
     blind : BlindSet
-    store : Path
+    store : str or Path
         Which all workers see.
     directions : {"all", "y"}
         Scans that the diagnosis is given: all, or those pressed along y.
@@ -47,7 +48,7 @@ class Answering:
     """
 
     blind: BlindSet
-    store: Path
+    store: Location
     directions: Directions
     nodes: int
     limit: int | None = None
@@ -147,7 +148,9 @@ def request_of(answering: Answering, name: str) -> DiagnosisRequest:
     """
     folder = answering.blind.case(name)
     if answering.directions == "y":
-        folder = along_y(folder, open_store(answering.store).root / "along-y" / name)
+        root = open_store(answering.store).root
+        copies = root if isinstance(root, Path) else answering.blind.root  # a bucket has no folders
+        folder = along_y(folder, copies / "along-y" / name)
     return request_for(folder, answering.store, answering.nodes)
 
 

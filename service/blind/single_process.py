@@ -6,6 +6,7 @@ from contextlib import AbstractContextManager, nullcontext
 
 from service.diagnosis.run import run
 from service.dispatch import Ending, Task, TaskCalls
+from service.submission import ready
 from workers.tasks.diagnosis_store import DiagnosisRequest
 
 
@@ -27,7 +28,7 @@ class InThisProcess:
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Run tasks one after the other; what they raise goes up unchanged."""
-        for key, arguments in calls:
+        for key, arguments in ready(calls):
             yield Ending(key, "returned", task(*arguments))
 
     def meanwhile(self, task: Task, calls: TaskCalls) -> AbstractContextManager[None]:

@@ -16,7 +16,7 @@ from service.commands.common import (
     print_json,
 )
 from service.commands.interrupts import interrupted, stop_requests
-from service.commands.settings import cluster_options, store_folder
+from service.commands.settings import cluster_options, store_place
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def run(
     from service.blind.sets import BlindSet, read_manifest
 
     answering = Answering(
-        BlindSet(folder), store_folder(store), directions.value, nodes, limit, declare
+        BlindSet(folder), store_place(store), directions.value, nodes, limit, declare
     )
     waiting = unanswered(answering)
     of = len(read_manifest(answering.blind)["cases"])

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 AllOption = Annotated[bool, typer.Option("--all", help="Constants at their neutral values, too.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON record on standard output.")]
 StoreOption = Annotated[
-    Path | None,
+    str | None,
     typer.Option(
         "--store",
-        help="Folder of volumes and evaluations. Default: $PALPATE_STORE, else runs/store.",
+        metavar="FOLDER|s3://BUCKET/PREFIX",
+        help="Store of volumes and evaluations. Default: $PALPATE_STORE, else runs/store.",
         show_default=False,
     ),
 ]

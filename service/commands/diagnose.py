@@ -14,7 +14,7 @@ from service.commands.common import (
 )
 from service.commands.echo import folder_name, print_understood
 from service.commands.interrupts import interrupted, stop_requests
-from service.commands.settings import RUNS, cluster_options, store_folder
+from service.commands.settings import RUNS, cluster_options, store_place
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -80,7 +80,7 @@ def diagnose(
     opened = open_source(source)
     opened.check()
     print_understood(source)
-    request = request_for(opened, store_folder(store), nodes)
+    request = request_for(opened, store_place(store), nodes)
     began, when = time.monotonic(), datetime.now(UTC).isoformat()
     stored = finished(request) is not None
     with stop_requests() as requests:
@@ -154,9 +154,7 @@ def _with_plan(
 
     nodes = min(NODES, request.nodes)
     try:
-        plan = planned(
-            request_plan(source, Path(request.store), nodes), workers, scheduler, requests
-        )
+        plan = planned(request_plan(source, request.store, nodes), workers, scheduler, requests)
     except PalpateError as error:
         typer.echo(f"No further measurement could be tried. {error}", err=True)
         return diagnosis

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import JsonOption, StoreOption, print_json
-from service.commands.settings import cluster_options, store_folder
+from service.commands.settings import cluster_options, store_place
 
 if TYPE_CHECKING:
-    from service.doctor import Examination
+    from service.doctor import Examination, StoreFacts
 
 
 def doctor(
@@ -28,7 +28,7 @@ def doctor(
     from service.doctor import examine
 
     scheduler, _ = cluster_options(scheduler, None)
-    place = str((store_folder(store)).absolute())
+    place = str(store_place(store))
     with open_cluster(scheduler, None if scheduler else 1) as cluster:
         examination = examine(cluster, place)
     if as_json:
@@ -37,6 +37,14 @@ def doctor(
         _print(examination)
     if examination.problems:
         raise typer.Exit(2)
+
+
+def _store_words(facts: "StoreFacts") -> str:
+    tried = "written, read and listed"
+    if facts["free_bytes"] is not None:
+        return f"{facts['root']}, {tried}, {facts['free_bytes'] / 1024**3:.0f} GiB free"
+    honoured = "honoured" if facts["takes_once"] else "IGNORED by the server"
+    return f"{facts['root']}, {tried}; conditional put (If-None-Match) {honoured}"
 
 
 def _print(examination: "Examination") -> None:
@@ -51,8 +59,7 @@ def _print(examination: "Examination") -> None:
             for name, folder in facts["packages"].items():
                 typer.echo(f"  {name:<10}{folder}")
     if examination.store is not None:
-        free = examination.store["free_bytes"] / 1024**3
-        typer.echo(f"store: {examination.store['root']}, {free:.0f} GiB free")
+        typer.echo(f"store: {_store_words(examination.store)}")
     if examination.dashboard:
         typer.echo(f"dashboard: {examination.dashboard}")
     for problem in examination.problems:

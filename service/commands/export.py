@@ -12,7 +12,7 @@ from service.commands.common import (
     load_spec,
     print_json,
 )
-from service.commands.settings import store_folder
+from service.commands.settings import store_place
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def export(
     check_case(spec.case)
     case = spec.case.model_dump(mode="json")
     target = spec.target.model_dump(mode="json")
-    where = str(store_folder(store))
+    where = str(store_place(store))
     body = solve_body(case, stated, where, f"{spec.name}, {whose}", target)
     shown = export_solved(files, body, as_told=comparable)
     record = _record(shown, whose, files)
@@ -94,7 +94,7 @@ def _constants(
         raise InputError(f"{study} is a study file: --candidate needs the folder of a study.")
     if candidate != "best" and not candidate.isdecimal():
         raise InputError(f"--candidate {candidate}: expected a number, or best.")
-    from service.results import candidate_results
+    from service.results_reader import candidate_results
 
     found = candidate_results(study, None if candidate == "best" else int(candidate))
     return spec.constants_of(found.genes), f"candidate {found.candidate}"

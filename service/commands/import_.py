@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.commands.common import JsonOption, StoreOption, print_json
-from service.commands.settings import RUNS, store_folder
+from service.commands.settings import RUNS, store_place
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def import_image(
     )
     check_suffix(png, (".png",), "--png ")
     volume = breast.make_body(spec)
-    opened = open_store(store_folder(store))
+    opened = open_store(store_place(store))
     digest_of_image = digest(
         "import", name, array_digest(volume.values), list(volume.spacing_mm), list(volume.origin_mm)
     )

@@ -12,7 +12,6 @@ from service.commands.common import (
     find_study,
     print_json,
 )
-from service.commands.settings import RUNS
 
 if TYPE_CHECKING:
     from workers.tasks.mammogram import TakenView
@@ -41,7 +40,7 @@ def mammogram(
     by 45 degrees for MLO; where the target's constants are known, it is taken too, with the
     signed difference.
     """
-    from service.results import study_results
+    from service.results_reader import study_results
     from storage.errors import InputError
     from workers.tasks.mammogram import OBLIQUE_DEG, take_view
 
@@ -55,7 +54,9 @@ def mammogram(
         raise InputError(f"The study {folder} has no candidate with a score yet: let it run.")
     spec = results.spec
     target = spec.target.constants
-    place = store or (Path(results.store) if results.store else RUNS / "store")
+    from service.commands.settings import store_place
+
+    place = store_place(store or results.store)
     home = out or folder / "mammograms"
     written = []
     for each in views:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from service.commands.common import JsonOption, StoreOption, load_spec, print_json
-from service.commands.settings import store_folder
+from service.commands.settings import store_place
 
 
 def mesh(
@@ -35,7 +35,7 @@ def mesh(
     if nodes is not None or element_size_mm is not None:
         case["mesh"] = {"nodes": nodes, "element_size_mm": element_size_mm}
     check_case(case_of(case))
-    opened = open_store(store_folder(store))
+    opened = open_store(store_place(store))
     prepared = prepare_case(case, str(opened))
     finest = from_arrays(load_mesh(opened, prepared["mesh"])[0]).finest.mesh
     record: dict[str, Any] = {**prepared, "quality": summarise(finest)}

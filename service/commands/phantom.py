@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from service.commands.common import JsonOption, StoreOption, print_json
-from service.commands.settings import store_folder
+from service.commands.settings import store_place
 
 
 def phantom(
@@ -40,7 +40,7 @@ def phantom(
     settings = {name: value for name, value in options.items() if value is not None}
     breast = organ_named("breast")
     case = validated(breast.case_spec, {"reference": {"phantom": settings}}, "The phantom")
-    bodies = BodyStore(open_store(store_folder(store)), breast)
+    bodies = BodyStore(open_store(store_place(store)), breast)
     name = bodies.bring_body(case.reference)
     volume = bodies.body(name)
     if out is not None:

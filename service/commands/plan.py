@@ -15,7 +15,7 @@ from service.commands.common import (
 from service.commands.echo import folder_name, print_understood
 from service.commands.interrupts import interrupted, stop_requests
 from service.commands.planning import planned
-from service.commands.settings import RUNS, cluster_options, store_folder
+from service.commands.settings import RUNS, cluster_options, store_place
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -50,7 +50,7 @@ def plan(
 
     scheduler, workers = cluster_options(scheduler, workers)
     print_understood(source)
-    request = request_plan(source, store_folder(store), nodes)
+    request = request_plan(source, store_place(store), nodes)
     with stop_requests() as requests:
         summary = planned(request, workers, scheduler, requests)
     if summary is None:

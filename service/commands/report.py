@@ -20,8 +20,8 @@ ONLY_RATIOS = (
 
 def report(study: StudyArgument = None, as_json: JsonOption = False) -> None:
     """Print what was found, and write the page report.html into the study's folder."""
-    from service.results import study_results
     from service.results_json import study_json
+    from service.results_reader import study_results
 
     folder = find_study(study)
     results = study_results(folder)

@@ -30,9 +30,10 @@ def run(
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            help="Folder of volumes and evaluations, seen by all workers. Default: "
+            metavar="FOLDER|s3://BUCKET/PREFIX",
+            help="Store of volumes and evaluations, seen by all workers. Default: "
             "$PALPATE_STORE, else that of the last run, else the folder store beside the study's.",
             show_default=False,
         ),
@@ -76,7 +77,6 @@ def run(
             else:
                 if not opened.begun:
                     _look_first(opened, accept_implausible, elsewhere=scheduler is not None)
-                typer.echo(f"page: {page.path}, written after every generation", err=True)
                 with page:
                     completed = _completed(opened, progress, scheduler, workers, requests)
                 if page.path.parent.is_dir():
@@ -138,8 +138,8 @@ def _write_page(home: Path, *, quick: bool) -> None:
 def _print(home: Path, as_json: bool) -> None:
     from service.commands.report import print_report
     from service.commands.tables import make_console
-    from service.results import study_results
     from service.results_json import study_json
+    from service.results_reader import study_results
 
     results = study_results(home)
     if as_json:

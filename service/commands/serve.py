@@ -17,9 +17,10 @@ def serve(
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            help="Folder of volumes and evaluations that all workers see. Default: HOME/store.",
+            metavar="FOLDER|s3://BUCKET/PREFIX",
+            help="Store of volumes and evaluations that all workers see. Default: HOME/store.",
             show_default=False,
         ),
     ] = None,
@@ -66,6 +67,7 @@ def serve(
             if not service.tokens:
                 token = service.tokens.new("first")
                 typer.echo(f"token (shown once; `palpate token` makes others): {token}")
+                typer.echo(f"page, signed in: {url_of(listening)}/#token={token}")
             typer.echo(f"serving {service.home.root} at {url_of(listening)}")
             listen_and_serve(service, listening, allow_host or (), stop=lambda: requests)
             typer.echo("Stopping; what is finished is kept.", err=True)

@@ -16,6 +16,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from storage.errors import InputError
+from storage.places import Place, place_of
 
 STORE, SCHEDULER, WORKERS = "PALPATE_STORE", "PALPATE_SCHEDULER", "PALPATE_WORKERS"
 RUNS = Path("runs")
@@ -33,14 +34,27 @@ def this_command() -> str:
     return shlex.join(["palpate", *_arguments.get()])
 
 
-def stated_store(option: Path | None) -> Path | None:
-    """Return the store that was given as an option or in the environment, or None."""
-    return option or (Path(os.environ[STORE]) if os.environ.get(STORE) else None)
+def stated_store(option: str | None) -> Place | None:
+    """Return the store that was given as an option or in the environment, or None.
+
+    Raises
+    ------
+    StoreError
+        If it is a URL of a place where no store can be.
+    """
+    given = option or os.environ.get(STORE)
+    return place_of(given) if given else None
 
 
-def store_folder(option: Path | None) -> Path:
-    """Return the store that is used: what was given, else runs/store."""
-    return stated_store(option) or RUNS / "store"
+def store_place(option: str | None) -> Place:
+    """Return the store that is used: what was given, else runs/store.
+
+    Raises
+    ------
+    StoreError
+        If it is a URL of a place where no store can be.
+    """
+    return stated_store(option) or place_of(RUNS / "store")
 
 
 def cluster_options(scheduler: str | None, workers: int | None) -> tuple[str | None, int | None]:

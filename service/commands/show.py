@@ -23,8 +23,8 @@ def show(
 ) -> None:
     """Show parameters, score and ending of a candidate; of a failed one, why."""
     from service.commands.tables import echo_table
-    from service.results import candidate_results
     from service.results_json import candidate_json
+    from service.results_reader import candidate_results
 
     if candidate != "best" and not candidate.isdecimal():
         raise InputError(f"{candidate!r} is no candidate: give its number, or best.")

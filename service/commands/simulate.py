@@ -13,7 +13,7 @@ from service.commands.common import (
     load_spec,
     print_json,
 )
-from service.commands.settings import store_folder
+from service.commands.settings import store_place
 
 if TYPE_CHECKING:
     from service.quantities import Quantity
@@ -53,7 +53,7 @@ def simulate(
     check_case(spec.case)
     case = spec.case.model_dump(mode="json")
     stated = constants_option(spec, constants or [])
-    opened = open_store(store_folder(store))
+    opened = open_store(store_place(store))
     result = simulate_once(case, stated, str(opened))
     volume = result.get("volume")
     if out is not None and volume is not None:

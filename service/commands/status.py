@@ -19,8 +19,8 @@ def status(
     as_json: JsonOption = False,
 ) -> None:
     """Say how far a study is; it may be running meanwhile."""
-    from service.results import study_results
     from service.results_json import study_json
+    from service.results_reader import study_results
 
     results = study_results(find_study(study))
     if as_json:

@@ -1,4 +1,4 @@
-"""`palpate store` looks after a store: check, gc, export and import."""
+"""`palpate store` looks after a store: check, gc, migrate, export and import."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +12,7 @@ from service.commands.common import (
     find_study,
     print_json,
 )
-from service.commands.settings import RUNS
+from service.commands.settings import RUNS, stated_store, store_place
 
 app = typer.Typer(
     no_args_is_help=True, help="Look after a store: check it, make room, move studies."
@@ -33,11 +33,15 @@ def check(
 ) -> None:
     """Read everything in a store; exit code 2 if something is damaged and not set aside."""
     from storage.store_check import check_store, set_aside
+    from storage.store_lock import maintaining
     from storage.stores import open_store
 
-    opened = open_store(store or RUNS / "store", create=False)
+    opened = open_store(store_place(store), create=False)
     found = check_store(opened)
-    aside = set_aside(opened, found.damages) if repair and found.damages else None
+    aside = None
+    if repair and found.damages:
+        with maintaining(opened, "palpate store check --repair"):
+            aside = set_aside(opened, found.damages)
     if as_json:
         damages = [{"path": str(d.path), "reason": d.reason} for d in found.damages]
         leftovers = [str(path) for path in found.leftovers]
@@ -60,6 +64,21 @@ def check(
         raise typer.Exit(2)
 
 
+@app.command("migrate")
+def migrate(store: StoreOption = None, as_json: JsonOption = False) -> None:
+    """Bring a store of an older version to the present schema; nobody may use it meanwhile."""
+    from storage.migration import migrate as migrate_store
+
+    place = store_place(store)
+    before, after = migrate_store(place)
+    if as_json:
+        print_json({"store": str(place), "before": before, "after": after})
+    elif before == after:
+        typer.echo(f"{place}: schema {after}, the present one; nothing to do")
+    else:
+        typer.echo(f"{place}: schema {before} is now {after}")
+
+
 @app.command("gc")
 def gc(
     studies: Annotated[
@@ -79,16 +98,18 @@ def gc(
     """Find what no study needs: parts of diagnoses, volumes and evaluations of removed studies."""
     from service.store_use import find_garbage, remove, studies_in, study_use
     from storage.errors import InputError
+    from storage.store_lock import maintaining
     from storage.stores import open_store
 
-    opened = open_store(store or RUNS / "store", create=False)
+    opened = open_store(store_place(store), create=False)
     kept = studies_in(studies or [RUNS])
     if studies and not kept:
         raise InputError(f"There is no study in {', '.join(map(str, studies))}.")
     uses = [study_use(folder) for folder in kept]
     garbage = find_garbage(opened, uses, older_than_days=older_than_days, images=images)
     if delete:
-        remove(garbage)
+        with maintaining(opened, "palpate store gc --delete"):
+            remove(opened, garbage)
     if as_json:
         print_json(
             {"store": str(opened), "studies_kept": [str(folder) for folder in kept]}
@@ -146,7 +167,7 @@ def import_(
     from service.study_archive import archived_name, import_study
 
     home = folder or RUNS / archived_name(archive)
-    made = import_study(archive, home, store or home.parent / "store")
+    made = import_study(archive, home, stated_store(store) or home.parent / "store")
     if as_json:
         print_json({"study": made.name, "folder": str(home), "files": made.files})
     else:

@@ -23,29 +23,39 @@ def strategies(
     targets: Annotated[int, typer.Option(min=1, help="How many targets.")] = 10,
     nodes: Annotated[int, typer.Option(min=100, help="Of the mesh.")] = 2000,
     spacing_mm: Annotated[float, typer.Option("--spacing", help="Voxel size in mm.")] = 1.0,
+    target_nodes: Annotated[
+        int | None,
+        typer.Option(min=100, help="Of the targets' own mesh. Default: that of the candidates."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Search the same targets by each strategy, and count what it takes.
 
     In one process; least-squares takes seconds a target, genetic some ten minutes. Studies that
-    have ended are read, those that were cut go on.
+    have ended are read, those that were cut go on. FOLDER/strategies.svg shows score and errors
+    over evaluations and seconds.
     """
     from dataclasses import asdict
 
-    from service.strategy_bench import STRATEGIES, measure
+    from service.strategy_bench import STRATEGIES, Bench, measure
+    from service.strategy_chart import write_chart
 
     chosen = only.split(",")
     if unknown := sorted(set(chosen) - set(STRATEGIES)):
         raise InputError(f"--only {unknown[0]}: expected some of {', '.join(STRATEGIES)}.")
     rows = []
-    for row in measure(folder, chosen, targets, nodes, spacing_mm):
+    bench = Bench(targets, nodes, spacing_mm, target_nodes)
+    for row in measure(folder, chosen, bench):
         rows.append(row)
         typer.echo(line(row), err=as_json)
+    chart = folder / "strategies.svg"
+    write_chart(rows, chart)
     if as_json:
         print_json([asdict(row) for row in rows])
         return
     for text in summary(rows):
         typer.echo(text)
+    typer.echo(f"chart: {chart}")
 
 
 def line(row: "Reached") -> str:

@@ -13,7 +13,7 @@ from service.commands.common import (
     print_json,
 )
 from service.commands.interrupts import interrupted, stop_requests
-from service.commands.settings import RUNS
+from service.commands.settings import RUNS, store_place
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -83,7 +83,7 @@ def _request(
     sketch: bool,
     out: Path,
     strategy: str | None,
-    store: Path | None,
+    store: str | None,
 ) -> "ThesisRequest":
     from service.thesis.experiments import EXPERIMENTS
     from service.thesis.run import ThesisRequest
@@ -99,7 +99,7 @@ def _request(
         raise InputError("--full and --sketch exclude each other: give one of them.")
     scale: Scale = "full" if full else "sketch" if sketch else "reduced"
     chosen = EXPERIMENTS if name in EVERYTHING else [e for e in EXPERIMENTS if e == name]
-    home = (store or RUNS / "store").expanduser().absolute()
+    home = store_place(store)
     folder = out.expanduser().absolute()
     return ThesisRequest(chosen, scale, home, folder, strategy or POLISHED)
 

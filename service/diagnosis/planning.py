@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from service.dispatch import Dispatcher, value_of
+from storage.places import Location
 from workers.diagnosis.planning.summary import PlanSummary
 from workers.diagnosis.settings import SETTINGS
 from workers.tasks.planning import (
@@ -24,7 +25,7 @@ NODES = 2000
 
 
 def request_plan(
-    path: Path, store: Path, nodes: int = NODES, spacing_mm: float = SETTINGS.points.spacing_mm
+    path: Path, store: Location, nodes: int = NODES, spacing_mm: float = SETTINGS.points.spacing_mm
 ) -> PlanRequest:
     """Bring what is planned into the store, and return what is asked of the workers.
 
@@ -32,7 +33,7 @@ def request_plan(
     ----------
     path : Path
         Folder of a case or of a study.
-    store : Path
+    store : str or Path
         Made where it is missing.
     nodes : int
         Of the mesh.

@@ -14,6 +14,7 @@ from typing import Any, Protocol, TypeVar
 from service.dispatch import Ending, Task, TaskCalls, value_of
 from service.errors import TaskError
 from storage.arrays import Arrays
+from storage.places import Location
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.source import Source
 from workers.diagnosis.summary import Summary
@@ -104,7 +105,7 @@ class FinishedDiagnosis:
 
 def request_for(
     source: Path | Source,
-    store: Path,
+    store: Location,
     nodes: int = SETTINGS.mesh.nodes,
     spacing_mm: float | None = None,
     effects: Iterable[str] | None = None,
@@ -115,7 +116,7 @@ def request_for(
     ----------
     source : Path or Source
         What is diagnosed, or where it lies; see `workers.tasks.sources.open_source`.
-    store : Path
+    store : str or Path
         Made where it is missing.
     nodes : int
         Of the mesh.

@@ -8,10 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from markupsafe import Markup
 
 from service.formatting import number
-from service.report.packed import Json, packed, packed_points, packed_triangles, script
+from service.report.packed import Json, packed, packed_points, packed_triangles
 from storage.values import FloatArray, IntArray
 from workers.mechanics.pressed import Pressed
 
@@ -59,8 +58,8 @@ def body_viewer(
     gap_about: str,
     gap_mm: float | None = None,
     first: str = "loaded",
-) -> Markup:
-    """Return the data of the 3-D viewer as an element of the page.
+) -> Json:
+    """Return what the 3-D viewer shows, which `script` puts into a page as "body".
 
     Parameters
     ----------
@@ -82,7 +81,7 @@ def body_viewer(
     low, high = every.min(axis=0), every.max(axis=0)
     size = float(np.linalg.norm(high - low))
     states = [("loaded", "under load"), ("rest", "before")] if moved else [("rest", "before")]
-    told = {
+    return {
         "surfaces": [
             {
                 "name": s.name,
@@ -99,7 +98,6 @@ def body_viewer(
         "middle": ((low + high) / 2).round(2).tolist(),
         "reach": [round(0.98 * size, 2), round(0.88 * size, 2)],
     }
-    return script("body", told)
 
 
 def _colourings(

@@ -12,6 +12,7 @@ from service.report.diagnosis_maps import SIGNIFICANT, range_mm
 from service.report.diagnosis_slices import titled
 from service.report.diagnosis_surfaces import FARTHEST_MM
 from service.report.diagnosis_where import PARTS, on_surfaces
+from service.report.packed import script
 from service.report.palette import TISSUES
 from service.report.slice_viewer import SlicePanel, SliceSet, slice_viewer
 from service.report.slices import VIEWS, middle_mm
@@ -72,7 +73,7 @@ def body_data(
         )
         for scan, name in enumerate(scans)
     ]
-    return body_viewer(
+    shown = body_viewer(
         surfaces,
         told,
         models,
@@ -81,6 +82,7 @@ def body_data(
         range_mm(found["local_before"], found["local_before_sd"]),
         first="gap",
     )
+    return script("body", shown)
 
 
 def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | None:
@@ -100,7 +102,7 @@ def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | No
     if not sets:
         return None
     gland = (int(Tissue.GLANDULAR),)
-    return slice_viewer(
+    shown = slice_viewer(
         sets,
         [
             SlicePanel("Scan", "labels", ("scan",)),
@@ -112,6 +114,7 @@ def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | No
         OVERLAY,
         models,
     )
+    return script("slices", shown)
 
 
 def _surface(found: Arrays, name: str) -> BodySurface:

@@ -3,9 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from markupsafe import Markup
-
-from service.report.packed import Json, body_box_mm, packed_volume, script, thinned
+from service.report.packed import Json, body_box_mm, packed_volume, thinned
 from service.report.slices import View
 from storage.values import Triple, Volume
 
@@ -50,8 +48,8 @@ def slice_viewer(
     labels: Mapping[int, tuple[str, str]],
     differences: Sequence[tuple[str, str]],
     choices: Sequence[tuple[str, str]] = (),
-) -> Markup:
-    """Return the data of the slice viewer as an element of the page.
+) -> Json:
+    """Return what the slice viewer shows, which `script` puts into a page as "slices".
 
     Parameters
     ----------
@@ -66,7 +64,7 @@ def slice_viewer(
     choices : sequence of (str, str)
         Names of volumes that stand for ``$choice``, and their titles.
     """
-    told = {
+    return {
         "sets": [_set(one) for one in sets],
         "panels": [
             {"title": p.title, "kind": p.kind, "volumes": p.volumes, "tissues": p.tissues}
@@ -81,7 +79,6 @@ def slice_viewer(
         "hint": HINT,
         "flat": len(views) == 1,
     }
-    return script("slices", told)
 
 
 def _set(one: SliceSet) -> Json:

@@ -15,6 +15,7 @@ from service.spec import StudySpec
 from storage.errors import PalpateError
 from storage.fields import has_field, load_field
 from storage.meshes import has_mesh
+from storage.places import place_of
 from storage.records import SessionRecord
 from storage.stores import open_store
 from storage.task_records import Scores
@@ -94,8 +95,9 @@ def find_bodies(
     if session is None:
         return Bodies(missing=("The body and its target have not been prepared yet.",))
     try:
-        noted = Path(session.store)
-        store = open_store(noted if noted.is_dir() else study.parent / "store", create=False)
+        noted = place_of(session.store)
+        moved = isinstance(noted, Path) and not noted.is_dir()
+        store = open_store(study.parent / "store" if moved else noted, create=False)
     except PalpateError as error:
         return Bodies(missing=(f"The store cannot be read, so there are no pictures: {error}",))
     organ = organ_named(spec.case.organ)

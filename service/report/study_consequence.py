@@ -83,7 +83,7 @@ def interval_text(constant: IdentifiedConstant | None) -> str:
     """Return the interval of a constant as "9.1 … 11", or a dash."""
     if constant is None or constant.interval is None:
         return "–"
-    return f"{number(constant.interval.lower, 3)} … {number(constant.interval.upper, 3)}"
+    return f"{number(constant.interval.lower, 4)} … {number(constant.interval.upper, 4)}"
 
 
 def about_intervals(known: Identification | None) -> str:

@@ -20,6 +20,7 @@ from service.formatting import (
 from service.identification import Direction
 from service.report import study_tables
 from service.report.glossary import STUDY
+from service.report.packed import Json, script
 from service.report.pictures import picture
 from service.report.provenance import study_provenance
 from service.report.study_consequence import about_intervals, next_step, quotable
@@ -208,8 +209,10 @@ def _bodies(data: StudyData) -> dict[str, Any]:
     compared = data.results.spec.score.compared
     return {
         "sections": section_pictures(bodies, labels),
-        "slice_data": None if data.quick else slice_data(bodies, labels),
-        "body_data": None if data.quick else body_data(bodies, data.results.spec.case),
+        "slice_data": _viewer("slices", None if data.quick else slice_data(bodies, labels)),
+        "body_data": _viewer(
+            "body", None if data.quick else body_data(bodies, data.results.spec.case)
+        ),
         "quick": data.quick,
         "about_sections": f"Sections through the middle of {compared}. "
         f"{bodies.load_direction} Target and best candidate are cut in the same planes.",
@@ -220,6 +223,10 @@ def _bodies(data: StudyData) -> dict[str, Any]:
         "about_similarity": "From the undeformed body, where the fit begins, to the best "
         f"candidate. The search compared the shaded row{'s' if len(labels) > 1 else ''}.",
     }
+
+
+def _viewer(name: str, shown: Json | None) -> Markup | None:
+    return None if shown is None else script(name, shown)
 
 
 def _findings(data: StudyData) -> dict[str, Any]:

@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from service.report.study_bodies import Bodies, find_bodies
-from service.results import StudyResults, study_results
+from service.results import StudyResults
+from service.results_reader import study_results
 from service.study_log import read_study
 from storage.records import EvaluationRecord, SessionRecord
 

@@ -10,7 +10,7 @@ from service.formatting import bare, label, number
 from service.identification import Identification
 from service.report import study_charts, study_sections
 from service.report.body_viewer import BodyScan, BodySurface, body_viewer
-from service.report.packed import script
+from service.report.packed import Json, script
 from service.report.palette import DIFFERENCES, TISSUES, Difference
 from service.report.pictures import Picture, chart, small_chart
 from service.report.slice_viewer import SlicePanel, SliceSet, slice_viewer
@@ -164,7 +164,7 @@ def section_pictures(bodies: Bodies, labels: Iterable[str]) -> list[SectionRow]:
     return rows
 
 
-def slice_data(bodies: Bodies, labels: Iterable[str]) -> Markup | None:
+def slice_data(bodies: Bodies, labels: Iterable[str]) -> Json | None:
     """Return what the slice viewer shows; None if there is no body."""
     volumes = {
         name: volume
@@ -196,7 +196,7 @@ def slice_data(bodies: Bodies, labels: Iterable[str]) -> Markup | None:
     )
 
 
-def body_data(bodies: Bodies, case: CaseSpec) -> Markup | None:
+def body_data(bodies: Bodies, case: CaseSpec) -> Json | None:
     """Return what the 3-D viewer shows; None if the body has no surfaces."""
     if not bodies.surfaces:
         return None

@@ -12,7 +12,6 @@ from service.formatting import (
     duration,
     number,
     percent,
-    powers,
     signed_error,
     symbol,
 )
@@ -170,7 +169,7 @@ def outcome(solver: OutcomeJson) -> list[tuple[str, str | Markup]]:
         ("Residual force", solver.get("residual_n"), "N", 3),
     ):
         if isinstance(value, int | float):
-            rows.append((name, powers(f"{number(value, digits)} {unit}".rstrip())))
+            rows.append((name, f"{number(value, digits)} {unit}".rstrip()))
     for name, iterations in (
         ("Newton steps", solver.get("newton_iterations")),
         ("Linear iterations", solver.get("cg_iterations")),

@@ -4,6 +4,8 @@ Near a point the sum of squares is :math:`c + 2 g's + s'Hs` with g = J'r and H =
 value within the bounds and within a box of the trust region is found exactly; the region
 shrinks where the step kept less than a quarter of what was expected of it, and grows where it
 kept three quarters (J. Nocedal, S. Wright, Numerical Optimization, 2nd ed., algorithm 4.1).
+In a narrow valley that bends a long step ends on its wall. Before it is given up, a second one
+from there leads back to the floor, and both together are judged as one.
 
 Constants are in the coordinates of `service.search.log_space`.
 """
@@ -23,6 +25,32 @@ FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.7, 2.0, 1e-4
 SHRINK_BELOW, GROW_ABOVE = 0.25, 0.75
 # Below this part of the largest curvature a direction is not followed.
 RIDGE = 1e-9
+# Nor is it on the way back from the wall of a valley, below this part.
+WALL = 1e-2
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """By how much a sum of squares should fall for another step to be worth it.
+
+    It has converged when less than the larger of both is expected.
+
+    Parameters
+    ----------
+    noises : float
+        In units of the noise that it shows: 0.1 is a third of a standard deviation, which the
+        intervals of the constants include.
+    part : float
+        Of the sum itself.
+    """
+
+    noises: float
+    part: float = 0.0
+
+    def least_fall(self, here: "SquaredSum") -> float:
+        """Return the larger of both at a point."""
+        return max(self.noises * here.noise, self.part * here.value)
+
 
 State = Literal["running", "converged", "failed", "merged"]
 
@@ -77,6 +105,8 @@ class Descent:
     radius : float
     state : {"running", "converged", "failed", "merged"}
     evaluations : int
+    second : bool
+        Whether the trial makes good for a step that kept too little.
     """
 
     at: FloatArray
@@ -86,6 +116,7 @@ class Descent:
     radius: float
     state: State
     evaluations: int = 0
+    second: bool = False
 
     @property
     def cost(self) -> float:
@@ -99,7 +130,7 @@ def begin(at: FloatArray, radius: float = FIRST_RADIUS) -> Descent:
 
 
 def advance(
-    descent: Descent, there: SquaredSum | None, logs: LogSpace, tolerance: float, most: int
+    descent: Descent, there: SquaredSum | None, logs: LogSpace, tolerance: Tolerance, most: int
 ) -> Descent:
     """Return the descent after the evaluation of its trial point.
 
@@ -107,9 +138,7 @@ def advance(
     ----------
     there : SquaredSum or None
         None where the simulation failed.
-    tolerance : float
-        It has converged when the sum of squares is expected to fall by less, in units of the
-        noise that it shows: 0.01 is a tenth of a standard deviation.
+    tolerance : Tolerance
     most : int
         Evaluations; the best point then stands.
     """
@@ -121,35 +150,47 @@ def advance(
     longest = float(np.abs(descent.trial - descent.at).max())
     gained = -np.inf if there is None else descent.here.value - there.value
     share = gained / descent.expected
+    moved = replace(counted, second=False)
+    if there is not None and gained > 0:
+        moved = replace(moved, at=descent.trial, here=there)
+    if there is not None and share < SHRINK_BELOW and not descent.second:
+        if gained > 0:
+            return _next(moved, logs, tolerance, most, second=True)
+        back, fall = best_step(there, descent.trial, descent.radius, logs, WALL)
+        if gained + fall > SHRINK_BELOW * descent.expected and counted.evaluations < most:
+            trial = np.clip(descent.trial + back, logs.lower, logs.upper)
+            return replace(counted, trial=trial, second=True)
     radius = descent.radius
     if share < SHRINK_BELOW:
-        radius = SHRINK_BELOW * longest
-    elif share > GROW_ABOVE and longest > 0.99 * radius:
+        radius = SHRINK_BELOW * min(longest, radius)
+    elif share > GROW_ABOVE and (descent.second or longest > 0.99 * radius):
         radius = min(2 * radius, LARGEST_RADIUS)
-    if there is None or gained <= 0:
-        return _next(replace(counted, radius=radius), logs, tolerance, most)
-    moved = replace(counted, at=descent.trial, here=there, radius=radius)
-    return _next(moved, logs, tolerance, most)
+    return _next(replace(moved, radius=radius), logs, tolerance, most)
 
 
-def _next(descent: Descent, logs: LogSpace, tolerance: float, most: int) -> Descent:
+def _next(
+    descent: Descent, logs: LogSpace, tolerance: Tolerance, most: int, second: bool = False
+) -> Descent:
     here = descent.here
     if here is None:
         raise AssertionError("a descent goes on from an evaluation")
     step, expected = best_step(here, descent.at, descent.radius, logs)
-    small = expected < tolerance * here.noise or descent.radius < SMALLEST_RADIUS
+    small = expected < tolerance.least_fall(here) or descent.radius < SMALLEST_RADIUS
     if small or descent.evaluations >= most:
         return replace(descent, trial=descent.at, expected=0.0, state="converged")
     trial = np.clip(descent.at + step, logs.lower, logs.upper)
-    return replace(descent, trial=trial, expected=expected)
+    return replace(descent, trial=trial, expected=expected, second=second)
 
 
 def best_step(
-    here: SquaredSum, at: FloatArray, radius: float, logs: LogSpace
+    here: SquaredSum, at: FloatArray, radius: float, logs: LogSpace, part: float = RIDGE
 ) -> tuple[FloatArray, float]:
-    """Return the step to the least sum of squares in reach, and by how much that should fall."""
+    """Return the step to the least sum of squares in reach, and by how much that should fall.
+
+    Directions below a `part` of the largest curvature are not followed.
+    """
     d = len(at)
-    ridge = RIDGE * max(float(np.trace(here.hessian)) / d, 1e-300)
+    ridge = part * max(float(np.trace(here.hessian)) / d, 1e-300)
     root = np.linalg.cholesky(here.hessian + ridge * np.eye(d)).T
     low = np.maximum(logs.lower - at, -radius)
     high = np.minimum(logs.upper - at, radius)

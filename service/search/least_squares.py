@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.search.base import Generation, Proposal, Stopped
-from service.search.descent import Descent, SquaredSum, advance, begin
+from service.search.descent import Descent, SquaredSum, Tolerance, advance, begin
 from service.search.log_space import LogSpace
 from service.search.space import FloatArray, Space
 from storage.errors import InputError
@@ -25,8 +25,11 @@ from storage.task_records import FitJson
 
 # Starts beside the middle lie in this part of the box, where simulations converge.
 START_RANGE = (0.15, 0.85)
-# In units of the noise: on a coarse mesh the error of the mesh is larger than that of the image.
-COARSE_TOLERANCE, FINE_TOLERANCE = 1.0, 0.01
+# On a coarse mesh and in coarse voxels the optimum itself is elsewhere, by several standard
+# deviations: the last per cent of its sum of squares leads nowhere.
+COARSE_TOLERANCE, FINE_TOLERANCE = Tolerance(1.0, part=0.01), Tolerance(0.1)
+# A start that cannot be simulated is taken anew, anywhere in the box, so many times.
+NEW_STARTS = 10
 # Descents that come so near to another one, in logarithms, follow it no further.
 SAME_PLACE = 0.02
 # Where a finer level begins it is near its end.
@@ -148,6 +151,12 @@ class LeastSquaresSearch:
         unit = np.concatenate([np.full((1, d), 0.5), around])
         return self.logs.genes(self.logs.point(unit))
 
+    def _begun_elsewhere(self, i: int, failed: Descent) -> Descent:
+        """Return descent `i` from another start: anywhere, not in logarithms."""
+        rng = np.random.default_rng([self.seed, 0x1E58, i, failed.evaluations])
+        at = self.logs.coordinates(rng.uniform(self.space.lower, self.space.upper))
+        return replace(begin(at), evaluations=failed.evaluations)
+
     def _after(self, progress: _Progress, generation: Generation) -> _Progress:
         """Return the progress after a generation."""
         running = progress.running
@@ -160,10 +169,12 @@ class LeastSquaresSearch:
         own = progress.level == self.settings.levels
         tolerance = FINE_TOLERANCE if own else COARSE_TOLERANCE
         descents = list(progress.descents)
-        for i, fit in zip(running, generation.fits, strict=True):
-            there = None if fit is None else self._squares(fit)
+        for i, fit, genes in zip(running, generation.fits, generation.genes, strict=True):
+            there = None if fit is None else self._squares(fit, genes)
             most = self.settings.evaluations
             descents[i] = advance(descents[i], there, self.logs, tolerance, most)
+            if descents[i].state == "failed" and descents[i].evaluations <= NEW_STARTS:
+                descents[i] = self._begun_elsewhere(i, descents[i])
         descents = _merged(descents)
         progress = replace(progress, descents=tuple(descents))
         best = progress.best
@@ -171,9 +182,10 @@ class LeastSquaresSearch:
             return progress
         return _Progress(progress.level + 1, (begin(best.at, FINER_RADIUS),))
 
-    def _squares(self, fit: FitJson) -> SquaredSum:
-        order = [fit["parameters"].index(name) for name in self.names.inside]
-        return SquaredSum.of(fit, self.logs, order, np.asarray(self.names.per_inside))
+    def _squares(self, fit: FitJson, genes: FloatArray) -> SquaredSum:
+        per_inside = np.asarray(self.names.per_inside)
+        order = places_in_fit(fit, self.names.inside, genes / per_inside)
+        return SquaredSum.of(fit, self.logs, order, per_inside)
 
     def _reason(self, progress: _Progress) -> str:
         best = progress.best
@@ -182,6 +194,21 @@ class LeastSquaresSearch:
         if best.evaluations >= self.settings.evaluations:
             return f"the fit has not converged in {best.evaluations} evaluations"
         return "the fit has converged"
+
+
+def places_in_fit(fit: FitJson, names: Sequence[str], values: FloatArray) -> list[int]:
+    """Return where each gene stands in a fit; `values` are those of the genes, inside.
+
+    By name, but an organ may have put constants in order that change places without any change
+    of the body; they then stand where their value is.
+    """
+    free, order = list(range(len(names))), []
+    for name, value in zip(names, values, strict=True):
+        own = fit["parameters"].index(name)
+        place = min(free, key=lambda k: (not np.isclose(fit["values"][k], value, 1e-9), k != own))
+        free.remove(place)
+        order.append(place)
+    return order
 
 
 def _merged(descents: Sequence[Descent]) -> list[Descent]:

@@ -24,6 +24,14 @@ def service_of(request: Request) -> Service:
 Here = Annotated[Service, Depends(service_of)]
 
 
+def owner_of(
+    request: Request, service: Service, credentials: HTTPAuthorizationCredentials | None
+) -> str | None:
+    """Return who asks; None for a stranger."""
+    given = credentials.credentials if credentials else request.cookies.get(COOKIE, "")
+    return service.tokens.owner(given) if given else None
+
+
 def writer(request: Request, service: Here, credentials: Credentials) -> str:
     """Return who writes.
 
@@ -32,10 +40,10 @@ def writer(request: Request, service: Here, credentials: Credentials) -> str:
     HTTPException
         401 without a token that is known.
     """
-    given = credentials.credentials if credentials else request.cookies.get(COOKIE, "")
-    owner = service.tokens.owner(given) if given else None
+    owner = owner_of(request, service, credentials)
     if owner is None:
-        what = "This token is not known" if given else "This needs a token"
+        known = credentials or request.cookies.get(COOKIE)
+        what = "This token is not known" if known else "This needs a token"
         raise HTTPException(
             401,
             f"{what}: send `Authorization: Bearer TOKEN`. `palpate token new NAME` makes one.",

@@ -165,6 +165,19 @@ class UploadList(BaseModel):
     uploads: list[UploadView]
 
 
+class WorkerView(BaseModel):
+    """One worker: what it runs and has waiting, its load and its memory; a limit of 0 is none."""
+
+    name: str
+    address: str
+    threads: int
+    running: int
+    waiting: int
+    cpu_percent: float
+    memory_bytes: int
+    memory_limit_bytes: int
+
+
 class ClusterView(BaseModel):
     """The cluster: tasks it can run at once, those under way or queued, Dask's own page."""
 
@@ -173,6 +186,47 @@ class ClusterView(BaseModel):
     threads: int = 0
     tasks: int = 0
     dashboard: str = ""
+    workers: list[WorkerView] = []
+
+
+class SearchedParameterView(BaseModel):
+    """A searched parameter in its unit at the door; ``target`` where it is known."""
+
+    gene: str
+    label: str
+    unit: str
+    lower: float
+    upper: float
+    target: float | None = None
+
+
+class StudyView(BaseModel):
+    """What a study asks: its parameters, and its file with all defaults."""
+
+    parameters: list[SearchedParameterView]
+    file: str
+
+
+class BodiesView(BaseModel):
+    """What the viewers of slices and of the body show, or that it is being made.
+
+    ``tissues`` and ``differences``: (colour, meaning) of a legend.
+    """
+
+    ready: bool
+    candidate: int | None = None
+    slices: dict[str, Any] | None = None
+    body: dict[str, Any] | None = None
+    missing: list[str] = []
+    tissues: list[tuple[str, str]] = []
+    differences: list[tuple[str, str]] = []
+
+
+class SessionView(BaseModel):
+    """Who asks, and whether reading needs a token, too; ``owner`` is empty for a stranger."""
+
+    owner: str
+    read_token: bool
 
 
 class Health(BaseModel):

@@ -10,13 +10,14 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, PlainTextResponse
 from starlette.exceptions import HTTPException as StarletteHTTPException
 
-from service.server import job_routes
-from service.server.access import COOKIE, Here, Writer, reader, sign_in
+from service.server import job_routes, page_routes, watch_routes
+from service.server.access import COOKIE, Credentials, Here, Writer, owner_of, reader, sign_in
 from service.server.api import (
     PREFIX,
     ClusterView,
     Health,
     Problem,
+    SessionView,
     SignIn,
     UploadList,
     UploadView,
@@ -67,6 +68,8 @@ def create_app(
     )
     app.state.service, app.state.stopping, app.state.streams = service, stopping, 0
     app.include_router(job_routes.router, prefix=PREFIX)
+    app.include_router(watch_routes.router, prefix=PREFIX)
+    app.include_router(page_routes.router)
     app.include_router(_uploads(service), prefix=PREFIX)
     app.include_router(_about(), prefix=PREFIX)
     app.add_api_route("/metrics", _metrics, tags=["service"], response_class=PlainTextResponse)
@@ -101,7 +104,14 @@ def _about() -> APIRouter:
             threads=runner.threads,
             tasks=runner.share.held,
             dashboard=cluster.dashboard if cluster else "",
+            workers=service.load.workers(),
         )
+
+    @router.get("/session")
+    def get_session(service: Here, request: Request, credentials: Credentials) -> SessionView:
+        """Say who asks; needs no token."""
+        owner = owner_of(request, service, credentials)
+        return SessionView(owner=owner or "", read_token=service.read_token)
 
     @router.post("/session", status_code=204, responses=_problems(413))
     def begin_session(service: Here, request: Request, given: SignIn, response: Response) -> None:

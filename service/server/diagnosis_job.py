@@ -11,6 +11,7 @@ from service.report.diagnosis_files import write_diagnosis
 from storage.atomic import explained
 from storage.journal import Journal
 from storage.layout import StudyLayout
+from storage.places import Location
 from storage.records import SCHEMA_VERSION
 from workers.tasks.diagnosis_store import DiagnosisRequest
 from workers.tasks.sources import open_source
@@ -28,11 +29,11 @@ def bring_source(
     """
     opened = open_source(Path(path))
     opened.check()
-    return request_for(opened, Path(store), nodes, effects=effects)
+    return request_for(opened, store, nodes, effects=effects)
 
 
 def run_diagnosis(
-    request: Mapping[str, Any], source: Path, folder: Path, store: Path, dispatcher: Dispatcher
+    request: Mapping[str, Any], source: Path, folder: Path, store: Location, dispatcher: Dispatcher
 ) -> None:
     """Diagnose to the end, from wherever it stands; page and record go into `folder`.
 

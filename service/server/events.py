@@ -6,6 +6,7 @@
     event: record    a record of the journal; its id goes into Last-Event-ID to continue
     event: end       nothing more will come
     event: problem   the journal is damaged; nothing more will come
+    event: points    instead of records where they are asked for in brief; see `points`
 
 Where a stream is continued the journal alone decides, so it goes on after the service was
 started again.
@@ -19,7 +20,8 @@ from anyio import sleep
 from fastapi.concurrency import run_in_threadpool
 
 from service.server.api import JobView
-from service.server.journal_tail import JournalTail
+from service.server.journal_tail import JournalLine, JournalTail
+from service.server.points import points
 from storage.errors import PalpateError
 
 TICK_S = 0.25
@@ -32,6 +34,8 @@ async def job_events(
     tail: JournalTail,
     view: Callable[[], JobView],
     gone: Callable[[], Awaitable[bool]],
+    *,
+    brief: bool = False,
 ) -> AsyncIterator[bytes]:
     """Yield the events of a job.
 
@@ -43,6 +47,8 @@ async def job_events(
         Returns the job as it is now.
     gone : callable
         Whether the client or the service is about to leave.
+    brief : bool
+        Send what charts need of many records at once, not the records.
     """
     before: JobView | None = None
     viewed = sent = 0.0
@@ -56,7 +62,7 @@ async def job_events(
             yield _event("problem", {"error": str(error)})
             return
         if lines:
-            yield b"".join(_event("record", line.record, line.end) for line in lines)
+            yield _in_brief(lines) if brief else _in_full(lines)
             sent = now
         if current is not None and not lines:
             viewed = now
@@ -71,6 +77,33 @@ async def job_events(
             sent = now
         if not lines:
             await sleep(TICK_S)
+
+
+async def all_job_events(
+    news: Callable[[], list[JobView]], gone: Callable[[], Awaitable[bool]]
+) -> AsyncIterator[bytes]:
+    """Yield every job that `news` tells of, once a second."""
+    viewed = sent = 0.0
+    while not await gone():
+        now = time.monotonic()
+        if now - viewed >= VIEW_EVERY_S:
+            viewed = now
+            jobs = await run_in_threadpool(news)
+            if jobs:
+                sent = now
+                yield b"".join(_event("job", job.model_dump(mode="json")) for job in jobs)
+        if now - sent > KEEP_ALIVE_S:
+            yield b": still here\n\n"
+            sent = now
+        await sleep(TICK_S)
+
+
+def _in_full(lines: list[JournalLine]) -> bytes:
+    return b"".join(_event("record", line.record, line.end) for line in lines)
+
+
+def _in_brief(lines: list[JournalLine]) -> bytes:
+    return _event("points", points(line.record for line in lines), lines[-1].end)
 
 
 def _event(kind: str, data: object, identifier: int | None = None) -> bytes:

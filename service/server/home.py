@@ -17,6 +17,7 @@ from pathlib import Path
 
 from storage.atomic import explained
 from storage.errors import InputError, StoreError
+from storage.places import Place
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,95}$"
 _NAME = re.compile(NAME_PATTERN)
@@ -31,12 +32,12 @@ class ServiceHome:
     ----------
     root : Path
         Absolute.
-    store : Path
-        Folder that all workers see.
+    store : Path or ObjectPath
+        Which all workers see.
     """
 
     root: Path
-    store: Path
+    store: Place
 
     @property
     def own(self) -> Path:

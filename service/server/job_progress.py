@@ -1,14 +1,17 @@
 """How far a job is: a fold over its journal that reads each record once."""
 
+import math
 import threading
 import time
 from collections import Counter, deque
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from service.server.journal_tail import JournalTail
 from storage.layout import StudyLayout
 from storage.plain import to_number
+from storage.status import Status
 
 RATE_OVER_S = 300.0
 
@@ -28,6 +31,7 @@ class JobProgress:
         self.endings: Counter[str] = Counter()
         self.generations = 0
         self.best: dict[str, Any] | None = None
+        self._best_rank: tuple[float, ...] | None = None
         self.stage_seconds: Counter[str] = Counter()
         self.phase: dict[str, Any] | None = None
         self.sessions = 0
@@ -86,12 +90,23 @@ class JobProgress:
                 self.stage_seconds[str(stage)] += seconds
         if not self._first:
             self._arrivals.append(time.monotonic())
-        score = record.get("score")
-        if score and (
-            self.best is None
-            or to_number(score)["gsf"] < to_number(dict(self.best["score"]))["gsf"]
-        ):
+        rank = _rank(record)
+        if rank is not None and (self._best_rank is None or rank < self._best_rank):
+            self._best_rank = rank
             self.best = {key: record[key] for key in ("candidate", "genes", "score")}
+
+
+def _rank(record: Mapping[str, Any]) -> tuple[float, ...] | None:
+    """Return what orders candidates as `service.search_replay.best_of` does; None unscored."""
+    score, level, fit = record.get("score"), record.get("level"), record.get("fit")
+    if not score or record.get("status") != Status.DONE:
+        return None
+    gsf = to_number(score)["gsf"]
+    if gsf == math.inf:
+        return None
+    resolution = (0, 0) if level is None else (1, -level)
+    by = (0, to_number(fit)["cost"]) if fit else (1, gsf)
+    return (*resolution, *by, record["candidate"])
 
 
 class ProgressBook:

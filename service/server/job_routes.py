@@ -10,8 +10,8 @@ from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, R
 from fastapi import Path as PathParameter
 from fastapi.responses import FileResponse, StreamingResponse
 
-from service.results import candidate_results, study_results
 from service.results_json import candidate_json, study_json
+from service.results_reader import candidate_results, study_results
 from service.server.access import Here, Writer, reader
 from service.server.api import (
     DiagnosisSubmission,
@@ -28,9 +28,10 @@ from service.server.home import NAME_PATTERN
 from service.server.journal_tail import JournalTail
 from service.server.queue import Job
 from service.server.service import Service
+from service.server.streams import event_stream
 from service.server.study_job import study_request
 from service.server.submissions import study_from
-from service.server.views import job_file, job_view, state_of
+from service.server.views import ENDED, job_file, job_view, state_of, view_now
 from storage.errors import InputError
 from storage.layout import StudyLayout
 
@@ -46,7 +47,6 @@ TYPES = {
     ".yaml": "text/plain; charset=utf-8",
     ".txt": "text/plain; charset=utf-8",
 }
-ENDED = ("finished", "failed", "cancelled")
 
 Identifier = Annotated[str, PathParameter(alias="job", pattern=NAME_PATTERN)]
 Offset = Annotated[int, Query(ge=0, lt=2**53)]
@@ -216,25 +216,10 @@ async def follow_job(
     last_event_id: Annotated[str | None, Header(pattern=r"^[0-9]{1,15}$")] = None,
 ) -> StreamingResponse:
     """Follow a job by server-sent events: `job`, `record`, at last `end`."""
-    state = request.app.state
-    if state.streams >= service.limits.open_streams:
-        raise HTTPException(503, "Too many clients follow jobs at this moment: try again later.")
     offset = since if last_event_id is None else int(last_event_id)
     tail = JournalTail(StudyLayout(service.home.job(job.id)).journal, offset)
-
-    async def gone() -> bool:
-        return state.stopping() or await request.is_disconnected()
-
-    async def stream() -> Any:
-        state.streams += 1
-        try:
-            async for event in job_events(tail, lambda: _view_now(service, job), gone):
-                yield event
-        finally:
-            state.streams -= 1
-
-    return StreamingResponse(
-        stream(), media_type="text/event-stream", headers={"X-Accel-Buffering": "no"}
+    return event_stream(
+        request, service, lambda gone: job_events(tail, lambda: view_now(service, job), gone)
     )
 
 
@@ -262,10 +247,6 @@ def _first_bytes(path: Path, size: int) -> Iterator[bytes]:
         while size > 0 and (block := file.read(min(size, 2**16))):
             size -= len(block)
             yield block
-
-
-def _view_now(service: Service, job: Job) -> JobView:
-    return job_view(service, service.queue.get(job.id) or job)
 
 
 def _begun(service: Service, job: Job) -> Path:

@@ -5,6 +5,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from service.server.bodies import BodiesMaker
+from service.server.cluster_load import ClusterLoad
 from service.server.home import ServiceHome
 from service.server.job_progress import ProgressBook
 from service.server.limits import Limits
@@ -13,6 +15,7 @@ from service.server.runner import OpenCluster, Runner
 from service.server.tokens import Tokens
 from service.server.uploads import Uploads
 from service.study import Tasks
+from storage.places import Location, place_of
 from storage.stores import Store, open_store
 
 
@@ -35,6 +38,8 @@ class Service:
     progress: ProgressBook
     limits: Limits
     read_token: bool
+    bodies: BodiesMaker
+    load: ClusterLoad
 
 
 @contextmanager
@@ -42,7 +47,7 @@ def open_service(
     root: Path,
     open_cluster: OpenCluster,
     *,
-    store: Path | None = None,
+    store: Location | None = None,
     limits: Limits | None = None,
     read_token: bool = False,
     tasks: Tasks | None = None,
@@ -57,7 +62,7 @@ def open_service(
         Made when missing.
     open_cluster : callable
         Opens the cluster that does the work.
-    store : Path, optional
+    store : str or Path, optional
         Default: the folder ``store`` in `root`.
     tasks : Tasks, optional
         What is sent to the workers.
@@ -72,7 +77,7 @@ def open_service(
         If folder or store cannot be used, or another service uses them.
     """
     limits, root = limits or Limits(), root.expanduser().absolute()
-    home = ServiceHome(root, (store or root / "store").expanduser().absolute())
+    home = ServiceHome(root, place_of(store or root / "store"))
     home.make()
     opened = open_store(home.store)
     queue = Queue(home.queue)
@@ -81,13 +86,24 @@ def open_service(
         runner = Runner(
             home, queue, uploads, open_cluster, tasks=tasks, at_once=at_once, reports=reports
         )
-        tokens = Tokens(home.tokens)
+        tokens, bodies = Tokens(home.tokens), BodiesMaker()
         runner.start()
         try:
             yield Service(
-                home, opened, queue, runner, uploads, tokens, ProgressBook(), limits, read_token
+                home,
+                opened,
+                queue,
+                runner,
+                uploads,
+                tokens,
+                ProgressBook(),
+                limits,
+                read_token,
+                bodies,
+                ClusterLoad(lambda: runner.cluster),
             )
         finally:
+            bodies.close()
             runner.stop()
     finally:
         queue.close()

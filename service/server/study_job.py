@@ -10,6 +10,7 @@ from typing import Any
 from service.dispatch import Dispatcher
 from service.spec import StudySpec
 from service.study import Study, Tasks
+from storage.places import Location
 from workers import THREAD_ENVIRONMENT
 from workers.spec import validated
 
@@ -18,13 +19,19 @@ REPORT_S = 900.0
 
 def study_request(spec: StudySpec, accept_new_code: bool) -> dict[str, Any]:
     """Return what the queue keeps of a study."""
-    return {"name": spec.name, "spec": spec.as_dict(), "accept_new_code": accept_new_code}
+    return {
+        "name": spec.name,
+        "spec": spec.as_dict(),
+        "accept_new_code": accept_new_code,
+        "most_evaluations": spec.most_evaluations,
+        "most_generations": spec.most_generations,
+    }
 
 
 def run_study(
     request: Mapping[str, Any],
     folder: Path,
-    store: Path,
+    store: Location,
     dispatcher: Dispatcher,
     dashboard: str,
     tasks: Tasks | None = None,
@@ -46,7 +53,7 @@ def run_study(
 def write_report(folder: Path) -> None:
     """Write the page of a study, in a process of its own; a failure is no failure of the study."""
     subprocess.run(
-        [sys.executable, "-m", "service", "report", str(folder), "--json"],
+        [sys.executable, "-m", "service", "report", str(folder)],
         env=os.environ | THREAD_ENVIRONMENT,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

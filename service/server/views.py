@@ -8,6 +8,7 @@ from service.server.queue import Job
 from service.server.service import Service
 from storage.errors import PalpateError, StoreError
 
+ENDED = ("finished", "failed", "cancelled")
 FILES = {
     "study": ("study.yaml", "journal.jsonl", "report.html", "crash.txt"),
     "diagnosis": ("journal.jsonl", "diagnosis.json", "diagnosis.html", "crash.txt"),
@@ -37,16 +38,20 @@ def job_view(service: Service, job: Job) -> JobView:
     view.stopped = progress.stopped
     view.files = [name for name in FILES[job.kind] if _is_offered(service, job, name)]
     if job.kind == "study":
-        search = job.request["spec"]["search"]
-        new = search["population"] - search["elite"]
-        at_most = search["population"] + new * (search["generations"] - 1)
+        at_most = job.request.get("most_evaluations", 0)  # not in the queues of older versions
         view.evaluations = Evaluations(**progress.endings, at_most=at_most)
-        view.generations, view.generations_at_most = progress.generations, search["generations"]
+        view.generations = progress.generations
+        view.generations_at_most = job.request.get("most_generations")
         view.per_minute = progress.per_minute
         view.best = None if progress.best is None else Best.model_validate(progress.best)
     elif progress.phase is not None:
         view.phase = Phase.model_validate(progress.phase)
     return view
+
+
+def view_now(service: Service, job: Job) -> JobView:
+    """Return a job as it has become."""
+    return job_view(service, service.queue.get(job.id) or job)
 
 
 def state_of(service: Service, job: Job) -> State:

@@ -11,7 +11,8 @@ from service.thesis import printed
 from service.thesis.chapters import coefficients, mammograms, meshes, search, sensitivity
 from service.thesis.page import Chapter
 from service.thesis.results import ThesisResults
-from service.thesis.verdicts import Verdict, verdicts
+from service.thesis.verdict import Verdict
+from service.thesis.verdicts import verdicts
 from service.versions import palpate_version
 
 SCALES = {

@@ -23,8 +23,11 @@ class Aspect:
     worst: float
 
 
-ASPECTS = {"adaptive": Aspect(1.70, 8.86), "homogeneous": Aspect(1.55, 5.33)}
-ELEMENTS = {"adaptive": 900_000, "homogeneous": 425_000}
+ASPECTS: dict[MeshKind, Aspect] = {
+    "adaptive": Aspect(1.70, 8.86),
+    "homogeneous": Aspect(1.55, 5.33),
+}
+ELEMENTS: dict[MeshKind, int] = {"adaptive": 900_000, "homogeneous": 425_000}
 NODES = {"adaptive": 180_000, "homogeneous": 90_000}
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from service.dispatch import Dispatcher, value_of
 from service.thesis.experiments import Experiment, phases_of
 from service.thesis.search import SearchRun, run_search, search_runs
+from storage.places import Place
 from workers.thesis.scale import Scale
 
 
@@ -18,15 +19,17 @@ class ThesisRequest:
     ----------
     experiments : sequence of str
     scale : str
-    store, folder : Path
-        Where parts go, and where studies and pages go.
+    store : Path or ObjectPath
+        Where parts go.
+    folder : Path
+        Where studies and pages go.
     strategy : str
         Of the searches.
     """
 
     experiments: Sequence[Experiment]
     scale: Scale
-    store: Path
+    store: Place
     folder: Path
     strategy: str
 
@@ -96,7 +99,7 @@ def run_thesis(request: ThesisRequest, dispatcher: Dispatcher, observe: Observe)
                 _search(run, request.store, dispatcher, observe)
 
 
-def _search(run: SearchRun, store: Path, dispatcher: Dispatcher, observe: Observe) -> None:
+def _search(run: SearchRun, store: Place, dispatcher: Dispatcher, observe: Observe) -> None:
     if run.is_finished:
         return
     title = f"searching {run.target}, phantom {run.phantom}"

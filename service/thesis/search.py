@@ -7,13 +7,15 @@ from typing import Any
 
 from service.dispatch import Dispatcher
 from service.hooks import Observer, StudyFacts
-from service.results import StudyResults, study_results
+from service.results import StudyResults
+from service.results_reader import study_results
 from service.spec import StudySpec
 from service.study import Study
 from service.study_log import StudyLog
 from service.versions import versions
 from storage.digest import digest
 from storage.layout import StudyLayout
+from storage.places import Place
 from storage.records import EvaluationRecord
 from workers.spec import validated
 from workers.thesis.identification import TARGETS, TargetName, bounds_of, case_of, runs_at
@@ -105,7 +107,7 @@ Counted = Callable[[SearchRun, int], object]
 """Called with a search and how many of its candidates have an ending."""
 
 
-def run_search(run: SearchRun, store: Path, dispatcher: Dispatcher, counted: Counted) -> None:
+def run_search(run: SearchRun, store: Place, dispatcher: Dispatcher, counted: Counted) -> None:
     """Run one search to its end, from wherever it stands; see `service.study.Study.run`."""
     counter = _Counter(run, counted)
     Study(run.spec, run.folder, store, observers=[counter]).run(dispatcher)

@@ -2,112 +2,42 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from statistics import fmean
-from typing import Literal
 
 from service.formatting import number
 from service.thesis import printed
-from service.thesis.results import (
-    FoundSearch,
-    MeanCompression,
-    MeshResult,
-    SolverTime,
-    ThesisResults,
-)
+from service.thesis.results import FoundSearch, MeanCompression, MeshResult, ThesisResults
+from service.thesis.verdict import Verdict, at_most, equal, holds, with_unit
 from workers.thesis.bar import GROUPS
+from workers.thesis.compression import View
 from workers.thesis.identification import TARGETS
 from workers.thesis.scale import Scale
 
-Word = Literal["reproduced", "approached", "not reproduced", "cannot be", "not run"]
-# A number is reproduced within a tenth, or where less is better and it is not more; approached
-# within a factor of two.
-SAME, NEAR = 0.10, 2.0
 NO_BOX = "the thesis prints no size, material or voxels of it"
+ANOTHER_MESHER = "another mesher"
+REDUCED_BODY = "a compartment is a larger part of the reduced body, and is moved less far"
+HELD_NODES = "which nodes are held at the fixed plate decides it, and is not printed"
 # Bodies in 250 ml.
 VOLUMES: dict[Scale, float] = {"sketch": 8.0, "reduced": 8.0, "full": 1.0}
-REDUCED_BODY = "a compartment is a larger part of the reduced body, and is moved less far"
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """One number of the thesis.
-
-    Parameters
-    ----------
-    place : str
-        Where it is printed.
-    what : str
-    printed, found : str
-        As a reader wants them.
-    word : str
-    reason : str
-        Why it is not, or not quite, the printed one.
-    """
-
-    place: str
-    what: str
-    printed: str
-    found: str
-    word: Word
-    reason: str = ""
 
 
 def verdicts(results: ThesisResults) -> list[Verdict]:
-    """Judge every number of chapters 3 and 4 in the order of the thesis."""
-    return [
-        *_coefficients(results),
-        *_quality(results),
-        *_compression(results),
-        *_mammogram(results),
-        *_search(results),
-        *_sensitivity(results),
-        *_beyond(),
-    ]
+    """Judge every number of chapters 3 and 4 in the order of the thesis.
 
-
-def equal(
-    place: str, what: str, wanted: float, found: float | None, unit: str, why: str
-) -> Verdict:
-    """Judge a number that should be the same."""
-    if found is None or math.isnan(found):
-        return Verdict(place, what, _text(wanted, unit), "–", "not run")
-    ratio = max(found / wanted, wanted / found) if found > 0 else math.inf
-    word: Word = "not reproduced"
-    if ratio <= 1 + SAME:
-        word, why = "reproduced", ""
-    elif ratio <= NEAR:
-        word = "approached"
-    return Verdict(place, what, _text(wanted, unit), _text(found, unit), word, why)
-
-
-def at_most(
-    place: str, what: str, wanted: float, found: float | None, unit: str, why: str
-) -> Verdict:
-    """Judge a number of which less is better."""
-    if found is None or math.isnan(found):
-        return Verdict(place, what, _text(wanted, unit), "–", "not run")
-    word: Word = "not reproduced"
-    if found <= wanted * (1 + 1e-9):
-        word, why = "reproduced", ""
-    elif found <= NEAR * wanted:
-        word = "approached"
-    return Verdict(place, what, _text(wanted, unit), _text(found, unit), word, why)
-
-
-def holds(place: str, what: str, wanted: str, good: bool | None, found: str, why: str) -> Verdict:
-    """Judge a statement."""
-    if good is None:
-        return Verdict(place, what, wanted, "–", "not run")
-    return Verdict(
-        place, what, wanted, found, "reproduced" if good else "not reproduced", "" if good else why
+    What cannot be compared is said where its experiment was run.
+    """
+    whole = results.meshes is not None and results.search is not None
+    parts = (
+        (_coefficients, results.coefficients is not None),
+        (_quality, results.meshes is not None),
+        (_compression, results.meshes is not None),
+        (_mammogram, results.mammograms is not None),
+        (_search, results.search is not None),
+        (_sensitivity, results.sensitivity is not None),
+        (_beyond, whole),
     )
-
-
-def _text(value: float, unit: str) -> str:
-    if unit == "%":
-        return f"{number(100 * value, 3)} %"
-    return f"{number(value, 4)} {unit}".strip()
+    return [v for judge, ran in parts for v in judge(results) if ran or v.word == "not run"]
 
 
 def _coefficients(results: ThesisResults) -> Iterator[Verdict]:
@@ -116,94 +46,48 @@ def _coefficients(results: ThesisResults) -> Iterator[Verdict]:
     order = " < ".join(", ".join(map(str, group)) for group in GROUPS)
     for name in ("D22", "GSF", "JC", "DC"):
         good = None if monotone is None else monotone[name]
-        word = "in order" if good else "out of order"
-        yield holds(
-            "3.3.2, Fig. 3.5",
-            f"{name} worsens in the order {order}",
-            "in order",
-            good,
-            word,
-            NO_BOX,
-        )
+        what, word = f"{name} worsens in the order {order}", "in order" if good else "out of order"
+        yield holds("3.3.2, Fig. 3.5", what, "in order", good, word, NO_BOX)
     for name, title in (("dV", "volume difference"), ("SM", "signed mean")):
         good = None if monotone is None else not monotone[name]
-        yield holds(
-            "3.3.2",
-            f"{title} does not tell good from bad",
-            "rejected",
-            good,
-            "rejected" if good else "in order too",
-            NO_BOX,
-        )
+        what, word = f"{title} does not tell good from bad", "rejected" if good else "in order too"
+        yield holds("3.3.2", what, "rejected", good, word, NO_BOX)
     kept = None if found is None else "D22" in found.selection.kept
-    yield holds(
-        "3.3.2",
-        "D22 ranks deformations 5 to 7 behind 1 to 4",
-        "kept",
-        kept,
-        "kept" if kept else "rejected",
-        NO_BOX,
-    )
-    rows = None if found is None else [row for row in found.cylinder if 0 < row.angle_deg < 180]
-    least = None if rows is None else min(rows, key=lambda row: row.jc).angle_deg
-    yield holds(
-        "Fig. 3.7",
-        "angle of the least JC",
-        "90°",
-        None if least is None else least == 90,
-        f"{least:g}°" if least is not None else "",
-        NO_BOX,
-    )
-    decays = None if rows is None else all(row.dc > row.jc for row in rows)
+    what, word = "D22 ranks deformations 5 to 7 behind 1 to 4", "kept" if kept else "rejected"
+    yield holds("3.3.2", what, "kept", kept, word, NO_BOX)
+    least, decays, identity = None, None, None
+    if found is not None:
+        turned = [row for row in found.cylinder if 0 < row.angle_deg < 180]
+        least = min(turned, key=lambda row: row.jc).angle_deg
+        decays = all(row.dc > row.jc for row in turned)
+        identity = found.cylinder[0].gsf == -math.inf
+    good = None if least is None else least == 90
+    yield holds("Fig. 3.7", "angle of the least JC", "90°", good, f"{least or 0:g}°", NO_BOX)
     yield holds("Fig. 3.7", "DC decays less than JC", "everywhere", decays, "everywhere", NO_BOX)
-    identity = None if found is None else found.cylinder[0].gsf == -math.inf
-    yield holds("Fig. 3.8", "GSF of identical volumes", "−∞", identity, "−∞", "")
-    yield Verdict(
-        "Figs. 3.5 to 3.8",
-        "the values of the curves",
-        "figures alone",
-        "see the page",
-        "cannot be",
-        NO_BOX,
-    )
+    yield holds("Fig. 3.8", "GSF of identical volumes", "−∞", identity, "−∞")
+    yield _figure("Figs. 3.5 to 3.8", "the values of the curves", "figures alone", NO_BOX)
 
 
 def _quality(results: ThesisResults) -> Iterator[Verdict]:
     meshes = results.meshes
+    aspects = {row.kind: row for row in meshes.aspects} if meshes else {}
     for kind, wanted in printed.ASPECTS.items():
-        row = next((r for r in meshes.aspects if r.kind == kind), None) if meshes else None
-        average, worst = (row.average, row.worst) if row else (None, None)
-        yield at_most(
-            "Table 4.2",
-            f"average aspect ratio, {kind}",
-            wanted.average,
-            average,
-            "",
-            "another mesher",
-        )
-        yield at_most(
-            "Table 4.2", f"worst aspect ratio, {kind}", wanted.worst, worst, "", "another mesher"
-        )
+        row = aspects.get(kind)
+        mean, worst = (row.average, row.worst) if row else (None, None)
+        place, what = "Table 4.2", f"aspect ratio, {kind}"
+        yield at_most(place, f"average {what}", wanted.average, mean, why=ANOTHER_MESHER)
+        yield at_most(place, f"worst {what}", wanted.worst, worst, why=ANOTHER_MESHER)
     for kind, count in printed.ELEMENTS.items():
         tets = _mean_tets(meshes, kind)
         per_body = None if tets is None else tets * VOLUMES[results.scale]
         why = "the adaptive mesh is as fine where tissues meet, and coarser elsewhere"
-        yield equal("4.4.3", f"tetrahedra per 250 ml, {kind}", count, per_body, "", why)
-    order = None
-    if meshes is not None:
-        by_kind = {row.kind: row.average for row in meshes.aspects}
-        order = by_kind["homogeneous"] < by_kind["adaptive"]
+        yield equal("4.4.3", f"tetrahedra per 250 ml, {kind}", count, per_body, why=why)
+    good = aspects["homogeneous"].average < aspects["adaptive"].average if aspects else None
     why = "another mesher; the averages are close to each other in the thesis, too"
-    found = "yes" if order else "no"
-    yield holds("4.4.3", "homogeneous meshes are more regular", "yes", order, found, why)
-    yield Verdict(
-        "Fig. 4.15",
-        "M1 to M5 of six meshes",
-        "a figure alone",
-        "see the page",
-        "cannot be",
-        "its values are not printed",
-    )
+    what = "homogeneous meshes are more regular"
+    yield holds("4.4.3", what, "yes", good, "yes" if good else "no", why)
+    not_printed = "its values are not printed"
+    yield _figure("Fig. 4.15", "M1 to M5 of six meshes", "a figure alone", not_printed)
 
 
 def _mean_tets(meshes: MeshResult | None, kind: str) -> float | None:
@@ -214,112 +98,54 @@ def _mean_tets(meshes: MeshResult | None, kind: str) -> float | None:
 
 def _compression(results: ThesisResults) -> Iterator[Verdict]:
     meshes = results.meshes
-    means: dict[tuple[str, str], MeanCompression] = {}
-    if meshes is not None:
-        means = {(m.view, m.law): m for m in meshes.means}
-    held = "which nodes are held at the fixed plate decides it, and is not printed"
-    why = held if results.scale == "full" else f"{REDUCED_BODY}; and {held}"
+    means = {(m.view, m.law): m for m in meshes.means} if meshes else {}
+    why = HELD_NODES if results.scale == "full" else f"{REDUCED_BODY}; and {HELD_NODES}"
     for view, wanted in printed.TABLE_43.items():
-        mean = means.get((view, "neo-Hookean"))
-        place = "Table 4.3"
-        yield at_most(
-            place,
-            f"centroid distance, {view}",
-            wanted.centroid_mm,
-            None if mean is None else mean.centroid_mm,
-            "mm",
-            why,
-        )
-        yield at_most(
-            place,
-            f"volume difference, {view}",
-            wanted.volume_mm3,
-            None if mean is None else mean.volume_mm3,
-            "mm³",
-            why,
-        )
-        if wanted.jc is not None and wanted.mhd_mm is not None:
-            yield equal(
-                place,
-                f"Jaccard coefficient, {view}",
-                wanted.jc,
-                None if mean is None else mean.jc,
-                "",
-                why,
-            )
-            yield at_most(
-                place,
-                f"modified Hausdorff distance, {view}",
-                wanted.mhd_mm,
-                None if mean is None else mean.mhd_mm,
-                "mm",
-                why,
-            )
+        yield from _compared(view, "Table 4.3", wanted, means.get((view, "neo-Hookean")), why)
+    law = f"its constants are not printed (the same shear moduli are taken); {why}"
     for view, wanted in printed.MOONEY_RIVLIN.items():
-        mean = means.get((view, "Mooney-Rivlin"))
-        why_law = f"its constants are not printed (the same shear moduli are taken); {why}"
-        yield at_most(
-            "4.4.4",
-            f"centroid distance, Mooney-Rivlin, {view}",
-            wanted.centroid_mm,
-            None if mean is None else mean.centroid_mm,
-            "mm",
-            why_law,
+        yield from _compared(
+            f"Mooney-Rivlin, {view}", "4.4.4", wanted, means.get((view, "Mooney-Rivlin")), law
         )
-        yield at_most(
-            "4.4.4",
-            f"volume difference, Mooney-Rivlin, {view}",
-            wanted.volume_mm3,
-            None if mean is None else mean.volume_mm3,
-            "mm³",
-            why_law,
-        )
-    better = None
-    if ("CC", "neo-Hookean") in means and ("MLO", "neo-Hookean") in means:
-        better = means["MLO", "neo-Hookean"].jc > means["CC", "neo-Hookean"].jc
+    cc, mlo = (means.get((view, "neo-Hookean")) for view in ("CC", "MLO"))
+    better = None if cc is None or mlo is None else mlo.jc > cc.jc
     yield holds("4.4.4", "MLO agrees better than CC", "yes", better, "yes" if better else "no", why)
-    times: dict[str, SolverTime] = {}
-    if meshes is not None:
-        times = {t.mesh: t for t in meshes.times if t.view == "CC"}
+    times = {t.mesh: t.mean_s for t in meshes.times if t.view == "CC"} if meshes else {}
     for kind, seconds in printed.SECONDS_PER_1000.items():
-        time = times.get(kind)
-        yield at_most(
-            "Fig. 4.16",
-            f"seconds per 1000 elements, CC, {kind}",
-            seconds,
-            None if time is None else time.mean_s,
-            "s",
-            "",
-        )
-    yield Verdict(
-        "4.4.4",
-        "hours of a compression (7, 2, 2, 1.45)",
-        "2 to 7 h",
-        "see the page",
-        "cannot be",
-        "they do not fit the printed seconds: 23 s × 900 are 5.75 h, not 7",
-    )
+        what = f"seconds per 1000 elements, CC, {kind}"
+        yield at_most("Fig. 4.16", what, seconds, times.get(kind), "s")
+    contradiction = "they do not fit the printed seconds: 23 s × 900 are 5.75 h, not 7"
+    yield _figure("4.4.4", "hours of a compression (7, 2, 2, 1.45)", "2 to 7 h", contradiction)
+
+
+def _compared(
+    case: View | str, place: str, wanted: printed.Compared, mean: MeanCompression | None, why: str
+) -> Iterator[Verdict]:
+    """Judge a row of Table 4.3; a Jaccard coefficient by what it lacks of one."""
+    centroid, volume, jc, mhd = (None,) * 4
+    if mean is not None:
+        centroid, volume, jc, mhd = mean.centroid_mm, mean.volume_mm3, mean.jc, mean.mhd_mm
+    yield at_most(place, f"centroid distance, {case}", wanted.centroid_mm, centroid, "mm", why)
+    yield at_most(place, f"volume difference, {case}", wanted.volume_mm3, volume, "mm³", why)
+    if wanted.jc is not None:
+        what, lacking = f"Jaccard coefficient, {case}", None if jc is None else 1 - jc
+        judged = at_most(place, what, 1 - wanted.jc, lacking, why=why)
+        shown = judged.found if jc is None else with_unit(jc, "")
+        yield replace(judged, printed=with_unit(wanted.jc, ""), found=shown)
+    if wanted.mhd_mm is not None:
+        what = f"modified Hausdorff distance, {case}"
+        yield at_most(place, what, wanted.mhd_mm, mhd, "mm", why)
 
 
 def _mammogram(results: ThesisResults) -> Iterator[Verdict]:
     pairs = results.mammograms
     beyond = None if pairs is None else all(p.attenuation_rms > p.quantum_rms for p in pairs)
-    yield holds(
-        "Fig. 4.18",
-        "the meshes differ around the compartments, noise elsewhere",
-        "a picture",
-        beyond,
-        "beyond noise in every pair" if beyond else "within noise",
-        "",
-    )
-    yield Verdict(
-        "4.4.3",
-        "geometry, spectrum, dose, pixels",
-        "not printed",
-        "stated on the page",
-        "cannot be",
-        "a tungsten tube at 28 kV behind rhodium and 60 mAs are assumed",
-    )
+    what = "the meshes differ around the compartments, noise elsewhere"
+    word = "beyond noise in every pair" if beyond else "within noise"
+    yield holds("Fig. 4.18", what, "a picture", beyond, word)
+    assumed = "a tungsten tube at 28 kV behind rhodium and 60 mAs are assumed"
+    what, found = "geometry, spectrum, dose, pixels", "stated on the page"
+    yield Verdict("4.4.3", what, "not printed", found, "cannot be", assumed)
 
 
 def _search(results: ThesisResults) -> Iterator[Verdict]:
@@ -328,106 +154,98 @@ def _search(results: ThesisResults) -> Iterator[Verdict]:
         "the deformed shape hardly depends on it, as the thesis' own Fig. 4.22 says; an estimate "
         "of a flat valley is where the search happened to stop"
     )
-    few = (
-        "the reduced search has fewer candidates, larger voxels and a coarser mesh"
-        if results.scale != "full"
-        else ""
-    )
+    few = "the reduced search has fewer candidates, larger voxels and a coarser mesh"
+    few = few if results.scale != "full" else ""
     for target, table in printed.SEARCHES.items():
         found = [] if search is None else search.of(target)
         for column, name in enumerate(TARGETS[target]):
-            mean = _mean_error(found, column)
             why = weak if name.startswith("eta") else few
             note = f"; {table.note}" if target == "X3" and name == "E_glandular_kpa" else ""
-            yield at_most(
-                table.name,
-                f"mean relative error of {name.removesuffix('_kpa')}",
-                table.error[column],
-                mean,
-                "%",
-                why + note,
-            )
-        overlap = [s.jc for s in found if s.jc is not None]
+            what, theirs = f"of {name.removesuffix('_kpa')}", table.error[column]
+            alone, polished = _mean_errors(found, column)
+            if alone is not None:
+                what_alone = f"mean relative error {what}, genetic alone"
+                yield at_most(table.name, what_alone, theirs, alone, "%", why + note)
+            what = f"mean relative error {what}{', polished' if alone is not None else ''}"
+            yield at_most(table.name, what, theirs, polished, "%", why + note)
+        overlap = min((s.jc for s in found if s.jc is not None), default=None)
         worst = min(row.jc for row in table.rows)
-        good = min(overlap) >= worst if overlap else None
-        yield holds(
-            table.name,
-            "least JC of its phantoms",
-            number(worst, 3),
-            good,
-            number(min(overlap), 3) if overlap else "–",
-            few,
-        )
-    hours = None
-    if search is not None and search.searches:
-        hours = fmean(s.cpu_s for s in search.searches) / 3600
-    wanted = printed.HOURS * printed.CORES
+        good, shown = (None, "–") if overlap is None else (overlap >= worst, number(overlap, 3))
+        yield holds(table.name, "least JC of its phantoms", number(worst, 3), good, shown, few)
+    yield _hours(results)
+
+
+def _hours(results: ThesisResults) -> Verdict:
+    """Judge the time of a search, where the problem has the thesis' size."""
+    search, wanted = results.search, printed.HOURS * printed.CORES
+    hours = fmean(s.cpu_s for s in search.searches) / 3600 if search and search.searches else None
     place, what = "4.5.6", "core hours of a search"
     if results.scale == "full" or hours is None:
-        yield at_most(place, what, wanted, hours, "h", "")
-    else:
-        why = "a smaller problem: a coarser mesh, larger voxels, fewer candidates; run with --full"
-        yield Verdict(place, what, _text(wanted, "h"), _text(hours, "h"), "cannot be", why)
+        return at_most(place, what, wanted, hours, "h")
+    why = "a smaller problem: a coarser mesh, larger voxels, fewer candidates; run with --full"
+    texts = with_unit(wanted, "h"), with_unit(hours, "h")
+    return Verdict(place, what, *texts, "cannot be", why)
 
 
-def _mean_error(found: list[FoundSearch], column: int) -> float | None:
-    return fmean(s.constants[column].error for s in found) if found else None
+def _mean_errors(found: list[FoundSearch], column: int) -> tuple[float | None, float | None]:
+    """Return the mean error of the genetic part, None without a polish, and that of the end."""
+    if not found:
+        return None, None
+    constants = [s.constants[column] for s in found]
+    before = [c.genetic_error for c in constants if c.genetic_error is not None]
+    return fmean(before) if before else None, fmean(c.error for c in constants)
 
 
 def _sensitivity(results: ThesisResults) -> Iterator[Verdict]:
-    varied = results.sensitivity
-    one = next((v for v in varied if v.constant == "eta_glandular_kpa"), None) if varied else None
+    varied = results.sensitivity or ()
+    one = next((v for v in varied if v.constant == "eta_glandular_kpa"), None)
     lowest, most = (one.lowest_jc, one.most_mhd_voxels) if one else (None, None)
     why = "the body, its density and its voxels decide it" if results.scale != "full" else ""
-    yield holds(
-        "Fig. 4.22",
-        "JC over all of eta_glandular",
-        f"> {printed.LOWEST_JC}",
-        None if lowest is None else lowest > printed.LOWEST_JC,
-        f"≥ {number(lowest, 3)}",
-        why,
-    )
-    yield holds(
-        "Fig. 4.22",
-        "MHD over all of eta_glandular, voxels",
-        f"< {printed.MOST_MHD_VOXELS:g}",
-        None if most is None else most < printed.MOST_MHD_VOXELS,
-        f"≤ {number(most, 3)}",
-        why,
-    )
+    place, what = "Fig. 4.22", "over all of eta_glandular"
+    good = None if lowest is None else lowest > printed.LOWEST_JC
+    found = f"≥ {number(lowest, 3)}"
+    yield holds(place, f"JC {what}", f"> {printed.LOWEST_JC}", good, found, why)
+    good = None if most is None else most < printed.MOST_MHD_VOXELS
+    wanted, found = f"< {printed.MOST_MHD_VOXELS:g}", f"≤ {number(most, 3)}"
+    yield holds(place, f"MHD {what}, voxels", wanted, good, found, why)
 
 
-def _beyond() -> Iterator[Verdict]:
-    """What no run can settle."""
-    yield Verdict(
-        "4.4.3",
-        "phantoms of 250 ml and 170 × 100 × 50 mm",
-        "both",
-        "250 ml",
-        "cannot be",
-        "a body of these dimensions has 445 ml; 250 ml are 170 × 75 × 37.5 mm",
+def _figure(place: str, what: str, printed_there: str, why: str) -> Verdict:
+    """Name what cannot be compared, and is shown on the page."""
+    return Verdict(place, what, printed_there, "see the page", "cannot be", why)
+
+
+def _beyond(results: ThesisResults) -> Iterator[Verdict]:
+    """Name what no run can settle."""
+    rows = (
+        (
+            "4.4.3",
+            "phantoms of 250 ml and 170 × 100 × 50 mm",
+            "both",
+            "250 ml",
+            "a body of these dimensions has 445 ml; 250 ml are 170 × 75 × 37.5 mm",
+        ),
+        (
+            "4.4.3",
+            "edges of 1 mm and 425 000 tetrahedra",
+            "both",
+            "425 000",
+            "edges of 1 mm would need 2.1 million in 250 ml; the number is kept",
+        ),
+        (
+            "Table 4.6",
+            "row of phantom 2 and its statistics",
+            "both",
+            "the statistics",
+            printed.SEARCHES["X3"].note,
+        ),
+        (
+            "4.5.6",
+            "seeds and operators of the genetic algorithm",
+            "not printed",
+            "those of MATLAB's ga",
+            "so no estimate of a single phantom can come out the same",
+        ),
     )
-    yield Verdict(
-        "4.4.3",
-        "edges of 1 mm and 425 000 tetrahedra",
-        "both",
-        "425 000",
-        "cannot be",
-        "edges of 1 mm would need 2.1 million in 250 ml; the number is kept",
-    )
-    yield Verdict(
-        "Table 4.6",
-        "row of phantom 2 and its statistics",
-        "both",
-        "the statistics",
-        "cannot be",
-        printed.SEARCHES["X3"].note,
-    )
-    yield Verdict(
-        "4.5.6",
-        "seeds and operators of the genetic algorithm",
-        "not printed",
-        "those of MATLAB's ga",
-        "cannot be",
-        "so no estimate of a single phantom can come out the same",
-    )
+    for place, what, printed_there, found, why in rows:
+        yield Verdict(place, what, printed_there, found, "cannot be", why)

@@ -58,7 +58,7 @@ def test_every_command_that_is_named_exists() -> None:
     assert named <= known
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of what is tracked. The packages are those here, whose kernels are compiled."""
     if shutil.which("git") is None or not (ROOT / ".git").exists():

@@ -1,4 +1,4 @@
-"""A driver in a process of its own: FOLDER, then --scheduler ADDRESS or --workers N."""
+"""A driver in a process of its own: FOLDER, --scheduler ADDRESS or --workers N, [STORE]."""
 
 import sys
 from pathlib import Path
@@ -9,10 +9,10 @@ from service.cluster import open_cluster
 from service.dispatch import Dispatcher
 
 
-def main(folder: str, where: str, value: str) -> None:
+def main(folder: str, where: str, value: str, store: str | None = None) -> None:
     options = {"scheduler": value} if where == "--scheduler" else {"workers": int(value)}
     with open_cluster(**options) as cluster:
-        run(Path(folder), Dispatcher(cluster.client))
+        run(Path(folder), Dispatcher(cluster.client), store=store)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ the first gene is above a bound.
 import json
 import math
 import os
+import secrets
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -24,7 +25,8 @@ from storage.digest import digest
 from storage.errors import StoreError
 from storage.evaluations import load_evaluation, save_evaluation
 from storage.layout import StudyLayout
-from storage.stores import open_store
+from storage.places import Location
+from storage.stores import Store, open_store
 
 Record = dict[str, Any]
 LOG = "executions.log"
@@ -99,7 +101,7 @@ def evaluate(request: Record) -> Record:
     if done is not None:
         return done | {"reused": True}
     constants = request["constants"]
-    misbehave(store.root, constants["E_fat"])
+    misbehave(store, constants["E_fat"])
     apart = math.hypot(*(constants[name] / true - 1 for name, true in TRUTH.items()))
     record: Record = {"digest": request["digest"], "seconds": {"solve": 0.01}, "worker": "w"}
     if constants["E_glandular"] > 0.076:
@@ -111,31 +113,44 @@ def evaluate(request: Record) -> Record:
         if request.get("free"):
             record["fit"] = fit_of(constants, request["free"])
     save_evaluation(store, request["digest"], record)
-    with (store.root / LOG).open("a") as file:  # one write, as many processes append
-        file.write(request["digest"] + "\n")
+    note(store, LOG, request["digest"])
     return record | {"reused": False}
 
 
-def misbehave(store: Path, fat: float) -> None:
-    path = store / MANNERS
-    manners = json.loads(path.read_text()) if path.exists() else {}
+def note(store: Store, log: str, name: str) -> None:
+    """Add a line to a log, or an object to a folder of that name, as many processes do."""
+    if isinstance(store.root, Path):
+        with (store.root / log).open("a") as file:  # one write
+            file.write(name + "\n")
+    else:
+        store.backend.create(store.root / log / f"{name}.{secrets.token_hex(4)}", b"")
+
+
+def misbehave(store: Store, fat: float) -> None:
+    path = store.root / MANNERS
+    is_there = store.backend.is_file(path)
+    manners = json.loads(store.backend.read(path)) if is_there else {}
     time.sleep(manners.get("seconds", 0.0))
     if fat > manners.get("crash_above", math.inf):
         raise ZeroDivisionError(f"no such tissue: E_fat = {fat}")
     if fat > manners.get("full_disk_above", math.inf):
         raise StoreError("the disk of this worker is full")
+    if fat > manners.get("hang_above", math.inf) or (
+        fat > manners.get("hang_once_above", math.inf)
+        and store.backend.create(store.root / f"hung-{fat}", b"")
+    ):
+        time.sleep(60)
     if fat > manners.get("die_above", math.inf):
         os.kill(os.getpid(), 9)
 
 
-def set_manners(store: Path, **manners: float) -> None:
-    open_store(store)
-    (store / MANNERS).write_text(json.dumps(manners))
+def set_manners(location: Location, **manners: float) -> None:
+    store = open_store(location)
+    store.backend.write(store.root / MANNERS, json.dumps(manners).encode())
 
 
 def keep_volume(request: Record) -> str:
-    with Path(request["store"], KEPT).open("a") as file:
-        file.write(request["digest"] + "\n")
+    note(open_store(request["store"]), KEPT, request["digest"])
     return str(request["digest"])
 
 

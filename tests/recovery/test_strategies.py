@@ -10,11 +10,10 @@ from stand_ins import SPEC, Inline, assert_each_ran_once, executions, run, small
 
 from service.dispatch import Ending
 from service.errors import Interrupted
-from service.results import study_results
 from service.results_json import study_json
+from service.results_reader import study_results
 from service.spec import StudySpec
 from service.study_log import StudyLog
-from storage.errors import InputError
 from storage.layout import StudyLayout
 
 LEVELS = "  levels: [{nodes: 500, spacing_mm: 2}]\n"
@@ -116,14 +115,3 @@ def test_identification_is_not_computed_again(tmp_path: Path) -> None:
     run(folder, Inline())
     assert executions(folder) == ran
     assert journal(folder).identification == before
-
-
-def test_a_cornea_is_not_fitted_by_derivatives() -> None:
-    text = """
-name: cornea
-case: {organ: cornea, reference: {section: {central_mm: 0.595}}}
-target: {constants: {mu1_pa: 11000}}
-search: {strategy: least-squares, parameters: {mu1_pa: [1000, 40000]}}
-"""
-    with pytest.raises(InputError, match="strategy: genetic or cma"):
-        small_spec(text)

@@ -83,11 +83,14 @@ def test_plates_touch_the_body_and_arrows_push_it(axis: tuple[float, float, floa
     vertices, triangles = tent()
     moved = vertices * [1.2, 0.5, 1.1]
     told = told_by(
-        body_viewer(
-            [BodySurface("outline", "#ffffff", vertices, triangles)],
-            [BodyScan("40 N", Pressed(axis, 40.0), [{"best": moved}], [{}])],
-            [("best", "best")],
-            "gap",
+        script(
+            "body",
+            body_viewer(
+                [BodySurface("outline", "#ffffff", vertices, triangles)],
+                [BodyScan("40 N", Pressed(axis, 40.0), [{"best": moved}], [{}])],
+                [("best", "best")],
+                "gap",
+            ),
         )
     )
     (one,) = told["sets"]

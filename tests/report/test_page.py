@@ -101,7 +101,7 @@ def test_what_the_best_simulation_says(page: Page) -> None:
         "Force on the plate40 N",
         "Contact area3051 mm²",
         "Smallest volume ratio J0.7697",
-        "relative1.4·10−10",
+        "relative1.4·10⁻¹⁰",
         "13 + 11",
         "13 + 1 391",
         "Force of the chest wall−0.0021 N",

@@ -11,8 +11,8 @@ from pages import Page
 
 from service.dispatch import Dispatcher, Ending
 from service.report.study_page import write_report
-from service.results import study_results
 from service.results_json import study_json
+from service.results_reader import study_results
 from service.spec import parse_spec
 from service.study import Conclusion, Study
 from storage.errors import InputError

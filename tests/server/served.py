@@ -1,6 +1,7 @@
 """A service in a process of its own: FOLDER, then --scheduler ADDRESS or --workers N.
 
-Its tasks are the stand-ins of tests/recovery. It writes its address to FOLDER/url.
+Its tasks are the stand-ins of tests/recovery; those that store bodies, too, with --bodies; the
+real ones with --real. It writes its address to FOLDER/url.
 """
 
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).parent.parent / "recovery"))
 
+import with_bodies
 from stand_ins import TASKS
 
 from service.cluster import open_cluster
@@ -22,14 +24,15 @@ LIMITS = Limits(upload_bytes=2**20, uploads_bytes=4 * 2**20, body_bytes=2**17)
 
 def main(folder: str, where: str, value: str, port: str = "0", *more: str) -> None:
     options = {"scheduler": value} if where == "--scheduler" else {"workers": int(value)}
+    tasks = with_bodies.TASKS if "--bodies" in more else TASKS
     with (
         stop_requests() as requests,
         listen("127.0.0.1", int(port)) as listening,
         open_service(
             Path(folder),
             lambda: open_cluster(**options),
-            tasks=TASKS,
-            reports=False,
+            tasks=None if "--real" in more else tasks,
+            reports="--real" in more,
             limits=LIMITS,
             read_token="--read-token" in more,
         ) as service,

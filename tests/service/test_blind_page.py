@@ -14,7 +14,6 @@ from service.blind.metrics import floor_mm, metrics
 from service.blind.page import render
 from service.blind.records import CaseRecord
 from service.blind.scored_set import ScoredSet
-from service.cli import main
 
 SEALS = {
     "manifest": "a" * 64,
@@ -118,22 +117,6 @@ def test_the_page_lists_what_went_wrong() -> None:
 Call = Callable[..., tuple[int, str, str]]
 
 
-@pytest.fixture
-def call(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Call:
-    """Run a command in an empty folder: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "140")
-
-    def calling(*arguments: object) -> tuple[int, str, str]:
-        code = main(["blind", *map(str, arguments)])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return calling
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -146,7 +129,7 @@ def call(
     ],
 )
 def test_mistakes_end_with_one_message(call: Call, arguments: list[str], said: str) -> None:
-    code, _, err = call(*arguments)
+    code, _, err = call("blind", *arguments)
     assert code == 2
     assert said in err
     assert "Traceback" not in err
@@ -156,7 +139,7 @@ def test_score_prints_figures_and_writes_the_page(
     call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("service.blind.score_set.score_set", lambda *_: scored(cases()))
-    code, out, _ = call("score", "set", "--page", "page.html")
+    code, out, _ = call("blind", "score", "set", "--page", "page.html")
     assert code == 0
     lines = [line.split() for line in out.splitlines()]
     first = next(line for line in lines if line[:2] == ["False", "alarms"])
@@ -165,21 +148,21 @@ def test_score_prints_figures_and_writes_the_page(
     assert Path("page.html").read_text().startswith("<!DOCTYPE html>")
     text = Path("blind.md")
     text.write_text("Before.\n<!-- figures -->\nstale\n<!-- end of figures -->\nAfter.\n")
-    assert call("score", "set", "--into", text)[0] == 0
+    assert call("blind", "score", "set", "--into", text)[0] == 0
     written = text.read_text()
     assert "| One effect, visible: it comes first | 33 % |" in written
     wrong = written.partition("| wrong answer to")[2].partition("<!-- end")[0].splitlines()[2:]
     assert len(wrong) == 2
     right = sum(int(n) for n in re.findall(r"\*\*[^*]+ (\d+)\*\*", written))
     assert right == len(cases()) - 2
-    assert call("score", "set", "--into", text)[0] == 0
+    assert call("blind", "score", "set", "--into", text)[0] == 0
     assert text.read_text() == written
     assert written.startswith("Before.") and written.endswith("After.\n") and "stale" not in written
     text.write_text("no marks")
-    code, _, err = call("score", "set", "--into", text)
+    code, _, err = call("blind", "score", "set", "--into", text)
     assert (code, text.read_text()) == (2, "no marks")
     assert "Expected a line <!-- figures -->" in err
-    code, out, _ = call("score", "set", "--json")
+    code, out, _ = call("blind", "score", "set", "--json")
     told = json.loads(out)
     assert [c["name"] for c in told["cases"] if not c["right"]] == ["b1", "f0"]
     assert told["confusion"]["columns"][-1] == "failed"

@@ -12,28 +12,11 @@ import numpy as np
 import pytest
 from stand_ins import SPEC, Inline, run
 
-from service.cli import main
 from storage.layout import StudyLayout
 from storage.values import Volume
 from workers.body.images.read import read_volume
 
 Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def call(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Call:
-    """Run a command in an empty folder: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
-
-    def calling(*arguments: object) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in arguments])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return calling
 
 
 @pytest.fixture

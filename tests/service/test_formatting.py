@@ -9,16 +9,16 @@ from service import formatting
 
 
 def test_the_examples_in_the_docstrings() -> None:
-    told = doctest.testmod(formatting)
-    assert told.failed == 0
-    assert told.attempted >= 8
+    results = doctest.testmod(formatting)
+    assert results.failed == 0
+    assert results.attempted >= 8
 
 
 @pytest.mark.parametrize(
     ("value", "said"),
     [
         (0.0, "0"),
-        (-0.00012, "−1.20·10^−4"),
+        (-0.00012, "−1.20·10⁻⁴"),
         (99_996.0, "99996"),
         (-math.inf, "−∞"),
         (math.nan, "–"),

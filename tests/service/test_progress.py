@@ -16,9 +16,12 @@ def test_lines_in_a_log_tell_each_generation(tmp_path: Path) -> None:
     with progress:
         run(tmp_path / "runs" / "demo", Inline(), observers=[progress])
     lines = text.getvalue().splitlines()
-    told = [line for line in lines if line.startswith("generation ") and " done: " in line]
-    assert len(told) == 5
-    assert "best GSF" in told[0]
+    generations = [line for line in lines if line.startswith("generation ") and " done: " in line]
+    assert len(generations) == 5
+    assert "best GSF" in generations[0]
+    assert (
+        f"page: {tmp_path / 'runs' / 'demo' / 'report.html'}, new after every generation" in lines
+    )
     assert lines[-1] == "stopped: all 5 generations are done"
 
 
@@ -32,6 +35,7 @@ def test_a_terminal_gets_a_panel(tmp_path: Path) -> None:
     assert last["generation"].startswith("5 of 5 at most")
     assert "diverged" in last["evaluations"]
     assert "GSF" in last["best so far"]
+    assert last["page"].startswith(str(tmp_path / "runs" / "demo" / "report.html"))
     assert "demo" in text.getvalue()
 
 

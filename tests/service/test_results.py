@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from stand_ins import SPEC, Inline, executions, run, small_spec
 
-from service.results import candidate_results, is_running, study_results
 from service.results_json import candidate_json, study_json
+from service.results_reader import candidate_results, is_running, study_results
 from service.study import Study
 from service.study_log import StudyLog
 from storage.errors import InputError

@@ -13,7 +13,7 @@ from service import dispatch as dispatch_module
 from service import study as study_module
 from service.cli import main
 from service.cluster import Cluster
-from service.commands.settings import cluster_options, store_folder
+from service.commands.settings import cluster_options, store_place
 from service.dispatch import Ending
 from service.errors import ClusterError
 from service.scheduler_address import check_reachable, host_and_port
@@ -34,10 +34,11 @@ def test_an_option_counts_more_than_the_environment(monkeypatch: pytest.MonkeyPa
 
 
 def test_the_store_of_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert store_folder(None) == Path("runs/store")
+    assert store_place(None) == Path("runs/store").absolute()
     monkeypatch.setenv("PALPATE_STORE", str(tmp_path / "mine"))
-    assert store_folder(None) == tmp_path / "mine"
-    assert store_folder(Path("here")) == Path("here")
+    assert store_place(None) == tmp_path / "mine"
+    assert store_place("here") == Path("here").absolute()
+    assert str(store_place("s3://lab-7/palpate")) == "s3://lab-7/palpate"
     monkeypatch.chdir(tmp_path)
     assert main(["phantom", "--spacing-mm", "2"]) == 0
     assert (tmp_path / "mine" / "palpate-store.json").exists()

@@ -11,7 +11,7 @@ from stand_ins import TASKS, Inline, small_spec
 
 from service import study as study_module
 from service.cli import main
-from service.results import study_results
+from service.results_reader import study_results
 from service.study import Study
 from storage.layout import StudyLayout
 

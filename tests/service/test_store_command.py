@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from stand_ins import Inline, executions, run, told
 
-from service.cli import main
 from service.study_archive import export_study, import_study
 from service.study_log import StudyLog
 from storage.errors import StoreError
@@ -23,20 +22,6 @@ from storage.values import Volume
 from storage.volumes import has_volume, save_volume
 
 Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def call(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Call:
-    monkeypatch.chdir(tmp_path)
-
-    def calling(*arguments: object) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in arguments])
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return calling
 
 
 @pytest.fixture

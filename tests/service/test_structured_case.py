@@ -10,7 +10,6 @@ import pytest
 import yaml
 from compressed_breast import SCANS, described, write_scan
 
-from service.cli import main
 from service.templates import template
 from storage.values import Tissue, Volume
 from workers.organs.breast.case_files import read_case
@@ -21,20 +20,6 @@ from workers.spec import validated
 from workers.tasks.sources import is_plannable, open_planned, open_source, understood
 
 Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def call(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Call:
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        code = main([str(a) for a in arguments])
-        shown = capsys.readouterr()
-        return code, shown.out, shown.err
-
-    return run
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from stand_ins import SPEC, Inline, run, small_spec
 
 from service.cli import main
 from service.quantities import not_neutral, quantities_inside
-from service.results import candidate_results
+from service.results_reader import candidate_results
 from storage.digest import digest
 from workers.mechanics.effects.breast_catalogue import BREAST_MODEL
 from workers.tasks import evaluation

@@ -23,6 +23,7 @@ from workers.tasks.thesis.meshes import (
     MeasuredMesh,
     Press,
     compare_pressed,
+    coronal_section,
     measure_mesh,
     press_phantom,
 )
@@ -68,6 +69,9 @@ def test_a_mesh_is_measured_with_its_histograms(store: str) -> None:
     for name in MEASURES:
         assert len(row.histograms[name]) == BINS
         assert sum(row.histograms[name]) == row.tets
+    polygons, glandular = coronal_section(request)
+    assert len(polygons) == len(glandular)
+    assert 0 < glandular.mean() < 1
 
 
 def test_pressed_phantoms_are_compared_compartment_by_compartment(store: str) -> None:

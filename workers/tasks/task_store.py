@@ -7,7 +7,6 @@ the same name anywhere gets the same thing. Records are frozen dataclasses; see
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeVar
 
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from storage.arrays import Arrays, exists, load_arrays, load_meta, save_arrays
 from storage.digest import array_digest, digest
 from storage.errors import StoreError
+from storage.places import Location, Place
 from storage.stores import open_store
 from storage.typed_json import from_json, to_json
 from storage.values import Volume
@@ -31,7 +31,7 @@ class TaskStore:
     Parameters
     ----------
     location : str or Path
-        Folder of the store, which is made where it is missing.
+        The store, which is made where it is missing.
 
     Raises
     ------
@@ -39,10 +39,10 @@ class TaskStore:
         If the store cannot be used.
     """
 
-    def __init__(self, location: str | Path) -> None:
+    def __init__(self, location: Location) -> None:
         self.store = open_store(location)
 
-    def path(self, name: str) -> Path:
+    def path(self, name: str) -> Place:
         """Return where the part with this digest lies."""
         return self.store.layout.field(name)
 
@@ -129,7 +129,7 @@ class Part:
     name: str
 
     @property
-    def path(self) -> Path:
+    def path(self) -> Place:
         """Where it lies."""
         return self.store.path(self.name)
 

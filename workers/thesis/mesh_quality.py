@@ -13,6 +13,7 @@ from workers.body.mesh.adaptive.nested import adaptive_hierarchy
 from workers.body.mesh.adaptive.sizing import Sizes
 from workers.body.mesh.adaptive.tetwild import tetwild_mesh
 from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.body.mesh.plane_section import PlaneSection, plane_section
 from workers.body.mesh.quality import measures, summarise
 from workers.thesis.phantoms import thesis_phantom, two_materials
 from workers.thesis.scale import Scale, check_scale
@@ -111,6 +112,56 @@ def kinds_at(scale: Scale, *, other_mesher: bool) -> tuple[MeshKind, ...]:
     return tuple(k for k in KINDS if k not in large and (other_mesher or k != "fTetWild"))
 
 
+@dataclass(frozen=True, eq=False)
+class MadeMesh:
+    """A mesh of a phantom, before it is measured.
+
+    Parameters
+    ----------
+    mesh : TetMesh
+    inside : ndarray of bool, shape (tets,)
+        Which tetrahedra are glandular.
+    materials : Volume
+        The phantom, see `workers.thesis.phantoms.two_materials`.
+    seconds : float
+        Of the processor, to make it.
+    """
+
+    mesh: TetMesh
+    inside: BoolArray
+    materials: Volume
+    seconds: float
+
+    def coronal_section(self) -> tuple[PlaneSection, BoolArray]:
+        """Cut the mesh where its phantom has its glandular tissue in the mean (Fig. 4.14).
+
+        Returns
+        -------
+        section : PlaneSection
+        glandular : ndarray of bool
+            Which polygons are glandular.
+        """
+        layers = np.nonzero(self.materials.values == Tissue.GLANDULAR)[0]
+        origin, spacing = self.materials.origin_mm[2], self.materials.spacing_mm[2]
+        section = plane_section(self.mesh, 2, origin + float(layers.mean()) * spacing)
+        return section, self.inside[section.tets]
+
+
+def made_mesh(number: int, kind: MeshKind, scale: Scale = "reduced") -> MadeMesh:
+    """Mesh phantom `number`; see `quality_row`."""
+    check_scale(scale)
+    materials = two_materials(thesis_phantom(number, scale).labels)
+    started = time.process_time()
+    if kind == "fTetWild":
+        size = SMALLEST_MM["adaptive 1 mm"] * COARSER[scale]
+        made = tetwild_mesh(materials, size)
+        mesh, inside = made.mesh, made.inside
+    else:
+        finest = mesh_of(materials, kind, scale).finest
+        mesh, inside = finest.mesh, finest.fractions[:, Tissue.GLANDULAR] > 0.5
+    return MadeMesh(mesh, inside, materials, time.process_time() - started)
+
+
 def quality_row(number: int, kind: MeshKind, scale: Scale = "reduced") -> QualityRow:
     """Mesh phantom `number` and measure the tetrahedra.
 
@@ -128,41 +179,24 @@ def quality_row(number: int, kind: MeshKind, scale: Scale = "reduced") -> Qualit
     InputError
         If the number, the kind or the scale is unknown, or another mesher is not installed.
     """
-    check_scale(scale)
-    materials = two_materials(thesis_phantom(number, scale).labels)
-    started = time.process_time()
-    if kind == "fTetWild":
-        size = SMALLEST_MM["adaptive 1 mm"] * COARSER[scale]
-        made = tetwild_mesh(materials, size)
-        mesh, inside = made.mesh, made.inside
-    else:
-        finest = mesh_of(materials, kind, scale).finest
-        mesh, inside = finest.mesh, finest.fractions[:, Tissue.GLANDULAR] > 0.5
-    seconds = time.process_time() - started
-    return row_of(number, kind, mesh, inside, materials, seconds)
+    return row_of(number, kind, made_mesh(number, kind, scale))
 
 
-def row_of(
-    number: int,
-    kind: MeshKind,
-    mesh: TetMesh,
-    inside: BoolArray,
-    materials: Volume,
-    seconds: float,
-) -> QualityRow:
-    """Measure the tetrahedra of a mesh, of which `inside` are glandular."""
+def row_of(number: int, kind: MeshKind, made: MadeMesh) -> QualityRow:
+    """Measure the tetrahedra of a mesh of phantom `number`."""
+    mesh = made.mesh
     summary, measured = summarise(mesh), measures(mesh)
     return QualityRow(
         phantom=number,
         kind=kind,
         tets=summary["tets"],
         nodes=summary["nodes"],
-        seconds=seconds,
+        seconds=made.seconds,
         mean={name: float(measured[name].mean()) for name in MEASURES},
         m5=summary["M5"],
         worst_aspect=summary["aspect"]["max"],
         bad=summary["bad"],
-        agreement=agreement(mesh, inside, materials),
+        agreement=agreement(mesh, made.inside, made.materials),
         histograms={name: _histogram(measured[name], RANGES[name]) for name in MEASURES},
     )
 

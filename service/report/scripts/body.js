@@ -102,8 +102,7 @@ class Raster {
   }
 }
 
-const showBody = async (root) => {
-  const told = payload("body");
+const showBody = async (root, told = payload("body")) => {
   const surfaces = await Promise.all(told.surfaces.map(async (s) => ({
     ...s, triangles: await unpack(s.triangles), rest: await unpack(s.rest),
   })));

@@ -47,8 +47,7 @@ const overlay = (scan, model, gland) =>
     return label ? BODY : OUTSIDE;
   });
 
-const showSlices = async (root) => {
-  const told = payload("slices");
+const showSlices = async (root, told = payload("slices")) => {
   const sets = await Promise.all(
     told.sets.map(async (set) => {
       const volumes = {};

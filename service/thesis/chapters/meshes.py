@@ -8,15 +8,16 @@ from numpy.typing import NDArray
 
 from service.formatting import count, duration, number
 from service.report.palette import TISSUES, lookup
-from service.report.pictures import Picture, picture
+from service.report.pictures import Picture, picture, small_chart
 from service.report.slices import VIEWS, middle_mm, section
 from service.thesis import charts, printed
 from service.thesis.chapters.costs import cost_rows
 from service.thesis.experiments import SHOWN_PHANTOM
+from service.thesis.mesh_sections import mesh_sections
 from service.thesis.page import Chapter, Table
 from service.thesis.results import Cost, MeanCompression, MeshResult
 from storage.values import Tissue
-from workers.tasks.thesis.meshes import Press, pressed
+from workers.tasks.thesis.meshes import Measure, Press, coronal_section, pressed
 from workers.thesis.mesh_quality import KINDS, MEASURES, MeshKind, QualityRow
 from workers.thesis.scale import Scale
 
@@ -31,7 +32,6 @@ THERE, DIFFERS = (138, 148, 161, 60), (196, 78, 0, 255)
 
 def chapter(found: MeshResult, cost: Cost | None, store: str, scale: Scale) -> Chapter:
     """Return the chapter of thesis section 4.4."""
-    shown = slices(store, scale)
     return Chapter(
         "mesh-quality",
         "Homogeneous or adaptive meshes",
@@ -61,7 +61,8 @@ def chapter(found: MeshResult, cost: Cost | None, store: str, scale: Scale) -> C
                 "Histograms of the quality measures and the aspect ratio.",
                 "All tetrahedra of all phantoms.",
             ),
-            *shown,
+            *sections(store, scale),
+            *slices(store, scale),
         ),
         differences=_differences(scale, found),
         costs=cost_rows(cost, THESIS_TIME),
@@ -224,6 +225,23 @@ def _differences(scale: Scale, found: MeshResult) -> tuple[str, ...]:
             "glandular compartments are thinner than the smallest cells of 0.7 mm."
         )
     return tuple(texts)
+
+
+def sections(store: str, scale: Scale) -> list[Picture]:
+    """Return the same slice of both meshes of one phantom, with its tetrahedra."""
+    kinds: tuple[MeshKind, ...] = ("adaptive", "homogeneous")
+    requests = [Measure(store, scale, SHOWN_PHANTOM, kind) for kind in kinds]
+    if not all(r.part.is_finished for r in requests):
+        return []
+    shown = [(f"{r.mesh.capitalize()} mesh", *coronal_section(r)) for r in requests]
+    return [
+        small_chart(
+            mesh_sections(shown),
+            "The tetrahedra that a coronal plane meets, on both meshes.",
+            f"Phantom {SHOWN_PHANTOM} at rest, the tetrahedra of a coronal slice; dark: "
+            "glandular (thesis Fig. 4.14).",
+        )
+    ]
 
 
 def slices(store: str, scale: Scale) -> list[Picture]:

@@ -1,15 +1,16 @@
 """Twenty eyes with one hidden effect each, and controls, from `quad_cornea`; diagnosed one by one.
 
-    python tests/organs/cornea/blind_eyes.py RESULTS.jsonl
+    python tests/organs/cornea/blind_eyes.py RESULTS.jsonl --draw 1
 
-What stands in the file already is not computed again. Every effect has another form than in the
-catalogue: jets with soft edges, a gradient that is a tanh, a limbus that is softer outside, a
-posterior surface that is stretched. Surfaces carry errors of segmentation in both images, made of
-waves and not of a Gaussian kernel.
+What stands in the file already is not computed again; every draw is another set of eyes. Every
+effect has another form than in the catalogue: jets with soft edges, a gradient that is a tanh, a
+limbus that is softer outside, a posterior surface that is stretched. Surfaces carry errors of
+segmentation in both images, made of waves and not of a Gaussian kernel.
 """
 
+import argparse
 import json
-import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -72,9 +73,9 @@ def drawn(surface, rng):
     return surface + error[:, None] * normal
 
 
-def source_of(number):
+def source_of(draw, number):
     """Make an eye and what a diagnosis is given of it."""
-    rng = np.random.default_rng([14, number])
+    rng = np.random.default_rng([1914, draw, number])
     name, eye = NAMES[number], STIFF[rng.integers(len(STIFF))]
     thickness = eye.pachymetry_um / 1000
     section = generated_section(7.8, 11.7, thickness, thickness + 0.105)
@@ -142,7 +143,11 @@ def diagnosed(source):
 
 
 def main():
-    results = Path(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("results", type=Path)
+    parser.add_argument("--draw", type=int, required=True)
+    wanted = parser.parse_args()
+    results = wanted.results
     done = (
         {json.loads(line)["number"] for line in results.read_text().splitlines()}
         if results.exists()
@@ -153,9 +158,10 @@ def main():
     for number in order:
         if number in done:
             continue
-        record = {"number": number, "hidden": NAMES[number]}
+        record = {"draw": wanted.draw, "number": number, "hidden": NAMES[number]}
+        begin = time.perf_counter()
         try:
-            verdict = diagnosed(source_of(number)).verdict
+            verdict = diagnosed(source_of(wanted.draw, number)).verdict
         except ArithmeticError as error:
             record["failed"] = str(error)
         else:
@@ -167,6 +173,7 @@ def main():
                 "threshold": verdict.threshold,
                 "absorbed": sorted(verdict.hidden),
             }
+        record["seconds"] = round(time.perf_counter() - begin, 1)
         with results.open("a") as file:
             file.write(json.dumps(record) + "\n")
 

@@ -98,3 +98,15 @@ def test_a_load_that_makes_no_sense_has_no_equilibrium(problem: CorneaProblem) -
     off = SOLVER.equilibrium(None, effect.apply(problem, {"jet_offset": 9.0}, FRAME))
     assert not off.solution.outcome.converged
     assert "jet" in off.solution.outcome.reason
+
+
+def test_a_limbus_that_is_held_is_let_go_by_a_difference(problem: CorneaProblem) -> None:
+    """An elastic limbus has other unknowns than one that is held."""
+    effect = next(e for e in CORNEA_EFFECTS if e.name == "limbus_compliance")
+    where = dict.fromkeys(effect.names, 0.0)
+    solved = SOLVER.equilibrium(None, problem)
+    (slope,) = SOLVER.tangents(solved, effect.changes(problem, FRAME, where))
+    h = 1e-3 * effect.prior_sd[0]
+    after = SOLVER.equilibrium(None, effect.apply(problem, {effect.names[0]: h}, FRAME))
+    expected = (after.solution.displacement_mm - solved.solution.displacement_mm) / h
+    np.testing.assert_allclose(slope, expected, atol=0.1 * np.abs(expected).max())

@@ -14,14 +14,19 @@ from numpy.typing import NDArray
 
 from storage.values import BoolArray, FloatArray, IntArray, TetMesh
 from workers.body.mesh.bcc_lattice import Lattice
+from workers.body.mesh.edge_cuts import (
+    NEAR_LONG,
+    NEAR_SHORT,
+    add_tet,
+    add_wedge,
+    crossing_edges,
+    edge_between,
+    most_urgent_first,
+    squared_length,
+)
 from workers.body.mesh.incidence import elements_of_nodes
 from workers.body.mesh.outline import Outline, distance_at, project
 from workers.compile_flags import EXACT
-
-# A node moves when an edge is cut nearer to it than this fraction of the edge: the "safe"
-# values of the paper's table 3 for edges of length a and sqrt(3)/2 a.
-NEAR_LONG = 0.24999
-NEAR_SHORT = 0.41189
 
 
 def stuff_isosurface(lattice: Lattice, outline: Outline) -> TetMesh:
@@ -36,10 +41,10 @@ def stuff_isosurface(lattice: Lattice, outline: Outline) -> TetMesh:
     nodes = lattice.nodes.copy()
     distance = lattice.distance.copy()
     distance[distance == 0] = 1e-9
-    edges = _crossing_edges(lattice.tets, distance)
+    edges = crossing_edges(lattice.tets, distance)
     cut = _cut_fractions(nodes, distance, edges, field, frame)
     start, incident = elements_of_nodes(edges, len(nodes))
-    order = _most_urgent_first(nodes, edges, cut, lattice.cell_mm)
+    order = most_urgent_first(nodes, edges, cut, lattice.cell_mm)
     _snap(
         nodes,
         distance,
@@ -66,32 +71,6 @@ def stuff_isosurface(lattice: Lattice, outline: Outline) -> TetMesh:
     wall = np.concatenate([lattice.wall, cut_wall])
     every[wall, 2] = outline.wall_z_mm
     return TetMesh(every, tets)
-
-
-def _crossing_edges(tets: IntArray, distance: FloatArray) -> IntArray:
-    """Return edges (inside node, outside node) that cross the outline, each once."""
-    outside = distance[tets] > 0
-    mixed = tets[outside.any(axis=1)]
-    pairs = mixed[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)
-    out = distance[pairs] > 0
-    pairs = pairs[out[:, 0] != out[:, 1]]
-    swap = distance[pairs[:, 0]] > 0
-    pairs[swap] = pairs[swap][:, ::-1]
-    key = np.unique(pairs[:, 0].astype(np.int64) * len(distance) + pairs[:, 1])
-    return np.stack(np.divmod(key, len(distance)), axis=1).astype(np.int32)
-
-
-def _most_urgent_first(
-    nodes: FloatArray, edges: IntArray, cut: FloatArray, cell_mm: float
-) -> IntArray:
-    """Return nodes whose nearest cut violates its limit, nearest first."""
-    length = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
-    near = np.where(length > 0.95 * cell_mm, NEAR_LONG, NEAR_SHORT)
-    urgency = np.full(len(nodes), np.inf)
-    np.minimum.at(urgency, edges[:, 0], cut / near)
-    np.minimum.at(urgency, edges[:, 1], (1 - cut) / near)
-    close = np.flatnonzero(urgency < 1)
-    return close[np.argsort(urgency[close], kind="stable")].astype(np.int32)
 
 
 @njit(**EXACT)
@@ -181,77 +160,16 @@ def _snap(
 
 
 @njit(**EXACT)
-def _edge_between(edges: IntArray, start: IntArray, incident: IntArray, p: int, q: int) -> int:
-    for m in range(start[p], start[p + 1]):
-        e = incident[m]
-        if edges[e, 0] == q or edges[e, 1] == q:
-            return e
-    return -1
-
-
-@njit(**EXACT)
-def _squared_length(nodes: FloatArray, p: int, q: int) -> float:
-    return (
-        (nodes[p, 0] - nodes[q, 0]) ** 2
-        + (nodes[p, 1] - nodes[q, 1]) ** 2
-        + (nodes[p, 2] - nodes[q, 2]) ** 2
-    )
-
-
-@njit(**EXACT)
 def _diagonal_starts_at_first(nodes: FloatArray, a: int, A: int, b: int, B: int) -> bool:
     """Say whether the diagonal of the face (a, b, B, A) starts in a; A and B are cut points.
 
     It starts at the longer remainder. This is an order of the cut edges, so that the three
     faces of a wedge never form a ring (which has no split without a new node).
     """
-    ra, rb = _squared_length(nodes, a, A), _squared_length(nodes, b, B)
+    ra, rb = squared_length(nodes, a, A), squared_length(nodes, b, B)
     if ra != rb:
         return ra > rb
     return A < B
-
-
-@njit(**EXACT)
-def _add_tet(tets: IntArray, count: int, nodes: FloatArray, p: int, q: int, r: int, s: int) -> int:
-    x, y = nodes[q] - nodes[p], nodes[r] - nodes[p]
-    z = nodes[s] - nodes[p]
-    det = (
-        x[0] * (y[1] * z[2] - y[2] * z[1])
-        + x[1] * (y[2] * z[0] - y[0] * z[2])
-        + x[2] * (y[0] * z[1] - y[1] * z[0])
-    )
-    tets[count, 0], tets[count, 1] = p, q
-    if det > 0:
-        tets[count, 2], tets[count, 3] = r, s
-    else:
-        tets[count, 2], tets[count, 3] = s, r
-    return count + 1
-
-
-@njit(**EXACT)
-def _add_wedge(
-    tets: IntArray,
-    count: int,
-    nodes: FloatArray,
-    b: NDArray[np.int64],
-    t: NDArray[np.int64],
-    up: BoolArray,
-) -> int:
-    """Split a wedge with corners b[0..2] below t[0..2] into three tetrahedra.
-
-    ``up[i]`` says that the diagonal of the face between the columns i and i + 1 runs from b[i]
-    to t[i + 1], else from b[i + 1] to t[i]; the three must not be equal.
-    """
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        if up[i] and not up[k]:  # both diagonals at column i start in b[i]
-            count = _add_tet(tets, count, nodes, b[i], t[0], t[1], t[2])
-            if up[j]:  # diagonal b[j] - t[k]
-                count = _add_tet(tets, count, nodes, b[i], b[j], t[j], t[k])
-                return _add_tet(tets, count, nodes, b[i], b[j], b[k], t[k])
-            count = _add_tet(tets, count, nodes, b[i], b[k], t[j], t[k])
-            return _add_tet(tets, count, nodes, b[i], b[j], b[k], t[j])
-    return count
 
 
 @njit(**EXACT)
@@ -294,35 +212,35 @@ def _cut_tets(
             c0 = inn[0]
             corner = on.copy()
             for c in range(n_out):
-                corner[n_on + c] = offset + _edge_between(edges, start, incident, c0, out[c])
-            count = _add_tet(tets, count, nodes, c0, corner[0], corner[1], corner[2])
+                corner[n_on + c] = offset + edge_between(edges, start, incident, c0, out[c])
+            count = add_tet(tets, count, nodes, c0, corner[0], corner[1], corner[2])
         elif n_in == 2 and n_out == 1:  # pyramid with its tip on the outline
             p, q = inn[0], inn[1]
-            P = offset + _edge_between(edges, start, incident, p, out[0])
-            Q = offset + _edge_between(edges, start, incident, q, out[0])
+            P = offset + edge_between(edges, start, incident, p, out[0])
+            Q = offset + edge_between(edges, start, incident, q, out[0])
             if _diagonal_starts_at_first(nodes, p, P, q, Q):
-                count = _add_tet(tets, count, nodes, p, q, Q, on[0])
-                count = _add_tet(tets, count, nodes, p, Q, P, on[0])
+                count = add_tet(tets, count, nodes, p, q, Q, on[0])
+                count = add_tet(tets, count, nodes, p, Q, P, on[0])
             else:
-                count = _add_tet(tets, count, nodes, p, q, P, on[0])
-                count = _add_tet(tets, count, nodes, q, Q, P, on[0])
+                count = add_tet(tets, count, nodes, p, q, P, on[0])
+                count = add_tet(tets, count, nodes, q, Q, P, on[0])
         elif n_in == 3:  # wedge between three inner nodes and their cut points
             for c in range(3):
                 b[c] = inn[c]
-                t[c] = offset + _edge_between(edges, start, incident, inn[c], out[0])
+                t[c] = offset + edge_between(edges, start, incident, inn[c], out[0])
             for c in range(3):
                 d = (c + 1) % 3
                 up[c] = _diagonal_starts_at_first(nodes, b[c], t[c], b[d], t[d])
-            count = _add_wedge(tets, count, nodes, b, t, up)
+            count = add_wedge(tets, count, nodes, b, t, up)
         else:  # wedge along the edge between two inner nodes
             b[0], t[0] = inn[0], inn[1]
             for c in range(2):
-                b[c + 1] = offset + _edge_between(edges, start, incident, inn[0], out[c])
-                t[c + 1] = offset + _edge_between(edges, start, incident, inn[1], out[c])
+                b[c + 1] = offset + edge_between(edges, start, incident, inn[0], out[c])
+                t[c + 1] = offset + edge_between(edges, start, incident, inn[1], out[c])
             up[0] = _diagonal_starts_at_first(nodes, b[0], b[1], t[0], t[1])
             up[2] = not _diagonal_starts_at_first(nodes, b[0], b[2], t[0], t[2])
-            up[1] = _squared_length(nodes, b[1], t[2]) < _squared_length(nodes, b[2], t[1])
+            up[1] = squared_length(nodes, b[1], t[2]) < squared_length(nodes, b[2], t[1])
             if up[0] == up[1] and up[1] == up[2]:
                 up[1] = not up[1]
-            count = _add_wedge(tets, count, nodes, b, t, up)
+            count = add_wedge(tets, count, nodes, b, t, up)
     return tets[:count].copy()

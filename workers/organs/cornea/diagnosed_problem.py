@@ -86,14 +86,16 @@ class CorneaForward:
         """Return derivatives of the displacement, shape (c, n, 3), in mm per unit.
 
         Of the candidate itself, without its shares of other kinds; a change of a share is a
-        difference of solutions, in which it is linear.
+        difference of solutions, in which it is linear, and so is one that lets a limbus go that
+        was held: it has other unknowns.
         """
         found = np.empty((len(changes), *at.solution.displacement_mm.shape))
         pairs: list[tuple[int, CandidateChange]] = []
         for number, change in enumerate(changes):
             plus: Any = change.plus
             minus: Any = change.minus
-            if plus.shares != minus.shares:
+            held = {one.candidate.prepared.clamped for one in (plus, minus, at.problem)}
+            if plus.shares != minus.shares or len(held) > 1:
                 ends = [self.equilibrium(None, one).solution for one in (plus, minus)]
                 apart = ends[0].displacement_mm - ends[1].displacement_mm
                 found[number] = apart / change.step

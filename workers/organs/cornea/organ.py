@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from storage.errors import InputError
 from storage.task_records import FreeParameter
 from storage.values import FloatArray, Volume
 from workers.mechanics.effects.base import Effect
@@ -32,11 +31,20 @@ from workers.organs.cornea.spec import (
     CorneaTarget,
     FrameSpec,
     GeneratedSectionSpec,
+    MeshSpec,
+)
+from workers.organs.cornea.surface_fit import (
+    FittedCornea,
+    SurfaceObservation,
+    fit_surfaces,
+    observe_surfaces,
 )
 from workers.organs.cornea.t6_mesh import T6Mesh
-from workers.organs.organ import Arrays, Facts, Fitted, Scores
+from workers.organs.organ import Arrays, Facts, Scores
 from workers.spec import Door
 
+# Of a mesh on which constants are fitted first.
+FEWEST_ELEMENTS = 60
 _MESH_ARRAYS = ("nodes_mm", "triangles", "anterior", "posterior", "left", "right")
 
 
@@ -168,22 +176,22 @@ class Cornea:
         """See `Organ.solve`."""
         return CorneaOutcome(solve_prepared(problem.prepared, problem.constants, problem.load))
 
-    no_derivatives = (
-        "The distances between a cornea's contours are not differentiated for a search yet: "
-        "give search.strategy: genetic or cma."
-    )
+    no_derivatives = ""
 
     def coarse(self, body: Section, spacing_mm: float) -> Section:
         """See `Organ.coarse`: a section has no voxels."""
         return body
 
     def coarse_case(self, case: CorneaCase, nodes: int) -> CorneaCase:
-        """See `Organ.coarse_case`: a section is meshed in one resolution."""
-        return case
+        """See `Organ.coarse_case`: an element brings two nodes, about."""
+        mesh = MeshSpec(elements=max(FEWEST_ELEMENTS, nodes // 2))
+        return case.model_copy(update={"mesh": mesh})
 
-    def observation(self, body: Section, mesh: T6Mesh, target: Section, imaged: bool) -> None:
-        """Refuse: see `no_derivatives`."""
-        raise InputError(self.no_derivatives)
+    def observation(
+        self, body: Section, mesh: T6Mesh, target: Section, imaged: bool
+    ) -> SurfaceObservation:
+        """See `Organ.observation`."""
+        return observe_surfaces(mesh, target, imaged)
 
     def fit(
         self,
@@ -193,10 +201,14 @@ class Cornea:
         free: Sequence[FreeParameter],
         landmarks: float,
         target_landmarks: float | None,
-        observation: None,
-    ) -> Fitted:
-        """Refuse: see `no_derivatives`."""
-        raise InputError(self.no_derivatives)
+        observation: SurfaceObservation,
+    ) -> FittedCornea:
+        """See `Organ.fit`."""
+
+        def candidate_at(values: Mapping[str, float]) -> Candidate:
+            return candidate_of(model, case, values, landmarks)
+
+        return fit_surfaces(candidate_at, constants, free, observation)
 
     def deform(
         self,

@@ -13,13 +13,13 @@ from typing import ClassVar
 import numpy as np
 
 from storage.arrays import Arrays
-from storage.values import Triple, Volume
+from storage.values import BoolArray, FloatArray, Triple, Volume
 from workers.body.mesh.hierarchy import Hierarchy
 from workers.mechanics.fem.outcome import Outcome
 from workers.tasks.task_store import TaskStore
 from workers.tasks.thesis.parts import Request, Spent, Watch, cached_phantom
 from workers.thesis.compression import Compressed, CompressionRow, LawName, View, compared, compress
-from workers.thesis.mesh_quality import MeshKind, QualityRow, mesh_of, quality_row
+from workers.thesis.mesh_quality import MeshKind, QualityRow, made_mesh, mesh_of, row_of
 from workers.thesis.phantoms import two_materials
 from workers.thesis.scale import Scale
 
@@ -69,7 +69,7 @@ class ComparePressed(Request):
 
 @dataclass(frozen=True, slots=True)
 class MeasuredMesh:
-    """A mesh of a phantom."""
+    """A mesh of a phantom; beside it the polygons of a coronal slice, glandular or not."""
 
     spent: Spent
     row: QualityRow
@@ -105,9 +105,18 @@ def measure_mesh(request: Measure) -> Spent:
     """
     if not request.part.is_finished:
         watch = Watch()
-        row = quality_row(request.phantom, request.mesh, request.scale)
-        request.part.save(MeasuredMesh(watch.spent(), row), {})
+        made = made_mesh(request.phantom, request.mesh, request.scale)
+        row = row_of(request.phantom, request.mesh, made)
+        section, glandular = made.coronal_section()
+        arrays = {"polygons": section.polygons.astype(np.float32), "glandular": glandular}
+        request.part.save(MeasuredMesh(watch.spent(), row), arrays)
     return request.spent
+
+
+def coronal_section(request: Measure) -> tuple[FloatArray, BoolArray]:
+    """Return the slice of a mesh that is measured: polygons (m, 4, 2), and which are glandular."""
+    _, arrays = request.part.load(MeasuredMesh)
+    return np.asarray(arrays["polygons"], np.float64), np.asarray(arrays["glandular"], bool)
 
 
 def press_phantom(request: Press) -> Spent:

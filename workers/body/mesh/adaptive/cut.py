@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 
 from storage.values import BoolArray, FloatArray, IntArray, TetMesh
 from workers.body.mesh.adaptive.level_set import LevelSet
-from workers.body.mesh.incidence import elements_of_nodes
-from workers.body.mesh.isosurface_stuffing import (
-    _add_tet,
-    _add_wedge,
-    _edge_between,
-    _squared_length,
+from workers.body.mesh.edge_cuts import (
+    NEAR_LONG,
+    NEAR_SHORT,
+    add_tet,
+    add_wedge,
+    crossing_edges,
+    edge_between,
+    most_urgent_first,
+    squared_length,
 )
+from workers.body.mesh.incidence import elements_of_nodes
 from workers.body.mesh.outline import distance_at, project
 from workers.compile_flags import EXACT
-
-# A node moves when an edge is cut nearer to it than this part of the edge. For edges of
-# length a and sqrt(3)/2 a of a lattice these are the paper's safe values.
-NEAR_LONG, NEAR_SHORT = 0.24999, 0.41189
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +79,15 @@ def cut(
     nodes, field, frame = mesh.nodes.copy(), surface.field, surface.frame
     distance = _at_nodes(nodes, field, frame) - level_mm
     distance[distance == 0] = 1e-9
-    edges = _crossing(mesh.tets, distance)
+    edges = crossing_edges(mesh.tets, distance)
     part = _cut_fractions(nodes, distance, edges, field, frame, level_mm)
     lattice_mm = np.full(len(nodes), np.inf)
     np.minimum.at(lattice_mm, mesh.tets.ravel(), np.repeat(size_mm, 4))
     start, incident = elements_of_nodes(edges, len(nodes))
+    order = most_urgent_first(nodes, edges, part, lattice_mm[edges].min(axis=1))
     _snap(
         nodes, distance, lattice_mm, fixed, on_wall, edges, part, start, incident,
-        _most_urgent_first(nodes, edges, part, lattice_mm), field, frame, level_mm,
+        order, field, frame, level_mm,
     )  # fmt: skip
     alive = distance[edges[:, 0]] * distance[edges[:, 1]] < 0
     edges, part = edges[alive], part[alive]
@@ -101,32 +102,6 @@ def cut(
     )
     on = np.concatenate([distance == 0, np.ones(len(points), np.bool_)])
     return Cut(TetMesh(every, tets), inside, on, parent, edges)
-
-
-def _crossing(tets: IntArray, distance: FloatArray) -> IntArray:
-    """Edges (negative node, positive node), each once."""
-    positive = distance[tets] > 0
-    mixed = tets[positive.any(axis=1) & ~positive.all(axis=1)]
-    pairs = mixed[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)
-    out = distance[pairs] > 0
-    pairs = pairs[out[:, 0] != out[:, 1]]
-    swap = distance[pairs[:, 0]] > 0
-    pairs[swap] = pairs[swap][:, ::-1]
-    key = np.unique(pairs[:, 0].astype(np.int64) * len(distance) + pairs[:, 1])
-    return np.stack(np.divmod(key, len(distance)), axis=1).astype(np.int32)
-
-
-def _most_urgent_first(
-    nodes: FloatArray, edges: IntArray, part: FloatArray, lattice_mm: FloatArray
-) -> IntArray:
-    """Nodes whose nearest cut violates its limit, nearest first."""
-    length = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
-    near = np.where(length > 0.95 * lattice_mm[edges].min(axis=1), NEAR_LONG, NEAR_SHORT)
-    urgency = np.full(len(nodes), np.inf)
-    np.minimum.at(urgency, edges[:, 0], part / near)
-    np.minimum.at(urgency, edges[:, 1], (1 - part) / near)
-    close = np.flatnonzero(urgency < 1)
-    return close[np.argsort(urgency[close], kind="stable")].astype(np.int32)
 
 
 @njit(**EXACT)
@@ -198,7 +173,7 @@ def _snap(
             p, q = edges[e, 0], edges[e, 1]
             if distance[p] * distance[q] >= 0:
                 continue  # the other end has been moved onto the surface
-            length = np.sqrt(_squared_length(nodes, p, q))
+            length = np.sqrt(squared_length(nodes, p, q))
             long = length > 0.95 * min(lattice_mm[p], lattice_mm[q])
             t = part[e] if p == v else 1.0 - part[e]
             if t < (NEAR_LONG if long else NEAR_SHORT) and t * length < best:
@@ -253,39 +228,39 @@ def _one_side(
     if n_in == 0:
         return count
     if n_out == 0:
-        return _add_tet(tets, count, nodes, tet[0], tet[1], tet[2], tet[3])
+        return add_tet(tets, count, nodes, tet[0], tet[1], tet[2], tet[3])
     if n_in == 1:
         for c in range(n_out):
-            on[n_on + c] = first + _edge_between(edges, start, incident, inn[0], out[c])
-        return _add_tet(tets, count, nodes, inn[0], on[0], on[1], on[2])
+            on[n_on + c] = first + edge_between(edges, start, incident, inn[0], out[c])
+        return add_tet(tets, count, nodes, inn[0], on[0], on[1], on[2])
     b, t, up = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.bool_)
     p, q = inn[0], inn[1]
     if n_in == 3:  # wedge between three nodes and their cut points
         for c in range(3):
             b[c] = inn[c]
-            t[c] = first + _edge_between(edges, start, incident, inn[c], out[0])
+            t[c] = first + edge_between(edges, start, incident, inn[c], out[0])
         for c in range(3):
             up[c] = _deeper(distance, b[c], b[(c + 1) % 3])
-        return _add_wedge(tets, count, nodes, b, t, up)
+        return add_wedge(tets, count, nodes, b, t, up)
     if n_out == 1:  # pyramid with its tip on the surface
-        P = first + _edge_between(edges, start, incident, p, out[0])
-        Q = first + _edge_between(edges, start, incident, q, out[0])
+        P = first + edge_between(edges, start, incident, p, out[0])
+        Q = first + edge_between(edges, start, incident, q, out[0])
         if not _deeper(distance, p, q):
             p, q, P, Q = q, p, Q, P
-        count = _add_tet(tets, count, nodes, p, q, Q, on[0])
-        return _add_tet(tets, count, nodes, p, Q, P, on[0])
+        count = add_tet(tets, count, nodes, p, q, Q, on[0])
+        return add_tet(tets, count, nodes, p, Q, P, on[0])
     b[0], t[0] = p, q  # wedge along the edge between two nodes
     # Both sides name the four cut points alike: by the lower negative and positive node.
     for c in range(2):
-        b[c + 1] = first + _edge_between(edges, start, incident, p, out[c])
-        t[c + 1] = first + _edge_between(edges, start, incident, q, out[c])
+        b[c + 1] = first + edge_between(edges, start, incident, p, out[c])
+        t[c + 1] = first + edge_between(edges, start, incident, q, out[c])
     up[0] = _deeper(distance, p, q)
     up[2] = not up[0]
-    here, there = _squared_length(nodes, b[1], t[2]), _squared_length(nodes, b[2], t[1])
+    here, there = squared_length(nodes, b[1], t[2]), squared_length(nodes, b[2], t[1])
     up[1] = here < there
     if here == there:
         up[1] = min(b[1], t[2]) < min(b[2], t[1])
-    return _add_wedge(tets, count, nodes, b, t, up)
+    return add_wedge(tets, count, nodes, b, t, up)
 
 
 @njit(**EXACT)

@@ -6,7 +6,9 @@ fTetWild knows no materials, so a tetrahedron is of the tissue in which its cent
 it is not repeatable, so a mesh has to be kept, not made again.
 """
 
+from contextlib import chdir
 from importlib.util import find_spec
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -60,10 +62,12 @@ def tetwild_mesh(labels: Volume, size_mm: float, tissue: Tissue = Tissue.GLANDUL
     body = np.maximum(outline.field, (wall - z)[:, None, None])
     vertices, faces = _joined(_surface(body, outline.frame), _surface(inner.field, inner.frame))
     extent = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    points, tets = pytetwild.tetrahedralize(
-        vertices, faces, optimize=True, edge_length_fac=size_mm / extent,
-        epsilon=ENVELOPE * size_mm / extent, stop_energy=STOP_ENERGY, num_threads=1, quiet=True,
-    )  # fmt: skip
+    # It leaves a file behind in the current folder.
+    with TemporaryDirectory(prefix="palpate-tetwild-") as scratch, chdir(scratch):
+        points, tets = pytetwild.tetrahedralize(
+            vertices, faces, optimize=True, edge_length_fac=size_mm / extent,
+            epsilon=ENVELOPE * size_mm / extent, stop_energy=STOP_ENERGY, num_threads=1, quiet=True,
+        )  # fmt: skip
     mesh = _upright(TetMesh(np.asarray(points, np.float64), np.asarray(tets, np.int32)))
     centroids = mesh.nodes[mesh.tets].mean(axis=1)
     kept = _sampled(body, outline.frame, centroids) < 0

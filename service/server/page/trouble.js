@@ -1,0 +1,26 @@
+// Says what went wrong, until something goes right.
+
+import { Refused } from "./api.js";
+
+const place = document.getElementById("trouble");
+
+export const complain = (error) => {
+  place.hidden = !error;
+  place.textContent = error ? error.message || String(error) : "";
+  if (error && !(error instanceof Refused)) console.error(error);
+};
+
+// Does what a button asks, and says why it could not.
+export const attempt = async (act) => {
+  try {
+    const result = await act();
+    complain(null);
+    return result;
+  } catch (error) {
+    complain(error);
+    return undefined;
+  }
+};
+
+export const connected = (there) =>
+  complain(there ? null : new Refused(0, "The service does not answer. This page goes on when it is back."));

@@ -1,0 +1,50 @@
+"""Reduces records of a journal to what charts and counters need.
+
+An evaluation becomes ``[candidate, generation, status, gsf, [genes], reason, level, cost]``, the
+cost that of a candidate which was fitted by derivatives. A record of 1 kB shrinks to 80 bytes,
+and many travel in one event, so that a page that is opened on 20,000 evaluations has them in a
+second or two.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+REASON_CHARACTERS = 200
+
+
+def points(records: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return records in brief.
+
+    Returns
+    -------
+    dict
+        ``genes``: names, ``evaluations``: rows as above, ``steps``: of a diagnosis as
+        [phase, done, of, task], ``sessions``: how many more there have been.
+    """
+    brief: dict[str, Any] = {"genes": [], "evaluations": [], "steps": [], "sessions": 0}
+    for record in records:
+        kind = record.get("kind")
+        if kind == "evaluation":
+            genes = record.get("genes") or {}
+            brief["genes"] = list(genes)
+            brief["evaluations"].append(_row(record, list(genes.values())))
+        elif kind == "step":
+            brief["steps"].append([record.get(key) for key in ("phase", "done", "of", "task")])
+        elif kind == "session":
+            brief["sessions"] += 1
+    return brief
+
+
+def _row(record: Mapping[str, Any], genes: list[Any]) -> list[Any]:
+    reason = str(record.get("reason") or "").partition("\n")[0][:REASON_CHARACTERS]
+    gsf = (record.get("score") or {}).get("gsf")
+    return [
+        record.get("candidate"),
+        record.get("generation"),
+        record.get("status"),
+        gsf,
+        genes,
+        reason,
+        record.get("level"),
+        (record.get("fit") or {}).get("cost"),
+    ]

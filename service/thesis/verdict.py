@@ -1,0 +1,92 @@
+"""One number of the thesis beside ours, and the word for how they compare."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from service.formatting import number
+
+Word = Literal["reproduced", "approached", "not reproduced", "cannot be", "not run"]
+# A number is reproduced within a tenth, or where less is better and it is not more; approached
+# within a factor of two.
+SAME, NEAR = 0.10, 2.0
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One number of the thesis.
+
+    Parameters
+    ----------
+    place : str
+        Where it is printed.
+    what : str
+    printed, found : str
+        As a reader wants them.
+    word : str
+    reason : str
+        Why it is not, or not quite, the printed one.
+    """
+
+    place: str
+    what: str
+    printed: str
+    found: str
+    word: Word
+    reason: str = ""
+
+
+def equal(
+    place: str, what: str, wanted: float, found: float | None, unit: str = "", why: str = ""
+) -> Verdict:
+    """Judge a number that should be the same; None and nan are not run."""
+    ratio = math.inf
+    if found is not None and found > 0:
+        ratio = max(found / wanted, wanted / found)
+    return _compared(place, what, wanted, found, unit, why, ratio, 1 + SAME)
+
+
+def at_most(
+    place: str, what: str, wanted: float, found: float | None, unit: str = "", why: str = ""
+) -> Verdict:
+    """Judge a number of which less is better; None and nan are not run."""
+    ratio = math.inf if found is None else found / wanted
+    return _compared(place, what, wanted, found, unit, why, ratio, 1 + ROUNDING)
+
+
+def holds(
+    place: str, what: str, wanted: str, good: bool | None, found: str, why: str = ""
+) -> Verdict:
+    """Judge a statement; None is not run."""
+    if good is None:
+        return Verdict(place, what, wanted, "–", "not run")
+    if good:
+        return Verdict(place, what, wanted, found, "reproduced")
+    return Verdict(place, what, wanted, found, "not reproduced", why)
+
+
+def with_unit(value: float, unit: str) -> str:
+    """Write a number of a table; a part of one as per cent."""
+    if unit == "%":
+        return f"{number(100 * value, 3)} %"
+    return f"{number(value, 4)} {unit}".strip()
+
+
+def _compared(
+    place: str,
+    what: str,
+    wanted: float,
+    found: float | None,
+    unit: str,
+    why: str,
+    ratio: float,
+    same: float,
+) -> Verdict:
+    if found is None or math.isnan(found):
+        return Verdict(place, what, with_unit(wanted, unit), "–", "not run")
+    texts = with_unit(wanted, unit), with_unit(found, unit)
+    if ratio <= same:
+        return Verdict(place, what, *texts, "reproduced")
+    word: Word = "approached" if ratio <= NEAR else "not reproduced"
+    return Verdict(place, what, *texts, word, why)

@@ -1,0 +1,59 @@
+"""Evaluations that hang: tried again, and in the end failed with their reason."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from stand_ins import SPEC, Inline, run, set_manners, small_spec, told
+
+from service.cluster import open_cluster
+from service.dispatch import Dispatcher
+from storage.stores import open_store
+
+TEXT = SPEC.replace("population: 12", "population: 6").replace("generations: 5", "generations: 1")
+DEADLINE = small_spec(TEXT + "deadline_s: 1.5\n")
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Any]:
+    with open_cluster(workers=2) as cluster:
+        yield cluster.client
+
+
+def second_largest(folder: Path) -> float:
+    """E_fat of the calm run between the two largest, MPa."""
+    fats = sorted(genes["E_fat_kpa"] for genes, *_ in told(folder).values())
+    return float((fats[-2] + fats[-1]) / 2) / 1000
+
+
+@pytest.mark.slow
+def test_one_that_hangs_is_tried_again_and_fails_with_its_reason(
+    client: Any, tmp_path: Path
+) -> None:
+    calm, folder = tmp_path / "calm" / "study", tmp_path / "runs" / "study"
+    run(calm, Inline(), DEADLINE)
+    between = second_largest(calm)
+    set_manners(tmp_path / "runs" / "store", hang_above=between)
+    run(folder, Dispatcher(client), DEADLINE)
+    endings, expected = told(folder), told(calm)
+    (hung,) = [c for c in endings if endings[c] != expected[c]]
+    *_, status, score, reason = endings[hung]
+    assert (status, score) == ("diverged", None)
+    assert reason == "no result within 1.5 s, tried 2 times"
+    store = open_store(tmp_path / "runs" / "store")
+    assert not list((store.root / "overruns").iterdir())
+
+
+def test_one_that_hangs_once_has_its_score(client: Any, tmp_path: Path) -> None:
+    calm, folder = tmp_path / "calm" / "study", tmp_path / "runs" / "study"
+    run(calm, Inline(), DEADLINE)
+    set_manners(tmp_path / "runs" / "store", hang_once_above=second_largest(calm))
+    run(folder, Dispatcher(client), DEADLINE)
+    assert told(folder) == told(calm)
+    assert len(list((tmp_path / "runs" / "store").glob("hung-*"))) == 1
+
+
+def test_without_a_deadline_nothing_changes() -> None:
+    assert "deadline_s" not in small_spec(SPEC).as_dict()
+    assert DEADLINE.as_dict()["deadline_s"] == 1.5

@@ -1,0 +1,62 @@
+"""An S3 server of the tests, which can be stopped and comes back with all that it had."""
+
+import logging
+import os
+import uuid
+from urllib.request import Request, urlopen
+
+import pytest
+
+KEYS = {
+    "AWS_ACCESS_KEY_ID": "of-the-tests",
+    "AWS_SECRET_ACCESS_KEY": "of-the-tests",
+    "AWS_DEFAULT_REGION": "us-east-1",
+}
+
+
+class ObjectServer:
+    """Moto's server in a thread, reached over HTTP at a port of this machine."""
+
+    def __init__(self) -> None:
+        self._port, self._running = 0, None
+        logging.getLogger("werkzeug").setLevel(logging.ERROR)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        return KEYS | {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{self._port}"}
+
+    def start(self) -> None:
+        from moto.server import ThreadedMotoServer
+
+        self._running = ThreadedMotoServer("127.0.0.1", self._port, verbose=False)
+        self._running.start()
+        self._port = self._running.get_host_and_port()[1]
+
+    def stop(self) -> None:
+        if self._running is not None:
+            self._running.stop()
+            self._running._server.server_close()  # else the port still takes connections
+            self._running = None
+
+    def new_bucket(self) -> str:
+        name = f"tests-{uuid.uuid4().hex[:12]}"
+        url = f"{self.environment['AWS_ENDPOINT_URL']}/{name}"
+        with urlopen(Request(url, method="PUT")):
+            return name
+
+
+def started() -> ObjectServer:
+    """A server that runs; the test is skipped where moto or obstore is missing."""
+    pytest.importorskip("obstore", reason="obstore is not installed: pip install 'palpate[s3]'")
+    pytest.importorskip("moto.server", reason="moto is not installed: pip install 'moto[server]'")
+    server = ObjectServer()
+    server.start()
+    return server
+
+
+def set_environment(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let this process, and those that it starts, find the server; and no other."""
+    for name in [name for name in os.environ if name.startswith("AWS_")]:
+        monkeypatch.delenv(name)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)

@@ -7,7 +7,7 @@ ENV PATH=/opt/palpate/bin:$PATH
 
 # The dependencies first: they change seldom, and their layer is kept when only code changes.
 COPY pyproject.toml constraints.txt ./
-RUN python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']['dependencies'], sep='\n')" > requirements.txt \
+RUN python -c "import tomllib; p = tomllib.load(open('pyproject.toml', 'rb'))['project']; print(*p['dependencies'], *p['optional-dependencies']['s3'], sep='\n')" > requirements.txt \
     && pip install --no-cache-dir --disable-pip-version-check -c constraints.txt -r requirements.txt
 
 COPY README.md LICENSE ./
@@ -21,7 +21,7 @@ RUN pip install --no-cache-dir --disable-pip-version-check --no-deps .
 FROM python:3.11-slim
 
 RUN useradd --create-home --uid 1000 palpate \
-    && install --directory --owner palpate --group palpate /data /home/palpate/.cache
+    && install --directory --owner palpate --group palpate /data /objects /home/palpate/.cache
 COPY --from=build /opt/palpate /opt/palpate
 
 # PYTHONSAFEPATH: a folder named `service` beside a study must not shadow the package.

@@ -17,6 +17,7 @@ import typer
 from service.commands import (
     bench,
     blind,
+    certs,
     diagnose,
     doctor,
     export,
@@ -110,6 +111,7 @@ app.command("serve")(serve.serve)
 app.command("slurm")(slurm.slurm)
 app.add_typer(token.app, name="token")
 app.add_typer(store.app, name="store")
+app.command("certs")(certs.certs)
 app.command("thesis")(thesis.thesis)
 app.command("mammogram")(mammogram.mammogram)
 app.command("doctor")(doctor.doctor)

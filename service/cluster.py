@@ -18,7 +18,7 @@ from typing import Any
 
 import dask
 import dask.system
-from distributed import Client, LocalCluster, Status
+from distributed import Client, LocalCluster, Security, Status
 from tornado.ioloop import PeriodicCallback
 
 from service.errors import ClusterError
@@ -161,6 +161,7 @@ def open_cluster(
 @contextmanager
 def _existing(address: str, connect_s: float) -> Iterator[Cluster]:
     check_reachable(address, connect_s)
+    _check_encryption(address)
     with _unlogged("distributed"):
         try:
             client = Client(address, timeout=HANDSHAKE_S, set_as_default=False)
@@ -173,6 +174,35 @@ def _existing(address: str, connect_s: float) -> Iterator[Cluster]:
             ) from error
     with client:
         yield Cluster(client, client.dashboard_link or "", local=False)
+
+
+def _check_encryption(address: str) -> None:
+    """Refuse an address that does not fit Dask's configuration for TLS.
+
+    Raises
+    ------
+    ClusterError
+        If there are no certificates for ``tls://``, or they are asked for and it is another.
+    """
+    required = dask.config.get("distributed.comm.require-encryption", False)
+    if address.startswith("tls://"):
+        try:
+            context = Security().get_connection_args("client").get("ssl_context")
+        except OSError as error:
+            raise ClusterError(
+                f"A certificate for {address} cannot be read: {error}. Check the paths in "
+                "DASK_DISTRIBUTED__COMM__TLS__...; `palpate certs` makes certificates."
+            ) from error
+        if context is None:
+            raise ClusterError(
+                f"{address} is encrypted and needs certificates. Set the variables that `palpate "
+                "certs` printed for this cluster, then run the same command again."
+            )
+    elif required:
+        raise ClusterError(
+            f"{address} is not encrypted, but DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION asks for "
+            "it. Give a tls:// address, or unset that variable."
+        )
 
 
 @contextmanager

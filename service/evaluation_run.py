@@ -8,7 +8,7 @@ from service.dispatch import Dispatcher, Ending
 from service.endings import blame_cluster_if_many, evaluation_record, refuse_if_all_crashed
 from service.hooks import Hooks
 from service.search.base import Generation
-from service.search_replay import PendingGeneration, score_of
+from service.search_replay import PendingGeneration, best_of, score_of
 from service.study_work import StudyWork
 from storage.evaluations import load_evaluation
 from storage.journal import Journal
@@ -41,6 +41,7 @@ class EvaluationRun:
     hooks: Hooks
     endings: dict[int, EvaluationRecord]
     proposed: dict[int, PendingGeneration] = field(default_factory=dict)
+    _earlier: set[str] = field(default_factory=set)  # digests of what was forgotten
 
     @property
     def dispatcher(self) -> Dispatcher:
@@ -93,8 +94,24 @@ class EvaluationRun:
         One that an earlier generation had already says nothing of this one.
         """
         earlier = {r.digest for r in self.endings.values() if r.generation < pending.number}
+        earlier |= self._earlier
         ended = [self.endings[c] for c in pending.candidates if c in self.endings]
         return any(r.status is not Status.CRASHED and r.digest not in earlier for r in ended)
+
+    def forget(self, before: int) -> None:
+        """Forget how candidates ended that nothing is asked of any more, but for the best.
+
+        The journal has them all. A study of 20,000 evaluations would hold 60 MB of records.
+
+        Parameters
+        ----------
+        before : int
+            Candidates with lower numbers.
+        """
+        best = best_of(self.endings)
+        kept = None if best is None else best.candidate
+        for candidate in [c for c in self.endings if c < before and c != kept]:
+            self._earlier.add(self.endings.pop(candidate).digest)
 
     def keep_volumes(self, pending: PendingGeneration, generation: Generation) -> None:
         """Store the deformed volumes that the study file asks to keep."""

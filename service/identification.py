@@ -264,6 +264,7 @@ class _LocalModel:
         self.noise_factor = float(np.sqrt(max(1.0, left / freedom)))
         self.covariance = self.noise_factor**2 * self._inverse()
         self.common = np.array([name in searched.common_scale for name in self.names])
+        self.unseen_variance = self._unseen_variance(bounds)
 
     @property
     def correlation(self) -> tuple[tuple[float, ...], ...]:
@@ -279,7 +280,8 @@ class _LocalModel:
 
     def ends(self, i: int) -> FloatArray:
         """Return the interval of a constant, inside units."""
-        reach = DEVIATIONS * float(np.sqrt(self.covariance[i, i]))
+        variance = self.covariance[i, i] + self.unseen_variance[i]
+        reach = DEVIATIONS * float(np.sqrt(variance))
         step = float(self.step[i])
         low, high = min(0.0, step) - reach, max(0.0, step) + reach
         return np.array([self.moved(i, low), self.moved(i, high)])
@@ -322,6 +324,13 @@ class _LocalModel:
         """Return the inverse of the information, without what is not seen."""
         vectors = self.eigenvectors[:, self.seen]
         return np.asarray((vectors / self.eigenvalues[self.seen]) @ vectors.T)
+
+    def _unseen_variance(self, bounds: FloatArray) -> FloatArray:
+        """Return what directions that are not seen add: there all that was searched is possible."""
+        logs = np.log(np.maximum(bounds, 1e-300))
+        width = np.where(self.logarithmic, np.ptp(logs, axis=1), 1.0)
+        share = self.eigenvectors[:, ~self.seen] ** 2
+        return np.asarray(share @ (share.T @ (width**2 / 12)))
 
     def _limited(self, step: FloatArray, bounds: FloatArray) -> FloatArray:
         """Keep a step within the searched intervals."""

@@ -189,9 +189,11 @@ def _identification(
     if found is not None and found.fit is not None:
         return identification_from_tangents(searched, found.candidate, found.fit)
     note = "the study ran before there were tangents" if found is None else found.reason
-    alike = [spec.constants_of(record.genes) for record in equally_good(log.endings, best)]
-    here = spec.constants_of(best.genes)
-    return identification_from_scatter(searched, best.candidate, here, alike, note)
+    alike, here = (
+        [spec.constants_of(spec.case.canonical(record.genes)) for record in records]
+        for records in (equally_good(log.endings, best), [best])
+    )
+    return identification_from_scatter(searched, best.candidate, here[0], alike, note)
 
 
 def _generations(spec: StudySpec, log: StudyLog) -> Iterable[GenerationResult]:

@@ -116,8 +116,8 @@ class SteadyRun:
     def _write_down(self, ending: Ending, *, reused: bool = False) -> None:
         candidates = self._sharing.pop(ending.key)
         self._evaluation.write_down(candidates, ending, reused=reused)
-        for candidate in candidates:
-            self._add(self._evaluation.endings[candidate], replayed=False)
+        for record in [self._evaluation.endings[candidate] for candidate in candidates]:
+            self._add(record, replayed=False)
 
     def _add(self, record: EvaluationRecord, *, replayed: bool) -> None:
         self._replay.add(record)
@@ -128,3 +128,5 @@ class SteadyRun:
     def _end_block(self, *, replayed: bool) -> None:
         self._history.append(self._replay.last_block())
         self._block_ended(len(self._history) - 1, self._history[-1], replayed)
+        if self._evaluation.work.spec.keep != "elites":  # which are known at the end only
+            self._evaluation.forget(self._replay.proposed)

@@ -33,7 +33,7 @@ BOUNDS = {
 }
 # Targets lie in this part of the searched intervals, in logarithms.
 INNER = (0.1, 0.9)
-SEED = 445
+SEED, TEN = 445, 10
 
 TEMPLATE = """
 name: {name}
@@ -108,15 +108,18 @@ class Reached:
 
 
 def targets(count: int) -> list[dict[str, float]]:
-    """Return the constants of targets: a Latin hypercube in the logarithms."""
-    rng = np.random.default_rng(SEED)
-    found: list[dict[str, float]] = [{} for _ in range(count)]
+    """Return the constants of targets: a Latin hypercube in the logarithms.
+
+    Fewer than ten are the first of the ten.
+    """
+    rng, strata = np.random.default_rng(SEED), max(count, TEN)
+    found: list[dict[str, float]] = [{} for _ in range(strata)]
     for name, (lower, upper) in BOUNDS.items():
-        unit = (rng.permutation(count) + rng.random(count)) / count
+        unit = (rng.permutation(strata) + rng.random(strata)) / strata
         share = INNER[0] + (INNER[1] - INNER[0]) * unit
         for target, s in zip(found, share, strict=True):
             target[name] = float(f"{lower * (upper / lower) ** s:.4g}")
-    return found
+    return found[:count]
 
 
 class OneCore(SingleProcess):
@@ -205,7 +208,7 @@ def reached(home: Path, strategy: str, target: int, constants: Mapping[str, floa
         raise AssertionError("a target of the bench can be simulated")
     order = [log.endings[c] for c in sorted(log.endings)]
     improvements = _improvements(order, constants)
-    near = _near_from(improvements)
+    near = near_from(improvements)
     within = {}
     if results.identification is not None:
         for name, found in results.identification.constants.items():
@@ -243,7 +246,7 @@ def _improvements(
     return tuple(found)
 
 
-def _near_from(improvements: Sequence[Improvement]) -> Improvement | None:
+def near_from(improvements: Sequence[Improvement]) -> Improvement | None:
     """Return that from which the best candidate stays near in both moduli."""
     near = None
     for one in improvements:

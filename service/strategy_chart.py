@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from service.report.canvas import TEXT_PT, calm, figure, svg
 from service.report.palette import BLUE, INK, ORANGE
@@ -49,6 +50,9 @@ def strategy_chart(rows: Sequence[Reached]) -> "Figure":
         for axes in grid[:, column]:
             calm(axes, grid="both")
             axes.set_xscale("log")
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter(NullFormatter())
         grid[1, column].set_yscale("log")
         grid[1, column].axhline(NEAR, color=INK, linewidth=1.0, linestyle=(0, (2, 2)))
     grid[0, 0].set_ylabel("GSF of the best candidate", fontsize=TEXT_PT)

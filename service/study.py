@@ -170,6 +170,7 @@ class _Run:
             self._generation_ended(
                 pending.number, generation, self.log.endings.keys() >= set(pending.candidates)
             )
+            evaluation.forget(pending.first)
         return pending, tuple(search.history)
 
     def _search_steadily(self, evaluation: EvaluationRun) -> tuple[Stopped, tuple[Generation, ...]]:

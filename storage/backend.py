@@ -85,7 +85,7 @@ class Backend(Protocol[P]):
     def create(self, place: P, data: bytes) -> bool:
         """Write a file that is not there yet; False, and nothing is changed, if it is.
 
-        Of any number of processes that do it at once, one gets True.
+        Of any number of processes that do it at once, one gets True, if their data differ.
         """
 
     def is_file(self, place: P) -> bool:

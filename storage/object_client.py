@@ -11,6 +11,7 @@ contact of a process gives up sooner: it is more likely a wrong address than an 
 """
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
@@ -137,8 +138,8 @@ def _explanation(place: ObjectPath, error: Exception) -> StoreError:
         )
     if "HTTP error" in text or "error sending request" in text:
         return StoreError(
-            f"{place} cannot be reached at {_server()}: {_first(text)}. Check AWS_ENDPOINT_URL "
-            "and the network; what is stored is kept: run the command again to continue."
+            f"{place} cannot be reached at {_server()}{_tried(text)}. Check AWS_ENDPOINT_URL and "
+            "the network; what is stored is kept: run the command again to continue."
         )
     return StoreError(f"{place} cannot be used: {_first(text)}. Check the server and its log.")
 
@@ -151,6 +152,14 @@ def _code(text: str) -> str:
     """Return the server's own word for a refusal, such as (InvalidAccessKeyId)."""
     _, found, rest = text.partition("<Code>")
     return f" ({rest.partition('</Code>')[0]})" if found else ""
+
+
+def _tried(text: str) -> str:
+    """Return how often and how long it was tried, as obstore says it."""
+    tried = re.search(r" in (?P<seconds>[\d.]+)s, after (?P<retries>\d+) retries", text)
+    if tried is None:
+        return ""
+    return f", tried {int(tried['retries']) + 1} times in {float(tried['seconds']):.0f} s"
 
 
 def _first(text: str) -> str:

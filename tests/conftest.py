@@ -32,3 +32,14 @@ def bucket(object_server: Any, monkeypatch: pytest.MonkeyPatch) -> str:
 
     set_environment(object_server.environment, monkeypatch)
     return f"s3://{object_server.new_bucket()}"
+
+
+@pytest.fixture
+def stoppable_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A server of the test's own, which it may stop and start."""
+    from object_server import set_environment, started
+
+    server = started()
+    set_environment(server.environment, monkeypatch)
+    yield server
+    server.stop()

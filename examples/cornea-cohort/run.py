@@ -84,9 +84,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--at-once", type=int, default=3, help="studies in flight")
     parser.add_argument("--eyes", type=int, default=len(TABLE_5_2), help="the first so many")
     parser.add_argument("--elements", type=int, default=960, help="6-node triangles of an eye")
-    parser.add_argument("--population", type=int, default=40)
-    parser.add_argument("--generations", type=int, default=3)
-    parser.add_argument("--starts", type=int, default=3, help="candidates that are then fitted")
+    parser.add_argument("--strategy", default="genetic+least-squares", help="or genetic alone")
+    parser.add_argument("--population", type=int, default=30, help="84 in the thesis")
+    parser.add_argument("--generations", type=int, default=2, help="15 in the thesis")
+    parser.add_argument("--starts", type=int, default=2, help="candidates that are then fitted")
     return parser.parse_args()
 
 
@@ -115,7 +116,7 @@ def spec_of(eye: CohortEye, wanted: argparse.Namespace) -> StudySpec:
             "target": {"constants": eye.constants._asdict()},
             "search": {
                 "parameters": {"mu1_pa": MU_PA, "alpha1": ALPHA, "mu2_pa": MU_PA, "alpha2": ALPHA},
-                "strategy": "genetic+least-squares",
+                "strategy": wanted.strategy,
                 "population": wanted.population,
                 "generations": wanted.generations,
                 "stall": None,

@@ -18,14 +18,25 @@ Number = TypeVar("Number", int, float)
 def bench(
     nodes: Annotated[str, typer.Option(help="Mesh sizes.")] = "5000,20000",
     spacing: Annotated[str, typer.Option(help="Voxel sizes in mm.")] = "1,0.5",
+    service: Annotated[
+        bool, typer.Option("--service", help="Instead: overhead, memory and idle workers.")
+    ] = False,
+    evaluations: Annotated[
+        int, typer.Option(min=200, help="Trivial ones, with --service; a multiple of 200.")
+    ] = 20_000,
     as_json: JsonOption = False,
 ) -> None:
     """Time phantom, mesh, solver, warp and score, and their memory.
 
     The thesis' own size is --nodes 90000 --spacing 0.2. Against CalculiX, an
     independent solver: python -m tests.benchmarks.independent in the sources.
+    With --service everything around the simulations, in some ten minutes.
     """
     import tempfile
+
+    if service:
+        bench_service(evaluations, as_json=as_json)
+        return
 
     from service.bench import measure
 
@@ -37,6 +48,19 @@ def bench(
             rows.append(asdict(row))
             if not as_json:
                 typer.echo(line(row))
+    if as_json:
+        print_json(rows)
+
+
+def bench_service(evaluations: int, *, as_json: bool) -> None:
+    """Measure what is not simulation, and print each figure when it is known."""
+    from service.service_bench import all_rows
+
+    rows = []
+    for row in all_rows(evaluations):
+        rows.append(row)
+        if not as_json:
+            typer.echo("  ".join(f"{name} {value}" for name, value in row.items()))
     if as_json:
         print_json(rows)
 

@@ -1,6 +1,6 @@
 """Reads all that a study's page is made from, once."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from service.report.study_bodies import Bodies, find_bodies
@@ -64,4 +64,6 @@ def read_study_data(study_dir: Path, *, quick: bool = False) -> StudyData:
     bodies = find_bodies(
         study_dir, results.spec, log.last_session, best, compare=unscored, in_3d=not quick
     )
-    return StudyData(results, tuple(log.endings.values()), log.sessions, bodies, quick)
+    canonical = results.spec.case.canonical
+    endings = tuple(replace(r, genes=canonical(r.genes)) for r in log.endings.values())
+    return StudyData(results, endings, log.sessions, bodies, quick)

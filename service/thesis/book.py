@@ -78,9 +78,9 @@ def _headline(judged: Sequence[Verdict]) -> str:
     counts = Counter(v.word for v in judged)
     comparable = sum(n for word, n in counts.items() if word != "cannot be")
     return (
-        f"Of {comparable} numbers and statements that can be compared, "
-        f"{counts['reproduced']} are reproduced or bettered, {counts['approached']} approached, "
-        f"{counts['not reproduced']} not reproduced; {counts['cannot be']} cannot be compared."
+        f"{counts['reproduced']} reproduced or bettered, {counts['approached']} approached, "
+        f"{counts['not reproduced']} not reproduced, of {comparable} numbers and statements that "
+        f"can be compared; {counts['cannot be']} cannot be."
     )
 
 

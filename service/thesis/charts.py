@@ -30,6 +30,8 @@ KIND_COLOURS = dict(
         strict=True,
     )
 )
+# Letters of a name of which four fit beside each other above a plot.
+SHORT_NAME = 5
 # Six plots, as the thesis divides its 28 curves; a line style for each of a plot.
 PLOTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("overlap and volume", ("JC", "DC", "dV")),
@@ -60,12 +62,12 @@ def coefficient_curves(selection: Selection) -> Figure:
                 label=name,
                 **style,
             )
-        axes.set_title(
-            title, fontsize=TEXT_PT, color=INK, loc="left", pad=20 if len(names) < 5 else 34
-        )
+        columns = 2 if max(map(len, names)) > SHORT_NAME else 4
+        pad = 20 if len(names) <= columns else 34
+        axes.set_title(title, fontsize=TEXT_PT, color=INK, loc="left", pad=pad)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("deformation", fontsize=SMALL_PT)
-        legend(axes, ncols=4, handlelength=1.1)
+        legend(axes, ncols=columns, handlelength=1.1)
         shown = axes.get_legend()
         if shown is not None:
             shown.set_in_layout(False)  # columns stay as wide as each other

@@ -17,6 +17,9 @@ RECORDED = Path(__file__).with_name("recorded_seconds.json")
 Seconds = dict[str, float]
 """Processor seconds of a part, by its kind."""
 
+Ways = list[tuple[str, float]]
+"""Kinds of parts by which to know a cost, the nearest first, and how many of each it takes."""
+
 
 @dataclass(frozen=True)
 class Recorded:
@@ -87,24 +90,20 @@ def estimate(request: ThesisRequest, workers: int) -> Estimate:
     parts = {r.part.name: r for e in request.experiments for r in parts_of(e, store, request.scale)}
     here = _seconds(parts.values(), request.searches)
     shipped = shipped_seconds(request.scale)
-    wanted: list[tuple[str, float]] = [
-        (r.kind, 1.0) for r in parts.values() if not r.part.is_finished
-    ]
+    wanted: list[Ways] = [[(r.kind, 1.0)] for r in parts.values() if not r.part.is_finished]
     searches = request.searches
     for run in searches:
         if not run.is_finished:
-            done = run.evaluations / run.most_evaluations
-            wanted.append((kind_of(run), max(0.0, 1.0 - done)))
+            left = max(0.0, 1.0 - run.evaluations / run.most_evaluations)
+            wanted.append([(kind_of(run), left), (_kind_of_one(run), left * run.most_evaluations)])
     cpu_s, unknown, machines = 0.0, 0, set()
-    for kind, share in wanted:
-        if kind in here:
-            cpu_s += share * here[kind]
-            machines.add("this machine")
-        elif shipped is not None and kind in shipped.seconds:
-            cpu_s += share * shipped.seconds[kind]
-            machines.add(shipped.machine)
-        else:
+    for ways in wanted:
+        cost = _cost(ways, here, shipped)
+        if cost is None:
             unknown += 1
+        else:
+            cpu_s += cost[0]
+            machines.add(cost[1])
     of = len(parts) + len(searches)
     return Estimate(cpu_s, max(1, workers), len(wanted), of, tuple(sorted(machines)), unknown)
 
@@ -117,6 +116,21 @@ def parts_of(experiment: str, store: str, scale: str) -> list[Request]:
 def kind_of(run: SearchRun) -> str:
     """Name what takes about as long as a search."""
     return f"search, {run.target}, {run.spec.search.strategy}"
+
+
+def _kind_of_one(run: SearchRun) -> str:
+    """Name the part that simulates what one candidate of a search does."""
+    return f"vary, {'X3' if run.target == 'X3' else 'X1'}"
+
+
+def _cost(ways: Ways, here: Seconds, shipped: Recorded | None) -> tuple[float, str] | None:
+    """Return seconds and machine of the first way that was timed, here before elsewhere."""
+    for kind, times in ways:
+        if kind in here:
+            return times * here[kind], "this machine"
+        if shipped is not None and kind in shipped.seconds:
+            return times * shipped.seconds[kind], shipped.machine
+    return None
 
 
 def recorded_here(request: ThesisRequest) -> Recorded:

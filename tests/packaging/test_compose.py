@@ -30,6 +30,7 @@ from workers import THREAD_ENVIRONMENT
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"
 BIN = Path(sys.executable).parent
+ENDING = ("driver", "bucket")  # services that end by themselves
 
 
 def interpolated(text: str) -> str:
@@ -41,6 +42,12 @@ def interpolated(text: str) -> str:
 def compose() -> dict[str, Any]:
     loaded: dict[str, Any] = yaml.safe_load(interpolated(COMPOSE.read_text()))
     return loaded
+
+
+def ours(compose: dict[str, Any]) -> dict[str, Any]:
+    """Return the services that run palpate's image."""
+    services = compose["services"].items()
+    return {name: service for name, service in services if service["image"].startswith("palpate:")}
 
 
 def misspelt(tmp_path: Path) -> Path:
@@ -91,13 +98,19 @@ def test_valid_by_docker_compose_itself(tmp_path: Path) -> None:
 
 def test_one_scheduler_scaled_workers_one_service(compose: dict[str, Any]) -> None:
     services = compose["services"]
-    assert set(services) == {"scheduler", "worker", "service", "driver"}
-    assert services["driver"]["profiles"] == ["driver"]  # `up` starts the others
+    assert set(services) == {"scheduler", "worker", "service", "driver", "bucket", "objects"}
+    profiles = {name: service.get("profiles") for name, service in services.items()}
+    assert [name for name, wanted in profiles.items() if not wanted] == [
+        *("scheduler", "worker", "service")  # what `up` starts
+    ]
+    assert profiles["bucket"] == profiles["objects"] == ["objects"]
     assert services["worker"]["deploy"]["replicas"] >= 1
     # A fixed name or a published port would make --scale fail at the second worker.
     assert "container_name" not in services["worker"]
     assert "ports" not in services["worker"]
-    assert len({service["image"] for service in services.values()}) == 1
+    assert len({service["image"] for service in ours(compose).values()}) == 1
+    for service in services.values():
+        assert re.fullmatch(r".+:v?\d+\.\d+\.\d+(@sha256:[0-9a-f]{64})?", service["image"])
 
 
 def test_every_service_waits_for_those_it_needs(compose: dict[str, Any]) -> None:
@@ -108,18 +121,48 @@ def test_every_service_waits_for_those_it_needs(compose: dict[str, Any]) -> None
         "worker": {"scheduler"},
         "service": {"scheduler"},
         "driver": {"scheduler", "worker"},
+        "bucket": set(),
+        "objects": {"bucket"},
     }
     for service in services.values():
         for needed, how in service.get("depends_on", {}).items():
-            assert how == {"condition": "service_healthy"}
-            assert "test" in services[needed]["healthcheck"]
+            if needed in ENDING:
+                assert how == {"condition": "service_completed_successfully"}
+            else:
+                assert how == {"condition": "service_healthy"}
+                assert "test" in services[needed]["healthcheck"]
 
 
 def test_all_share_the_store_and_the_safe_path(compose: dict[str, Any]) -> None:
-    assert list(compose["volumes"]) == ["data", "cache"]
-    for service in compose["services"].values():
-        assert "data:/data" in service["volumes"]
+    assert list(compose["volumes"]) == ["data", "objects", "cache"]
+    for name, service in ours(compose).items():
+        assert ("data:/data" in service["volumes"]) == (name != "bucket")
         assert service["environment"]["PYTHONSAFEPATH"] == "1"
+
+
+def test_the_object_store_and_its_users_agree(compose: dict[str, Any]) -> None:
+    text = COMPOSE.read_text()
+    services = compose["services"]
+    objects = services["objects"]
+    assert objects["user"] == "1000:1000"
+    assert objects["volumes"] == services["bucket"]["volumes"] == ["objects:/objects"]
+    assert objects["command"][-1] == "/objects"
+    bucket = services["bucket"]["command"][-1].removeprefix("/objects/")
+    assert f"PALPATE_STORE=s3://{bucket}/store docker compose --profile objects up" in text
+    port = objects["environment"]["VGW_PORT"]
+    assert f"127.0.0.1{port}/health" in objects["healthcheck"]["test"][-1]
+    for service in (services["scheduler"], services["worker"], services["service"]):
+        assert service["environment"]["AWS_ENDPOINT_URL"] == f"http://objects{port}"
+        assert service["environment"]["AWS_ACCESS_KEY_ID"] == ""
+    # Both read the same variables, so they cannot differ.
+    for theirs, our in (
+        ("ROOT_ACCESS_KEY", "ACCESS_KEY_ID"),
+        ("ROOT_SECRET_KEY", "SECRET_ACCESS_KEY"),
+    ):
+        assert f'{theirs}: "${{AWS_{our}:-}}"' in text
+        assert f'AWS_{our}: "${{AWS_{our}:-}}"' in text
+    final = (ROOT / "Dockerfile").read_text().rpartition("\nFROM ")[2]
+    assert "--owner palpate --group palpate /data /objects " in final
 
 
 def test_every_service_is_bounded_and_writes_where_it_may(compose: dict[str, Any]) -> None:
@@ -130,9 +173,10 @@ def test_every_service_is_bounded_and_writes_where_it_may(compose: dict[str, Any
         assert service["read_only"] is True
         assert service["cap_drop"] == ["ALL"]
         assert service["security_opt"] == ["no-new-privileges:true"]
-        assert "cache:/home/palpate/.cache" in service["volumes"]
         assert any(mount.startswith("/tmp") for mount in service["tmpfs"])
-        assert name == "driver" or "test" in service["healthcheck"]
+        assert name in ENDING or "test" in service["healthcheck"]
+        if name not in ("bucket", "objects"):
+            assert "cache:/home/palpate/.cache" in service["volumes"]
 
 
 def test_the_driver_runs_a_study_that_is_there(compose: dict[str, Any]) -> None:

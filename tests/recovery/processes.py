@@ -5,7 +5,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -32,16 +32,27 @@ def kill_and_finish(folder: Path, where: list[str], killed_after: list[int]) -> 
 
 
 @contextmanager
-def plain_cluster(folder: Path, workers: int) -> Iterator[str]:
-    """`dask scheduler` and `dask worker`, each a process of its own; its address."""
+def plain_cluster(
+    folder: Path, workers: int, tls: Mapping[str, str] | None = None
+) -> Iterator[str]:
+    """`dask scheduler` and `dask worker`, each a process of its own; its address.
+
+    With the environment `tls` they are encrypted.
+    """
     port = unused_port()
-    address = f"tcp://127.0.0.1:{port}"
-    environment = os.environ | {
-        "PYTHONPATH": str(HERE),
-        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(ALLOWED_FAILURES),
-    }
+    protocol = "tls" if tls else "tcp"
+    address = f"{protocol}://127.0.0.1:{port}"
+    environment = (
+        os.environ
+        | (tls or {})
+        | {
+            "PYTHONPATH": str(HERE),
+            "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(ALLOWED_FAILURES),
+        }
+    )
     dask = [sys.executable, "-m", "dask"]
     scheduler = ["scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    scheduler += ["--protocol", protocol]
     worker = ["worker", address, "--nthreads", "1", "--no-dashboard", "--local-directory"]
     with (folder / "log").open("w") as log:
         started = [

@@ -195,8 +195,16 @@ def told(folder: Path) -> dict[int, tuple[Any, ...]]:
 
 def executions(folder: Path) -> list[str]:
     """Digests of finished evaluations, once for each time they were computed."""
-    path = folder.parent / "store" / LOG
-    return path.read_text().split() if path.exists() else []
+    return executed(folder.parent / "store")
+
+
+def executed(location: Location) -> list[str]:
+    """The same of a store, in a folder or a bucket."""
+    store = open_store(location, create=False)
+    log = store.root / LOG
+    if isinstance(log, Path):
+        return log.read_text().split() if log.exists() else []
+    return [entry.place.stem for entry in store.backend.entries(log)]
 
 
 def assert_each_ran_once(folder: Path, cut_off: int = 0) -> None:

@@ -7,25 +7,23 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from object_server import ObjectServer, set_environment, started
+from object_server import ObjectServer
 from processes import HERE
-from stand_ins import LOG, Inline, run, set_manners, small_spec, told
+from stand_ins import Inline, executed, run, set_manners, small_spec, told
 
 from service.spec import parse_spec
 from service.study import Study
 from storage.journal import Journal
 from storage.layout import StudyLayout
-from storage.stores import open_store
 
 MOMENTS = ("began", "seconds", "elapsed_s", "store")
 REAL = """
 name: real
-case: {reference: {phantom: {preset: 250ml, spacing_mm: 2}}, mesh: {nodes: 500}}
+case: {reference: {phantom: {preset: 250ml, spacing_mm: 2}}, mesh: {nodes: 1200}}
 target: {constants: {E_fat_kpa: 12, E_glandular_kpa: 30}}
 search:
   parameters: {E_fat_kpa: [5, 20], E_glandular_kpa: [5, 80]}
@@ -33,15 +31,6 @@ search:
   generations: 2
 seed: 3
 """
-
-
-@pytest.fixture
-def own_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[ObjectServer]:
-    """A server that a test may stop."""
-    server = started()
-    set_environment(server.environment, monkeypatch)
-    yield server
-    server.stop()
 
 
 def journal(folder: Path) -> list[Any]:
@@ -53,13 +42,6 @@ def without(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: without(item) for key, item in value.items() if key not in MOMENTS}
     return value
-
-
-def executed(store: str) -> list[str]:
-    """Digests of evaluations, once for each time that they were computed."""
-    opened = open_store(store, create=False)
-    entries = opened.backend.entries(opened.root / LOG)
-    return [entry.place.stem for entry in entries]
 
 
 def test_the_journal_is_that_of_a_local_store(bucket: str, tmp_path: Path) -> None:
@@ -78,6 +60,7 @@ def test_the_journal_is_that_of_a_local_store(bucket: str, tmp_path: Path) -> No
     assert str(last.store) == f"{bucket}/store"
 
 
+@pytest.mark.slow
 def test_real_evaluations_are_the_same_to_the_last_bit(bucket: str, tmp_path: Path) -> None:
     spec = parse_spec(REAL, "the test's study", Path())
     for place, store in (("local", tmp_path / "store"), ("bucket", f"{bucket}/store")):
@@ -101,12 +84,12 @@ def cut_off(server: ObjectServer, folder: Path, after: int, seconds: float) -> t
 
 
 def test_a_server_that_is_away_for_a_while_costs_nothing_but_time(
-    own_server: ObjectServer, tmp_path: Path
+    stoppable_server: ObjectServer, tmp_path: Path
 ) -> None:
     run(tmp_path / "calm" / "demo", Inline())
-    folder, store = tmp_path / "runs" / "demo", f"s3://{own_server.new_bucket()}/store"
+    folder, store = tmp_path / "runs" / "demo", f"s3://{stoppable_server.new_bucket()}/store"
     set_manners(store, seconds=0.01)
-    cutting = cut_off(own_server, folder, after=10, seconds=3.0)
+    cutting = cut_off(stoppable_server, folder, after=10, seconds=3.0)
     began = time.monotonic()
     run(folder, Inline(), store=store)
     cutting.join()
@@ -117,14 +100,16 @@ def test_a_server_that_is_away_for_a_while_costs_nothing_but_time(
 
 
 @pytest.mark.slow
-def test_workers_wait_ten_seconds_for_the_server(own_server: ObjectServer, tmp_path: Path) -> None:
+def test_workers_wait_ten_seconds_for_the_server(
+    stoppable_server: ObjectServer, tmp_path: Path
+) -> None:
     """The driver and two workers, each a process of its own, as `palpate run` starts them."""
     run(tmp_path / "calm" / "demo", Inline())
-    folder, store = tmp_path / "runs" / "demo", f"s3://{own_server.new_bucket()}/store"
+    folder, store = tmp_path / "runs" / "demo", f"s3://{stoppable_server.new_bucket()}/store"
     set_manners(store, seconds=0.1)
     command = [sys.executable, str(HERE / "driver.py"), str(folder), "--workers", "2", store]
     with subprocess.Popen(command) as driver:
-        cutting = cut_off(own_server, folder, after=10, seconds=10.0)
+        cutting = cut_off(stoppable_server, folder, after=10, seconds=10.0)
         assert driver.wait(180) == 0
         cutting.join()
     assert told(folder) == told(tmp_path / "calm" / "demo")

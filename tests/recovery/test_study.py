@@ -3,6 +3,7 @@
 The reference is a run without any cluster, one candidate after the other.
 """
 
+import gc
 import json
 import logging
 from collections.abc import Iterator
@@ -368,3 +369,21 @@ def test_waiting_for_workers_has_an_end(client: Any, folder: Path) -> None:
             run(folder, Dispatcher(client, no_worker_s=1.0))
     finally:
         client.cluster.scale(2)
+
+
+def test_a_long_study_holds_the_endings_of_one_generation(folder: Path) -> None:
+    held = []
+
+    class Hold(Observer):
+        def generation_ended(self, number: int, generation: Any) -> None:
+            gc.collect()
+            held.append(sum(isinstance(o, EvaluationRecord) for o in gc.get_objects()))
+
+    long = SPEC.replace("generations: 5", "generations: 12\n  stall: null")
+    before = sum(isinstance(o, EvaluationRecord) for o in gc.get_objects())
+    conclusion = run(folder, Inline(), small_spec(long), observers=[Hold()])
+    assert len(held) == 12
+    assert max(held) - before <= 2 * 12 + 1  # this generation, the one before it, and the best
+    scores = {c: e[4]["gsf"] for c, e in told(folder).items() if e[4]}
+    assert conclusion.best is not None
+    assert conclusion.best.candidate == min(scores, key=lambda c: (scores[c], c))

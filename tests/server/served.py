@@ -1,7 +1,8 @@
 """A service in a process of its own: FOLDER, then --scheduler ADDRESS or --workers N.
 
-Its tasks are the stand-ins of tests/recovery; those that store bodies, too, with --bodies; the
-real ones with --real. It writes its address to FOLDER/url.
+A store that is not in FOLDER: --store=PLACE. Its tasks are the stand-ins of tests/recovery; those
+that store bodies, too, with --bodies; the real ones with --real. It writes its address to
+FOLDER/url.
 """
 
 import sys
@@ -31,6 +32,7 @@ def main(folder: str, where: str, value: str, port: str = "0", *more: str) -> No
         open_service(
             Path(folder),
             lambda: open_cluster(**options),
+            store=next((m.partition("=")[2] for m in more if m.startswith("--store=")), None),
             tasks=None if "--real" in more else tasks,
             reports="--real" in more,
             limits=LIMITS,

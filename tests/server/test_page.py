@@ -22,7 +22,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
 
 WIDE, NARROW = 1400, 480
-PATIENCE_MS = 30_000
+PATIENCE_MS = 60_000
 SLOW = SPEC.replace("population: 12", "population: 40\n  stall: null")
 SLOW = SLOW.replace("generations: 5", "generations: 100")
 REAL = """
@@ -100,6 +100,11 @@ class Shown:
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
     home = tmp_path_factory.mktemp("paged") / "runs"
     running = ServiceProcess(home, ["--workers", "2"], 0, "--bodies").start()
+    until = time.monotonic() + 120
+    with running.client() as client:
+        while client.cluster().threads < 2:
+            assert time.monotonic() < until, client.cluster()
+            time.sleep(0.1)
     yield running
     assert running.stop() == 0
     assert "Traceback" not in running.log, running.log
@@ -119,6 +124,7 @@ def browser() -> Iterator[Any]:
 def shown(browser: Any, served: ServiceProcess) -> Iterator[Shown]:
     """The page, signed in by the address that the service prints."""
     page = browser.new_page(viewport={"width": WIDE, "height": 900})
+    page.set_default_timeout(PATIENCE_MS)
     told = Shown(page, served.url)
     page.on("console", lambda message: told.problems.append(message.text))
     page.on("pageerror", lambda error: told.problems.append(str(error)))

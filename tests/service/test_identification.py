@@ -118,6 +118,21 @@ def test_what_is_not_seen_is_unknown() -> None:
     assert found.constants["E_fat"].identifiable == "value"
 
 
+def test_a_small_share_in_what_is_not_seen_widens_an_interval() -> None:
+    """A tenth of E goes with eta, of which nothing is seen in its whole searched interval."""
+    jacobian = np.outer(orthogonal()[:, 0], [100.0, 10.0])
+    found = identification_from_tangents(
+        SearchedConstants(BREAST, BOUNDS), 0, fit(jacobian, np.zeros(200))
+    )
+    interval = found.constants["E_fat"].interval
+    assert interval is not None
+    width = [math.log(upper / lower) for lower, upper in BOUNDS.values()]
+    along = math.sqrt((0.01 * width[0] ** 2 + width[1] ** 2) / 1.01 / 12)
+    share = 0.1 / math.sqrt(1.01)
+    reach = math.log(interval.upper / interval.lower) / 2
+    assert reach == pytest.approx(DEVIATIONS * math.hypot(share * along, 0.01), rel=0.01)
+
+
 def test_scatter_stands_in_for_tangents() -> None:
     searched = SearchedConstants(BREAST, BOUNDS)
     alike = [{"E_fat": 0.01 * (1 + k / 100), "eta_fat": 0.05 + 0.01 * k} for k in range(11)]

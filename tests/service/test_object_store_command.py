@@ -15,6 +15,7 @@ import pytest
 from object_server import set_environment
 from stand_ins import Inline, run, told
 
+from service import store_use
 from storage import object_client
 from storage.fields import has_field, save_field
 from storage.stores import open_store
@@ -184,3 +185,18 @@ def test_a_study_moves_between_bucket_and_folder(
     assert all(has_field(there, digest) for digest in done)
     assert json.loads(call("status", moved, "--json")[1])["store"] == place
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".tmp")] == []
+
+
+def test_what_a_killed_writer_left_goes_after_a_day(
+    call: Call, study: Path, bucket: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = open_store(f"{bucket}/store")
+    half = store.layout.field("half")
+    store.backend.write(half / "w-0" / "displacement_mm" / "zarr.json", b"{}")
+    wanted = ["store", "gc", "--store", f"{bucket}/store", "--delete", "--json"]
+    assert json.loads(call(*wanted)[1])["entries"] == []
+    monkeypatch.setattr(store_use, "DAY_S", -60.0)  # a minute from now is a day ago
+    assert str(half) in json.loads(call(*wanted, "--older-than-days", "0")[1])["entries"]
+    names = [entry.place.name for entry in store.backend.entries(store.layout.fields)]
+    assert names
+    assert "half.zarr" not in names

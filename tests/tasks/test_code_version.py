@@ -3,12 +3,13 @@
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from workers.organs.registry import MODULES
-from workers.tasks.code_version import code_version, reached
+from workers.tasks.code_version import _imported, code_version, reached
 
 ROOT = Path(__file__).parents[2]
 EVALUATION = ("workers.tasks.evaluation", MODULES["breast"])
@@ -38,6 +39,7 @@ def versions_in(root: Path, files: list[Path]) -> list[str]:
     """Return the version as it stands, then with each of the files changed alone."""
     script = f"""
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from workers.tasks import code_version as module
 import storage.digest
@@ -104,3 +106,15 @@ def test_all_that_python_has_loaded_is_among_what_was_reached() -> None:
 def test_a_module_that_is_missing_is_named() -> None:
     with pytest.raises(ModuleNotFoundError, match=r"workers\.nowhere"):
         code_version("workers.nowhere")
+
+
+def test_several_threads_find_the_same_version() -> None:
+    """Python 3.11 cannot parse in several threads at once."""
+
+    def found(_: int) -> str:
+        code_version.cache_clear()
+        _imported.cache_clear()
+        return code_version(*EVALUATION)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert len(set(pool.map(found, range(4)))) == 1

@@ -16,7 +16,7 @@ from service.dispatch import Ending
 from service.errors import Interrupted
 from service.thesis import estimate as estimating
 from service.thesis import run as running
-from service.thesis.estimate import estimate
+from service.thesis.estimate import estimate, shipped_seconds
 from service.thesis.experiments import EXPERIMENTS, Phase, compressions, phases_of
 from service.thesis.run import Step, ThesisRequest, run_thesis
 from service.thesis.search import GENETIC, search_runs, study_of_run
@@ -95,6 +95,17 @@ def test_the_time_that_is_left_follows_what_parts_have_cost(
     assert "about 6 s on 2 free cores" in now.sentence
     run_thesis(request_of_stubs, InProcess(), lambda _: None)  # type: ignore[arg-type]
     assert "nothing to compute" in estimate(request_of_stubs, workers=2).sentence
+
+
+def test_a_search_that_nobody_has_timed_costs_as_much_as_its_simulations(tmp_path: Path) -> None:
+    request = ThesisRequest(("search",), "reduced", tmp_path / "store", tmp_path, "cma")
+    shipped = shipped_seconds("reduced")
+    assert shipped is not None
+    one = {"X1": "vary, X1", "X2": "vary, X1", "X3": "vary, X3"}
+    each = [run.most_evaluations * shipped.seconds[one[run.target]] for run in request.searches]
+    found = estimate(request, workers=2)
+    assert (found.missing, found.unknown) == (15, 0)
+    assert found.cpu_s == pytest.approx(sum(each))
 
 
 def test_equal_parts_of_two_experiments_are_one(tmp_path: Path) -> None:

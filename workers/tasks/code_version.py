@@ -6,6 +6,7 @@ the module that makes the result: what it reaches counts, what it does not reach
 """
 
 import ast
+import threading
 from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.util import find_spec
@@ -14,6 +15,9 @@ from pathlib import Path
 from storage.digest import digest, file_digest
 
 PACKAGES = ("workers", "storage")
+# Python 3.11 cannot parse in several threads at once (cpython issue 106905), and studies of one
+# process run in threads.
+_PARSING = threading.Lock()
 
 
 @cache
@@ -99,7 +103,9 @@ def _imported(file: Path, module: str) -> tuple[str, ...]:
     ``from package import name`` names the module ``package.name`` where there is one.
     """
     names: list[str] = []
-    for node in ast.walk(ast.parse(file.read_bytes())):
+    with _PARSING:
+        tree = ast.parse(file.read_bytes())
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names.extend(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

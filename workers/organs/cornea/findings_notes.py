@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from workers.organs.cornea.identifiability import NORMAL_95
 from workers.organs.cornea.spec import CorneaCase
 
 NOT_MEASURED = {
@@ -53,15 +54,26 @@ def _missing(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
 
 def _shear_modulus(numbers: Mapping[str, Any]) -> str:
     bounds, names = numbers["shear_modulus_bounds"], numbers["noises"]
-    curve = numbers["stress_curve"]
+    curve, value = numbers["stress_curve"], numbers["shear_modulus_mpa"]
+    stress_kpa = 1000 * curve["best_known_stress_mpa"]
+    low, high = (value * (1 + side * NORMAL_95 * bounds["pixels"]) for side in (-1, 1))
     return (
         f"Best known is the stress at a stretch of {curve['best_known_stretch']:.3f}: "
-        f"{1000 * curve['best_known_stress_mpa']:.3g} kPa. "
-        f"G0 = 1/2 Σ μα is {numbers['shear_modulus_mpa']:.3f} MPa. One such image could fix it "
-        f"to {100 * bounds['pixels']:.2g} % if nothing but {names['pixels']} were wrong, and to "
-        f"{100 * bounds['model']:.2g} % with an error of model or segmentation of "
-        f"{names['model']} (one standard deviation, Cramer-Rao)."
+        f"{stress_kpa:.3g} kPa ± {_percent(NORMAL_95 * curve['best_known_bound'])}. "
+        f"G0 = 1/2 Σ μα is {value:.3f} MPa, {low:.3f} to {high:.3f}. Both intervals hold with 95 % "
+        f"if nothing but {names['pixels']} were wrong. With an error of model or segmentation of "
+        f"{names['model']}, one such image {_fixes(bounds['model'])} (one standard deviation, "
+        "Cramer-Rao)."
     )
+
+
+def _fixes(bound: float) -> str:
+    return f"fixes G0 to {_percent(bound)}" if bound < 1 else "does not fix G0"
+
+
+def _percent(part: float) -> str:
+    """Return a part in per cent with two digits, or all of them before the point."""
+    return f"{100 * part:.2g} %" if part < 0.1 else f"{100 * part:.0f} %"
 
 
 def _constants(numbers: Mapping[str, Any]) -> str:

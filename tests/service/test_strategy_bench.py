@@ -1,0 +1,80 @@
+"""What the bench of strategies counts, and its chart, from studies made by hand."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from service.dispatch import Ending
+from service.strategy_bench import (
+    BOUNDS,
+    Bench,
+    Improvement,
+    OneCore,
+    Reached,
+    near_from,
+    study_of,
+    targets,
+)
+from service.strategy_chart import write_chart
+
+
+def test_targets_stratify_the_logarithms_and_subsets_are_the_first_of_ten() -> None:
+    ten = targets(10)
+    assert targets(3) == ten[:3]
+    for name, (low, high) in BOUNDS.items():
+        share = np.log([t[name] / low for t in ten]) / np.log(high / low)
+        cells = np.floor(10 * (share - 0.1) / 0.8 + 1e-3)
+        assert sorted(cells) == list(range(10))
+
+
+@pytest.mark.parametrize(
+    ("errors", "evaluations"),
+    [
+        ((0.5, 0.01, 0.005), 2),
+        ((0.01, 0.3, 0.015), 3),  # it was near by chance, and went away again
+        ((0.5, 0.02), 2),  # the limit itself is near
+        ((0.5, 0.021), None),
+        ((), None),
+    ],
+)
+def test_near_is_from_where_the_best_candidate_stays_near(
+    errors: tuple[float, ...], evaluations: int | None
+) -> None:
+    found = near_from([Improvement(n, 2.0 * n, -n, e) for n, e in enumerate(errors, start=1)])
+    assert (None if found is None else found.evaluations) == evaluations
+
+
+def test_a_target_may_have_a_mesh_of_its_own() -> None:
+    constants = targets(1)[0]
+    shared = study_of("cma", 0, constants, Bench(nodes=900, spacing_mm=2.0))
+    finer = study_of("cma", 0, constants, Bench(nodes=900, spacing_mm=2.0, target_nodes=3600))
+    assert shared.target.mesh is None
+    assert finer.target.mesh.nodes == 3600
+    assert finer.case == shared.case
+
+
+def test_seconds_are_those_of_the_processor() -> None:
+    def idle(seconds: float) -> dict[str, object]:
+        return {"seconds": {"solve": 30.0, "score": 10.0}, "reused": seconds < 0}
+
+    calls = [("made", (1.0,)), ("stored", (-1.0,))]
+    endings: list[Ending] = list(OneCore().run(idle, calls))
+    made, stored = (e.value["seconds"] for e in endings)
+    assert sum(made.values()) < 1.0  # it did nothing, whatever it says
+    assert made["solve"] == pytest.approx(3 * made["score"])
+    assert stored == {"solve": 30.0, "score": 10.0}
+
+
+def test_the_chart_names_the_strategies_that_ran(tmp_path: Path) -> None:
+    steps = tuple(Improvement(n, 3.0 * n, -n, 0.5**n) for n in range(1, 8))
+    rows = [
+        Reached(s, t, 9, 27.0, 6, 18.0, -7.0, {}, {}, steps[t:])
+        for s in ("least-squares", "genetic")
+        for t in range(3)
+    ]
+    write_chart(rows, tmp_path / "chart.svg")
+    words = [e.text for e in ElementTree.parse(tmp_path / "chart.svg").iter() if e.text]
+    assert {"least-squares", "genetic"} <= set(words)
+    assert "cma" not in words

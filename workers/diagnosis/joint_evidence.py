@@ -13,23 +13,27 @@ from scipy.special import logsumexp
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
+from workers.diagnosis.discrepancy import Discrepancy
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.evidence import Quadratic, log_marginal
 from workers.diagnosis.hypotheses import Hypothesis
-from workers.diagnosis.noise_model import LinearHypothesis, NoiseModel
+from workers.diagnosis.linearisation import Linearised
 
 
 class JointEvidence:
-    """Log evidences of effects at the nominal fit.
+    """Log evidences on the scale of `workers.diagnosis.evidence.log_evidence`.
 
     Parameters
     ----------
-    nominal : LinearHypothesis
+    problem : Linearised
         At the fit of the nominal parameters.
     sensitivities : sequence of EffectSensitivity
         With different names.
-    noise : NoiseModel
-        Of the same residuals.
+    discrepancy : Discrepancy, optional
+        Of the same residuals; without it no smooth field is tried.
+    replicates : ndarray, shape (m, n), optional
+        Other residuals in place of those of the problem, whitened, of parameters at their
+        prior means.
 
     Raises
     ------
@@ -39,61 +43,66 @@ class JointEvidence:
 
     def __init__(
         self,
-        nominal: LinearHypothesis,
+        problem: Linearised,
         sensitivities: Sequence[EffectSensitivity],
-        noise: NoiseModel,
+        discrepancy: Discrepancy | None = None,
+        replicates: FloatArray | None = None,
     ) -> None:
         names = [f.name for f in sensitivities]
         if len(set(names)) < len(names):
             raise InputError(f"Each effect is listed once, found {names}.")
-        if noise.size != len(nominal.residual):
+        if discrepancy is not None and discrepancy.size != problem.size:
             raise InputError(
-                f"The noise was made for {noise.size} residuals, the fit has "
-                f"{len(nominal.residual)}. Make one for its points."
+                f"The discrepancy was made for {discrepancy.size} residuals, the problem has "
+                f"{problem.size}. Make one for its points."
             )
-        p = nominal.columns.shape[1]
-        blocks: list[FloatArray] = [nominal.columns]
-        sided: list[BoolArray] = [nominal.one_sided]
+        p = len(problem.nominal_sd)
+        blocks: list[FloatArray] = [problem.scaled_nominal]
+        sided: list[BoolArray] = [np.zeros(p, dtype=bool)]
         self._columns: dict[str, list[IntArray]] = {}
         for sensitivity in sensitivities:
             self._columns[sensitivity.name] = []
-            for place in sensitivity.places:
+            for place in sensitivity.whitened(problem):
                 start = sum(block.shape[1] for block in blocks)
                 stop = start + place.shape[1]
                 self._columns[sensitivity.name].append(np.arange(start, stop, dtype=np.int32))
-                blocks.append(place * sensitivity.prior_sd)
+                blocks.append(place)
                 sided.append(sensitivity.one_sided)
         self._nominal = np.arange(p, dtype=np.int32)
         self._sided = np.concatenate(sided)
         self._offset = np.zeros(len(self._sided))
-        self._offset[:p] = nominal.offset
-        A, residual = np.hstack(blocks), nominal.residual[:, None]
-        self._plain = noise.plain(A, residual)
-        self._field = noise.with_field(A, residual) if noise.has_field else []
+        if replicates is None:
+            replicates = problem.whitened_residual[:, None]
+            self._offset[:p] = problem.scaled_offset
+        A = np.hstack(blocks)
+        self._plain = [Quadratic((replicates**2).sum(axis=0), A.T @ replicates, A.T @ A)]
+        self._field = [] if discrepancy is None else discrepancy.quadratics(A, replicates)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the effects."""
         return tuple(self._columns)
 
-    def log_evidence(self, effects: tuple[str, ...]) -> float:
-        """Return that of some effects together, averaged over places and noise."""
+    def log_evidence(self, effects: tuple[str, ...]) -> FloatArray:
+        """Return that of some effects together, averaged over their places, shape (n,)."""
         return self._average(self._plain, effects)
 
-    def field_gain(self, effects: tuple[str, ...]) -> float | None:
-        """Return by how much the smooth field raises it; None without a field."""
+    def discrepancy_gain(self, effects: tuple[str, ...]) -> FloatArray | None:
+        """Return by how much the smooth field raises it, shape (n,); None without a field."""
         if not self._field:
             return None
-        return self._average(self._field, effects) - self._average(self._plain, effects)
+        return self._average(self._field, effects) - self.log_evidence(effects)
 
     def hypothesis(self, effects: tuple[str, ...]) -> Hypothesis:
         """Return the evidence of some effects together, with and without the smooth field."""
-        return Hypothesis(effects, self.log_evidence(effects), self.field_gain(effects))
+        gain = self.discrepancy_gain(effects)
+        plain = float(self.log_evidence(effects)[0])
+        return Hypothesis(effects, plain, None if gain is None else float(gain[0]))
 
-    def _average(self, quadratics: Sequence[Quadratic], effects: tuple[str, ...]) -> float:
-        found, places = [], list(product(*(self._columns[name] for name in effects)))
-        for place in places:
-            which = np.concatenate([self._nominal, *place])
+    def _average(self, quadratics: Sequence[Quadratic], effects: tuple[str, ...]) -> FloatArray:
+        found = []
+        for places in product(*(self._columns[name] for name in effects)):
+            which = np.concatenate([self._nominal, *places])
             sided, offset = self._sided[which], self._offset[which]
-            found += [float(log_marginal(q.of(which), offset, sided)[0]) for q in quadratics]
-        return float(logsumexp(found) - np.log(len(places)))
+            found += [log_marginal(q.of(which), offset, sided) for q in quadratics]
+        return np.asarray(logsumexp(found, axis=0) - np.log(len(found)))

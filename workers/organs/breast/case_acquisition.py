@@ -25,7 +25,6 @@ def acquisition_of(case: ScannedCase) -> Acquisition:
         loads=case.names,
         problem=case.problem,
         effects=BREAST_EFFECTS,
-        pose_sd=case.pose_sd,
     )
 
 

@@ -104,7 +104,12 @@ def test_an_existing_scheduler_gets_it_once(tmp_path: Path) -> None:
 def test_a_scheduler_without_dashboard_has_no_tab(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", "service.dask_tab")
     with (
-        LocalCluster(n_workers=0, dashboard_address=None, processes=False) as local,
+        LocalCluster(
+            n_workers=0,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+        ) as local,
         Client(local, set_as_default=False) as client,
     ):
         assert not add_tab(client)

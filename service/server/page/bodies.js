@@ -30,6 +30,7 @@ export class BodiesSection {
 
   // Shows the first bodies that there are; newer ones when the reader wants them.
   update(job, sessions) {
+    this.now = [job, sessions];
     const best = job.best ? job.best.candidate : null;
     if (!sessions || this.loading || best === this.shown) return;
     if (this.shown === undefined || this.shown === null) {
@@ -42,7 +43,7 @@ export class BodiesSection {
 
   async load() {
     if (this.loading) return;
-    this.loading = true;
+    Object.assign(this, { loading: true, failed: false });
     this.renew.hidden = true;
     try {
       let bodies = await get(`/jobs/${encodeURIComponent(this.job)}/bodies`);
@@ -53,10 +54,12 @@ export class BodiesSection {
       }
       if (!this.page.ended) await this.show(bodies);
     } catch (error) {
+      this.failed = true;
       this.words.textContent = error.message;
       this.shown = this.shown ?? null;
     }
     this.loading = false;
+    if (!this.failed && !this.page.ended) this.update(...this.now); // what has come meanwhile, perhaps the last there is
   }
 
   async show(bodies) {

@@ -1,0 +1,60 @@
+"""A clock that jumps, back or forth, changes nothing but the dates that a journal shows."""
+
+from collections.abc import Callable, Iterable, Iterator
+from datetime import UTC, datetime, timedelta, tzinfo
+from pathlib import Path
+from typing import Any
+
+import pytest
+from stand_ins import Inline, assert_each_ran_once, run, told
+
+from service import study as study_module
+from service.dispatch import Ending
+from service.errors import Interrupted
+from service.results_reader import study_results
+
+YEAR = timedelta(days=365)
+
+
+class StoppedAfter(Inline):
+    """Is interrupted after so many evaluations."""
+
+    def __init__(self, evaluations: int) -> None:
+        self.left = evaluations
+
+    def run(
+        self, task: Callable[..., Any], calls: Iterable[tuple[Any, tuple[Any, ...]]]
+    ) -> Iterator[Ending]:
+        for ending in super().run(task, calls):
+            if not self.left:
+                raise Interrupted
+            self.left -= 1
+            yield ending
+
+
+def set_clock(monkeypatch: pytest.MonkeyPatch, moment: datetime) -> None:
+    class Clock(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> "Clock":
+            return cls.fromtimestamp(moment.timestamp(), tz)
+
+    monkeypatch.setattr(study_module, "datetime", Clock)
+
+
+@pytest.mark.parametrize("jumps", [(YEAR, -YEAR), (-10 * YEAR, 10 * YEAR)])
+def test_a_study_resumes_whatever_the_clock_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jumps: tuple[timedelta, ...]
+) -> None:
+    calm, folder = tmp_path / "calm" / "demo", tmp_path / "runs" / "demo"
+    run(calm, Inline())
+    for jump in jumps:
+        set_clock(monkeypatch, datetime.now(UTC) + jump)
+        with pytest.raises(Interrupted):
+            run(folder, StoppedAfter(7))
+    set_clock(monkeypatch, datetime.now(UTC))
+    run(folder, Inline())
+    assert told(folder) == told(calm)
+    assert_each_ran_once(folder)
+    results = study_results(folder)
+    assert results.sessions == 3
+    assert 0 <= results.wall_s < 60

@@ -1,5 +1,6 @@
 """Sends small records of a study to the scheduler of its cluster, for `service.dask_tab`."""
 
+import asyncio
 import logging
 import socket
 import time
@@ -35,6 +36,7 @@ class DaskRecords(Observer):
         self._study = ""
         self._waiting: list[dict[str, Any]] = []
         self._sent = time.monotonic()
+        self._turn = asyncio.Lock()
 
     def started(self, facts: StudyFacts) -> None:
         """Say what is to be expected."""
@@ -81,11 +83,12 @@ class DaskRecords(Observer):
     def _send(self) -> None:
         records, self._waiting = self._waiting, []
         self._sent = time.monotonic()
-        self._client.loop.add_callback(_log_event, self._client, records)
+        self._client.loop.add_callback(self._log_event, records)
 
-
-async def _log_event(client: Client, records: list[dict[str, Any]]) -> None:
-    try:
-        await client.scheduler.log_event(topic=TOPIC, msg={"client": client.id, "records": records})
-    except Exception as error:
-        _log.debug("The scheduler has not got %d records: %r", len(records), error)
+    async def _log_event(self, records: list[dict[str, Any]]) -> None:
+        event = {"client": self._client.id, "records": records}
+        async with self._turn:  # Dask would send two at once, on two connections
+            try:
+                await self._client.scheduler.log_event(topic=TOPIC, msg=event)
+            except Exception as error:
+                _log.debug("The scheduler has not got %d records: %r", len(records), error)

@@ -1,9 +1,11 @@
 """The tab of Palpate on the dashboard of Dask's scheduler."""
 
+import asyncio
 import time
 import urllib.request
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,6 +14,7 @@ from distributed import Client, LocalCluster
 from stand_ins import TASKS, set_manners, small_spec
 
 from service.cluster import open_cluster
+from service.dask_records import DaskRecords
 from service.dask_tab import PAGE, IdleTime, PalpateTab, add_tab
 from service.dispatch import Dispatcher
 from service.server.study_job import run_study, study_request
@@ -127,3 +130,24 @@ def test_idle_time_counts_threads_without_a_task() -> None:
     idle.note([(0, 4)])
     now = 5.0
     assert idle.so_far() == (3.0 + 0.0 + 4.0, 6.0 + 2.0 + 4.0)
+
+
+def test_records_arrive_in_their_order() -> None:
+    arrived: list[str] = []
+    delays_s = [0.1, 0.0]  # the first connection is the slower one
+
+    async def log_event(topic: str, msg: dict[str, Any]) -> None:
+        await asyncio.sleep(delays_s.pop(0))
+        arrived.extend(record["what"] for record in msg["records"])
+
+    async def send() -> None:
+        sent: list[asyncio.Task[None]] = []
+        loop = SimpleNamespace(add_callback=lambda f, *a: sent.append(asyncio.create_task(f(*a))))
+        scheduler = SimpleNamespace(log_event=log_event)
+        records = DaskRecords(SimpleNamespace(loop=loop, scheduler=scheduler, id="c"))
+        records.generation_begun(0, 1)
+        records.stopped("all generations are done")
+        await asyncio.gather(*sent)
+
+    asyncio.run(send())
+    assert arrived == ["generation begun", "stopped"]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.diagnosis import Diagnosis, diagnose
 from service.cluster import open_cluster
+from service.dask_records import DaskRecords
 from service.dispatch import Dispatcher
 from service.hooks import Observer
 from service.preflight import preflight
@@ -152,6 +153,7 @@ class Study:
                 ):
                     warnings.warn(warning, stacklevel=2)
             with bar or nullcontext(), open_cluster(scheduler, workers) as cluster:
+                loop.hooks.add(DaskRecords(cluster.client))
                 loop.run(Dispatcher(cluster.client), cluster.dashboard)
         return self.results
 

@@ -21,6 +21,7 @@ import dask.system
 from distributed import Client, LocalCluster, Security, Status
 from tornado.ioloop import PeriodicCallback
 
+from service.dask_tab import add_tab
 from service.errors import ClusterError
 from service.scheduler_address import check_reachable
 from service.task_failures import sentence
@@ -155,6 +156,9 @@ def open_cluster(
     )
     with opened as cluster:
         cluster.client.register_plugin(OneThread())
+        if cluster.dashboard:
+            with _unlogged("distributed"):
+                add_tab(cluster.client)
         yield cluster
 
 

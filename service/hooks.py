@@ -84,6 +84,10 @@ class Hooks(Observer):
     def __init__(self, observers: Iterable[Observer] = ()) -> None:
         self._observers = list(observers)
 
+    def add(self, observer: Observer) -> None:
+        """Pass everything on to one more."""
+        self._observers.append(observer)
+
     def _call(self, hook: str, *args: Any) -> None:
         for observer in list(self._observers):
             try:

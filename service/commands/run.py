@@ -107,6 +107,7 @@ def _completed(
 ) -> bool:
     """Run to the end; False if somebody asked to stop."""
     from service.cluster import open_cluster
+    from service.dask_records import DaskRecords
     from service.dispatch import Dispatcher
     from service.errors import GenerationCrashError, Interrupted
 
@@ -115,6 +116,7 @@ def _completed(
             return False
         with progress, open_cluster(scheduler, workers) as cluster:
             dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
+            study.hooks.add(DaskRecords(cluster.client))
             study.run(dispatcher, cluster.dashboard)
     except (Interrupted, KeyboardInterrupt):
         return False

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from service.dask_records import DaskRecords
 from service.dispatch import Dispatcher
 from service.spec import StudySpec
 from service.study import Study, Tasks
@@ -47,6 +48,7 @@ def run_study(
     accept = bool(request.get("accept_new_code"))
     study = Study(spec, folder, store, tasks=tasks, accept_new_code=accept)
     if not study.ended:
+        study.hooks.add(DaskRecords(dispatcher.client))
         study.run(dispatcher, dashboard)
 
 

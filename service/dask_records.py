@@ -1,0 +1,94 @@
+"""Sends small records of a study to the scheduler of its cluster, for `service.dask_tab`."""
+
+import asyncio
+import logging
+import socket
+import time
+from typing import Any, Literal
+
+from distributed import Client
+
+from service.hooks import Observer, StudyFacts
+from service.search.base import Generation
+from storage.records import EvaluationRecord
+from storage.task_records import PreparedBody, PreparedTarget
+
+TOPIC = "palpate"
+SEND_EVERY_S = 0.5
+
+_log = logging.getLogger(__name__)
+
+
+class DaskRecords(Observer):
+    """Logs what happens as events of the scheduler, topic `TOPIC`, without waiting for it.
+
+    One event is a list of records in the order in which they arose; endings are sent every
+    `SEND_EVERY_S` at most.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Connected to the scheduler. That events are lost with it is no fault of the study.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._study = ""
+        self._waiting: list[dict[str, Any]] = []
+        self._sent = time.monotonic()
+        self._turn = asyncio.Lock()
+
+    def started(self, facts: StudyFacts) -> None:
+        """Say what is to be expected."""
+        self._study = f"{socket.gethostname()}:{facts.folder}"
+        self._add("started", name=facts.name, most=facts.most_evaluations)
+        self._send()
+
+    def prepared(
+        self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
+    ) -> None:
+        """Say nothing: Dask shows these tasks itself."""
+
+    def generation_begun(self, number: int, evaluations: int) -> None:
+        """Say that a generation begins, at once."""
+        self._add("generation begun", number=number)
+        self._send()
+
+    def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        """Say how an evaluation ended, and what it took if that was now."""
+        computed = not replayed and not record.reused
+        self._add(
+            "ended",
+            status=record.status.value,
+            gsf=None if record.score is None else float(record.score["gsf"]),
+            computed=computed,
+            seconds=dict(record.seconds) if computed else {},
+        )
+        if time.monotonic() - self._sent >= SEND_EVERY_S:
+            self._send()
+
+    def generation_ended(self, number: int, generation: Generation) -> None:
+        """Say that the barrier is passed, at once."""
+        self._add("generation ended", number=number)
+        self._send()
+
+    def stopped(self, reason: str) -> None:
+        """Say why the search is over."""
+        self._add("stopped", reason=reason)
+        self._send()
+
+    def _add(self, what: str, **more: Any) -> None:
+        self._waiting.append({"what": what, "study": self._study, **more})
+
+    def _send(self) -> None:
+        records, self._waiting = self._waiting, []
+        self._sent = time.monotonic()
+        self._client.loop.add_callback(self._log_event, records)
+
+    async def _log_event(self, records: list[dict[str, Any]]) -> None:
+        event = {"client": self._client.id, "records": records}
+        async with self._turn:  # Dask would send two at once, on two connections
+            try:
+                await self._client.scheduler.log_event(topic=TOPIC, msg=event)
+            except Exception as error:
+                _log.debug("The scheduler has not got %d records: %r", len(records), error)

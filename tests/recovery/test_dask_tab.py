@@ -1,0 +1,153 @@
+"""The tab of Palpate on the dashboard of Dask's scheduler."""
+
+import asyncio
+import time
+import urllib.request
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from bokeh.client import pull_session
+from distributed import Client, LocalCluster
+from stand_ins import TASKS, set_manners, small_spec
+
+from service.cluster import open_cluster
+from service.dask_records import DaskRecords
+from service.dask_tab import PAGE, IdleTime, PalpateTab, add_tab
+from service.dispatch import Dispatcher
+from service.server.study_job import run_study, study_request
+from service.study_log import StudyLog
+from storage.layout import StudyLayout
+
+DEADLINE_S = 20.0
+
+
+def run_small_study(client: Client, folder: Path) -> StudyLog:
+    set_manners(folder.parent / "store", seconds=0.01)
+    request = study_request(small_spec(), accept_new_code=False)
+    run_study(request, folder, folder.parent / "store", Dispatcher(client), "", TASKS)
+    return StudyLog.read(StudyLayout(folder).journal)
+
+
+def page_of(dashboard: str) -> str:
+    return dashboard.removesuffix("/status") + f"/{PAGE}"
+
+
+def html_of(url: str) -> str:
+    with urllib.request.urlopen(url, timeout=DEADLINE_S) as answer:
+        assert answer.status == 200
+        return str(answer.read().decode())
+
+
+def sources_of(url: str) -> dict[str, dict[str, Any]]:
+    """Return the data that a browser gets, by the name of the source."""
+    session = pull_session(url=url)
+    try:
+        names = "studies", "barrier", "stages"
+        return {name: dict(session.document.get_model_by_name(name).data) for name in names}
+    finally:
+        session.close()
+
+
+def sources_at_the_end(url: str, reason: str) -> dict[str, dict[str, Any]]:
+    """The same once the last record has come, which nobody waits for."""
+    end = time.monotonic() + DEADLINE_S
+    while (sources := sources_of(url))["studies"]["state"] != [reason]:
+        if time.monotonic() > end:
+            break
+        time.sleep(0.1)
+    return sources
+
+
+def test_the_page_holds_the_evaluations_of_a_study(tmp_path: Path) -> None:
+    with open_cluster(workers=2) as cluster:
+        url = page_of(cluster.dashboard)
+        assert sources_of(url)["studies"]["study"] == []
+        log = run_small_study(cluster.client, tmp_path / "demo")
+        assert log.end is not None
+        assert "Palpate" in html_of(cluster.dashboard)  # the tab, on Dask's own pages
+        assert "bokeh" in html_of(url)
+        sources = sources_at_the_end(url, log.end.reason)
+    endings = Counter(record.status.value for record in log.endings.values())
+    studies = sources["studies"]
+    assert studies["study"] == ["demo"]
+    assert studies["state"] == [log.end.reason]
+    assert studies["ended"] == [len(log.endings)]
+    assert studies["done"] == [endings["done"]]
+    assert studies["diverged"] == [endings["diverged"]]
+    assert sources["barrier"]["generation"] == [0, 1, 2, 3, 4]
+    assert all(0.0 < percent < 100.0 for percent in sources["barrier"]["idle_percent"])
+    assert sources["stages"]["stage"] == ["solve"]
+    computed = sum(r.seconds["solve"] for r in log.endings.values() if not r.reused)
+    assert sources["stages"]["seconds"] == pytest.approx([computed])
+
+
+def test_an_existing_scheduler_gets_it_once(tmp_path: Path) -> None:
+    local = LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+    )
+    with local:
+        for _ in range(2):
+            with open_cluster(local.scheduler_address) as cluster:
+                run_small_study(cluster.client, tmp_path / "demo")
+                html_of(page_of(cluster.dashboard))
+        pages = [
+            a for a in local.scheduler.http_application.applications if hasattr(a, "app_paths")
+        ]
+        assert sum(f"/{PAGE}" in page.app_paths for page in pages) == 1
+
+
+def test_a_scheduler_without_dashboard_has_no_tab(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "service.dask_tab")
+    with (
+        LocalCluster(
+            n_workers=0,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+        ) as local,
+        Client(local, set_as_default=False) as client,
+    ):
+        assert not add_tab(client)
+        assert PalpateTab.name not in local.scheduler.plugins
+    assert "has no dashboard" in caplog.text
+
+
+def test_idle_time_counts_threads_without_a_task() -> None:
+    now = 0.0
+    idle = IdleTime(clock=lambda: now)
+    idle.note([(2, 1), (0, 1)])  # a task waits behind another: one worker is busy
+    now = 3.0
+    idle.note([(1, 1), (1, 1)])
+    now = 4.0
+    idle.note([(0, 4)])
+    now = 5.0
+    assert idle.so_far() == (3.0 + 0.0 + 4.0, 6.0 + 2.0 + 4.0)
+
+
+def test_records_arrive_in_their_order() -> None:
+    arrived: list[str] = []
+    delays_s = [0.1, 0.0]  # the first connection is the slower one
+
+    async def log_event(topic: str, msg: dict[str, Any]) -> None:
+        await asyncio.sleep(delays_s.pop(0))
+        arrived.extend(record["what"] for record in msg["records"])
+
+    async def send() -> None:
+        sent: list[asyncio.Task[None]] = []
+        loop = SimpleNamespace(add_callback=lambda f, *a: sent.append(asyncio.create_task(f(*a))))
+        scheduler = SimpleNamespace(log_event=log_event)
+        records = DaskRecords(SimpleNamespace(loop=loop, scheduler=scheduler, id="c"))
+        records.generation_begun(0, 1)
+        records.stopped("all generations are done")
+        await asyncio.gather(*sent)
+
+    asyncio.run(send())
+    assert arrived == ["generation begun", "stopped"]

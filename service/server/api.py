@@ -55,7 +55,7 @@ class DiagnosisSubmission(Accepted):
 
     source: DiagnosisSource
     nodes: Annotated[int, Field(ge=200, le=500_000)] = 5000
-    effects: Annotated[list[Name], Field(max_length=100)] | None = None
+    effects: Annotated[list[Name], Field(min_length=1, max_length=100)] | None = None
     priority: Priority = 0
     key: Key = ""
 

@@ -1,35 +1,45 @@
 """Runs one diagnosis of the queue; its steps go to a journal as the endings of a study do."""
 
+import time
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from service.diagnosis.run import Step, request_for, run
+from service.diagnosis.run import Step, finished, request_for, run
 from service.dispatch import Dispatcher
 from service.report.diagnosis_files import write_diagnosis
+from service.report.diagnosis_made import Origin, origin_of
 from storage.atomic import explained
+from storage.errors import InputError
 from storage.journal import Journal
 from storage.layout import StudyLayout
 from storage.places import Location
 from storage.records import SCHEMA_VERSION
+from workers.mechanics.parameters import unknown_name
 from workers.tasks.diagnosis_store import DiagnosisRequest
 from workers.tasks.sources import open_source
 
 
 def bring_source(
-    path: str, store: str, nodes: int, effects: tuple[str, ...] | None
-) -> DiagnosisRequest:
+    path: str, store: str, nodes: int, effects: tuple[str, ...] | None, when: str
+) -> tuple[DiagnosisRequest, Origin]:
     """Read what is diagnosed into the store; a task, so that a damaged image harms a worker only.
 
     Raises
     ------
     InputError
-        If it cannot be diagnosed.
+        If it cannot be diagnosed, or an effect is not in its catalogue.
     """
     opened = open_source(Path(path))
+    known = [effect.name for effect in opened.effects]
+    for name in effects or ():
+        if name not in known:
+            raise InputError(unknown_name("effect", name, known))
     opened.check()
-    return request_for(opened, store, nodes, effects=effects)
+    request = request_for(opened, store, nodes, effects=effects)
+    return request, origin_of(opened, request, when, "", None)
 
 
 def run_diagnosis(
@@ -45,7 +55,8 @@ def run_diagnosis(
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
     effects = request.get("effects")
-    named = None if effects is None else tuple(effects)
+    named = None if effects is None else tuple(dict.fromkeys(effects))
+    began, when = time.monotonic(), datetime.now(UTC).isoformat(timespec="seconds")
     with Journal(StudyLayout(folder).journal) as journal:
 
         def append(kind: str, **values: Any) -> None:
@@ -54,8 +65,14 @@ def run_diagnosis(
         def observe(step: Step) -> None:
             append("step", phase=step.phase, done=step.done, of=step.of, task=step.task)
 
-        append("session", began=datetime.now(UTC).isoformat(timespec="seconds"))
-        asked = dispatcher.call(bring_source, str(source), str(store), request["nodes"], named)
+        append("session", began=when)
+        asked, origin = dispatcher.call(
+            bring_source, str(source), str(store), request["nodes"], named, when
+        )
+        stored = finished(asked) is not None
         diagnosis = run(asked, dispatcher, observe)
-        write_diagnosis(diagnosis, folder)
+        spent = None if stored else time.monotonic() - began
+        write_diagnosis(
+            diagnosis, folder, replace(origin, made=replace(origin.made, seconds=spent))
+        )
         append("end", reason="all is computed", verdict=diagnosis.summary.verdict)

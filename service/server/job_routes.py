@@ -173,7 +173,7 @@ def get_results(service: Here, job: Known) -> dict[str, Any]:
         return study_json(study_results(_begun(service, job)))
     path = job_file(service, job, "diagnosis.json")
     if path is None:
-        raise HTTPException(409, f"The diagnosis {job.id} has not ended yet.")
+        raise HTTPException(409, f"{job.id} is {state_of(service, job)}: it has no result.")
     record: dict[str, Any] = json.loads(path.read_bytes())
     return record
 

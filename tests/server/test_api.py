@@ -156,6 +156,7 @@ def test_the_example_of_the_documentation(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     text = (Path(__file__).parents[2] / "docs" / "service.md").read_text()
+    assert text.count("```python\n") == 1
     example = text.partition("```python\n")[2].partition("```")[0]
     (tmp_path / "demo.yaml").write_text(named("documented"))
     monkeypatch.chdir(tmp_path)

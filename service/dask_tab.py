@@ -9,9 +9,10 @@ import logging
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from html import escape
 from typing import Any
 
 from distributed import Client, Scheduler, SchedulerPlugin
@@ -229,11 +230,12 @@ def _document(
         for name, data in columns(tab).items():
             if data != sources[name].data:
                 sources[name].data = data
+        table.text = _rows(sources["studies"].data)
         stages.y_range.factors = sources["stages"].data["stage"]
 
-    stages = _stages(sources["stages"])
+    table, stages = _table(sources["studies"]), _stages(sources["stages"])
     doc.title = "Dask: Palpate"
-    parts = _table(sources["studies"]), _barrier(sources["barrier"]), stages
+    parts = table, _barrier(sources["barrier"]), stages
     doc.add_root(column(*parts, sizing_mode="stretch_width"))
     doc.template, doc.theme = look["template"], look["theme"]
     doc.template_variables.update(variables)
@@ -273,22 +275,18 @@ def _mean_percent(study: StudyRow) -> str:
 
 
 def _table(source: Any) -> Any:
-    from bokeh.models.widgets import DataTable, TableColumn
+    from bokeh.models.widgets import Div
 
+    return Div(text=_rows(source.data), tags=[source], sizing_mode="stretch_width")
+
+
+def _rows(data: Mapping[str, Any]) -> str:
+    """Write a table as HTML: bokeh's own does not redraw rows whose number stays."""
     titles = {"most": "at most", "best": "best GSF", "idle": "mean idle"}
-    widths = {"study": 220, "state": 260}
-    fields = [
-        TableColumn(field=name, title=titles.get(name, name), width=widths.get(name, 80))
-        for name in source.data
-    ]
-    return DataTable(
-        source=source,
-        columns=fields,
-        index_position=None,
-        reorderable=False,
-        height=180,
-        sizing_mode="stretch_width",
-    )
+    lines = [[titles.get(name, name) for name in data], *zip(*data.values(), strict=True)]
+    cell = '<td style="padding: 2px 14px 2px 4px">{}</td>'
+    rows = ("".join(cell.format(escape(str(value))) for value in line) for line in lines)
+    return "<table>" + "".join(f"<tr>{row}</tr>" for row in rows) + "</table>"
 
 
 def _barrier(source: Any) -> Any:

@@ -234,7 +234,8 @@ OPTIONS = {
     "an unknown option": BadInput(f"{RUN} --wrokers 2", "--wrokers"),
     "an unknown command": BadInput("palpate runn study.yaml", "runn"),
     "nothing to run": BadInput("palpate run", "Missing argument"),
-    "a store on the web": BadInput(f"{RUN} --store s3://bucket/store", "is a URL"),
+    "a store on the web": BadInput(f"{RUN} --store https://host/store", "is a URL"),
+    "a store without a bucket": BadInput(f"{RUN} --store s3://", "names no bucket"),
     "a candidate by name": BadInput("palpate show first", "give its number, or best"),
     "an unknown study": BadInput("palpate report nix", "There is no study nix"),
     "a constant without a value": BadInput(

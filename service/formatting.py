@@ -8,6 +8,8 @@ from markupsafe import Markup, escape
 MINUS = "\u2212"
 NARROW = "\u202f"
 NONE = "\u2013"
+# From here on a number is written with a power of ten.
+HUGE = 1e12
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _GREEK = {"eta": "η", "nu": "ν", "E": "E"}
@@ -20,17 +22,17 @@ def number(value: float | None, digits: int = 4) -> str:
     --------
     >>> number(10.1234), number(12345678.0), number(float("inf")), number(None)
     ('10.12', '12345678', '∞', '–')
-    >>> number(-1.2e-10)
-    '−1.20·10⁻¹⁰'
+    >>> number(-1.2e-10), number(5.27e18)
+    ('−1.20·10⁻¹⁰', '5.27·10¹⁸')
     """
     if value is None or math.isnan(value):
         return NONE
     if math.isinf(value):
         return "∞" if value > 0 else f"{MINUS}∞"
     size = abs(value)
-    if size >= 10**digits:
+    if 10**digits <= size < HUGE:
         text = f"{value:.0f}"
-    elif size and size < 1e-3:
+    elif size and not 1e-3 <= size < HUGE:
         mantissa, exponent = f"{value:.{digits - 2}e}".split("e")
         text = f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
     else:

@@ -13,10 +13,10 @@ import numpy as np
 
 from service.identification import (
     Identification,
-    SearchedConstants,
     identification_from_scatter,
     identification_from_tangents,
 )
+from service.local_model import SearchedConstants
 from service.results import (
     CandidateResults,
     EvaluationCounts,

@@ -17,7 +17,7 @@ from service.formatting import (
     signed_error,
     symbol,
 )
-from service.identification import Direction
+from service.local_model import Direction
 from service.report import study_tables
 from service.report.glossary import STUDY
 from service.report.packed import Json, script

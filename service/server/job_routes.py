@@ -72,6 +72,20 @@ def known_job(service: Here, identifier: Identifier) -> Job:
 
 Known = Annotated[Job, Depends(known_job)]
 
+
+def followed_journal(
+    service: Here,
+    job: Known,
+    since: Offset = 0,
+    last_event_id: Annotated[str | None, Header(pattern=r"^[0-9]{1,15}$")] = None,
+) -> JournalTail:
+    """Return the journal of a job from where a browser has lost it, or from `since` on."""
+    offset = since if last_event_id is None else int(last_event_id)
+    return JournalTail(StudyLayout(service.home.job(job.id)).journal, offset)
+
+
+Followed = Annotated[JournalTail, Depends(followed_journal)]
+
 router = APIRouter(
     tags=["jobs"], dependencies=[Depends(reader)], responses=_refusals(400, 401, 403, 421, 422)
 )
@@ -212,12 +226,9 @@ async def follow_job(
     service: Here,
     request: Request,
     job: Known,
-    since: Offset = 0,
-    last_event_id: Annotated[str | None, Header(pattern=r"^[0-9]{1,15}$")] = None,
+    tail: Followed,
 ) -> StreamingResponse:
     """Follow a job by server-sent events: `job`, `record`, at last `end`."""
-    offset = since if last_event_id is None else int(last_event_id)
-    tail = JournalTail(StudyLayout(service.home.job(job.id)).journal, offset)
     return event_stream(
         request, service, lambda gone: job_events(tail, lambda: view_now(service, job), gone)
     )

@@ -1,21 +1,19 @@
 """Routes of the API for a page that watches: all jobs, a study in brief, its bodies."""
 
-from typing import Annotated, Any
+from typing import Any
 
-from fastapi import APIRouter, Depends, Header, HTTPException, Request, Response
+from fastapi import APIRouter, Depends, HTTPException, Request, Response
 from fastapi.responses import FileResponse, StreamingResponse
 
 from service.server.access import Here, reader
 from service.server.api import BodiesView, JobView, Problem, StudyView
 from service.server.events import all_job_events, job_events
-from service.server.job_routes import Known, Offset
-from service.server.journal_tail import JournalTail
+from service.server.job_routes import Followed, Known
 from service.server.queue import Job
 from service.server.service import Service
 from service.server.streams import event_stream
 from service.server.study_view import study_view
 from service.server.views import ENDED, job_view, view_now
-from storage.layout import StudyLayout
 
 NEWEST = 100
 EVENT_STREAM: dict[int | str, dict[str, Any]] = {200: {"content": {"text/event-stream": {}}}}
@@ -45,12 +43,9 @@ async def follow_points(
     service: Here,
     request: Request,
     job: Known,
-    since: Offset = 0,
-    last_event_id: Annotated[str | None, Header(pattern=r"^[0-9]{1,15}$")] = None,
+    tail: Followed,
 ) -> StreamingResponse:
     """Follow a job by server-sent events in brief: `job`, `points`, at last `end`."""
-    offset = since if last_event_id is None else int(last_event_id)
-    tail = JournalTail(StudyLayout(service.home.job(job.id)).journal, offset)
     return event_stream(
         request,
         service,

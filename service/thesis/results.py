@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from service.identification import DEVIATIONS, TANGENTS
+from service.identification import TANGENTS
+from service.local_model import DEVIATIONS
 from service.results import StudyResults
 from service.thesis.estimate import parts_of
 from service.thesis.experiments import (

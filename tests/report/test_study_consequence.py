@@ -7,12 +7,7 @@ import pytest
 from pages import Page
 from study_data_at_hand import results, study_data
 
-from service.identification import (
-    Identification,
-    IdentifiedConstant,
-    IdentifiedRatio,
-    Interval,
-)
+from service.identification import Identification, IdentifiedConstant, IdentifiedRatio, Interval
 from service.report.study_page import render
 
 

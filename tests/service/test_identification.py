@@ -5,12 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from service.identification import (
-    DEVIATIONS,
-    SearchedConstants,
-    identification_from_scatter,
-    identification_from_tangents,
-)
+from service.identification import identification_from_scatter, identification_from_tangents
+from service.local_model import DEVIATIONS, SearchedConstants
 from storage.task_records import FitJson
 from workers.mechanics.parameters import BREAST
 

@@ -45,6 +45,7 @@ def require_one_of(record: BaseModel, first: str, second: str) -> None:
 
 Identifiable = Literal["absolute", "ratio"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 

@@ -11,7 +11,13 @@ from typing import Literal
 
 import numpy as np
 
-from service.blind.calibration import brier, brier_of_base_rates
+from service.blind.calibration import (
+    brier,
+    brier_of_base_rates,
+    calibration_error,
+    log_score,
+    sure_statements,
+)
 from service.blind.records import CaseRecord
 from service.blind.statistics import Estimate, correlation, mean, median, share
 from workers.diagnosis.verdict import NONE_OF_THESE
@@ -244,6 +250,13 @@ def _sizes(records: Records) -> Iterable[Metric]:
 
 def _probabilities(records: Records) -> Iterable[Metric]:
     score, naive = brier(records), brier_of_base_rates(records)
+    sure = sure_statements(records)
+    title = "Statements of 90 % and more that came true"
+    yield _metric("sure_statements", title, sure, _at_least(0.93))
+    error = calibration_error(records)
+    title = "Expected calibration error of all statements"
+    yield _metric("calibration_error", title, error, _at_most(0.06), unit="number")
+    yield _metric("log_score", "Log score of all statements", log_score(records), unit="number")
     yield _metric("brier", "Brier score of all statements", score, unit="number")
     title = "Brier score of the frequencies of the causes"
     yield _metric("brier_naive", title, naive, unit="number")

@@ -102,6 +102,7 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
         primary_families=tuple(effects[n].family for n in summary.primary),
         set90=summary.set90,
         probabilities=ends | visible,
+        family_probabilities=summary.families,
         alarm=summary.alarm,
         claimed_before_mm=gap.before.gap_mm,
         claimed_after_mm=gap.after.gap_mm if gap.after else None,

@@ -41,6 +41,8 @@ class CaseRecord:
     probabilities : mapping of str to float
         That each effect acts, as far as the data could tell; with "no-gap" and
         "none-of-these".
+    family_probabilities : mapping of str to float
+        That an effect of the family acts.
     alarm : float or None
         Log evidence against no gap.
     claimed_before_mm, claimed_after_mm : float or None
@@ -74,6 +76,7 @@ class CaseRecord:
     primary_families: tuple[str, ...] = ()
     set90: tuple[str, ...] = ()
     probabilities: Mapping[str, float] = field(default_factory=dict)
+    family_probabilities: Mapping[str, float] = field(default_factory=dict)
     alarm: float | None = None
     claimed_before_mm: float | None = None
     claimed_after_mm: float | None = None

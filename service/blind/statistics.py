@@ -1,11 +1,13 @@
 """Computes shares and means with their intervals."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 from scipy.stats import norm
+
+from storage.values import FloatArray
 
 LEVEL = 0.95
 DRAWS = 2000
@@ -54,6 +56,20 @@ def mean(values: Sequence[float]) -> Estimate:
         return NOTHING
     drawn = np.asarray(values)[_draws(len(values))].mean(axis=1)
     return _estimate(float(np.mean(values)), drawn, len(values))
+
+
+def of_sums(values: FloatArray, figure: Callable[[FloatArray], FloatArray]) -> Estimate:
+    """Return a figure of sums over cases, with the interval of the bootstrap over cases.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, ...)
+        What each case adds.
+    figure : callable
+        From draws of the sums, shape (d, ...), to shape (d,).
+    """
+    drawn = figure(values[_draws(len(values))].sum(axis=1))
+    return _estimate(float(figure(values.sum(axis=0)[None])[0]), drawn, len(values))
 
 
 def median(values: Sequence[float]) -> Estimate:

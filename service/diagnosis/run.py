@@ -185,13 +185,13 @@ def run(
     calibrated = DiagnosisStore(request).calibration.is_finished
     idle = 0 if calibrated else max(0, workers.threads - 1)
     with workers.meanwhile(build_problem, [(n, (request,)) for n in range(idle)]):
-        (calibration,) = phases.run("calibration", calibrate_nominal, [()])
+        (calibration,) = phases.run("calibration", calibrate_nominal, [()], by_scans=True)
     effects = sorted(request.effects, key=lambda name: name not in LONG)
     numbers = range(calibration.scans)
     phases.run("effects", analyse_effect, [(e, number) for e in effects for number in numbers])
     while wanted := phases.run("weighing", weigh_hypotheses, [()])[0].wanted:
         longest_first = sorted(wanted, key=LONG.isdisjoint)
-        phases.run("refits", fit_effects, [(names,) for names in longest_first])
+        phases.run("refits", fit_effects, [(names,) for names in longest_first], by_scans=True)
     diagnosis = finished(request)
     if diagnosis is None:
         raise TaskError(
@@ -207,11 +207,21 @@ class _Phases:
     def __init__(self, request: DiagnosisRequest, workers: Workers, observe: Observer) -> None:
         self.request, self.workers, self.observe = request, workers, observe
 
-    def run(self, phase: str, task: Callable[..., R], arguments: list[tuple[Any, ...]]) -> list[R]:
-        """Run a task for each of `arguments`; its records in order of arrival."""
+    def run(
+        self,
+        phase: str,
+        task: Callable[..., R],
+        arguments: list[tuple[Any, ...]],
+        by_scans: bool = False,
+    ) -> list[R]:
+        """Run a task for each of `arguments`; its records in order of arrival.
+
+        One that goes `by_scans` is told how many threads there are for each task.
+        """
         of = len(arguments)
         self.observe(Step(phase, 0, of))
-        calls = [(_about(one), (self.request, *one)) for one in arguments]
+        spare = (max(1, self.workers.threads // of),) if by_scans and of else ()
+        calls = [(_about(one), (self.request, *one, *spare)) for one in arguments]
         records: list[R] = []
         for ending in self.workers.run(task, calls):
             record: R = value_of(ending, f"{phase} {ending.key}".strip())

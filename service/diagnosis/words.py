@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from service.formatting import MINUS, NONE, number
+from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.summary import GapEstimate, GapSummary, Summary
 
 MOST_DIGITS = 4
@@ -13,6 +14,7 @@ NOTHING_MM = 0.005
 # The smallest upper limit of a gap that is printed.
 LEAST_MM = 0.01
 NOT_EFFECTS = {"no-gap": "no gap", "none-of-these": "none of these"}
+DOUBTS = {"no-gap": "mere noise", "none-of-these": "something that is not listed"}
 
 
 def spoken(name: str) -> str:
@@ -120,7 +122,25 @@ def millimetres(gap: Interval | None) -> str:
 
 
 def sentence(summary: Summary) -> str:
-    """Say the verdict in a sentence or two."""
+    """Say the verdict in a sentence or two, and what is wrong with the stated noise."""
+    return f"{_verdict(summary)} {noise(summary)}".rstrip()
+
+
+def noise(summary: Summary) -> str:
+    """Say whether noise is stated too small or too large; nothing if it is not."""
+    said = []
+    for one in summary.noise or ():
+        ratio = one.learnt_mm / one.stated_mm if one.stated_mm > 0 else 1.0
+        if max(ratio, 1 / ratio) > SETTINGS.noise.misstated:
+            wrong = "small" if ratio > 1 else "large"
+            said.append(
+                f"The noise of the {one.interface} interface is stated too {wrong}: "
+                f"{one.stated_mm:.2f} mm, where its residuals show {one.learnt_mm:.2f} mm."
+            )
+    return " ".join(said)
+
+
+def _verdict(summary: Summary) -> str:
     gap = summary.gap_mm
     names = summary.primary
     if summary.verdict == "no-gap":
@@ -139,6 +159,12 @@ def sentence(summary: Summary) -> str:
         )
     if summary.verdict == "cannot-be-told-apart":
         choice = [name for name in summary.set90 if name not in NOT_EFFECTS]
+        if len(choice) == 1:
+            others = [DOUBTS[name] for name in summary.set90 if name in DOUBTS]
+            return (
+                f"{differ}. The cause may be {_cause(summary)}; but {' or '.join(others)} is not "
+                f"ruled out. {_left(gap)}"
+            ).rstrip()
         return (
             f"{differ}. These scans cannot tell which of {together(choice)} is the cause; "
             f"{together(names)} comes first. {_left(gap)}"

@@ -11,9 +11,12 @@ from itertools import combinations
 
 import numpy as np
 
-from workers.diagnosis.discrepancy import Discrepancy
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
+from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.linearisation import Linearised, factored
+from workers.diagnosis.noise_model import LinearHypothesis, NoiseModel, NoiseParts, NoiseState
+from workers.diagnosis.nuisances import smooth_columns, smooth_covariance
+from workers.diagnosis.settings import SETTINGS
 
 HALF_AXES_MM = np.array([60.0, 40.0, 30.0])
 LOADS = np.array([0.6, 1.0])
@@ -96,10 +99,40 @@ def families(sensitivities):
     return {f.name: f.family for f in sensitivities}
 
 
+FIELD = SETTINGS.smooth_field
+
+
+def known_noise(covariance):
+    """The parts and the one state of a noise that is known."""
+    m = len(covariance)
+    nothing = np.zeros((m, 0))
+    parts = NoiseParts((covariance,), (1.0,), np.zeros(m, np.int32), nothing, nothing)
+    return parts, [NoiseState(0, np.ones(1), 1.0, 0.0)]
+
+
 @cache
-def smooth_field(k=60):
+def known_noise_model(k=60, tolerance=1e-7, lengths=FIELD.lengths_mm, amplitudes=None):
+    """The noise of `nominal_problem`, known, with a smooth field."""
     points, normals, states = layout(k)
-    return Discrepancy(points, normals, states, nominal_problem(k).covariance_factor)
+    fields = [
+        smooth_columns(points, normals, states, np.ones(2 * k), length, 0.8, tolerance)
+        for length in lengths
+    ]
+    parts, known = known_noise(nominal_problem(k).covariance)
+    return NoiseModel(parts, known, fields, amplitudes or FIELD.amplitudes_mm)
+
+
+def hypothesis_of(problem, one_sided=None):
+    """The same problem for a `NoiseModel`."""
+    p = len(problem.nominal_sd)
+    sided = np.zeros(p, bool) if one_sided is None else one_sided
+    columns = problem.nominal * problem.nominal_sd
+    return LinearHypothesis(problem.residual, columns, problem.scaled_offset, sided)
+
+
+def joint_evidence(problem, sensitivities):
+    noise = known_noise_model(problem.size // 2)
+    return JointEvidence(hypothesis_of(problem), sensitivities, noise)
 
 
 def hypotheses_of(joint, partners=5):
@@ -126,11 +159,9 @@ def signal_of(sensitivity, rng):
 
 def field_draw(k, rng):
     """A smooth field from its prior, seen along the normals."""
-    points, normals, states = layout(k)
-    prior = smooth_field(k).prior
-    covariance = prior.covariance(points, normals, states, rng.choice(prior.lengths_mm))
+    covariance = smooth_covariance(*layout(k), rng.choice(FIELD.lengths_mm), 0.8)
     factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
-    return rng.choice(prior.amplitudes_mm) * (factor @ rng.standard_normal(len(factor)))
+    return rng.choice(FIELD.amplitudes_mm) * (factor @ rng.standard_normal(len(factor)))
 
 
 def dense_log_density(problem, columns=None, sd=(), extra=0.0):

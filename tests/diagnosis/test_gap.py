@@ -11,6 +11,7 @@ from workers.diagnosis import shrinkage as shrinkages
 from workers.diagnosis.gap import LinearFit, gap, pooled
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.shrinkage import shrinkage, unseen_shrinkage
+from workers.mechanics.effects.rigid_motion import rigid_columns
 
 STATE = layout(60)[2]
 LOW, HIGH = STATE == 0, STATE == 1
@@ -249,6 +250,44 @@ def test_without_a_gap_there_is_nothing_to_shrink():
     found = shrinkage(nominal, effect, 1)
     assert found.before.gap_mm == 0.0
     assert np.isnan([found.share, found.low, found.high]).all()
+
+
+def scans_that_are_turned(rng):
+    """Fits to scans that lie anywhere, without an effect that looks like a turn, and with it."""
+    points, normals, states = layout(60)
+    rigid = rigid_columns(points, normals, (0.0, 0.0, 0.0)) * np.repeat([0.3, 0.3], 3)
+    poses = np.hstack([rigid * (states == s)[:, None] for s in (0, 1)])
+    turn = rigid[:, 5] * LIKE_A_TURN * (0.3 + 0.7 * (states == 1))
+    effect = turn + 0.6 * catalogue()[1].columns[:, 0]
+    plain = nominal_problem()
+    drawn = plain.covariance_factor @ rng.standard_normal(plain.size)
+    truth = -0.5 * effect
+    plain = replace(plain, residual=truth + poses @ rng.standard_normal(12) + drawn)
+    q = np.ones(12)
+    nominal = plain.freed(poses, q)
+    return truth, nominal, plain.freed(effect[:, None], np.ones(1)).freed(poses, q)
+
+
+LIKE_A_TURN = 16.0
+
+
+def test_scans_lie_where_the_best_fit_puts_them():
+    """The model without the effect would turn the scans, and its gap be too small."""
+    rng = np.random.default_rng(45)
+    found, by_itself, true, kept_out = [], [], [], []
+    for seed in range(60):
+        truth, nominal, effect = scans_that_are_turned(rng)
+        own = LinearFit(nominal)
+        step = (own.step * nominal.nominal_sd)[:3]
+        true.append(((truth + nominal.nominal[:, :3] @ step) ** 2).mean())
+        by_itself.append(own.excess_mm2)
+        compared = shrinkage(nominal, effect, seed, draws=20, registered=12)
+        found.append(compared.before.excess_mm2)
+        unseen = unseen_shrinkage(nominal, effect, STATE, seed, draws=20, registered=12)
+        kept_out.append(unseen.share)
+    assert np.mean(by_itself) < 0.7 * np.mean(true)
+    assert np.mean(found) == pytest.approx(np.mean(true), rel=0.1)
+    assert np.median(kept_out) > 0.8
 
 
 def test_wrong_input_is_named():

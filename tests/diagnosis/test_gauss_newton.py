@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 from lopsided import plain, volume
 
-from storage.values import TetMesh, Tissue
+from storage.values import FloatArray, TetMesh, Tissue
 from workers.body.mesh.hierarchy import build_hierarchy
 from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.point_interpolation import interpolation
-from workers.diagnosis.gauss_newton import SolvedFit, fit
+from workers.diagnosis.gauss_newton import SolvedFit, fit, registered
 from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan, unknowns
 from workers.diagnosis.joint_fit import fit_jointly
+from workers.diagnosis.noise_model import NoiseParts, believed
 from workers.diagnosis.nominal_analysis import NominalAnalysis
+from workers.diagnosis.nuisances import pose_columns
 from workers.diagnosis.scan_prediction import derivatives, predict_scan
 from workers.diagnosis.sensitivity_analysis import (
     inclusion_grid,
@@ -124,6 +126,43 @@ def test_constants_are_found_where_nothing_is_missing() -> None:
     for name, value in TRUTH.items():
         # The prior pulls by what the noise allows.
         assert found.values()[name] == pytest.approx(value, rel=0.02)
+
+
+def lying_elsewhere(inverse: InverseProblem, shift_mm: FloatArray) -> InverseProblem:
+    """Scans that are shifted, with distances that are too small far off the interface."""
+
+    def compress(scan: Scan) -> Scan:
+        def compare(moved: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
+            distance, normals = scan.compare(moved - shift_mm, of)
+            return np.tanh(distance), normals / np.cosh(distance)[:, None] ** 2
+
+        return replace(scan, compare=compare)
+
+    m, at = len(inverse.bias), inverse.points
+    fixed = pose_columns([at.points] * 2, [at.normals] * 2, inverse.frame.centre_mm, 0.3, 0.3)
+    stated = 0.01 * np.eye(m)
+    parts = NoiseParts((stated,), (1.0,), np.zeros(m, np.int32), fixed, np.zeros((m, 0)))
+    learnt = believed(parts)
+    scans = [compress(scan) for scan in inverse.scans]
+    return replace(inverse, scans=scans, learnt=learnt, covariance=learnt.covariance)
+
+
+def test_scans_are_compared_where_they_lie() -> None:
+    """By 1.2 mm: distances there are wrong by 0.3 mm, but nothing is read there."""
+    shift_mm = np.array([1.2, 0.0, -0.5])
+    inverse = lying_elsewhere(problem_between_plates(), shift_mm)
+    free = unknowns(FREE, [])
+    found = fit(inverse, free, free.mean, [None, None])
+    assert found is not None
+    assert found.converged
+    for name, value in TRUTH.items():
+        assert found.values()[name] == pytest.approx(value, rel=0.03)
+    for pose in found.poses():
+        assert pose is not None
+        assert pose.motion[:3] == pytest.approx(-shift_mm, abs=0.05)
+    again = registered(inverse, free, found.z, found.predictions)
+    for before, after in zip(found.predictions, again, strict=True):
+        np.testing.assert_allclose(after.residual, before.residual, atol=0.01)
 
 
 def test_a_tilt_is_suspected_first_and_found() -> None:

@@ -1,5 +1,6 @@
 """Figures of answers by hand, whose values are worked out on paper."""
 
+import math
 from math import sqrt
 from typing import Any
 
@@ -8,7 +9,15 @@ import pytest
 from blind_at_hand import nothing, record
 
 from service.blind.baselines import closest, largest, raw_correlation
-from service.blind.calibration import brier, brier_of_base_rates, calibration_curve
+from service.blind.calibration import (
+    brier,
+    brier_of_base_rates,
+    calibration_curve,
+    calibration_error,
+    log_score,
+    statements,
+    sure_statements,
+)
 from service.blind.confusion import confusion
 from service.blind.magnitudes import IN_CATALOGUE, lump_apart_mm, magnitudes, true_values
 from service.blind.metrics import Metric, floor_mm, metrics, regrouped, strata, visible
@@ -258,9 +267,41 @@ def test_the_brier_score() -> None:
     half = record(probabilities=given(0.5, 0, 0.5, 0))
     assert brier([sure]).value == 0
     assert brier([half]).value == 0.5
-    assert brier([sure, half, record("relative", effects=())]).value == 0.25
+    assert brier([sure, half, record("relative", effects=())]).value == pytest.approx(0.5 / 3)
     # Half of the cases are controls: 0.25 each for "no gap" and for the tilt.
     assert brier_of_base_rates([sure, nothing()]).value == 0.5
+
+
+def test_the_log_score() -> None:
+    half = record(probabilities=given(0.5, 0, 0.5, 0))
+    assert log_score([half]).value == pytest.approx(2 * math.log(2))
+    wrong = record(probabilities=given(1, 0, 0, 0))  # each bounded at one in 10,000
+    assert log_score([wrong]).value == pytest.approx(2 * math.log(1e4))
+
+
+def test_the_expected_calibration_error() -> None:
+    """Three statements of 80 % of which one comes true, and one of 0 that does not."""
+    cases = [
+        record(probabilities={"plate_tilt": 0.8, "no-gap": 0.0}),
+        record(probabilities={"plate_friction": 0.8}),
+        record(probabilities={"no-gap": 0.8}),
+    ]
+    expected = 3 / 4 * abs(0.8 - 1 / 3)
+    assert calibration_error(cases).value == pytest.approx(expected)
+    assert calibration_error([]).value is None
+
+
+def test_of_a_relative_the_family_is_stated() -> None:
+    bent = record(
+        "relative",
+        effects=(),
+        families=("plate geometry",),
+        probabilities=given(0.02, 0.03, 0.95, 0),
+        family_probabilities={"plate geometry": 0.95, "boundary": 0.0},
+    )
+    made = [(0.95, True), (0.0, False), (0.02, False)]
+    assert statements(bent) == made
+    assert sure_statements([bent]).value == 1.0
 
 
 def test_the_calibration_curve() -> None:

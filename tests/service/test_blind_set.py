@@ -169,9 +169,9 @@ def test_what_changed_since_the_seal_is_said(monkeypatch: pytest.MonkeyPatch) ->
     assert differences(sealed, frozen(6000)) == ["mesh"]
     assert differences(sealed | {"code": "other"}, frozen(5000)) == ["code"]
     assert sealed["settings"]["effects"][0]["prior_sd"]
-    louder = replace(SETTINGS, alarm=replace(SETTINGS.alarm, least_one_direction=5.0))
+    louder = replace(SETTINGS, pose=replace(SETTINGS.pose, shift_sd_mm=5.0))
     monkeypatch.setattr("service.blind.sealed_settings.SETTINGS", louder)
-    assert differences(sealed, frozen(5000)) == ["alarm"]
+    assert differences(sealed, frozen(5000)) == ["pose"]
 
 
 def test_the_seal_holds_every_setting() -> None:

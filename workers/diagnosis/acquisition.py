@@ -50,6 +50,9 @@ class Acquisition:
         From the number of a load and the frame of the body to its problem.
     effects : sequence of Effect
         Catalogue of what may be missing from the model.
+    pose_sd : tuple of float
+        How far a scan may lie from where its header puts it: along each axis in mm, about each
+        in degrees.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Acquisition:
     loads: Sequence[str]
     problem: Callable[[int, Frame], ProblemBuilder]
     effects: Sequence[Effect]
+    pose_sd: tuple[float, float] = (SETTINGS.pose.shift_sd_mm, SETTINGS.pose.turn_sd_deg)
 
 
 def inverse_problem_of(
@@ -111,4 +115,5 @@ def inverse_problem_of(
         noise=noise,
         covariance=covariance(points, noise, states),
         bias=np.zeros(len(points) * states),
+        pose_sd=acquisition.pose_sd,
     )

@@ -1,5 +1,6 @@
 """The nominal model at its optimum, with the noise of the scans and of the mesh known."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,18 +8,26 @@ from scipy.sparse import csr_matrix
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, TetMesh
-from workers.comparison.observation.noise import correlation
 from workers.comparison.observation.point_interpolation import interpolation
-from workers.diagnosis.discrepancy import SmoothField
-from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit
-from workers.diagnosis.inverse_problem import InverseProblem, unknowns
-from workers.diagnosis.scan_prediction import PredictedScan, compare_with_scan, predict_scan
+from workers.diagnosis.anchored_scan import anchored
+from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit, residuals
+from workers.diagnosis.inverse_problem import InverseProblem, Scan, unknowns
+from workers.diagnosis.noise_model import LearntNoise, believed, learnt_states
+from workers.diagnosis.noise_parts import noise_parts
+from workers.diagnosis.nuisances import smooth_columns
+from workers.diagnosis.scan_prediction import (
+    ComparedScan,
+    PredictedScan,
+    compare_with_scan,
+    predict_scan,
+)
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.fem.model import Model
+from workers.scan_threads import Each
 
 
 def calibrate(
-    inverse: InverseProblem, finer: Model | None = None
+    inverse: InverseProblem, finer: Model | None = None, each: Each = map
 ) -> tuple[InverseProblem, SolvedFit]:
     """Fit the nominal constants, then once more where the scans can be trusted.
 
@@ -27,6 +36,8 @@ def calibrate(
     inverse : InverseProblem
     finer : Model, optional
         A finer mesh of the same body: what it moves the points by is taken off.
+    each : callable
+        Calls a function with every scan; see `workers.diagnosis.gauss_newton.fit`.
 
     Raises
     ------
@@ -34,7 +45,7 @@ def calibrate(
         If the nominal model cannot be simulated.
     """
     free = unknowns(inverse.free, [])
-    first = fit(inverse, free, free.mean, [None] * len(inverse.scans))
+    first = fit(inverse, free, free.mean, [None] * len(inverse.scans), each=each)
     if first is None:
         raise InputError(
             "The nominal model was not solved at the middle of the plausible intervals: "
@@ -42,17 +53,28 @@ def calibrate(
         )
     kept = clear(inverse, first)
     inverse = inverse.keeping(kept)
-    predictions = [
-        compare_with_scan(inverse, scan, free, first.z, v.at)
-        for scan, v in zip(inverse.scans, first.predictions, strict=True)
-    ]
-    inverse = with_common_error(inverse)
+    predictions = _compared(inverse, first, first.predictions)
     if finer is not None:
-        inverse = with_mesh_error(inverse, finer, first, predictions)
-    second = fit(inverse, free, first.z, [v.at for v in predictions])
+        inverse = with_mesh_bias(inverse, finer, first, predictions, each)
+    rows = np.tile(kept, len(inverse.scans))
+    columns = first.jacobian[rows] * free.sd
+    inverse = with_anchored_scans(inverse, [v.points for v in predictions])
+    predictions = _compared(inverse, first, predictions)
+    inverse = with_learnt_noise(inverse, columns, predictions)
+    second = fit(inverse, free, first.z, [v.at for v in predictions], each=each)
     if second is None:
         raise AssertionError("the start of the second fit is the end of the first")
     return inverse, second
+
+
+def _compared(
+    inverse: InverseProblem, at: Fit, solved: Sequence[PredictedScan]
+) -> list[PredictedScan]:
+    """Compare what was solved with the scans again, at the points and as the problem has them."""
+    return [
+        compare_with_scan(inverse, scan, at.unknowns, at.z, v.at)
+        for scan, v in zip(inverse.scans, solved, strict=True)
+    ]
 
 
 def clear(inverse: InverseProblem, at: Fit) -> BoolArray:
@@ -72,36 +94,69 @@ def clear(inverse: InverseProblem, at: Fit) -> BoolArray:
     return alone
 
 
-def with_common_error(inverse: InverseProblem) -> InverseProblem:
-    """Add that an interface, or a region of it, may be drawn a little too large or small."""
-    noise = inverse.noise
-    own = np.tile(inverse.points.interface, len(inverse.scans))
-    common = (SETTINGS.noise.common * noise.sd_mm) ** 2 * (own[:, None] == own)
-    smooth = correlation(inverse.points, SETTINGS.noise.smoother_lengths * noise.correlation_mm)
-    each = np.kron(
-        np.eye(len(inverse.scans)), (SETTINGS.noise.smoother * noise.sd_mm) ** 2 * smooth
-    )
-    return replace(inverse, covariance=inverse.covariance + common + each)
-
-
-def with_mesh_error(
-    inverse: InverseProblem, finer: Model, at: Fit, predictions: list[PredictedScan]
+def with_mesh_bias(
+    inverse: InverseProblem,
+    finer: Model,
+    at: Fit,
+    predictions: Sequence[PredictedScan],
+    each: Each = map,
 ) -> InverseProblem:
-    """Take off what a finer mesh moves the points by, and add what that leaves unknown."""
-    to_points = interpolation_of(finer, inverse)
+    """Take off what a finer mesh moves the points by."""
+    fine_problem = replace(inverse, model=finer, at_points=interpolation_of(finer, inverse))
+
+    def predicted(scan: Scan) -> PredictedScan | None:
+        return predict_scan(fine_problem, scan, at.unknowns, at.z, None)
+
     bias = []
-    for scan, coarse in zip(inverse.scans, predictions, strict=True):
-        fine = predict_scan(
-            replace(inverse, model=finer, at_points=to_points), scan, at.unknowns, at.z, None
-        )
+    for fine, coarse in zip(each(predicted, inverse.scans), predictions, strict=True):
         if fine is None:
             return inverse
         bias.append(-((fine.points - coarse.points) * coarse.normals).sum(axis=1))
-    b: FloatArray = np.concatenate(bias)
-    normals = np.concatenate([v.normals for v in predictions])
-    points = np.tile(inverse.points.points, (len(inverse.scans), 1))
-    smooth = SmoothField().covariance(points, normals, inverse.rows, SETTINGS.mesh.error_length_mm)
-    return replace(inverse, bias=b, covariance=inverse.covariance + (b**2).mean() * smooth)
+    return replace(inverse, bias=np.concatenate(bias))
+
+
+def with_anchored_scans(inverse: InverseProblem, anchors: Sequence[FloatArray]) -> InverseProblem:
+    """Keep the noise of drawn interfaces what it is at the anchors, shape (k, 3) for each scan."""
+    if not inverse.is_segmented:
+        return inverse
+    length = inverse.noise.correlation_mm
+    scans = [
+        anchored(scan, anchor, inverse.points, length)
+        for scan, anchor in zip(inverse.scans, anchors, strict=True)
+    ]
+    return replace(inverse, scans=scans, anchors=tuple(anchors))
+
+
+def with_learnt_noise(
+    inverse: InverseProblem, columns: FloatArray, predictions: Sequence[ComparedScan]
+) -> InverseProblem:
+    """Find out how large and how smooth the noise is; see `workers.diagnosis.noise_model`.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+    columns : ndarray, shape (m, p)
+        Derivatives of the residuals by the constants, per prior standard deviation.
+    predictions : sequence of ComparedScan
+        Of the fit at which they were taken.
+    """
+    parts = noise_parts(inverse, predictions)
+    if not inverse.is_segmented:
+        learnt = believed(parts)
+    else:
+        amplitude, length = SETTINGS.noise.learning_field
+        field = smooth_columns(
+            np.tile(inverse.points.points, (len(inverse.scans), 1)),
+            np.concatenate([one.normals for one in predictions]),
+            inverse.rows,
+            np.full(parts.size, amplitude),
+            length,
+            SETTINGS.smooth_field.state_correlation,
+            SETTINGS.smooth_field.rank_tolerance,
+        )
+        found = learnt_states(parts, columns, residuals(inverse, predictions), field)
+        learnt = LearntNoise(parts, tuple(found))
+    return replace(inverse, learnt=learnt, covariance=learnt.covariance)
 
 
 def interpolation_of(model: Model, inverse: InverseProblem) -> csr_matrix:

@@ -2,26 +2,21 @@
 
 ::
 
-    nominal analysis --> joint fits of single effects --> joint fits of pairs --> verdict
+    nominal analysis --> joint fits of single effects --> of pairs --> of three --> verdict
                            (each joint fit is independent of the others)
 
 `diagnose` is a generator: it yields the joint fits that it wants and is sent them. Who fits,
 where, and whether a fit is stored already is no business of this file.
 """
 
-import math
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-import numpy as np
-
-from workers.diagnosis.alarm_threshold import alarm_threshold, null_alarms
-from workers.diagnosis.evidence import log_evidence
 from workers.diagnosis.hypotheses import Hypothesis
-from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.joint_fit import JointFit
+from workers.diagnosis.noise_model import LinearHypothesis
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.screening import screen
 from workers.diagnosis.settings import SETTINGS
@@ -81,9 +76,12 @@ def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
     pairs = _pairs(analysis, known, list(joint_fits.values()))
     if pairs:
         joint_fits |= _by_names((yield pairs))
+    triples = _triples(analysis, known, list(joint_fits.values()))
+    if triples:
+        joint_fits |= _by_names((yield triples))
     hypotheses = weigh(analysis, joint_fits)
     families = {one.name: known[one.name].family for one in analysis.sensitivities}
-    reached = verdict(hypotheses, families, threshold_of(analysis), analysis.hidden)
+    reached = verdict(hypotheses, families, analysis.hidden)
     return Diagnosis(analysis, reached, joint_fits, hypotheses)
 
 
@@ -138,40 +136,27 @@ def partners(analysis: NominalAnalysis, known: dict[str, Effect], best: JointFit
 def weigh(
     analysis: NominalAnalysis, joint_fits: dict[tuple[str, ...], JointFit]
 ) -> tuple[Hypothesis, ...]:
-    """Return the evidence of every hypothesis: of a joint fit, else of the linear model."""
-    linear, field = analysis.linear, analysis.field
-    joint = JointEvidence(linear, analysis.sensitivities, field)
-    nothing = log_evidence(linear)
-    weighed = [Hypothesis((), nothing, field.log_evidence(linear) - nothing)]
+    """Return the evidence of every hypothesis: of a joint fit, else of the linear model.
+
+    A joint fit's form is uncertain; see `workers.diagnosis.form_error`.
+    """
+    nominal = analysis.nominal.hypothesis(analysis.inverse)
+    joint = JointEvidence(nominal, analysis.sensitivities, analysis.noise)
     alone = ((one.name,) for one in analysis.sensitivities)
+    weighed = [joint.hypothesis(())]
     weighed += [joint.hypothesis(effects) for effects in alone if effects not in joint_fits]
     for names, fitted in joint_fits.items():
-        at = fitted.fit.linearised(analysis.inverse)
-        one_sided = fitted.fit.unknowns.one_sided
-        plain = log_evidence(at, one_sided)
-        weighed.append(Hypothesis(names, plain, field.log_evidence(at, one_sided) - plain))
+        weighed.append(_weighed(analysis, nominal, names, fitted))
     return tuple(weighed)
 
 
-def threshold_of(analysis: NominalAnalysis) -> float:
-    """Return the log evidence against no gap below which there is no alarm, in nats."""
-    settings, sensitivities = SETTINGS.alarm, analysis.sensitivities
-    alarms = null_alarms(
-        analysis.linear, sensitivities, settings.seed, settings.replicates, analysis.field
-    )
-    one_direction = directions_of(analysis.inverse) == 1
-    least = settings.least_one_direction if one_direction else settings.least_more_directions
-    return max(least, alarm_threshold(alarms, settings.false_alarm_rate))
-
-
-def directions_of(inverse: InverseProblem) -> int:
-    """Return in how many directions the body was loaded."""
-    middle = {constant.name: math.exp(constant.log_mean) for constant in inverse.free}
-    direction = inverse.forward.direction
-    axes = np.array([direction(scan.problem(middle)) for scan in inverse.scans], float)
-    axes /= np.linalg.norm(axes, axis=1)[:, None]
-    same = np.abs(axes @ axes.T) > SETTINGS.alarm.same_direction_cosine
-    return len({tuple(row) for row in same.tolist()})
+def _weighed(
+    analysis: NominalAnalysis, nominal: LinearHypothesis, names: tuple[str, ...], fitted: JointFit
+) -> Hypothesis:
+    at = fitted.fit.hypothesis(analysis.inverse)
+    pattern = analysis.registered(nominal.residual - at.residual)
+    at = at.with_errors(analysis.form.columns(pattern))
+    return Hypothesis(names, analysis.noise.log_evidence(at), analysis.noise.field_gain(at))
 
 
 def _by_names(fitted: Sequence[JointFit | None]) -> dict[tuple[str, ...], JointFit]:
@@ -196,11 +181,19 @@ def _pairs(
     return pairs
 
 
+def _triples(
+    analysis: NominalAnalysis, known: dict[str, Effect], fits: Sequence[JointFit]
+) -> list[Combination]:
+    """Return the best two effects with what speaks from what they leave."""
+    ranked = sorted(fits, key=lambda one: -one.log_evidence)
+    if not ranked or len(ranked[0].effects) < 2:
+        return []
+    best = ranked[0]
+    others = partners(analysis, known, best)[: SETTINGS.joint_fits.thirds]
+    return [(*best.effects, e) for e in others]
+
+
 def _is_unexplained(analysis: NominalAnalysis, best: JointFit) -> bool:
     """Return whether the best effect alone leaves something that a smooth field explains."""
-    at = best.fit.linearised(analysis.inverse)
-    one_sided = best.fit.unknowns.one_sided
-    return (
-        analysis.field.log_evidence(at, one_sided) - best.log_evidence
-        > SETTINGS.joint_fits.left_over
-    )
+    gain = analysis.noise.field_gain(best.fit.hypothesis(analysis.inverse))
+    return gain is not None and gain > SETTINGS.joint_fits.left_over

@@ -14,6 +14,10 @@ Assoc. 99 (2004) 619). Without a fit F is zero. The interval comes from
 .. math:: \mathrm{Var}(r'r) = 2\,\mathrm{tr}\,D^2 + 4\,m'Dm
 
 for a residual with mean m and covariance D = (I + F) C (I + F)'.
+
+Where a scan lies is no fault of the model. Where scans are registered by another fit, by
+``r -> r + R r``, C is that of scans that may lie anywhere, and what is left of it the noise:
+``(I + R) C (I + R)'`` takes the place of C in the second term, ``F C (I + R)'`` that of FC.
 """
 
 from collections.abc import Sequence
@@ -59,6 +63,40 @@ class Gap:
     points: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """Where the scans lie, as one fit has it; a step of ``-(gain r + shift)`` in prior sd.
+
+    Parameters
+    ----------
+    gain : ndarray, shape (q, m)
+        On the residuals of the model that is registered.
+    shift : ndarray, shape (q,)
+    """
+
+    gain: FloatArray
+    shift: FloatArray
+
+    @classmethod
+    def by(cls, best: Linearised, count: int, residual: FloatArray) -> "Registration":
+        """Return that of the best model there is, for another model of the same scans.
+
+        A model that lacks something moves the scans to make up for it, so it must not register
+        them itself.
+
+        Parameters
+        ----------
+        best : Linearised
+            Its last `count` parameters say where the scans lie.
+        count : int
+        residual : ndarray, shape (m,)
+            Of the other model.
+        """
+        fit, which = LinearFit(best), slice(len(best.nominal_sd) - count, None)
+        gain = fit.gain[which]
+        return cls(gain, fit.bias[which] + gain @ (best.residual - residual))
+
+
 class LinearFit:
     """The residual after one linear step to the optimum, and the noise in it.
 
@@ -71,6 +109,8 @@ class LinearFit:
         Residuals that the fit is judged by; all.
     fitted : bool
         False leaves the parameters where they are and takes the residual as not fitted.
+    registration : Registration, optional
+        Takes the place of the last parameters, which say where the scans lie.
 
     Raises
     ------
@@ -84,6 +124,7 @@ class LinearFit:
         train: BoolArray | None = None,
         judge: BoolArray | None = None,
         fitted: bool = True,
+        registration: Registration | None = None,
     ) -> None:
         every = np.ones(problem.size, dtype=bool)
         train = every if train is None else train
@@ -98,10 +139,14 @@ class LinearFit:
         self.judge = judge
         p = len(problem.nominal_sd) if fitted else 0
         self._columns = (problem.nominal * problem.nominal_sd)[:, :p]
-        self._gain: FloatArray = np.zeros((p, problem.size))
-        self._bias: FloatArray = np.zeros(p)
+        self.gain: FloatArray = np.zeros((p, problem.size))
+        self.bias: FloatArray = np.zeros(p)
         if p:
             self._fit_to(train)
+        self._registered = 0 if registration is None else len(registration.gain)
+        if registration is not None:
+            self.gain[p - self._registered :] = registration.gain
+            self.bias[p - self._registered :] = registration.shift
 
     def _fit_to(self, train: BoolArray) -> None:
         """Fit to some residuals; the step is ``-(gain r + bias)``, in prior standard deviations."""
@@ -119,13 +164,13 @@ class LinearFit:
         A = part.scaled_nominal
         H = np.eye(A.shape[1]) + A.T @ A
         weighted = solve_triangular(L, A, lower=True, trans="T", check_finite=False)
-        self._gain[:, train] = np.linalg.solve(H, weighted.T)
-        self._bias = np.asarray(np.linalg.solve(H, part.scaled_offset), dtype=np.float64)
+        self.gain[:, train] = np.linalg.solve(H, weighted.T)
+        self.bias = np.asarray(np.linalg.solve(H, part.scaled_offset), dtype=np.float64)
 
     @property
     def step(self) -> FloatArray:
         """Change of the parameters from the fit, shape (p,), in prior standard deviations."""
-        return -(self._gain @ self.problem.residual + self._bias)
+        return -(self.gain @ self.problem.residual + self.bias)
 
     @cached_property
     def residual(self) -> FloatArray:
@@ -134,19 +179,24 @@ class LinearFit:
 
     def after(self, residuals: FloatArray) -> FloatArray:
         """Return what the fit makes of other residuals: (m, n) in, (judged, n) out."""
-        steps = self._gain @ residuals + self._bias[:, None]
+        steps = self.gain @ residuals + self.bias[:, None]
         return np.asarray(residuals[self.judge] - self._columns[self.judge] @ steps)
 
     @cached_property
     def observation_mm2(self) -> FloatArray:
-        """Variance of the observation of each judged residual."""
-        return np.asarray((self.problem.covariance_factor[self.judge] ** 2).sum(axis=1))
+        """Variance of the observation of each judged residual, registered if it was."""
+        N = self.poses[self.judge]
+        own = np.diag(self._noise)[self.judge]
+        taken = 2.0 * self._shared_poses[self.judge] - N @ (self._pose_gain @ self._shared_poses)
+        return np.asarray(own - (N * taken).sum(axis=1))
 
     @cached_property
     def noise_mm2(self) -> FloatArray:
         """By how much the mean square of each residual exceeds that of the gap."""
-        hidden = (self._columns[self.judge] * self._shared[self.judge]).sum(axis=1)
-        return self.observation_mm2 - 2.0 * hidden
+        fitted = slice(self._columns.shape[1] - self._registered)
+        J, N = self._columns[self.judge, fitted], self.poses[self.judge]
+        shared = self._shared[self.judge, fitted] - N @ (self.gain[fitted] @ self._shared_poses).T
+        return self.observation_mm2 - 2.0 * (J * shared).sum(axis=1)
 
     @property
     def excess_mm2(self) -> float:
@@ -158,21 +208,40 @@ class LinearFit:
         """D of the judged residuals."""
         X, shared = self._columns[self.judge], self._shared[self.judge]
         crossed = X @ shared.T
-        inner = X @ (self._gain @ self._shared) @ X.T
-        C = self.problem.covariance[np.ix_(self.judge, self.judge)]
+        inner = X @ (self.gain @ self._shared) @ X.T
+        C = self._noise[np.ix_(self.judge, self.judge)]
         return np.asarray(C - crossed - crossed.T + inner)
 
     @cached_property
     def floor_mm(self) -> float:
         """Gap that fitting noise opens, even if the model is right: ``tr(F C F')``."""
         X = self._columns[self.judge]
-        return float(np.sqrt(((X @ (self._gain @ self._shared)) * X).sum(axis=1).mean()))
+        return float(np.sqrt(((X @ (self.gain @ self._shared)) * X).sum(axis=1).mean()))
 
     @cached_property
     def _shared(self) -> FloatArray:
         """``C gain'``, shape (m, p)."""
-        L = self.problem.covariance_factor
-        return np.asarray(L @ (L.T @ self._gain.T))
+        L, N = self.problem.covariance_factor, self.poses
+        return np.asarray(L @ (L.T @ self.gain.T) + N @ (N.T @ self.gain.T))
+
+    @cached_property
+    def _noise(self) -> FloatArray:
+        """C: with where the scans may lie, if they were registered apart, shape (m, m)."""
+        C = self.problem.covariance
+        return C + self.poses @ self.poses.T if self._registered else C
+
+    @property
+    def poses(self) -> FloatArray:
+        """Columns of what was registered apart, shape (m, q)."""
+        return self._columns[:, self._columns.shape[1] - self._registered :]
+
+    @property
+    def _pose_gain(self) -> FloatArray:
+        return self.gain[len(self.gain) - self._registered :]
+
+    @property
+    def _shared_poses(self) -> FloatArray:
+        return self._shared[:, self._shared.shape[1] - self._registered :]
 
 
 def gap(

@@ -6,17 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from storage.values import FloatArray
-from workers.diagnosis.inverse_problem import InverseProblem, Unknowns
+from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns
 from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.noise_model import LinearHypothesis
 from workers.diagnosis.scan_prediction import (
     ComparedScan,
+    Pose,
     PredictedScan,
     ScanJacobian,
+    compare_with_scan,
     derivatives,
     predict_scan,
 )
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.fem.solve import Equilibrium
+from workers.scan_threads import Each
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +58,7 @@ class Fit:
         return values | {n: float(v) for n, v in rest}
 
     def linearised(self, inverse: InverseProblem) -> Linearised:
-        """Return residuals, derivatives and noise around the optimum."""
+        """Return residuals, derivatives and noise around the optimum; poses are in the noise."""
         u = self.unknowns
         return Linearised(
             residuals(inverse, self.predictions),
@@ -62,6 +66,31 @@ class Fit:
             u.sd,
             self.z - u.mean,
             inverse.covariance_factor,
+        )
+
+    def linearised_with_poses(self, inverse: InverseProblem) -> Linearised:
+        """Return the same with poses and drawing as free parameters after the others.
+
+        A gap is what they leave: where a scan lies is no fault of the model.
+        """
+        u, nuisances = self.unknowns, inverse.nuisances
+        q = nuisances.shape[1]
+        return Linearised(
+            residuals(inverse, self.predictions),
+            np.hstack([self.jacobian, nuisances]),
+            np.append(u.sd, np.ones(q)),
+            np.append(self.z - u.mean, np.zeros(q)),
+            inverse.scatter_factor,
+        )
+
+    def hypothesis(self, inverse: InverseProblem) -> LinearHypothesis:
+        """Return the same for `workers.diagnosis.noise_model.NoiseModel`."""
+        u = self.unknowns
+        return LinearHypothesis(
+            residuals(inverse, self.predictions),
+            self.jacobian * u.sd,
+            (self.z - u.mean) / u.sd,
+            u.one_sided,
         )
 
 
@@ -75,6 +104,10 @@ class SolvedFit(Fit):
         """Return where another fit may begin."""
         return [one.at for one in self.predictions]
 
+    def poses(self) -> list[Pose | None]:
+        """Return where the scans lie."""
+        return [one.pose for one in self.predictions]
+
 
 def residuals(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
     """Return residuals of all scans, less what the mesh adds, shape (m,)."""
@@ -86,6 +119,8 @@ def fit(
     unknowns: Unknowns,
     start: FloatArray,
     starts: Sequence[Equilibrium | None],
+    poses: Sequence[Pose | None] | None = None,
+    each: Each = map,
 ) -> SolvedFit | None:
     """Find the most probable parameters.
 
@@ -95,6 +130,10 @@ def fit(
         Where to begin.
     starts : sequence of Equilibrium
         Of each scan, near there; None to solve from rest.
+    poses : sequence of Pose, optional
+        Where the scans lie to begin with; as their headers say.
+    each : callable
+        Calls a function with every scan, as `map` does; maybe several at a time.
 
     Returns
     -------
@@ -102,43 +141,88 @@ def fit(
         None if the simulation at the start does not converge.
     """
     z = np.clip(start, unknowns.lower, unknowns.upper)
-    predictions = _predict_scans(inverse, unknowns, z, starts)
+    nowhere: Sequence[Pose | None] = poses or [None] * len(starts)
+    predictions = _predict_scans(inverse, unknowns, z, starts, nowhere, each)
     if predictions is None:
         return None
     cost = _cost(inverse, unknowns, z, predictions)
     jacobians: list[ScanJacobian] | None = None
     fall = np.inf
     for iteration in range(1, SETTINGS.fit.max_iterations + 1):
-        jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians)
+        jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
         J = np.vstack([jacobian.columns for jacobian in jacobians])
         step, expected = _step(inverse, unknowns, z, predictions, J)
         if expected < SETTINGS.fit.tolerance:
             return SolvedFit(unknowns, z, predictions, J, cost, True, iteration)
-        found = _descend(inverse, unknowns, z, predictions, cost, step)
+        found = _descend(inverse, unknowns, z, predictions, cost, step, each)
         if found is None and not all(jacobian.fresh for jacobian in jacobians):
             jacobians = None  # columns taken over from elsewhere may point uphill
             continue
         if found is None:
-            return SolvedFit(unknowns, z, predictions, J, cost, True, iteration)
+            at_rest = expected < SETTINGS.fit.at_rest
+            return SolvedFit(unknowns, z, predictions, J, cost, at_rest, iteration)
         fall = cost - found[2]
         z, predictions, cost = found
         if fall < SETTINGS.fit.tolerance:
             break
-    jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians)
+    jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
     J = np.vstack([jacobian.columns for jacobian in jacobians])
     return SolvedFit(unknowns, z, predictions, J, cost, fall < SETTINGS.fit.tolerance, iteration)
 
 
 def _predict_scans(
-    inverse: InverseProblem, unknowns: Unknowns, z: FloatArray, starts: Sequence[Equilibrium | None]
+    inverse: InverseProblem,
+    unknowns: Unknowns,
+    z: FloatArray,
+    starts: Sequence[Equilibrium | None],
+    poses: Sequence[Pose | None],
+    each: Each,
 ) -> tuple[PredictedScan, ...] | None:
+    def predicted(scan: Scan, start: Equilibrium | None, pose: Pose | None) -> PredictedScan | None:
+        return predict_scan(inverse, scan, unknowns, z, start, pose)
+
     found = []
-    for scan, start in zip(inverse.scans, starts, strict=True):
-        one = predict_scan(inverse, scan, unknowns, z, start)
+    for one in each(predicted, inverse.scans, starts, poses):
         if one is None:
             return None
         found.append(one)
-    return tuple(found)
+    return registered(inverse, unknowns, z, found)
+
+
+def registered(
+    inverse: InverseProblem, unknowns: Unknowns, z: FloatArray, found: Sequence[PredictedScan]
+) -> tuple[PredictedScan, ...]:
+    """Compare with the scans where the residuals say that they lie.
+
+    A cost belongs to parameters only where this has settled: off the interface it is too low.
+    """
+    found = tuple(found)
+    if not inverse.has_poses:
+        return found
+    settings, k = SETTINGS.pose, len(inverse.points)
+    sd = np.repeat(inverse.pose_sd, 3)
+    N = inverse.nuisances[:, : len(sd) * len(found)]
+    white_N = _whiten(inverse, N)
+    before = np.zeros(N.shape[1])
+    for one, rows in zip(found, _split(before, len(found)), strict=True):
+        if one.pose is not None:
+            rows[:] = one.pose.motion / np.where(sd > 0, sd, 1.0)
+    for _ in range(settings.registrations):
+        after = white_N.T @ _whiten(inverse, residuals(inverse, found))
+        if np.abs(after - before).max() < settings.settled:
+            break
+        poses = zip(_split(after, len(found)), (N @ after).reshape(-1, k), strict=True)
+        found = tuple(
+            compare_with_scan(inverse, scan, unknowns, z, one.at, Pose(sd * own, along))
+            for scan, one, (own, along) in zip(inverse.scans, found, poses, strict=True)
+        )
+        before = after
+    return found
+
+
+def _split(values: FloatArray, parts: int) -> FloatArray:
+    """Return a view with a row for each scan."""
+    return values.reshape(parts, -1)
 
 
 def _jacobians(
@@ -147,10 +231,14 @@ def _jacobians(
     z: FloatArray,
     predictions: Sequence[PredictedScan],
     before: Sequence[ScanJacobian] | None,
+    each: Each,
 ) -> list[ScanJacobian]:
     known: Sequence[ScanJacobian | None] = before or [None] * len(predictions)
-    rows = zip(inverse.scans, predictions, known, strict=True)
-    return [derivatives(inverse, scan, unknowns, z, v, last) for scan, v, last in rows]
+
+    def differentiated(scan: Scan, at: PredictedScan, last: ScanJacobian | None) -> ScanJacobian:
+        return derivatives(inverse, scan, unknowns, z, at, last)
+
+    return list(each(differentiated, inverse.scans, predictions, known))
 
 
 def _cost(
@@ -197,6 +285,13 @@ def _step(
     return np.asarray(step * u.sd * length), float(-g @ step)
 
 
+def _places(
+    predictions: Sequence[PredictedScan],
+) -> tuple[list[Equilibrium | None], list[Pose | None]]:
+    """Return from where the next trial of a line search is solved and compared."""
+    return [v.at for v in predictions], [v.pose for v in predictions]
+
+
 def _descend(
     inverse: InverseProblem,
     u: Unknowns,
@@ -204,11 +299,12 @@ def _descend(
     predictions: Sequence[PredictedScan],
     cost: float,
     step: FloatArray,
+    each: Each,
 ) -> tuple[FloatArray, tuple[PredictedScan, ...], float] | None:
     length = 1.0
     for _ in range(SETTINGS.fit.max_halvings):
         trial = np.clip(z + length * step, u.lower, u.upper)
-        found = _predict_scans(inverse, u, trial, [v.at for v in predictions])
+        found = _predict_scans(inverse, u, trial, *_places(predictions), each)
         if found is not None:
             cost_there = _cost(inverse, u, trial, found)
             if cost_there < cost:

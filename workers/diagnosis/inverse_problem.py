@@ -11,9 +11,11 @@ from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
 from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise
-from workers.diagnosis.discrepancy import SmoothField
 from workers.diagnosis.forward import Forward, Tetrahedra
 from workers.diagnosis.linearisation import factored
+from workers.diagnosis.noise_model import LearntNoise
+from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.smooth_field import SmoothField
 from workers.mechanics.effects.base import Effect, one_sided
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.model import Model
@@ -98,10 +100,22 @@ class InverseProblem:
         Of the noise of the residuals of all scans, one after another, in mm^2.
     bias : ndarray, shape (s k,)
         What the mesh adds to the residuals, in mm; subtracted.
+    is_segmented : bool
+        Whether residuals are distances to interfaces that somebody has drawn: their noise is
+        then learnt, and a scan may lie elsewhere than its header says. Not for markers, whose
+        noise was measured.
+    learnt : LearntNoise, optional
+        The noise as the calibration has found it; `covariance` then is its likeliest one.
+    anchors : sequence of ndarray, shape (k, 3)
+        Where the noise of each scan was read; see `workers.diagnosis.anchored_scan`. None
+        before the calibration.
     arms : csr_matrix, shape (k, n), optional
         From displacements of the nodes to those of the end of an arm of 1 mm, which
         stands on the surface at the point, less those of its foot. None where no point
         is a marker.
+    pose_sd : tuple of float
+        How far a scan may lie from where its header puts it: along each axis in mm, about each
+        in degrees.
     forward : Forward
     something_else : SmoothField
         Prior of the field that stands for what is not in the catalogue.
@@ -117,6 +131,10 @@ class InverseProblem:
     covariance: FloatArray
     bias: FloatArray
     arms: csr_matrix | None = None
+    is_segmented: bool = True
+    learnt: LearntNoise | None = None
+    anchors: Sequence[FloatArray] = ()
+    pose_sd: tuple[float, float] = (SETTINGS.pose.shift_sd_mm, SETTINGS.pose.turn_sd_deg)
     forward: Forward = field(default_factory=Tetrahedra)
     something_else: SmoothField = field(default_factory=SmoothField)
 
@@ -124,6 +142,25 @@ class InverseProblem:
     def covariance_factor(self) -> FloatArray:
         """Lower Cholesky factor of the covariance."""
         return factored(self.covariance)
+
+    @cached_property
+    def scatter_factor(self) -> FloatArray:
+        """The same without poses and drawing, which `nuisances` has as columns."""
+        if self.learnt is None:
+            return self.covariance_factor
+        return factored(self.learnt.scatter)
+
+    @property
+    def nuisances(self) -> FloatArray:
+        """Columns of poses and drawing per prior standard deviation, shape (s k, q), in mm."""
+        if self.learnt is None:
+            return np.zeros((len(self.bias), 0))
+        return self.learnt.parts.fixed
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether scans may lie elsewhere than their headers say."""
+        return self.learnt is not None and self.is_segmented
 
     @cached_property
     def rows(self) -> IntArray:

@@ -13,27 +13,23 @@ from scipy.special import logsumexp
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
-from workers.diagnosis.discrepancy import Discrepancy
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.evidence import Quadratic, log_marginal
 from workers.diagnosis.hypotheses import Hypothesis
-from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.noise_model import LinearHypothesis, NoiseModel
 
 
 class JointEvidence:
-    """Log evidences on the scale of `workers.diagnosis.evidence.log_evidence`.
+    """Log evidences of effects at the nominal fit.
 
     Parameters
     ----------
-    problem : Linearised
+    nominal : LinearHypothesis
         At the fit of the nominal parameters.
     sensitivities : sequence of EffectSensitivity
         With different names.
-    discrepancy : Discrepancy, optional
-        Of the same residuals; without it no smooth field is tried.
-    replicates : ndarray, shape (m, n), optional
-        Other residuals in place of those of the problem, whitened, of parameters at their
-        prior means.
+    noise : NoiseModel
+        Of the same residuals.
 
     Raises
     ------
@@ -43,66 +39,61 @@ class JointEvidence:
 
     def __init__(
         self,
-        problem: Linearised,
+        nominal: LinearHypothesis,
         sensitivities: Sequence[EffectSensitivity],
-        discrepancy: Discrepancy | None = None,
-        replicates: FloatArray | None = None,
+        noise: NoiseModel,
     ) -> None:
         names = [f.name for f in sensitivities]
         if len(set(names)) < len(names):
             raise InputError(f"Each effect is listed once, found {names}.")
-        if discrepancy is not None and discrepancy.size != problem.size:
+        if noise.size != len(nominal.residual):
             raise InputError(
-                f"The discrepancy was made for {discrepancy.size} residuals, the problem has "
-                f"{problem.size}. Make one for its points."
+                f"The noise was made for {noise.size} residuals, the fit has "
+                f"{len(nominal.residual)}. Make one for its points."
             )
-        p = len(problem.nominal_sd)
-        blocks: list[FloatArray] = [problem.scaled_nominal]
-        sided: list[BoolArray] = [np.zeros(p, dtype=bool)]
+        p = nominal.columns.shape[1]
+        blocks: list[FloatArray] = [nominal.columns]
+        sided: list[BoolArray] = [nominal.one_sided]
         self._columns: dict[str, list[IntArray]] = {}
         for sensitivity in sensitivities:
             self._columns[sensitivity.name] = []
-            for place in sensitivity.whitened(problem):
+            for place in sensitivity.places:
                 start = sum(block.shape[1] for block in blocks)
                 stop = start + place.shape[1]
                 self._columns[sensitivity.name].append(np.arange(start, stop, dtype=np.int32))
-                blocks.append(place)
+                blocks.append(place * sensitivity.prior_sd)
                 sided.append(sensitivity.one_sided)
         self._nominal = np.arange(p, dtype=np.int32)
         self._sided = np.concatenate(sided)
         self._offset = np.zeros(len(self._sided))
-        if replicates is None:
-            replicates = problem.whitened_residual[:, None]
-            self._offset[:p] = problem.scaled_offset
-        A = np.hstack(blocks)
-        self._plain = [Quadratic((replicates**2).sum(axis=0), A.T @ replicates, A.T @ A)]
-        self._field = [] if discrepancy is None else discrepancy.quadratics(A, replicates)
+        self._offset[:p] = nominal.offset
+        A, residual = np.hstack(blocks), nominal.residual[:, None]
+        self._plain = noise.plain(A, residual)
+        self._field = noise.with_field(A, residual) if noise.has_field else []
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the effects."""
         return tuple(self._columns)
 
-    def log_evidence(self, effects: tuple[str, ...]) -> FloatArray:
-        """Return that of some effects together, averaged over their places, shape (n,)."""
+    def log_evidence(self, effects: tuple[str, ...]) -> float:
+        """Return that of some effects together, averaged over places and noise."""
         return self._average(self._plain, effects)
 
-    def discrepancy_gain(self, effects: tuple[str, ...]) -> FloatArray | None:
-        """Return by how much the smooth field raises it, shape (n,); None without a field."""
+    def field_gain(self, effects: tuple[str, ...]) -> float | None:
+        """Return by how much the smooth field raises it; None without a field."""
         if not self._field:
             return None
-        return self._average(self._field, effects) - self.log_evidence(effects)
+        return self._average(self._field, effects) - self._average(self._plain, effects)
 
     def hypothesis(self, effects: tuple[str, ...]) -> Hypothesis:
         """Return the evidence of some effects together, with and without the smooth field."""
-        gain = self.discrepancy_gain(effects)
-        plain = float(self.log_evidence(effects)[0])
-        return Hypothesis(effects, plain, None if gain is None else float(gain[0]))
+        return Hypothesis(effects, self.log_evidence(effects), self.field_gain(effects))
 
-    def _average(self, quadratics: Sequence[Quadratic], effects: tuple[str, ...]) -> FloatArray:
-        found = []
-        for places in product(*(self._columns[name] for name in effects)):
-            which = np.concatenate([self._nominal, *places])
+    def _average(self, quadratics: Sequence[Quadratic], effects: tuple[str, ...]) -> float:
+        found, places = [], list(product(*(self._columns[name] for name in effects)))
+        for place in places:
+            which = np.concatenate([self._nominal, *place])
             sided, offset = self._sided[which], self._offset[which]
-            found += [log_marginal(q.of(which), offset, sided) for q in quadratics]
-        return np.asarray(logsumexp(found, axis=0) - np.log(len(found)))
+            found += [float(log_marginal(q.of(which), offset, sided)[0]) for q in quadratics]
+        return float(logsumexp(found) - np.log(len(places)))

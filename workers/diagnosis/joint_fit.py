@@ -13,6 +13,7 @@ from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect, one_sided
 from workers.mechanics.effects.inclusion import INCLUSION, PLACE, RATIO
+from workers.scan_threads import Each
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +30,9 @@ class JointFit:
         return tuple(e.name for e in self.effects)
 
 
-def fit_jointly(analysis: NominalAnalysis, effects: Sequence[Effect]) -> JointFit | None:
+def fit_jointly(
+    analysis: NominalAnalysis, effects: Sequence[Effect], each: Each = map
+) -> JointFit | None:
     """Fit constants and effects, from the best places where an effect has one.
 
     Parameters
@@ -37,6 +40,8 @@ def fit_jointly(analysis: NominalAnalysis, effects: Sequence[Effect]) -> JointFi
     analysis : NominalAnalysis
         Whose screening says where the fit begins.
     effects : sequence of Effect
+    each : callable
+        Calls a function with every scan; see `workers.diagnosis.gauss_newton.fit`.
 
     Returns
     -------
@@ -45,14 +50,14 @@ def fit_jointly(analysis: NominalAnalysis, effects: Sequence[Effect]) -> JointFi
     """
     best: JointFit | None = None
     for start in _starts(analysis, effects):
-        fitted = _fitted_from(analysis, effects, start)
+        fitted = _fitted_from(analysis, effects, start, each)
         if fitted is not None and (best is None or fitted.log_evidence > best.log_evidence):
             best = fitted
     return best
 
 
 def _fitted_from(
-    analysis: NominalAnalysis, effects: Sequence[Effect], start: Mapping[str, float]
+    analysis: NominalAnalysis, effects: Sequence[Effect], start: Mapping[str, float], each: Each
 ) -> JointFit | None:
     inverse, nominal = analysis.inverse, analysis.nominal
     free = unknowns(inverse.free, effects)
@@ -61,7 +66,7 @@ def _fitted_from(
     k = len(inverse.free)
     z[:k] = np.log(z[:k])
     z[:k] += _compensation(analysis, effects, start)
-    fitted = fit(inverse, free, z, nominal.starts())
+    fitted = fit(inverse, free, z, nominal.starts(), nominal.poses(), each)
     if fitted is None:
         return None
     evidence = log_evidence(fitted.linearised(inverse), free.one_sided)

@@ -10,13 +10,17 @@ from functools import cached_property
 
 import numpy as np
 
-from workers.diagnosis.discrepancy import Discrepancy
+from storage.values import FloatArray
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
+from workers.diagnosis.form_error import FormError
 from workers.diagnosis.gauss_newton import SolvedFit
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.noise_model import NoiseModel
+from workers.diagnosis.nuisances import smooth_columns
 from workers.diagnosis.screening import ScreeningResult, screen
 from workers.diagnosis.sensitivity_analysis import InclusionGrid, inclusion_grid
+from workers.diagnosis.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +47,11 @@ class NominalAnalysis:
         return self.nominal.linearised(self.inverse)
 
     @cached_property
+    def linear_with_poses(self) -> Linearised:
+        """The same with poses and drawing as free parameters."""
+        return self.nominal.linearised_with_poses(self.inverse)
+
+    @cached_property
     def screening(self) -> tuple[ScreeningResult, ...]:
         """Every effect on its own in the linear model, the largest Bayes factor first."""
         return screen(self.linear, self.sensitivities)
@@ -53,13 +62,49 @@ class NominalAnalysis:
         return inclusion_grid(self.inverse)
 
     @cached_property
-    def field(self) -> Discrepancy:
-        """The smooth field that stands for something else; seconds for 4,000 residuals."""
+    def noise(self) -> NoiseModel:
+        """The noise that every hypothesis has, with the smooth field that stands for something
+        else; seconds for 4,000 residuals."""
+        learnt, prior = self.inverse.learnt, self.inverse.something_else
+        if learnt is None:
+            raise ValueError("the noise is learnt with the calibration")
+        fields = [self._smooth_columns(length) for length in prior.lengths_mm]
+        return NoiseModel(learnt.parts, learnt.states, fields, prior.amplitudes_mm)
+
+    def registered(self, change: FloatArray) -> FloatArray:
+        """Return a change of the residuals, shape (m,), less what poses and drawing take of it."""
+        nuisances = self.inverse.nuisances
+        white = self.linear.whiten(np.column_stack([nuisances, change]))
+        return np.asarray(change - nuisances @ (white[:, :-1].T @ white[:, -1]))
+
+    @property
+    def field(self) -> FloatArray:
+        """Columns of a smooth field of middling amplitude and length, shape (m, r), in mm."""
+        prior = self.inverse.something_else
+        amplitude = sorted(prior.amplitudes_mm)[len(prior.amplitudes_mm) // 2]
+        length = sorted(prior.lengths_mm)[len(prior.lengths_mm) // 2]
+        return amplitude * self._smooth_columns(length)
+
+    def _smooth_columns(self, length_mm: float) -> FloatArray:
         normals = np.concatenate([scan.normals for scan in self.nominal.predictions])
-        points = np.tile(self.inverse.points.points, (len(self.inverse.scans), 1))
-        inverse = self.inverse
-        at = points, normals, inverse.rows, inverse.covariance_factor
-        return Discrepancy(*at, inverse.something_else)
+        return smooth_columns(
+            self._points,
+            normals,
+            self.inverse.rows,
+            np.ones(len(normals)),
+            length_mm,
+            self.inverse.something_else.state_correlation,
+            SETTINGS.smooth_field.rank_tolerance,
+        )
+
+    @cached_property
+    def form(self) -> FormError:
+        """How far patterns may differ from those of the catalogue."""
+        return FormError(self._points, self.inverse.rows)
+
+    @property
+    def _points(self) -> FloatArray:
+        return np.tile(self.inverse.points.points, (len(self.inverse.scans), 1))
 
     @property
     def sensitivity_by_name(self) -> dict[str, EffectSensitivity]:

@@ -10,10 +10,31 @@ from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.plate_friction import FRICTION
+from workers.mechanics.effects.rigid_motion import RIGID_MOTION, rigidly_moved
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.sensitivity import RELATIVE_ERROR, Change
 from workers.mechanics.fem.solve import Equilibrium
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Where a scan is supposed to lie when it is compared with the model.
+
+    Far off an interface, distances to it are smoother than where it is, and no longer linear:
+    a motion of the scan, which residuals contain by their noise, must not be taken off them
+    afterwards.
+
+    Parameters
+    ----------
+    motion : ndarray, shape (6,)
+        Of the model against the scan, 3 shifts in mm and 3 turns in degrees.
+    along : ndarray, shape (k,)
+        What the noise has this motion add to the residuals, in mm.
+    """
+
+    motion: FloatArray
+    along: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +61,7 @@ class PredictedScan(ComparedScan):
     """The same with the equilibrium of the model, from which others can be solved."""
 
     at: Equilibrium
+    pose: Pose | None = None
 
 
 def tissues_of(inverse: InverseProblem) -> IntArray:
@@ -65,29 +87,45 @@ def predict_scan(
     unknowns: Unknowns,
     z: FloatArray,
     start: Equilibrium | None,
+    pose: Pose | None = None,
 ) -> PredictedScan | None:
     """Simulate one scan; None if the simulation does not converge."""
     at = inverse.forward.equilibrium(
         inverse.model, problem_of(scan, unknowns, z, inverse.frame), start
     )
     return (
-        compare_with_scan(inverse, scan, unknowns, z, at) if at.solution.outcome.converged else None
+        compare_with_scan(inverse, scan, unknowns, z, at, pose)
+        if at.solution.outcome.converged
+        else None
     )
 
 
 def compare_with_scan(
-    inverse: InverseProblem, scan: Scan, unknowns: Unknowns, z: FloatArray, at: Equilibrium
+    inverse: InverseProblem,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    at: Equilibrium,
+    pose: Pose | None = None,
 ) -> PredictedScan:
-    """Compare an equilibrium with the scan."""
+    """Compare an equilibrium with the scan, where it lies or is supposed to lie."""
     points = inverse.points.points + inverse.at_points @ at.solution.displacement_mm
-    r, normals = scan.compare(points, inverse.points)
-    tissues = tissues_of(inverse)
+    turned = [e for e in unknowns.effects if e is RIGID_MOTION]
+    compared, along = points, np.zeros(len(points))
+    for effect in turned:
+        motion = np.array(list(unknowns.of_effect(effect, z).values()))
+        compared = rigidly_moved(compared, motion, inverse.frame.centre_mm)
+    if pose is not None:
+        compared = rigidly_moved(compared, -pose.motion, inverse.frame.centre_mm)
+        along = pose.along
+    r, normals = scan.compare(compared, inverse.points)
+    r, tissues = r + along, tissues_of(inverse)
     for effect in unknowns.effects:
-        if effect.observation is not None:
+        if effect.observation is not None and effect not in turned:
             values = unknowns.of_effect(effect, z)
             places = _seen_by(effect, inverse, at)
             r = r + effect.shift(places, normals, tissues, values, inverse.frame)
-    return PredictedScan(points, r, normals, at)
+    return PredictedScan(points, r, normals, at, pose)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +191,7 @@ def _by_solving(
     h = SETTINGS.fit.friction_step * unknowns.sd[at]
     ahead = z.copy()
     ahead[at] += h
-    found = predict_scan(inverse, scan, unknowns, ahead, prediction.at)
+    found = predict_scan(inverse, scan, unknowns, ahead, prediction.at, prediction.pose)
     if found is None:
         return np.zeros_like(prediction.residual)
     return (found.residual - prediction.residual) / h

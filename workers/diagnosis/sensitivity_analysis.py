@@ -19,6 +19,7 @@ from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect, one_sided
 from workers.mechanics.effects.inclusion import INCLUSION, PLACE, RATIO
 from workers.mechanics.fem.problem import Problem
+from workers.mechanics.fem.solve import Equilibrium
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,14 +148,35 @@ def _secants(
     for share in tried:
         columns = []
         for name, sd in zip(effect.names, effect.prior_sd, strict=True):
-            step = share * sd
-            changed = effect.apply(problem, {name: effect.neutral[name] + step}, inverse.frame)
-            found = inverse.forward.equilibrium(inverse.model, changed, start)
-            if not found.solution.outcome.converged:
+            found = _simulated(inverse, problem, effect, name, share * sd, start)
+            if found is None:
                 return None
+            at, step = found
             if len(effect.names) == 1:
-                start = found
-            moved = found.solution.displacement_mm - view.at.solution.displacement_mm
+                start = at
+            moved = at.solution.displacement_mm - view.at.solution.displacement_mm
             columns.append(((inverse.at_points @ moved) * view.normals).sum(axis=1) / step)
         places.append(np.stack(columns, axis=1))
     return np.stack(places) if len(places) > 1 else places[0]
+
+
+def _simulated(
+    inverse: InverseProblem,
+    problem: Problem,
+    effect: Effect,
+    name: str,
+    step: float,
+    start: Equilibrium,
+) -> tuple[Equilibrium, float] | None:
+    """Return the body with one parameter away from neutral, and how far.
+
+    Where that cannot be simulated, half as far is tried: an effect must not go unheard because
+    its plausible size is too much for this body.
+    """
+    for _ in range(1 + SETTINGS.sensitivities.secant_halvings):
+        changed = effect.apply(problem, {name: effect.neutral[name] + step}, inverse.frame)
+        found: Equilibrium = inverse.forward.equilibrium(inverse.model, changed, start)
+        if found.solution.outcome.converged:
+            return found, step
+        step /= 2.0
+    return None

@@ -23,9 +23,6 @@ class MeshSettings:
     # [cost] Nodes of the mesh that says what the working mesh gets wrong, over those of that one:
     # elements smaller by 2.8^(1/3) = 1.4.
     finer_ratio: float = 2.8
-    # [by hand] What is still unknown after the difference to the finer mesh is taken off
-    # is believed to be as large as the difference itself, and smooth over this length.
-    error_length_mm: float = 16.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +41,10 @@ class PointSettings:
     clear_noises: float = 5.0
     # [by hand] Of that reach, by which the distance may differ: curvature and blur.
     clear_slack: float = 0.1
+    # [numerics] Rings of the disc over which an interface is averaged, with its middle: their
+    # radii in correlation lengths of the segmentation, and the points on each. Beyond one length
+    # little noise is left, and the interface's own shape begins to go.
+    disc: tuple[tuple[float, int], ...] = ((0.5, 6), (1.0, 8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +61,80 @@ class NoiseSettings:
     # they should. Its size in standard deviations, its length in correlation lengths.
     smoother: float = 0.25
     smoother_lengths: float = 3.0
+    # [prior] The true deviation of a segmentation over the stated one, its logarithm: a factor of
+    # 2 either way costs a nat and a half. And how far that of one interface lies from the others'.
+    scale_log_sd: float = 0.405
+    interface_log_sd: float = 0.2
+    # [prior] Correlation lengths over the stated one, and the deviation of their logarithm.
+    lengths: tuple[float, ...] = (0.7, 1.0, 1.4)
+    length_log_sd: float = 0.34
+    # [prior] Numerical error over what is believed; see `NumericalSettings`.
+    numerical_scales: tuple[float, ...] = (0.5, 1.0, 2.0)
+    numerical_log_sd: float = 0.5
+    # [numerics] Change of a scale's logarithm at which its fixed point has settled: some 1200
+    # residuals know it to 0.02 or 0.03. How often that is tried, and where scales stay.
+    scale_settled: float = 0.005
+    scale_iterations: int = 12
+    scale_bounds: tuple[float, float] = (0.2, 5.0)
+    # [cost] Points of the average this far behind the best one are left out, in nats.
+    hopeless_nats: float = 5.0
+    # [principle] Amplitude and length of the field that takes what may be a gap while scales are
+    # learnt: so large that it is all but free, or noise that it takes up would go missing.
+    learning_field: tuple[float, float] = (1.0, 20.0)
+    # [cost] A smooth field is weighed under as many of the likeliest points of the average.
+    field_states: int = 1
+    # [prior] Stated or measured noise that differs from what is learnt by this factor is said.
+    misstated: float = 1.25
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSettings:
+    """Of where each scan lies [prior]: what a registration leaves."""
+
+    shift_sd_mm: float = 0.3
+    turn_sd_deg: float = 0.3
+    # In standard deviations of the segmentation: an interface drawn too large in one scan.
+    drawing: float = 0.1
+    # [numerics] A scan is moved to where its residuals say that it lies until that changes by less
+    # than this, in the standard deviations above: 0.01 mm. How often at most.
+    settled: float = 0.03
+    registrations: int = 8
+
+
+@dataclass(frozen=True, slots=True)
+class NumericalSettings:
+    """Of what another mesh, element and contact of the same physics would change."""
+
+    # [open cases] A part that every solver has, in mm.
+    least_mm: float = 0.03
+    # [numerics] A part of what a finer mesh changes, root mean square of each scan: what is
+    # still unknown after that difference is taken off is as large as the difference itself.
+    of_difference: float = 1.0
+    # [open cases] A part of how far the load moves a point.
+    of_motion: float = 0.0
+    # [by hand] It is smooth over this length, and the same, but for its size, in all scans; of
+    # markers, whose states load the body in different ways, less so.
+    length_mm: float = 16.0
+    state_correlation: float = 1.0
+    state_correlation_markers: float = 0.8
+    # [numerics] Part of its variance that a low rank may miss.
+    rank_tolerance: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class FormSettings:
+    """Of how far a real effect's pattern differs from that of the catalogue [prior].
+
+    The pattern is what the effect changes of the residuals once constants and poses have followed.
+    The error is a smooth part of it.
+    """
+
+    relative_sd: float = 0.2
+    length_mm: float = 30.0
+    # Over which the size of a pattern is averaged: an error need not vanish where it changes sign.
+    envelope_mm: float = 12.0
+    state_correlation: float = 0.9
+    rank_tolerance: float = 2e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +148,9 @@ class FitSettings:
     shortening: float = 0.4
     # [principle] A fall of minus twice the log posterior below this changes no verdict: 0.025 nats.
     tolerance: float = 0.05
+    # [principle] Where no step of the line search falls, the fit has converged if less than this
+    # fall was expected: half a nat.
+    at_rest: float = 1.0
     # [numerics] Longest step of a parameter in prior standard deviations.
     longest_step: float = 1.5
     # [numerics] Difference of the logarithm of a constant for its derivative.
@@ -95,6 +173,8 @@ class SensitivitySettings:
     # [by hand] Magnitudes at which a one-sided effect is tried, in prior standard deviations:
     # one that is plausible, and one near zero, where such effects are steepest.
     secant_magnitudes: tuple[float, ...] = (1.0, 0.25)
+    # [numerics] How often a magnitude that cannot be simulated is halved.
+    secant_halvings: int = 2
     # [numerics] Columns only choose what is fitted: relative error of a tangent, Newton's last
     # step of a secant in mm.
     tangent_error: float = 1e-4
@@ -134,8 +214,10 @@ class JointFitSettings:
     # [by hand] Pairs are fitted if a smooth field gains this much on top of the best effect.
     left_over: float = 1.0
     # [principle] So is one with an effect that gains this much on top of it, as it looked alone:
-    # twenty to one.
+    # twenty to one. A third effect is fitted beside the best pair by the same rule.
     second_gain: float = 3.0
+    # [cost] Third effects that are fitted.
+    thirds: int = 2
     # [numerics] Where a fit begins, as a part of what the screening expects. A one-sided
     # parameter, whose secant was taken, begins where that expects it.
     start: float = 0.5
@@ -160,42 +242,29 @@ class FieldSettings:
     # [prior] Standard deviations and correlation lengths of the displacement, all pairs equally
     # probable: from the noise of a segmentation to a third of a breast.
     amplitudes_mm: tuple[float, ...] = (0.1, 0.3, 0.8)
-    lengths_mm: tuple[float, ...] = (8.0, 16.0, 30.0)
+    lengths_mm: tuple[float, ...] = (12.0, 20.0, 35.0)
     # [prior] Between two states: a missing cause acts in all of them, but not quite alike.
     state_correlation: float = 0.8
-    # [numerics] Variance that the low rank may miss at a point, of a field of unit amplitude.
-    rank_tolerance: float = 1e-7
+    # [numerics] Variance that the low rank may miss at a point, of a field of unit amplitude: less
+    # than a seventh of that of a segmentation of 0.25 mm, for the largest field.
+    rank_tolerance: float = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class OddsSettings:
     """How probable each kind of hypothesis is before data; they sum to 1 [prior]."""
 
-    nothing: float = 0.25
+    nothing: float = 0.30
     field: float = 0.15
-    single: float = 0.25
-    single_and_field: float = 0.20
-    pair: float = 0.10
-    pair_and_field: float = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class AlarmSettings:
-    """Of the evidence against no gap that is worth an alarm."""
-
-    # [principle] Part of bodies without a gap that may raise an alarm.
-    false_alarm_rate: float = 0.02
-    # [cost] Linear replicates without an effect: 8 of them then lie above the threshold.
-    replicates: int = 400
-    # [numerics] Of their random numbers.
-    seed: int = 0
-    # [null replicates, set 3] No alarm below this, in nats, where a body was pressed in one
-    # direction or in more. Linear replicates say some 3. Of 53 bodies of the blind solver pressed
-    # along y the loudest reached 11.0, of those in two directions 5.3; see docs/blind.md.
-    least_one_direction: float = 11.0
-    least_more_directions: float = 7.0
-    # [by hand] Cosine of two directions of compression that are one: 26 degrees.
-    same_direction_cosine: float = 0.9
+    single: float = 0.38
+    single_and_field: float = 0.02
+    pair: float = 0.11
+    pair_and_field: float = 0.01
+    triple: float = 0.025
+    triple_and_field: float = 0.005
+    # Where something unlisted acts beside effects: that these act indeed, and do not only
+    # resemble a part of it.
+    beside_unlisted: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,15 +274,6 @@ class VerdictSettings:
     # [principle] Probability that the credible set holds, and above which a second effect of the
     # best pair is named.
     credible: float = 0.9
-    # [principle] Probability of no gap above which it is said: more probable than not.
-    no_gap: float = 0.5
-    # [open cases, set 3] By this part of what the best effect gains, the evidence of effects is
-    # uncertain: theirs is not quite the form of the real ones. A friction of FEBio had 116 nats,
-    # and a skin with a field 122; 53 of 59 named effects stand apart by more than 9 %.
-    form_uncertainty: float = 0.04
-    # [set 2] Of what an effect and a field on top of it explain, the least part of an effect
-    # that acts. A field that explains more does not mend its form, but is something else.
-    explained_share: float = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,13 +326,15 @@ class Settings:
     mesh: MeshSettings = field(default_factory=MeshSettings)
     points: PointSettings = field(default_factory=PointSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
+    pose: PoseSettings = field(default_factory=PoseSettings)
+    numerical: NumericalSettings = field(default_factory=NumericalSettings)
+    form: FormSettings = field(default_factory=FormSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     sensitivities: SensitivitySettings = field(default_factory=SensitivitySettings)
     detectability: DetectabilitySettings = field(default_factory=DetectabilitySettings)
     joint_fits: JointFitSettings = field(default_factory=JointFitSettings)
     smooth_field: FieldSettings = field(default_factory=FieldSettings)
     prior_odds: OddsSettings = field(default_factory=OddsSettings)
-    alarm: AlarmSettings = field(default_factory=AlarmSettings)
     verdict: VerdictSettings = field(default_factory=VerdictSettings)
     gap: GapSettings = field(default_factory=GapSettings)
     plan: PlanSettings = field(default_factory=PlanSettings)

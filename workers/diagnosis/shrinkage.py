@@ -23,7 +23,7 @@ from scipy.special import ndtri
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
-from workers.diagnosis.gap import Gap, LinearFit, gap, pooled, raised
+from workers.diagnosis.gap import Gap, LinearFit, Registration, gap, pooled, raised
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.settings import SETTINGS
 
@@ -56,6 +56,7 @@ def shrinkage(
     train: BoolArray | None = None,
     judge: BoolArray | None = None,
     floor_mm: float = 0.0,
+    registered: int = 0,
     draws: int = SETTINGS.gap.draws,
     level: float = SETTINGS.gap.level,
 ) -> Shrinkage:
@@ -74,6 +75,9 @@ def shrinkage(
         Residuals to fit to and to judge by; all, which is the in-sample share.
     floor_mm : float
         As for `workers.diagnosis.gap.gap`.
+    registered : int
+        So many parameters, the last of both fits, say where the scans lie: the fit with the
+        effect to all residuals sets them in both.
     draws : int
         Of the bootstrap, >= 20.
     level : float
@@ -89,7 +93,7 @@ def shrinkage(
             "A shrinkage needs two fits of the same residuals and at least 20 draws, found "
             f"{nominal.size} and {effect.size} residuals and {draws} draws."
         )
-    pair = LinearFit(nominal, train, judge), LinearFit(effect, train, judge)
+    pair = _pair(nominal, effect, train, judge, registered)
     return _compared(nominal, effect, [pair], seed, floor_mm, draws, level)
 
 
@@ -99,6 +103,7 @@ def unseen_shrinkage(
     states: IntArray,
     seed: int,
     floor_mm: float = 0.0,
+    registered: int = 0,
     draws: int = SETTINGS.gap.draws,
     level: float = SETTINGS.gap.level,
 ) -> Shrinkage:
@@ -117,14 +122,30 @@ def unseen_shrinkage(
     every = np.unique(states)
     if len(every) < 2:
         raise InputError("To leave a state out, there must be two or more; found one.")
-    pairs = [
-        (
-            LinearFit(nominal, states != one, states == one),
-            LinearFit(effect, states != one, states == one),
-        )
-        for one in every
-    ]
+    pairs = [_pair(nominal, effect, states != one, states == one, registered) for one in every]
     return _compared(nominal, effect, pairs, seed, floor_mm, draws, level)
+
+
+def _pair(
+    nominal: Linearised,
+    effect: Linearised,
+    train: BoolArray | None,
+    judge: BoolArray | None,
+    registered: int,
+) -> tuple[LinearFit, LinearFit]:
+    """Return the fits of both, with the scans where the whole fit with the effect puts them."""
+    if not registered:
+        return LinearFit(nominal, train, judge), LinearFit(effect, train, judge)
+    without, along = (
+        LinearFit(
+            fit,
+            train,
+            judge,
+            registration=Registration.by(effect, registered, fit.residual),
+        )
+        for fit in (nominal, effect)
+    )
+    return without, along
 
 
 def _compared(
@@ -151,6 +172,7 @@ def _compared(
     means = _without_noise(nominal, effect)
     rng = np.random.default_rng(seed)
     noise = nominal.covariance_factor @ rng.standard_normal((nominal.size, draws))
+    noise += pairs[0][0].poses @ rng.standard_normal((pairs[0][0].poses.shape[1], draws))
     drawn = [_excess(fits, mean, noise) for fits, mean in zip((without, along), means, strict=True)]
     lacking = np.maximum(0.0, -drawn[1])
     floors = floor_mm * _parts_of_floor(rng, draws)

@@ -8,7 +8,7 @@ import numpy as np
 from storage.values import BoolArray, FloatArray
 from workers.diagnosis.acquisition import INTERFACES
 from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.gap import Gap, LinearFit, gap
+from workers.diagnosis.gap import Gap, LinearFit, Registration, gap
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.settings import SETTINGS
@@ -19,6 +19,7 @@ from workers.diagnosis.summary import (
     GapEstimate,
     GapShrinkage,
     GapSummary,
+    InterfaceNoise,
     JointFitSummary,
     ParameterEstimate,
     RegionGap,
@@ -60,6 +61,18 @@ def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Sum
         constants=_constants(diagnosis),
         refits=tuple(_joint_fit(diagnosis, names) for names in diagnosis.joint_fits),
         points=len(analysis.inverse.points),
+        noise=_noise(analysis.inverse),
+    )
+
+
+def _noise(inverse: InverseProblem) -> tuple[InterfaceNoise, ...] | None:
+    """Return how exactly each interface is drawn; None where noise was measured."""
+    if inverse.learnt is None or not inverse.is_segmented:
+        return None
+    stated, scales = inverse.noise.sd_mm, inverse.learnt.states[0].scales
+    return tuple(
+        InterfaceNoise(one.name, stated, float(stated * scale))
+        for one, scale in zip(INTERFACES, scales, strict=False)
     )
 
 
@@ -122,17 +135,44 @@ def _posterior_sd(diagnosis: Diagnosis, names: tuple[str, ...]) -> FloatArray:
 
 
 def _gap_mm(diagnosis: Diagnosis) -> GapSummary:
-    inverse, nominal = diagnosis.analysis.inverse, diagnosis.analysis.linear
-    floor_mm = _floor_mm(inverse, nominal)
-    before = gap(LinearFit(nominal), floor_mm=floor_mm)
+    inverse = diagnosis.analysis.inverse
+    floor_mm = _floor_mm(inverse, diagnosis.analysis.linear)
+    before = gap(_registered(diagnosis), floor_mm=floor_mm)
     alone = GapSummary(_estimate(before), before.noise_mm, floor_mm, None, None, None)
     best = diagnosis.best
     if best is None:
         return alone
-    with_effect = best.fit.linearised(inverse)
-    fitted = _compared(shrinkage(nominal, with_effect, SETTINGS.gap.seed, floor_mm=floor_mm))
+    fits = diagnosis.analysis.linear_with_poses, best.fit.linearised_with_poses(inverse)
+    poses = inverse.nuisances.shape[1]
+    fitted = _compared(shrinkage(*fits, SETTINGS.gap.seed, floor_mm=floor_mm, registered=poses))
     inside = replace(alone, before=fitted.before, after=fitted.after, share=fitted.share)
-    return _with_held_out(inside, inverse, nominal, with_effect)
+    return _with_held_out(inside, inverse, *fits)
+
+
+def _registered(diagnosis: Diagnosis) -> LinearFit:
+    """Return the nominal fit with the scans where the most probable cause puts them.
+
+    Where something unlisted acts, that is a smooth field; a tilted plate would otherwise be
+    taken for a scan that is turned.
+    """
+    analysis = diagnosis.analysis
+    inverse, nominal = analysis.inverse, analysis.linear_with_poses
+    poses = inverse.nuisances.shape[1]
+    if not poses or diagnosis.verdict.kind == "no-gap":
+        return LinearFit(nominal)
+    best = diagnosis.best
+    if best is not None:
+        causes = best.fit.linearised_with_poses(inverse)
+    else:
+        field = analysis.field
+        causes = Linearised(
+            nominal.residual,
+            np.hstack([field, nominal.nominal]),
+            np.append(np.ones(field.shape[1]), nominal.nominal_sd),
+            np.append(np.zeros(field.shape[1]), nominal.nominal_offset),
+            nominal.covariance_factor,
+        )
+    return LinearFit(nominal, registration=Registration.by(causes, poses, nominal.residual))
 
 
 def _with_held_out(
@@ -141,15 +181,14 @@ def _with_held_out(
     """Add the gap of each scan as judged by a fit to the others."""
     if len(inverse.scans) < 2:
         return replace(inside, held_out="one scan only")
-    floor_mm = inside.calibration_floor
-    whole = _compared(
-        unseen_shrinkage(nominal, with_effect, inverse.rows, SETTINGS.gap.seed, floor_mm)
-    )
+    floor_mm, poses = inside.calibration_floor, inverse.nuisances.shape[1]
+    seed = SETTINGS.gap.seed
+    whole = _compared(unseen_shrinkage(nominal, with_effect, inverse.rows, seed, floor_mm, poses))
     each = {}
     for number, scan in enumerate(inverse.scans):
         judge: BoolArray = inverse.rows == number
         each[scan.name] = _compared(
-            shrinkage(nominal, with_effect, SETTINGS.gap.seed, ~judge, judge, floor_mm)
+            shrinkage(nominal, with_effect, seed, ~judge, judge, floor_mm, poses)
         )
     return replace(
         inside,
@@ -174,7 +213,7 @@ def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
 
 def _where(diagnosis: Diagnosis) -> Iterator[RegionGap]:
     inverse = diagnosis.analysis.inverse
-    fit = LinearFit(diagnosis.analysis.linear)
+    fit = _registered(diagnosis)
     own = np.tile(inverse.points.interface, len(inverse.scans))
     z = np.tile(inverse.frame.normalised(inverse.points.points)[:, 2], len(inverse.scans))
     depths = {

@@ -81,6 +81,15 @@ class GapSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class InterfaceNoise:
+    """How exactly an interface is drawn, as stated and as its residuals show: deviations in mm."""
+
+    interface: str
+    stated_mm: float
+    learnt_mm: float
+
+
+@dataclass(frozen=True, slots=True)
 class RegionGap:
     """The gap of the nominal model in a part of an interface in one scan.
 
@@ -311,6 +320,8 @@ class Summary:
         Of a bench experiment.
     next_acquisitions : optional
         If further measurements were planned.
+    noise : tuple of InterfaceNoise, optional
+        Of the segmentation, where it is learnt.
     surfaces, compared : tuple of str, str
         The interfaces, and where their points lie, in words.
     not_simulated : optional
@@ -340,6 +351,7 @@ class Summary:
     hidden: tuple[ConfoundedEffect, ...] | None = None
     predictions: tuple[PredictedState, ...] | None = None
     next_acquisitions: tuple[NextAcquisition, ...] | None = None
+    noise: tuple[InterfaceNoise, ...] | None = None
     surfaces: tuple[str, ...] = ("outline", "glandular")
     compared: str = "the outline and on the boundary of the glandular tissue"
     not_simulated: tuple[tuple[str, str], ...] | None = None

@@ -1,18 +1,23 @@
 """What is said to the user: no gap, an effect, a choice of effects, or none of these.
 
-1. No gap if the best alternative raises the log evidence by less than a threshold, which
-   `workers.diagnosis.alarm_threshold` calibrates, or if no gap is more probable than not.
-2. None of these if a smooth field alone is more probable than all effects together, or
-   if the best effect explains less than 70 % of what it and a field explain.
-3. Else the effect; or the effects that cannot be told apart, if more than one is needed to
-   hold 90 % of the probability.
-4. An effect that hides in the nominal parameters is neither accused nor acquitted; see
-   `workers.diagnosis.detectability.hides`.
+The verdict is read off the probabilities. A hypothesis counts for its most probable effect; one
+without effects for "no gap", or for "none of these" where a smooth field is all there is. Where a
+field is needed beside effects, something acts that is not listed, of which these may be a mere
+likeness: half of that counts for "none of these".
+
+1. No gap if that is the most probable cause. An effect that hides in the nominal parameters (see
+   `workers.diagnosis.detectability.hides`) keeps the probability that it had beside no gap, and
+   counts for it: these scans cannot show it, and it is neither accused nor acquitted.
+2. None of these if that is.
+3. Else the effect, or, if more than one cause is needed to hold 90 % of the probability, what
+   cannot be told apart.
 """
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
 
 from storage.errors import InputError
 from workers.diagnosis.hypotheses import (
@@ -21,13 +26,13 @@ from workers.diagnosis.hypotheses import (
     PriorOdds,
     alarm,
     probabilities,
-    tempered,
 )
 from workers.diagnosis.settings import SETTINGS
 
 Kind = Literal["no-gap", "effect", "cannot-be-told-apart", "none-of-these"]
 
 NO_GAP, NONE_OF_THESE = "no-gap", "none-of-these"
+TINY = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,17 +43,17 @@ class Verdict:
     ----------
     kind : {"no-gap", "effect", "cannot-be-told-apart", "none-of-these"}
     primary : tuple of str
-        The effects accused: of the most probable hypothesis with effects, the more probable
-        one first, a second one only if it is as probable as the 90 % set: the form of one
-        effect is never quite that of the catalogue, and a second one mends it. Empty unless
-        `kind` is "effect" or "cannot-be-told-apart".
+        The effects accused: of the most probable hypothesis with effects, the most probable
+        one first, others only if they are as probable as the 90 % set. Empty unless `kind` is
+        "effect" or "cannot-be-told-apart".
     probabilities : dict of str to float
-        Of each effect acting, alone or with another; they need not sum to 1.
+        Of each effect acting, alone or with others; they need not sum to 1.
     no_gap, none_of_these : float
-        Probability of no gap, and of a smooth field without any effect.
+        Probability of no gap that these scans could show, and of a cause that is not listed.
     set90 : tuple of str
-        The fewest causes that hold 90 % of the probability, the most probable first. A pair
-        counts for its more probable member; "no-gap" and "none-of-these" may be among them.
+        The fewest causes that hold 90 % of the probability, the most probable first. Effects
+        together count for the most probable of them; "no-gap" and "none-of-these" may be among
+        these.
     families : dict of str to float
         Probability that a member of the family acts.
     family : str or None
@@ -59,6 +64,7 @@ class Verdict:
     alarm : float
         Log evidence of the best alternative against no gap.
     threshold : float
+        Where the best other cause would be as probable as no gap.
     hidden : tuple of str
         Effects on which the data cannot speak.
     """
@@ -80,10 +86,8 @@ class Verdict:
 def verdict(
     hypotheses: Sequence[Hypothesis],
     families: Mapping[str, str],
-    threshold: float,
     hiding: Collection[str] = (),
     odds: PriorOdds | None = None,
-    form: float = SETTINGS.verdict.form_uncertainty,
 ) -> Verdict:
     """Weigh the hypotheses.
 
@@ -93,13 +97,9 @@ def verdict(
         The one without effects and some with.
     families : mapping of str to str
         The family of every effect that was listed, tried or not.
-    threshold : float
-        Log evidence below which there is no alarm.
     hiding : collection of str
         Effects that the nominal parameters hide.
     odds : PriorOdds, optional
-    form : float
-        See `workers.diagnosis.hypotheses.tempered`.
 
     Raises
     ------
@@ -109,33 +109,33 @@ def verdict(
     """
     _check(hypotheses, families)
     hidden = tuple(name for name in families if name in hiding)
-    open_ones = [h for h in hypotheses if not set(h.effects) & set(hidden)]
-    effects = [name for name in families if name not in hidden]
-    cases = probabilities(tempered(open_ones, form), len(effects), odds)
-    acting = {name: sum(p for (who, _), p in cases.items() if name in who) for name in effects}
-    causes = _causes(cases, acting)
+    visible = _with_hidden(hypotheses, hidden)
+    odds = odds or PriorOdds()
+    cases = probabilities(visible, len(families), odds)
+    acts = {case: p * odds.trust(case[1]) for case, p in cases.items() if case[0]}
+    acting = {name: sum(p for (who, _), p in acts.items() if name in who) for name in families}
+    causes = _causes(cases, acts, acting, hidden)
     credible = _credible(causes)
-    best = _best_named(cases)
-    share = _explained(open_ones, best)
-    loudness = alarm(open_ones)
-    kind = _kind(causes, credible, share, loudness, threshold)
+    best = _best_named(cases, hidden)
+    kind = _kind(credible)
     accused = kind in ("effect", "cannot-be-told-apart")
     suspects = {families[name] for name in credible if name in families}
+    loudness = alarm(visible)
     return Verdict(
         kind=kind,
-        primary=_primary(best, acting) if accused else (),
+        primary=_primary(best, credible[0], acting) if accused else (),
         probabilities=acting,
         no_gap=causes[NO_GAP],
         none_of_these=causes[NONE_OF_THESE],
         set90=credible,
         families={
-            family: sum(p for (who, _), p in cases.items() if family in map(families.get, who))
-            for family in dict.fromkeys(families[name] for name in effects)
+            family: sum(p for (who, _), p in acts.items() if family in map(families.get, who))
+            for family in dict.fromkeys(families.values())
         },
         family=suspects.pop() if len(suspects) == 1 else None,
-        explained_share=share,
+        explained_share=_explained(visible, best),
         alarm=loudness,
-        threshold=threshold,
+        threshold=loudness - _log_odds_of_a_gap(causes),
         hidden=hidden,
     )
 
@@ -151,14 +151,39 @@ def _check(hypotheses: Sequence[Hypothesis], families: Mapping[str, str]) -> Non
         )
 
 
-def _causes(cases: Mapping[Case, float], acting: Mapping[str, float]) -> dict[str, float]:
-    """Return probability of each cause; a pair counts for its more probable member. Sums to 1."""
+def _with_hidden(hypotheses: Sequence[Hypothesis], hidden: Sequence[str]) -> list[Hypothesis]:
+    """Return hypotheses of which effects that hide have the evidence of what hides them.
+
+    The constants take such an effect up, so a fit with it is as good as one without; what it
+    may gain or lose by moving them from where they are plausible says nothing of the scans.
+    """
+    nothing = next(h for h in hypotheses if not h.effects)
+    kept = [h for h in hypotheses if not set(h.effects) & set(hidden)]
+    return kept + [Hypothesis((name,), nothing.log_evidence) for name in hidden]
+
+
+def _causes(
+    cases: Mapping[Case, float],
+    acts: Mapping[Case, float],
+    acting: Mapping[str, float],
+    hidden: Sequence[str],
+) -> dict[str, float]:
+    """Return probability of each cause. Sums to 1."""
     causes = {NO_GAP: 0.0, NONE_OF_THESE: 0.0}
     for (effects, field), p in cases.items():
+        shown = [name for name in effects if name not in hidden]
         empty = NONE_OF_THESE if field else NO_GAP
-        cause = max(effects, key=lambda name: acting[name]) if effects else empty
-        causes[cause] = causes.get(cause, 0.0) + p
+        cause = max(shown, key=lambda name: acting[name]) if shown else empty
+        likely = acts[effects, field] if shown else p
+        causes[cause] = causes.get(cause, 0.0) + likely
+        causes[NONE_OF_THESE] += p - likely
     return causes
+
+
+def _log_odds_of_a_gap(causes: Mapping[str, float]) -> float:
+    """Return those of the best other cause against no gap."""
+    other = max(p for cause, p in causes.items() if cause != NO_GAP)
+    return float(np.log(max(other, TINY)) - np.log(max(causes[NO_GAP], TINY)))
 
 
 def _credible(causes: Mapping[str, float]) -> tuple[str, ...]:
@@ -172,16 +197,18 @@ def _credible(causes: Mapping[str, float]) -> tuple[str, ...]:
     return tuple(chosen)
 
 
-def _best_named(cases: Mapping[Case, float]) -> tuple[str, ...]:
+def _best_named(cases: Mapping[Case, float], hidden: Sequence[str]) -> tuple[str, ...]:
     """Return effects of the most probable hypothesis that has some; empty if none has."""
-    named = {case: p for case, p in cases.items() if case[0]}
+    named = {case: p for case, p in cases.items() if case[0] and not set(case[0]) & set(hidden)}
     return max(named, key=lambda case: named[case])[0] if named else ()
 
 
-def _primary(effects: tuple[str, ...], acting: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the more probable effect, and the other one if it is hardly to be doubted."""
-    first, *second = sorted(effects, key=lambda name: -acting[name])
-    return (first, *(name for name in second if acting[name] >= SETTINGS.verdict.credible))
+def _primary(effects: tuple[str, ...], cause: str, acting: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the most probable effect, and others that are hardly to be doubted."""
+    if cause not in effects:
+        return (cause,)
+    others = sorted((n for n in effects if n != cause), key=lambda name: -acting[name])
+    return (cause, *(name for name in others if acting[name] >= SETTINGS.verdict.credible))
 
 
 def _explained(hypotheses: Sequence[Hypothesis], effects: tuple[str, ...]) -> float | None:
@@ -194,17 +221,10 @@ def _explained(hypotheses: Sequence[Hypothesis], effects: tuple[str, ...]) -> fl
     return own / (own + max(0.0, found.discrepancy_gain or 0.0)) if own > 0 else 0.0
 
 
-def _kind(
-    causes: Mapping[str, float],
-    credible: Sequence[str],
-    share: float | None,
-    loudness: float,
-    threshold: float,
-) -> Kind:
-    no_gap, field = causes[NO_GAP], causes[NONE_OF_THESE]
-    if loudness < threshold or no_gap > SETTINGS.verdict.no_gap:
+def _kind(credible: Sequence[str]) -> Kind:
+    first = credible[0]
+    if first == NO_GAP:
         return "no-gap"
-    if share is None or share < SETTINGS.verdict.explained_share or field > 1.0 - no_gap - field:
+    if first == NONE_OF_THESE:
         return "none-of-these"
-    named = [cause for cause in credible if cause not in (NO_GAP, NONE_OF_THESE)]
-    return "cannot-be-told-apart" if len(named) > 1 else "effect"
+    return "effect" if len(credible) == 1 else "cannot-be-told-apart"

@@ -5,7 +5,7 @@
     build_problem      a case               > nothing: this process has its meshes and maps
     calibrate_nominal  a case               > constants, points and noise in the store
     analyse_effect     one effect, one scan > what it would do to the residuals
-    fit_effects        one effect or a pair > the most probable constants and magnitudes
+    fit_effects        up to three effects  > the most probable constants and magnitudes
     weigh_hypotheses   all of these         > the joint fits still wanted, or the outcome
 
 Every task is idempotent: what the store has is not made again. A request names digests, so
@@ -29,6 +29,7 @@ from workers.diagnosis.pictures.scan_pictures import Displacements
 from workers.diagnosis.scan_prediction import predict_scan
 from workers.diagnosis.sensitivity_analysis import scan_sensitivity
 from workers.diagnosis.summarise import summarise
+from workers.scan_threads import scan_threads
 from workers.tasks.diagnosis_store import (
     CalibrationRecord,
     DiagnosisRequest,
@@ -37,6 +38,7 @@ from workers.tasks.diagnosis_store import (
     Outcome,
     SensitivityRecord,
 )
+from workers.tasks.learnt_noise import noise_arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +53,15 @@ def build_problem(request: DiagnosisRequest) -> None:
     _ = DiagnosisStore(request).uncalibrated
 
 
-def calibrate_nominal(request: DiagnosisRequest) -> CalibrationRecord:
+def calibrate_nominal(request: DiagnosisRequest, threads: int = 1) -> CalibrationRecord:
     """Find the nominal constants, the points that can be trusted and their noise.
 
     Parameters
     ----------
     request : DiagnosisRequest
         See `workers.tasks.diagnosis_store.named`.
+    threads : int
+        That would have nothing else to do.
 
     Raises
     ------
@@ -69,14 +73,14 @@ def calibrate_nominal(request: DiagnosisRequest) -> CalibrationRecord:
     if not part.is_finished:
         begun = time.perf_counter()
         whole = store.uncalibrated
-        inverse, fit = calibrate(whole, store.finer())
+        with scan_threads(threads) as each:
+            inverse, fit = calibrate(whole, store.finer(), each)
         arrays = {
             "kept": kept_of(whole.points, inverse.points),
-            "covariance": inverse.covariance,
             "bias": inverse.bias,
             "z": fit.z,
             "jacobian": fit.jacobian,
-        }
+        } | noise_arrays(inverse)
         record = CalibrationRecord(
             points=len(inverse.points),
             constants={
@@ -107,13 +111,16 @@ def analyse_effect(request: DiagnosisRequest, effect: str, scan: int) -> Sensiti
     return part.record(SensitivityRecord)
 
 
-def fit_effects(request: DiagnosisRequest, effects: tuple[str, ...]) -> JointFitRecord:
-    """Fit the constants and the parameters of one effect or of a pair."""
+def fit_effects(
+    request: DiagnosisRequest, effects: tuple[str, ...], threads: int = 1
+) -> JointFitRecord:
+    """Fit the constants and the parameters of up to three effects."""
     store = DiagnosisStore(request)
     part = store.joint_fit(effects)
     if not part.is_finished:
         begun = time.perf_counter()
-        fitted = fit_jointly(store.analysis, store.combination(effects))
+        with scan_threads(threads) as each:
+            fitted = fit_jointly(store.analysis, store.combination(effects), each)
         store.save_joint_fit(effects, fitted, time.perf_counter() - begun)
     return part.record(JointFitRecord)
 

@@ -22,7 +22,7 @@ import numpy as np
 from storage.digest import digest
 from storage.errors import StoreError
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
-from workers.diagnosis.gauss_newton import Fit, SolvedFit
+from workers.diagnosis.gauss_newton import Fit, SolvedFit, registered
 from workers.diagnosis.inverse_problem import InverseProblem, unknowns
 from workers.diagnosis.joint_fit import JointFit
 from workers.diagnosis.nominal_analysis import NominalAnalysis
@@ -35,6 +35,7 @@ from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.model import Model
 from workers.organs.source_registry import source_module
 from workers.tasks.code_version import code_version
+from workers.tasks.learnt_noise import with_stored_noise
 from workers.tasks.sources import SourceName, stored_source
 from workers.tasks.task_store import Part, TaskStore
 
@@ -262,7 +263,7 @@ class DiagnosisStore:
     def _inverse(self) -> InverseProblem:
         _, arrays = self.calibration.load(CalibrationRecord)
         kept = self.uncalibrated.keeping(arrays["kept"])
-        return replace(kept, covariance=arrays["covariance"], bias=arrays["bias"])
+        return with_stored_noise(replace(kept, bias=arrays["bias"]), arrays)
 
     def _nominal(self) -> SolvedFit:
         record, arrays = self.calibration.load(CalibrationRecord)
@@ -278,7 +279,7 @@ class DiagnosisStore:
         return SolvedFit(
             unknowns=free,
             z=z,
-            predictions=solved,
+            predictions=registered(inverse, free, z, solved),
             jacobian=arrays["jacobian"],
             cost=record.cost,
             converged=record.converged,

@@ -11,6 +11,7 @@ from storage.errors import InputError
 from workers.diagnosis.acquisition import inverse_problem_of
 from workers.diagnosis.detectability import NONCENTRALITY
 from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.nuisances import pose_columns
 from workers.diagnosis.planning.candidate_loads import (
     CandidateLoad,
     candidate_loads,
@@ -180,8 +181,10 @@ def test_drawing_four_times_halves_what_the_drawing_adds(sliding: World) -> None
         assembled(unloaded, Design((LOW,), drawings=n), found, suspects)[0].covariance
         for n in (1, 4)
     )
-    nugget = unloaded.noise.nugget_mm**2 * np.eye(len(once))
-    np.testing.assert_allclose(often - nugget, (once - nugget) / 4, atol=1e-12)
+    at = unloaded.points
+    poses = pose_columns([at.points], [at.normals], unloaded.frame.centre_mm, *unloaded.pose_sd)
+    stays = unloaded.noise.nugget_mm**2 * np.eye(len(once)) + poses @ poses.T
+    np.testing.assert_allclose(often - stays, (once - stays) / 4, atol=1e-12)
 
 
 def test_a_body_that_nothing_holds_is_noticed(sliding: World, tmp_path: Path) -> None:

@@ -76,6 +76,7 @@ def test_values_are_held_and_intervals_are_searched() -> None:
         ("noise", None, "reference_repeat"),
         ("noise.sd", 1, "did you mean 'sd_mm'"),
         ("noise.in_scans", "reference", "'all' or 'loaded'"),
+        ("scans.pose_sd_mm", -0.1, "greater than or equal to 0"),
         ("scans.loads", [], "at least 1"),
         ("scans.labels", {"0": "air", "1": "skin"}, "'air', 'fat' or 'glandular'"),
         ("scans.loads.0.force_n", -40, "greater than 0"),

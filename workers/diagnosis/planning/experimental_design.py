@@ -17,12 +17,11 @@ from scipy.linalg import block_diag
 
 from storage.values import BoolArray, FloatArray
 from workers.comparison.observation.interface import InterfacePoints
-from workers.comparison.observation.noise import covariance
-from workers.diagnosis.calibration import with_common_error
 from workers.diagnosis.detectability import confusion
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.inverse_problem import InverseProblem, Scan, Values
 from workers.diagnosis.linearisation import Linearised, factored
+from workers.diagnosis.noise_parts import planned_covariance
 from workers.diagnosis.planning.load_sensitivity import LoadSensitivity
 from workers.diagnosis.planning.state_information import Detectability, detectability, separation
 from workers.diagnosis.settings import SETTINGS
@@ -234,9 +233,8 @@ def _scanned(unloaded: InverseProblem, design: Design) -> FloatArray:
         unloaded,
         noise=noise,
         scans=[_NOISE_ONLY] * len(design.states),
-        covariance=covariance(unloaded.points, noise, len(design.states)),
     )
-    return with_common_error(inverse).covariance
+    return planned_covariance(inverse)
 
 
 def _print(effect: Effect, columns: FloatArray) -> EffectSensitivity:

@@ -25,6 +25,7 @@ def acquisition_of(case: ScannedCase) -> Acquisition:
         loads=case.names,
         problem=case.problem,
         effects=BREAST_EFFECTS,
+        pose_sd=case.pose_sd,
     )
 
 

@@ -136,6 +136,8 @@ class _ProseLoad(Door):
 class _ProseScans(Door):
     reference: str
     reference_repeat: str | None = None
+    pose_sd_mm: float | None = None
+    pose_sd_deg: float | None = None
     deformed: tuple[_ProseLoad, ...]
 
 
@@ -338,6 +340,8 @@ def _scans(prose: _Prose, where: str) -> dict[str, Any]:
     return {
         "reference": prose.scans.reference,
         "reference_repeat": prose.scans.reference_repeat,
+        "pose_sd_mm": prose.scans.pose_sd_mm,
+        "pose_sd_deg": prose.scans.pose_sd_deg,
         "labels": labels,
         "loads": loads,
     }

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from storage.values import Triple
 from workers.mechanics.parameters import unknown_name
-from workers.spec import Door, Finite, Positive, require_one_of
+from workers.spec import Door, Finite, NotNegative, Positive, require_one_of
 
 ALONG_X: Triple = (1.0, 0.0, 0.0)
 ALONG_Y: Triple = (0.0, 1.0, 0.0)
@@ -185,10 +185,16 @@ def _usual_labels() -> dict[int, LabelName]:
 
 
 class CaseScans(Door):
-    """The scan at rest, a second segmentation of it, and the scans under load."""
+    """The scan at rest, a second segmentation of it, and the scans under load.
+
+    `pose_sd_mm` and `pose_sd_deg` say how far a loaded scan may lie from where its header puts
+    it, along and about each axis; without them the settings of the diagnosis do.
+    """
 
     reference: str
     reference_repeat: str | None = None
+    pose_sd_mm: NotNegative | None = None
+    pose_sd_deg: NotNegative | None = None
     labels: dict[int, LabelName] = Field(default_factory=_usual_labels)
     loads: Annotated[tuple[CaseLoad, ...], Field(min_length=1)]
 

@@ -252,7 +252,7 @@ def _whitening(
 
     What voxels leave of an interface is independent from point to point. Of drawn images the
     covariance counts, with what segmentations err by in common; see
-    `workers.diagnosis.calibration.with_common_error`.
+    `workers.diagnosis.noise_parts`.
     """
     if not imaged:
         sd = float(np.hypot(MOVED_VOXELS * noise.nugget_mm / NUGGET_VOXELS, noise.nugget_mm))

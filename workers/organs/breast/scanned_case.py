@@ -13,6 +13,7 @@ from storage.values import Tissue, Triple, Volume
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.noise_estimation import from_repeat
 from workers.diagnosis.inverse_problem import FreeConstant, Values
+from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.fem.fields import FibreField, Frame
 from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Load, Wall
 from workers.mechanics.fem.problem import Constants, Problem
@@ -83,6 +84,15 @@ class ScannedCase:
         of_reference = stated.sd_mm if stated.in_scans == "all" else 0.0
         nugget = NUGGET_VOXELS * max(self.reference.spacing_mm)
         return SegmentationNoise(stated.sd_mm, stated.correlation_mm, of_reference, nugget)
+
+    @property
+    def pose_sd(self) -> tuple[float, float]:
+        """How far a scan may lie from where its header puts it, in mm and in degrees."""
+        shift_mm, turn_deg = self.file.scans.pose_sd_mm, self.file.scans.pose_sd_deg
+        return (
+            SETTINGS.pose.shift_sd_mm if shift_mm is None else shift_mm,
+            SETTINGS.pose.turn_sd_deg if turn_deg is None else turn_deg,
+        )
 
     def problem(self, number: int, frame: Frame) -> Callable[[Values], Problem]:
         """Return the nominal model of one loaded scan, from the values of the free constants."""

@@ -20,9 +20,9 @@ from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise, covariance
 from workers.diagnosis.acquisition import Acquisition
 from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.discrepancy import SmoothField
 from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan
 from workers.diagnosis.pictures.scan_pictures import Displacements
+from workers.diagnosis.smooth_field import SmoothField
 from workers.diagnosis.source import FinishedStudy, SourceContent
 from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
@@ -192,6 +192,7 @@ class CorneaStudySource:
             bias=np.zeros(len(points)),
             forward=CorneaForward(),
             something_else=SOMETHING_ELSE,
+            is_segmented=False,
         )
 
     def finer(self, nodes: int) -> None:

@@ -164,6 +164,7 @@ class SpecimenSource:
             covariance=observed.covariance,
             bias=np.zeros(len(observed.covariance)),
             arms=self._arms(mesh),
+            is_segmented=False,
         )
 
     def finer(self, nodes: int) -> Model | None:

@@ -1,0 +1,73 @@
+"""Scans whose noise stays the same for every hypothesis.
+
+A residual is read where the model puts a material point. A hypothesis that lets the body slide
+by some mm reads it elsewhere on the drawn interface, where its error is another one: misfits of two
+hypotheses then differ by the difference of two draws of noise, which is tens of nats for a thousand
+points, and tells nothing of either. So the error is read once, where the nominal model puts the
+points; how a hypothesis changes a residual is read off the interface averaged over a disc, which
+has little noise left but the same shape:
+
+.. math:: r(x) = d(x_0) + \\bar d(x) - \\bar d(x_0)
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.comparison.observation.interface import InterfacePoints
+from workers.diagnosis.inverse_problem import Scan
+from workers.diagnosis.settings import SETTINGS
+
+Compare = Callable[[FloatArray, InterfacePoints], tuple[FloatArray, FloatArray]]
+
+
+def anchored(
+    scan: Scan, anchor: FloatArray, points: InterfacePoints, correlation_mm: float
+) -> Scan:
+    """Return a scan whose noise is that where the nominal model puts the points.
+
+    Parameters
+    ----------
+    scan : Scan
+    anchor : ndarray, shape (k, 3)
+        Where that is.
+    points : InterfacePoints
+        Of the reference.
+    correlation_mm : float
+        Of the noise: the disc's radius.
+    """
+    drawn, raw = scan.compare(anchor, points)
+    _, along = _averaged(scan.compare, _disc(raw, correlation_mm), anchor, points)
+    disc = _disc(along, correlation_mm)
+    error = drawn - _averaged(scan.compare, disc, anchor, points)[0]
+
+    def compare(moved: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
+        distance, normals = _averaged(scan.compare, disc, moved, of)
+        return distance + error, normals
+
+    return replace(scan, compare=compare)
+
+
+def _averaged(
+    compare: Compare, disc: FloatArray, moved: FloatArray, points: InterfacePoints
+) -> tuple[FloatArray, FloatArray]:
+    """Return distances and their derivatives over a disc about each point."""
+    found = [compare(moved + offset, points) for offset in disc]
+    distances, normals = zip(*found, strict=True)
+    return np.mean(distances, axis=0), np.mean(normals, axis=0)
+
+
+def _disc(normals: FloatArray, radius_mm: float) -> FloatArray:
+    """Return offsets across each normal, shape (n, k, 3)."""
+    n = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-9)[:, None]
+    least = np.eye(3)[np.abs(n).argmin(axis=1)]
+    u = np.cross(n, least)
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    v = np.cross(n, u)
+    offsets = [np.zeros_like(n)]
+    for part, count in SETTINGS.points.disc:
+        turns = 2 * np.pi * np.arange(count) / count
+        offsets += [part * radius_mm * (np.cos(t) * u + np.sin(t) * v) for t in turns]
+    return np.stack(offsets)

@@ -1,0 +1,106 @@
+"""What the noise of a case is made of, at the first fit of its constants."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.comparison.observation.noise import correlation, covariance
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.noise_model import NoiseParts
+from workers.diagnosis.nuisances import drawing_columns, pose_columns, smooth_columns
+from workers.diagnosis.scan_prediction import ComparedScan
+from workers.diagnosis.settings import SETTINGS
+
+
+def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> NoiseParts:
+    """Return the noise of an inverse problem whose constants have been fitted once.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+        With the bias of its mesh, and the covariance that is stated.
+    predictions : sequence of ComparedScan
+        One for each scan.
+    """
+    moved, normals = [v.points for v in predictions], [v.normals for v in predictions]
+    return NoiseParts(
+        stated=stated_covariances(inverse),
+        lengths=noise_lengths(inverse),
+        groups=np.tile(inverse.points.interface, len(inverse.scans)),
+        fixed=_nuisances(inverse, moved, normals),
+        numerical=_numerical(inverse, predictions),
+    )
+
+
+def planned_covariance(inverse: InverseProblem) -> FloatArray:
+    """Return that of scans that are not made yet, shape (m, m), in mm^2.
+
+    As it is stated, with poses and drawing; points are where the body is at rest.
+    """
+    scans, points = len(inverse.scans), inverse.points
+    drawn = covariance(points, inverse.noise, scans) + _smoother(inverse, 1.0)
+    fixed = _nuisances(inverse, [points.points] * scans, [points.normals] * scans)
+    return np.asarray(drawn + fixed @ fixed.T)
+
+
+def _nuisances(
+    inverse: InverseProblem, moved: Sequence[FloatArray], normals: Sequence[FloatArray]
+) -> FloatArray:
+    """Return the columns of poses and drawing for interfaces that are where they were moved."""
+    scans, interface = len(inverse.scans), inverse.points.interface
+    sd_mm = inverse.noise.sd_mm
+    common = SETTINGS.noise.common * sd_mm
+    if not inverse.is_segmented:
+        return drawing_columns(interface, scans, common, 0.0)
+    pose = pose_columns(
+        moved,
+        normals,
+        inverse.frame.centre_mm,
+        *inverse.pose_sd,
+    )
+    each = SETTINGS.pose.drawing * sd_mm
+    return np.hstack([pose, drawing_columns(interface, scans, common, each)])
+
+
+def noise_lengths(inverse: InverseProblem) -> tuple[float, ...]:
+    """Return correlation lengths over the stated one; measured noise has its own only."""
+    return SETTINGS.noise.lengths if inverse.is_segmented else (1.0,)
+
+
+def stated_covariances(inverse: InverseProblem) -> tuple[FloatArray, ...]:
+    """Return that of the observation for each correlation length, shape (m, m)."""
+    if not inverse.is_segmented:
+        return (inverse.covariance + _smoother(inverse, 1.0),)
+    found = []
+    for factor in noise_lengths(inverse):
+        noise = replace(inverse.noise, correlation_mm=factor * inverse.noise.correlation_mm)
+        drawn = covariance(inverse.points, noise, len(inverse.scans))
+        found.append(drawn + _smoother(inverse, factor))
+    return tuple(found)
+
+
+def _smoother(inverse: InverseProblem, factor: float) -> FloatArray:
+    """Return what of each scan's noise is smoother than its correlation length says."""
+    settings, noise = SETTINGS.noise, inverse.noise
+    smooth = correlation(inverse.points, settings.smoother_lengths * factor * noise.correlation_mm)
+    variance = (settings.smoother * noise.sd_mm) ** 2
+    return np.asarray(np.kron(np.eye(len(inverse.scans)), variance * smooth), np.float64)
+
+
+def _numerical(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
+    """Return the columns of the numerical error; it grows with the element and the load."""
+    settings, shape = SETTINGS.numerical, (len(inverse.scans), -1)
+    difference = np.sqrt((inverse.bias.reshape(shape) ** 2).mean(axis=1))
+    each = np.hypot(settings.of_difference * difference, settings.least_mm)
+    if not inverse.is_segmented:
+        each = settings.of_difference * difference
+    return smooth_columns(
+        np.tile(inverse.points.points, (len(inverse.scans), 1)),
+        np.concatenate([one.normals for one in predictions]),
+        inverse.rows,
+        np.repeat(each, len(inverse.points)),
+        settings.length_mm,
+        settings.state_correlation if inverse.is_segmented else settings.state_correlation_markers,
+    )

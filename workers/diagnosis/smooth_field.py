@@ -1,0 +1,42 @@
+"""What is believed of a smooth field that stands for something else than what is listed.
+
+An unknown displacement seen along the normals; see `workers.diagnosis.nuisances.smooth_covariance`
+(the model discrepancy of M. C. Kennedy and A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
+"""
+
+from dataclasses import dataclass
+
+from storage.errors import InputError
+from workers.diagnosis.settings import SETTINGS
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothField:
+    """What is believed of the field before data.
+
+    Parameters
+    ----------
+    amplitudes_mm, lengths_mm : tuple of float
+        Standard deviations of the displacement along any direction, and correlation
+        lengths; all pairs are equally probable.
+    state_correlation : float
+        Between two states, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
+
+    amplitudes_mm: tuple[float, ...] = SETTINGS.smooth_field.amplitudes_mm
+    lengths_mm: tuple[float, ...] = SETTINGS.smooth_field.lengths_mm
+    state_correlation: float = SETTINGS.smooth_field.state_correlation
+
+    def __post_init__(self) -> None:
+        scales = self.amplitudes_mm + self.lengths_mm
+        usable = self.amplitudes_mm and self.lengths_mm and min(scales) > 0
+        if not usable or not 0 <= self.state_correlation <= 1:
+            raise InputError(
+                "A smooth field needs amplitudes > 0, lengths > 0 and a correlation between "
+                f"states from 0 to 1, found {self}."
+            )

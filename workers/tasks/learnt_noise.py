@@ -1,0 +1,58 @@
+"""The learnt noise of a calibration as arrays in the store, and back."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from storage.arrays import Arrays
+from workers.diagnosis.calibration import with_anchored_scans
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.noise_model import LearntNoise, NoiseParts, NoiseState
+from workers.diagnosis.noise_parts import noise_lengths, stated_covariances
+
+
+def noise_arrays(inverse: InverseProblem) -> Arrays:
+    """Return all of it that points and stated noise do not give again.
+
+    Raises
+    ------
+    ValueError
+        If the problem has not been calibrated.
+    """
+    learnt = inverse.learnt
+    if learnt is None:
+        raise ValueError("the noise is learnt with the calibration")
+    anchors = {"noise_anchors": np.stack(inverse.anchors)} if inverse.anchors else {}
+    return anchors | {
+        "noise_fixed": learnt.parts.fixed,
+        "noise_numerical": learnt.parts.numerical,
+        "noise_state_lengths": np.array([s.length for s in learnt.states], np.int32),
+        "noise_state_scales": np.stack([s.scales for s in learnt.states]),
+        "noise_state_numerical": np.array([s.numerical for s in learnt.states]),
+        "noise_state_log_weights": np.array([s.log_weight for s in learnt.states]),
+        "noise_state_shares": np.array([s.share for s in learnt.states]),
+    }
+
+
+def with_stored_noise(inverse: InverseProblem, arrays: Arrays) -> InverseProblem:
+    """Return a problem, with the points of its calibration, with the noise that was learnt."""
+    parts = NoiseParts(
+        stated=stated_covariances(inverse),
+        lengths=noise_lengths(inverse),
+        groups=np.tile(inverse.points.interface, len(inverse.scans)),
+        fixed=arrays["noise_fixed"],
+        numerical=arrays["noise_numerical"],
+    )
+    rows = zip(
+        arrays["noise_state_lengths"].tolist(),
+        arrays["noise_state_scales"],
+        arrays["noise_state_numerical"].tolist(),
+        arrays["noise_state_log_weights"].tolist(),
+        arrays["noise_state_shares"].tolist(),
+        strict=True,
+    )
+    learnt = LearntNoise(parts, tuple(NoiseState(*row) for row in rows))
+    known = replace(inverse, learnt=learnt, covariance=learnt.covariance)
+    return (
+        with_anchored_scans(known, list(arrays["noise_anchors"])) if inverse.is_segmented else known
+    )

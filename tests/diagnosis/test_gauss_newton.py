@@ -11,12 +11,12 @@ from workers.body.mesh.hierarchy import build_hierarchy
 from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.point_interpolation import interpolation
-from workers.diagnosis.gauss_newton import SolvedFit, fit, registered
+from workers.diagnosis.gauss_newton import SolvedFit, fit
 from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan, unknowns
 from workers.diagnosis.joint_fit import fit_jointly
 from workers.diagnosis.noise_model import NoiseParts, believed
 from workers.diagnosis.nominal_analysis import NominalAnalysis
-from workers.diagnosis.nuisances import pose_columns
+from workers.diagnosis.scan_poses import registered
 from workers.diagnosis.scan_prediction import derivatives, predict_scan
 from workers.diagnosis.sensitivity_analysis import (
     inclusion_grid,
@@ -138,10 +138,9 @@ def lying_elsewhere(inverse: InverseProblem, shift_mm: FloatArray) -> InversePro
 
         return replace(scan, compare=compare)
 
-    m, at = len(inverse.bias), inverse.points
-    fixed = pose_columns([at.points] * 2, [at.normals] * 2, inverse.frame.centre_mm, 0.3, 0.3)
-    stated = 0.01 * np.eye(m)
-    parts = NoiseParts((stated,), (1.0,), np.zeros(m, np.int32), fixed, np.zeros((m, 0)))
+    m = len(inverse.bias)
+    stated, none = 0.01 * np.eye(m), np.zeros((m, 0))
+    parts = NoiseParts((stated,), (1.0,), np.zeros(m, np.int32), none, none)
     learnt = believed(parts)
     scans = [compress(scan) for scan in inverse.scans]
     return replace(inverse, scans=scans, learnt=learnt, covariance=learnt.covariance)
@@ -159,7 +158,7 @@ def test_scans_are_compared_where_they_lie() -> None:
         assert found.values()[name] == pytest.approx(value, rel=0.03)
     for pose in found.poses():
         assert pose is not None
-        assert pose.motion[:3] == pytest.approx(-shift_mm, abs=0.05)
+        assert pose[:3] == pytest.approx(-shift_mm, abs=0.05)
     again = registered(inverse, free, found.z, found.predictions)
     for before, after in zip(found.predictions, again, strict=True):
         np.testing.assert_allclose(after.residual, before.residual, atol=0.01)

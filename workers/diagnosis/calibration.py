@@ -10,11 +10,12 @@ from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, TetMesh
 from workers.comparison.observation.point_interpolation import interpolation
 from workers.diagnosis.anchored_scan import anchored
-from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit, residuals
+from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit
 from workers.diagnosis.inverse_problem import InverseProblem, Scan, unknowns
 from workers.diagnosis.noise_model import LearntNoise, believed, learnt_states
 from workers.diagnosis.noise_parts import noise_parts
-from workers.diagnosis.nuisances import smooth_columns
+from workers.diagnosis.nuisances import pose_columns, smooth_columns
+from workers.diagnosis.scan_poses import residuals
 from workers.diagnosis.scan_prediction import (
     ComparedScan,
     PredictedScan,
@@ -154,7 +155,11 @@ def with_learnt_noise(
             SETTINGS.smooth_field.state_correlation,
             SETTINGS.smooth_field.rank_tolerance,
         )
-        found = learnt_states(parts, columns, residuals(inverse, predictions), field)
+        centre_mm = inverse.frame.centre_mm
+        moved, normals = [v.points for v in predictions], [v.normals for v in predictions]
+        poses = pose_columns(moved, normals, centre_mm, *inverse.pose_sd)
+        known = np.hstack([columns, poses])
+        found = learnt_states(parts, known, residuals(inverse, predictions), field)
         learnt = LearntNoise(parts, tuple(found))
     return replace(inverse, learnt=learnt, covariance=learnt.covariance)
 

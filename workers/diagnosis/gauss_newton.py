@@ -7,14 +7,13 @@ import numpy as np
 
 from storage.values import FloatArray
 from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns
-from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.linearisation import Linearised, factored
 from workers.diagnosis.noise_model import LinearHypothesis
+from workers.diagnosis.scan_poses import PosedNoise, poses_of, registered, residuals
 from workers.diagnosis.scan_prediction import (
     ComparedScan,
-    Pose,
     PredictedScan,
     ScanJacobian,
-    compare_with_scan,
     derivatives,
     predict_scan,
 )
@@ -59,13 +58,14 @@ class Fit:
 
     def linearised(self, inverse: InverseProblem) -> Linearised:
         """Return residuals, derivatives and noise around the optimum; poses are in the noise."""
-        u = self.unknowns
+        u, poses = self.unknowns, self.pose_columns(inverse)
+        factor = inverse.covariance_factor
         return Linearised(
             residuals(inverse, self.predictions),
             self.jacobian,
             u.sd,
             self.z - u.mean,
-            inverse.covariance_factor,
+            factored(inverse.covariance + poses @ poses.T) if poses.size else factor,
         )
 
     def linearised_with_poses(self, inverse: InverseProblem) -> Linearised:
@@ -73,8 +73,8 @@ class Fit:
 
         A gap is what they leave: where a scan lies is no fault of the model.
         """
-        u, nuisances = self.unknowns, inverse.nuisances
-        q = nuisances.shape[1]
+        u, q = self.unknowns, inverse.nuisance_count
+        nuisances = np.hstack([self.pose_columns(inverse), inverse.drawing])
         return Linearised(
             residuals(inverse, self.predictions),
             np.hstack([self.jacobian, nuisances]),
@@ -86,12 +86,17 @@ class Fit:
     def hypothesis(self, inverse: InverseProblem) -> LinearHypothesis:
         """Return the same for `workers.diagnosis.noise_model.NoiseModel`."""
         u = self.unknowns
-        return LinearHypothesis(
+        found = LinearHypothesis(
             residuals(inverse, self.predictions),
             self.jacobian * u.sd,
             (self.z - u.mean) / u.sd,
             u.one_sided,
         )
+        return found.with_errors(self.pose_columns(inverse))
+
+    def pose_columns(self, inverse: InverseProblem) -> FloatArray:
+        """Return what poses do to the residuals; see `workers.diagnosis.scan_poses`."""
+        return poses_of(inverse, self.predictions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,14 +109,9 @@ class SolvedFit(Fit):
         """Return where another fit may begin."""
         return [one.at for one in self.predictions]
 
-    def poses(self) -> list[Pose | None]:
+    def poses(self) -> list[FloatArray | None]:
         """Return where the scans lie."""
         return [one.pose for one in self.predictions]
-
-
-def residuals(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
-    """Return residuals of all scans, less what the mesh adds, shape (m,)."""
-    return np.concatenate([v.residual for v in predictions]) - inverse.bias
 
 
 def fit(
@@ -119,7 +119,7 @@ def fit(
     unknowns: Unknowns,
     start: FloatArray,
     starts: Sequence[Equilibrium | None],
-    poses: Sequence[Pose | None] | None = None,
+    poses: Sequence[FloatArray | None] | None = None,
     each: Each = map,
 ) -> SolvedFit | None:
     """Find the most probable parameters.
@@ -130,8 +130,8 @@ def fit(
         Where to begin.
     starts : sequence of Equilibrium
         Of each scan, near there; None to solve from rest.
-    poses : sequence of Pose, optional
-        Where the scans lie to begin with; as their headers say.
+    poses : sequence of ndarray, shape (6,), optional
+        Where the scans lie to begin with, see `PredictedScan`; as their headers say.
     each : callable
         Calls a function with every scan, as `map` does; maybe several at a time.
 
@@ -141,7 +141,7 @@ def fit(
         None if the simulation at the start does not converge.
     """
     z = np.clip(start, unknowns.lower, unknowns.upper)
-    nowhere: Sequence[Pose | None] = poses or [None] * len(starts)
+    nowhere: Sequence[FloatArray | None] = poses or [None] * len(starts)
     predictions = _predict_scans(inverse, unknowns, z, starts, nowhere, each)
     if predictions is None:
         return None
@@ -175,10 +175,12 @@ def _predict_scans(
     unknowns: Unknowns,
     z: FloatArray,
     starts: Sequence[Equilibrium | None],
-    poses: Sequence[Pose | None],
+    poses: Sequence[FloatArray | None],
     each: Each,
 ) -> tuple[PredictedScan, ...] | None:
-    def predicted(scan: Scan, start: Equilibrium | None, pose: Pose | None) -> PredictedScan | None:
+    def predicted(
+        scan: Scan, start: Equilibrium | None, pose: FloatArray | None
+    ) -> PredictedScan | None:
         return predict_scan(inverse, scan, unknowns, z, start, pose)
 
     found = []
@@ -187,42 +189,6 @@ def _predict_scans(
             return None
         found.append(one)
     return registered(inverse, unknowns, z, found)
-
-
-def registered(
-    inverse: InverseProblem, unknowns: Unknowns, z: FloatArray, found: Sequence[PredictedScan]
-) -> tuple[PredictedScan, ...]:
-    """Compare with the scans where the residuals say that they lie.
-
-    A cost belongs to parameters only where this has settled: off the interface it is too low.
-    """
-    found = tuple(found)
-    if not inverse.has_poses:
-        return found
-    settings, k = SETTINGS.pose, len(inverse.points)
-    sd = np.repeat(inverse.pose_sd, 3)
-    N = inverse.nuisances[:, : len(sd) * len(found)]
-    white_N = _whiten(inverse, N)
-    before = np.zeros(N.shape[1])
-    for one, rows in zip(found, _split(before, len(found)), strict=True):
-        if one.pose is not None:
-            rows[:] = one.pose.motion / np.where(sd > 0, sd, 1.0)
-    for _ in range(settings.registrations):
-        after = white_N.T @ _whiten(inverse, residuals(inverse, found))
-        if np.abs(after - before).max() < settings.settled:
-            break
-        poses = zip(_split(after, len(found)), (N @ after).reshape(-1, k), strict=True)
-        found = tuple(
-            compare_with_scan(inverse, scan, unknowns, z, one.at, Pose(sd * own, along))
-            for scan, one, (own, along) in zip(inverse.scans, found, poses, strict=True)
-        )
-        before = after
-    return found
-
-
-def _split(values: FloatArray, parts: int) -> FloatArray:
-    """Return a view with a row for each scan."""
-    return values.reshape(parts, -1)
 
 
 def _jacobians(
@@ -244,16 +210,9 @@ def _jacobians(
 def _cost(
     inverse: InverseProblem, u: Unknowns, z: FloatArray, predictions: Sequence[PredictedScan]
 ) -> float:
-    white = _whiten(inverse, residuals(inverse, predictions))
-    return float(white @ white + (((z - u.mean) / u.sd) ** 2).sum())
-
-
-def _whiten(inverse: InverseProblem, values: FloatArray) -> FloatArray:
-    n = len(values)
-    empty = Linearised(
-        np.zeros(n), np.zeros((n, 0)), np.ones(0), np.zeros(0), inverse.covariance_factor
-    )
-    return empty.whiten(values)
+    noise = PosedNoise(inverse, predictions)
+    white = noise.whiten(residuals(inverse, predictions))
+    return float(white @ noise.cleared(white) + (((z - u.mean) / u.sd) ** 2).sum())
 
 
 def _step(
@@ -267,15 +226,16 @@ def _step(
 
     Parameters at a bound that push outwards stay there.
     """
-    A = _whiten(inverse, J) * u.sd
-    rho = _whiten(inverse, residuals(inverse, predictions))
+    noise = PosedNoise(inverse, predictions)
+    A = noise.whiten(J) * u.sd
+    rho = noise.cleared(noise.whiten(residuals(inverse, predictions)))
+    curvature = A.T @ noise.cleared(A) + np.eye(len(z))
     held = np.zeros(len(z), bool)
     while True:
         g = A.T @ rho + (z - u.mean) / u.sd
-        H = A.T @ A + np.eye(len(z))
         go = np.flatnonzero(~held)
         step = np.zeros(len(z))
-        step[go] = -np.linalg.solve(H[np.ix_(go, go)], g[go])
+        step[go] = -np.linalg.solve(curvature[np.ix_(go, go)], g[go])
         blocked = ((z <= u.lower) & (step < 0)) | ((z >= u.upper) & (step > 0))
         if not (blocked & ~held).any():
             break
@@ -287,7 +247,7 @@ def _step(
 
 def _places(
     predictions: Sequence[PredictedScan],
-) -> tuple[list[Equilibrium | None], list[Pose | None]]:
+) -> tuple[list[Equilibrium | None], list[FloatArray | None]]:
     """Return from where the next trial of a line search is solved and compared."""
     return [v.at for v in predictions], [v.pose for v in predictions]
 

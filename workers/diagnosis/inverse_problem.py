@@ -97,7 +97,8 @@ class InverseProblem:
     scans : sequence of Scan
     noise : SegmentationNoise
     covariance : ndarray, shape (s k, s k)
-        Of the noise of the residuals of all scans, one after another, in mm^2.
+        Of the noise of the residuals of all scans, one after another, in mm^2; without poses,
+        whose columns belong to a fit.
     bias : ndarray, shape (s k,)
         What the mesh adds to the residuals, in mm; subtracted.
     is_segmented : bool
@@ -145,14 +146,14 @@ class InverseProblem:
 
     @cached_property
     def scatter_factor(self) -> FloatArray:
-        """The same without poses and drawing, which `nuisances` has as columns."""
+        """The same without drawing, which `drawing` has as columns."""
         if self.learnt is None:
             return self.covariance_factor
         return factored(self.learnt.scatter)
 
     @property
-    def nuisances(self) -> FloatArray:
-        """Columns of poses and drawing per prior standard deviation, shape (s k, q), in mm."""
+    def drawing(self) -> FloatArray:
+        """Columns of interfaces drawn too large, per prior sd, shape (s k, q), in mm."""
         if self.learnt is None:
             return np.zeros((len(self.bias), 0))
         return self.learnt.parts.fixed
@@ -161,6 +162,12 @@ class InverseProblem:
     def has_poses(self) -> bool:
         """Whether scans may lie elsewhere than their headers say."""
         return self.learnt is not None and self.is_segmented
+
+    @property
+    def nuisance_count(self) -> int:
+        """How many columns of poses and drawing a fit has."""
+        poses = 6 * len(self.scans) if self.has_poses else 0
+        return poses + self.drawing.shape[1]
 
     @cached_property
     def rows(self) -> IntArray:

@@ -69,7 +69,8 @@ def _fitted_from(
     fitted = fit(inverse, free, z, nominal.starts(), nominal.poses(), each)
     if fitted is None:
         return None
-    evidence = log_evidence(fitted.linearised(inverse), free.one_sided)
+    poses = np.zeros(inverse.nuisance_count, np.bool_)
+    evidence = log_evidence(fitted.linearised_with_poses(inverse), np.append(free.one_sided, poses))
     return JointFit(tuple(effects), fitted, evidence)
 
 

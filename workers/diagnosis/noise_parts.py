@@ -24,12 +24,11 @@ def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) ->
     predictions : sequence of ComparedScan
         One for each scan.
     """
-    moved, normals = [v.points for v in predictions], [v.normals for v in predictions]
     return NoiseParts(
         stated=stated_covariances(inverse),
         lengths=noise_lengths(inverse),
         groups=np.tile(inverse.points.interface, len(inverse.scans)),
-        fixed=_nuisances(inverse, moved, normals),
+        fixed=_drawing(inverse),
         numerical=_numerical(inverse, predictions),
     )
 
@@ -41,27 +40,20 @@ def planned_covariance(inverse: InverseProblem) -> FloatArray:
     """
     scans, points = len(inverse.scans), inverse.points
     drawn = covariance(points, inverse.noise, scans) + _smoother(inverse, 1.0)
-    fixed = _nuisances(inverse, [points.points] * scans, [points.normals] * scans)
+    fixed = _drawing(inverse)
+    if inverse.is_segmented:
+        centre_mm, at_rest = inverse.frame.centre_mm, ([points.points], [points.normals])
+        moved, normals = (one * scans for one in at_rest)
+        fixed = np.hstack([pose_columns(moved, normals, centre_mm, *inverse.pose_sd), fixed])
     return np.asarray(drawn + fixed @ fixed.T)
 
 
-def _nuisances(
-    inverse: InverseProblem, moved: Sequence[FloatArray], normals: Sequence[FloatArray]
-) -> FloatArray:
-    """Return the columns of poses and drawing for interfaces that are where they were moved."""
-    scans, interface = len(inverse.scans), inverse.points.interface
+def _drawing(inverse: InverseProblem) -> FloatArray:
+    """Return the columns of interfaces drawn too large."""
     sd_mm = inverse.noise.sd_mm
+    each = SETTINGS.pose.drawing * sd_mm if inverse.is_segmented else 0.0
     common = SETTINGS.noise.common * sd_mm
-    if not inverse.is_segmented:
-        return drawing_columns(interface, scans, common, 0.0)
-    pose = pose_columns(
-        moved,
-        normals,
-        inverse.frame.centre_mm,
-        *inverse.pose_sd,
-    )
-    each = SETTINGS.pose.drawing * sd_mm
-    return np.hstack([pose, drawing_columns(interface, scans, common, each)])
+    return drawing_columns(inverse.points.interface, len(inverse.scans), common, each)
 
 
 def noise_lengths(inverse: InverseProblem) -> tuple[float, ...]:

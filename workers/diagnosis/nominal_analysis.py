@@ -73,7 +73,8 @@ class NominalAnalysis:
 
     def registered(self, change: FloatArray) -> FloatArray:
         """Return a change of the residuals, shape (m,), less what poses and drawing take of it."""
-        nuisances = self.inverse.nuisances
+        poses = self.nominal.pose_columns(self.inverse)
+        nuisances = np.hstack([poses, self.inverse.drawing])
         white = self.linear.whiten(np.column_stack([nuisances, change]))
         return np.asarray(change - nuisances @ (white[:, :-1].T @ white[:, -1]))
 

@@ -10,31 +10,11 @@ from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.plate_friction import FRICTION
-from workers.mechanics.effects.rigid_motion import RIGID_MOTION, rigidly_moved
+from workers.mechanics.effects.rigid_motion import RIGID_MOTION, rigid_columns, rigidly_moved
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.sensitivity import RELATIVE_ERROR, Change
 from workers.mechanics.fem.solve import Equilibrium
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """Where a scan is supposed to lie when it is compared with the model.
-
-    Far off an interface, distances to it are smoother than where it is, and no longer linear:
-    a motion of the scan, which residuals contain by their noise, must not be taken off them
-    afterwards.
-
-    Parameters
-    ----------
-    motion : ndarray, shape (6,)
-        Of the model against the scan, 3 shifts in mm and 3 turns in degrees.
-    along : ndarray, shape (k,)
-        What the noise has this motion add to the residuals, in mm.
-    """
-
-    motion: FloatArray
-    along: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +26,8 @@ class ComparedScan:
     points : ndarray, shape (k, 3)
         Where the points of the interfaces have gone.
     residual : ndarray, shape (k,)
-        In mm, positive outside of the observed tissue.
+        In mm, positive outside of the observed tissue; what the scan's pose adds is in it, as
+        far as it is linear.
     normals : ndarray, shape (k, 3)
         Of the observed interfaces.
     """
@@ -58,10 +39,14 @@ class ComparedScan:
 
 @dataclass(frozen=True, eq=False)
 class PredictedScan(ComparedScan):
-    """The same with the equilibrium of the model, from which others can be solved."""
+    """The same with the equilibrium of the model, from which others can be solved.
+
+    `pose` is where the scan is supposed to lie: a motion of the model against it, 3 shifts in mm
+    and 3 turns in degrees.
+    """
 
     at: Equilibrium
-    pose: Pose | None = None
+    pose: FloatArray | None = None
 
 
 def tissues_of(inverse: InverseProblem) -> IntArray:
@@ -87,7 +72,7 @@ def predict_scan(
     unknowns: Unknowns,
     z: FloatArray,
     start: Equilibrium | None,
-    pose: Pose | None = None,
+    pose: FloatArray | None = None,
 ) -> PredictedScan | None:
     """Simulate one scan; None if the simulation does not converge."""
     at = inverse.forward.equilibrium(
@@ -106,20 +91,25 @@ def compare_with_scan(
     unknowns: Unknowns,
     z: FloatArray,
     at: Equilibrium,
-    pose: Pose | None = None,
+    pose: FloatArray | None = None,
 ) -> PredictedScan:
-    """Compare an equilibrium with the scan, where it lies or is supposed to lie."""
+    """Compare an equilibrium with the scan, where it lies or is supposed to lie.
+
+    Far off an interface, distances to it are smoother than where it is, and no longer linear: a
+    motion of the scan is taken off the points, not off the distances.
+    """
     points = inverse.points.points + inverse.at_points @ at.solution.displacement_mm
     turned = [e for e in unknowns.effects if e is RIGID_MOTION]
-    compared, along = points, np.zeros(len(points))
+    compared = points
     for effect in turned:
         motion = np.array(list(unknowns.of_effect(effect, z).values()))
         compared = rigidly_moved(compared, motion, inverse.frame.centre_mm)
     if pose is not None:
-        compared = rigidly_moved(compared, -pose.motion, inverse.frame.centre_mm)
-        along = pose.along
+        compared = rigidly_moved(compared, -pose, inverse.frame.centre_mm)
     r, normals = scan.compare(compared, inverse.points)
-    r, tissues = r + along, tissues_of(inverse)
+    if pose is not None:
+        r = r + rigid_columns(points, normals, inverse.frame.centre_mm) @ pose
+    tissues = tissues_of(inverse)
     for effect in unknowns.effects:
         if effect.observation is not None and effect not in turned:
             values = unknowns.of_effect(effect, z)

@@ -143,7 +143,7 @@ def _gap_mm(diagnosis: Diagnosis) -> GapSummary:
     if best is None:
         return alone
     fits = diagnosis.analysis.linear_with_poses, best.fit.linearised_with_poses(inverse)
-    poses = inverse.nuisances.shape[1]
+    poses = inverse.nuisance_count
     fitted = _compared(shrinkage(*fits, SETTINGS.gap.seed, floor_mm=floor_mm, registered=poses))
     inside = replace(alone, before=fitted.before, after=fitted.after, share=fitted.share)
     return _with_held_out(inside, inverse, *fits)
@@ -157,7 +157,7 @@ def _registered(diagnosis: Diagnosis) -> LinearFit:
     """
     analysis = diagnosis.analysis
     inverse, nominal = analysis.inverse, analysis.linear_with_poses
-    poses = inverse.nuisances.shape[1]
+    poses = inverse.nuisance_count
     if not poses or diagnosis.verdict.kind == "no-gap":
         return LinearFit(nominal)
     best = diagnosis.best
@@ -181,7 +181,7 @@ def _with_held_out(
     """Add the gap of each scan as judged by a fit to the others."""
     if len(inverse.scans) < 2:
         return replace(inside, held_out="one scan only")
-    floor_mm, poses = inside.calibration_floor, inverse.nuisances.shape[1]
+    floor_mm, poses = inside.calibration_floor, inverse.nuisance_count
     seed = SETTINGS.gap.seed
     whole = _compared(unseen_shrinkage(nominal, with_effect, inverse.rows, seed, floor_mm, poses))
     each = {}

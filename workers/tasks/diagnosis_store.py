@@ -22,10 +22,11 @@ import numpy as np
 from storage.digest import digest
 from storage.errors import StoreError
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
-from workers.diagnosis.gauss_newton import Fit, SolvedFit, registered
+from workers.diagnosis.gauss_newton import Fit, SolvedFit
 from workers.diagnosis.inverse_problem import InverseProblem, unknowns
 from workers.diagnosis.joint_fit import JointFit
 from workers.diagnosis.nominal_analysis import NominalAnalysis
+from workers.diagnosis.scan_poses import registered
 from workers.diagnosis.scan_prediction import ComparedScan, predict_scan
 from workers.diagnosis.sensitivity_analysis import ScanSensitivity, joined_sensitivity
 from workers.diagnosis.settings import SETTINGS

@@ -15,6 +15,7 @@ _PHASES = {
     "calibration": "finding the nominal constants",
     "effects": "asking what every effect would do",
     "weighing": "weighing",
+    "reading": "reading the noise again",
     "refits": "refitting the suspects",
 }
 

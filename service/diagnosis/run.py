@@ -25,6 +25,7 @@ from workers.tasks.diagnosis import (
     build_problem,
     calibrate_nominal,
     fit_effects,
+    read_noise_again,
     weigh_hypotheses,
 )
 from workers.tasks.diagnosis_store import (
@@ -50,7 +51,7 @@ class Step:
 
     Parameters
     ----------
-    phase : {"calibration", "effects", "weighing", "refits"}
+    phase : {"calibration", "effects", "weighing", "reading", "refits"}
     done, of : int
         Tasks of the phase that have ended, and all of them; none when it begins.
     task : str
@@ -189,9 +190,13 @@ def run(
     effects = sorted(request.effects, key=lambda name: name not in LONG)
     numbers = range(calibration.scans)
     phases.run("effects", analyse_effect, [(e, number) for e in effects for number in numbers])
-    while wanted := phases.run("weighing", weigh_hypotheses, [()])[0].wanted:
-        longest_first = sorted(wanted, key=LONG.isdisjoint)
-        phases.run("refits", fit_effects, [(names,) for names in longest_first], by_scans=True)
+    while (left := phases.run("weighing", weigh_hypotheses, [()])[0]).is_open:
+        if left.unread:
+            phases.run("reading", read_noise_again, [(left.read_at,)], by_scans=True)
+            continue
+        longest_first = sorted(left.wanted, key=LONG.isdisjoint)
+        fits = [(names, left.read_at) for names in longest_first]
+        phases.run("refits", fit_effects, fits, by_scans=True)
     diagnosis = finished(request)
     if diagnosis is None:
         raise TaskError(
@@ -232,6 +237,5 @@ class _Phases:
 
 def _about(arguments: tuple[Any, ...]) -> str:
     """Name a task as a reader does: "plate_tilt with friction"."""
-    return ", ".join(
-        " with ".join(one) if isinstance(one, tuple) else str(one) for one in arguments
-    )
+    parts = (" with ".join(one) if isinstance(one, tuple) else str(one) for one in arguments)
+    return ", ".join(part for part in parts if part)

@@ -10,44 +10,42 @@ has little noise left but the same shape:
 .. math:: r(x) = d(x_0) + \\bar d(x) - \\bar d(x_0)
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from storage.values import FloatArray
 from workers.comparison.observation.interface import InterfacePoints
-from workers.diagnosis.inverse_problem import Scan
+from workers.diagnosis.inverse_problem import Compare, Scan
 from workers.diagnosis.settings import SETTINGS
-
-Compare = Callable[[FloatArray, InterfacePoints], tuple[FloatArray, FloatArray]]
 
 
 def anchored(
     scan: Scan, anchor: FloatArray, points: InterfacePoints, correlation_mm: float
 ) -> Scan:
-    """Return a scan whose noise is that where the nominal model puts the points.
+    """Return a scan whose noise is that of one place.
 
     Parameters
     ----------
     scan : Scan
     anchor : ndarray, shape (k, 3)
-        Where that is.
+        Where the model puts the points, and the noise is read.
     points : InterfacePoints
         Of the reference.
     correlation_mm : float
         Of the noise: the disc's radius.
     """
-    drawn, raw = scan.compare(anchor, points)
-    _, along = _averaged(scan.compare, _disc(raw, correlation_mm), anchor, points)
+    drawn = scan.drawn or scan.compare
+    there, raw = drawn(anchor, points)
+    _, along = _averaged(drawn, _disc(raw, correlation_mm), anchor, points)
     disc = _disc(along, correlation_mm)
-    error = drawn - _averaged(scan.compare, disc, anchor, points)[0]
+    error = there - _averaged(drawn, disc, anchor, points)[0]
 
     def compare(moved: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
-        distance, normals = _averaged(scan.compare, disc, moved, of)
+        distance, normals = _averaged(drawn, disc, moved, of)
         return distance + error, normals
 
-    return replace(scan, compare=compare)
+    return replace(scan, compare=compare, drawn=drawn)
 
 
 def _averaged(

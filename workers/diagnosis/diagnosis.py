@@ -3,32 +3,49 @@
 ::
 
     nominal analysis --> joint fits of single effects --> of pairs --> of three --> verdict
-                           (each joint fit is independent of the others)
+                           |            ^  (each joint fit is independent of the others)
+                           v            |
+                       second reading of the noise, where the best one is far from the first
 
-`diagnose` is a generator: it yields the joint fits that it wants and is sent them. Who fits,
-where, and whether a fit is stored already is no business of this file.
+`diagnose` is a generator: it yields the joint fits that it wants and is sent them, or a second
+reading and is sent the analysis that it gives. Who fits, where, and whether a fit is stored already
+is no business of this file.
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 from workers.diagnosis.hypotheses import Hypothesis
 from workers.diagnosis.joint_evidence import JointEvidence
-from workers.diagnosis.joint_fit import JointFit
+from workers.diagnosis.joint_fit import JointFit, fit_jointly
 from workers.diagnosis.noise_model import LinearHypothesis
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.screening import screen
+from workers.diagnosis.second_reading import is_elsewhere, read_again
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.verdict import Verdict, verdict
 from workers.mechanics.effects.base import Effect
+from workers.scan_threads import Each
 
 Combination = tuple[Effect, ...]
 """Effects that are fitted together with the constants."""
 
-Course = Generator[Sequence[Combination], Sequence[JointFit | None], "Diagnosis"]
+
+@dataclass(frozen=True, eq=False)
+class SecondReading:
+    """Wanted: the noise, read where `best` of some single effects puts the points."""
+
+    singles: Sequence[JointFit]
+    best: JointFit
+
+
+Wanted = Sequence[Combination] | SecondReading
+Answer = Sequence[JointFit | None] | NominalAnalysis
+Course = Generator[Wanted, Answer, "Diagnosis"]
 """Yields combinations whose joint fits are wanted; is sent these in their order, None for one
-that could not be simulated; returns the diagnosis."""
+that could not be simulated. Or yields a second reading, and is sent the analysis with it: later
+fits are wanted under that. Returns the diagnosis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,39 +86,49 @@ def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
         The catalogue.
     """
     known = {e.name: e for e in effects}
-    joint_fits: dict[tuple[str, ...], JointFit] = {}
-    singles: list[Combination] = [(e,) for e in suspects(analysis, known)]
-    if singles:
-        joint_fits |= _by_names((yield singles))
-    pairs = _pairs(analysis, known, list(joint_fits.values()))
-    if pairs:
-        joint_fits |= _by_names((yield pairs))
-    triples = _triples(analysis, known, list(joint_fits.values()))
-    if triples:
-        joint_fits |= _by_names((yield triples))
+    joint_fits = yield from _fitted([(e,) for e in suspects(analysis, known)])
+    singles = _ranked(joint_fits.values())
+    if singles and is_elsewhere(analysis, singles[0].fit):
+        analysis = _read((yield SecondReading(singles, singles[0])))
+        joint_fits = yield from _fitted([one.effects for one in _near(singles)])
+    joint_fits |= yield from _fitted(_pairs(analysis, known, list(joint_fits.values())))
+    joint_fits |= yield from _fitted(_triples(analysis, known, list(joint_fits.values())))
     hypotheses = weigh(analysis, joint_fits)
     families = {one.name: known[one.name].family for one in analysis.sensitivities}
     reached = verdict(hypotheses, families, analysis.hidden)
     return Diagnosis(analysis, reached, joint_fits, hypotheses)
 
 
-def advance(
-    course: Course, joint_fits: Sequence[JointFit | None] | None = None
-) -> Sequence[Combination] | Diagnosis:
-    """Take a diagnosis to where it wants joint fits again, or to its end.
+def advance(course: Course, answer: Answer | None = None) -> Wanted | Diagnosis:
+    """Take a diagnosis to where it wants something again, or to its end.
 
     Parameters
     ----------
     course : generator
         See `diagnose`.
-    joint_fits : sequence of JointFit or None, optional
-        Those that it wanted; nothing begins it.
+    answer : sequence of JointFit or None, or NominalAnalysis, optional
+        What it wanted; nothing begins it.
     """
     try:
-        return next(course) if joint_fits is None else course.send(joint_fits)
+        return next(course) if answer is None else course.send(answer)
     except StopIteration as end:
         diagnosis: Diagnosis = end.value
         return diagnosis
+
+
+def diagnose_here(
+    analysis: NominalAnalysis, effects: Sequence[Effect], each: Each = map
+) -> Diagnosis:
+    """Return the diagnosis, with all that it wants computed in this process, without a store."""
+    course = diagnose(analysis, effects)
+    reached = advance(course)
+    while not isinstance(reached, Diagnosis):
+        if isinstance(reached, SecondReading):
+            analysis = read_again(analysis, reached.singles, reached.best, each)
+            reached = advance(course, analysis)
+        else:
+            reached = advance(course, [fit_jointly(analysis, one, each) for one in reached])
+    return reached
 
 
 def suspects(analysis: NominalAnalysis, known: dict[str, Effect]) -> list[Effect]:
@@ -159,8 +186,30 @@ def _weighed(
     return Hypothesis(names, analysis.noise.log_evidence(at), analysis.noise.field_gain(at))
 
 
-def _by_names(fitted: Sequence[JointFit | None]) -> dict[tuple[str, ...], JointFit]:
-    return {one.names: one for one in fitted if one is not None}
+def _fitted(
+    combinations: Sequence[Combination],
+) -> Generator[Wanted, Answer, dict[tuple[str, ...], JointFit]]:
+    """Have combinations fitted; return the fits by the names of their effects."""
+    answer = (yield combinations) if combinations else []
+    if isinstance(answer, NominalAnalysis):
+        raise TypeError("joint fits are wanted, not an analysis")
+    return {one.names: one for one in answer if one is not None}
+
+
+def _read(answer: Answer) -> NominalAnalysis:
+    if not isinstance(answer, NominalAnalysis):
+        raise TypeError("an analysis is wanted, not joint fits")
+    return answer
+
+
+def _ranked(fits: Iterable[JointFit]) -> list[JointFit]:
+    return sorted(fits, key=lambda one: -one.log_evidence)
+
+
+def _near(ranked: Sequence[JointFit]) -> list[JointFit]:
+    """Return those that are worth another fit: not far behind the best."""
+    least = ranked[0].log_evidence - SETTINGS.joint_fits.far_behind
+    return [one for one in ranked if one.log_evidence >= least]
 
 
 def _pairs(
@@ -168,7 +217,7 @@ def _pairs(
 ) -> list[Combination]:
     """Return pairs that are worth a joint fit: the best effect with what speaks from what it
     leaves; all pairs of the best ones if a smooth field explains what is left."""
-    ranked = sorted(singles, key=lambda one: -one.log_evidence)[: SETTINGS.joint_fits.partners]
+    ranked = _ranked(singles)[: SETTINGS.joint_fits.partners]
     if not ranked:
         return []
     best = ranked[0]
@@ -185,7 +234,7 @@ def _triples(
     analysis: NominalAnalysis, known: dict[str, Effect], fits: Sequence[JointFit]
 ) -> list[Combination]:
     """Return the best two effects with what speaks from what they leave."""
-    ranked = sorted(fits, key=lambda one: -one.log_evidence)
+    ranked = _ranked(fits)
     if not ranked or len(ranked[0].effects) < 2:
         return []
     best = ranked[0]

@@ -23,6 +23,7 @@ from workers.mechanics.fem.problem import Problem
 from workers.units import KPA, Unit
 
 Values = Mapping[str, float]
+Compare = Callable[[FloatArray, InterfacePoints], tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +75,15 @@ class Scan:
     compare : callable
         From moved points, (k, 3), and the points of the reference to residuals, (k,) in
         mm, and their derivatives by the place of the point, (k, 3).
+    drawn : callable, optional
+        The same for interfaces as they were drawn, where `compare` has their noise from
+        elsewhere; see `workers.diagnosis.anchored_scan`.
     """
 
     name: str
     problem: Callable[[Values], Problem]
-    compare: Callable[[FloatArray, InterfacePoints], tuple[FloatArray, FloatArray]]
+    compare: Compare
+    drawn: Compare | None = None
 
 
 @dataclass(frozen=True, eq=False)

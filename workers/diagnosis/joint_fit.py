@@ -65,7 +65,7 @@ def _fitted_from(
     z = np.array([known[name] for name in free.names])
     k = len(inverse.free)
     z[:k] = np.log(z[:k])
-    z[:k] += _compensation(analysis, effects, start)
+    z[:k] += _compensation(analysis, _new(analysis, effects), start)
     fitted = fit(inverse, free, z, nominal.starts(), nominal.poses(), each)
     if fitted is None:
         return None
@@ -95,12 +95,14 @@ def _compensation(
 
 def _starts(analysis: NominalAnalysis, effects: Sequence[Effect]) -> list[dict[str, float]]:
     """Return the parameters of the effects to begin with: several where a lump has places."""
-    screening = analysis.screening_by_name
+    screening, new = analysis.screening_by_name, _new(analysis, effects)
     common: dict[str, float] = {}
-    for effect in effects:
+    if len(new) < len(effects):
+        common |= analysis.begun[effects[0].name]
+    for effect in new:
         if effect is not INCLUSION:
             common |= _expected(effect, screening[effect.name].estimate)
-    if INCLUSION not in effects:
+    if INCLUSION not in new:
         return [common]
     screened, settings = screening[INCLUSION.name], SETTINGS.joint_fits
     ranked = np.argsort(-screened.place_log_bayes_factors)[: settings.inclusion_starts]
@@ -116,6 +118,11 @@ def _starts(analysis: NominalAnalysis, effects: Sequence[Effect]) -> list[dict[s
             common | INCLUSION.neutral | dict(zip(PLACE, offset, strict=True)) | {RATIO: ratio}
         )
     return starts
+
+
+def _new(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Sequence[Effect]:
+    """Return the effects less the first one if that was fitted before."""
+    return effects[1:] if effects[0].name in analysis.begun else effects
 
 
 def _expected(effect: Effect, estimate: FloatArray) -> dict[str, float]:

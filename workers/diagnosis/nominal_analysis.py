@@ -4,8 +4,8 @@ All that is known before any effect is fitted. What only a part of the tasks nee
 smooth field, is computed when it is first asked for.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -35,11 +35,15 @@ class NominalAnalysis:
         Of the constants alone.
     sensitivities : sequence of EffectSensitivity
         Of the effects that act on some scan and could be simulated.
+    begun : mapping of str to mapping
+        Constants and parameters of single effects that were fitted under an earlier reading
+        of the noise, by the name of the effect: where their fits begin.
     """
 
     inverse: InverseProblem
     nominal: SolvedFit
     sensitivities: Sequence[EffectSensitivity]
+    begun: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @cached_property
     def linear(self) -> Linearised:

@@ -99,23 +99,32 @@ def compare_with_scan(
     motion of the scan is taken off the points, not off the distances.
     """
     points = inverse.points.points + inverse.at_points @ at.solution.displacement_mm
-    turned = [e for e in unknowns.effects if e is RIGID_MOTION]
-    compared = points
-    for effect in turned:
-        motion = np.array(list(unknowns.of_effect(effect, z).values()))
-        compared = rigidly_moved(compared, motion, inverse.frame.centre_mm)
-    if pose is not None:
-        compared = rigidly_moved(compared, -pose, inverse.frame.centre_mm)
+    compared = compared_points(inverse, unknowns, z, points, pose)
     r, normals = scan.compare(compared, inverse.points)
     if pose is not None:
         r = r + rigid_columns(points, normals, inverse.frame.centre_mm) @ pose
     tissues = tissues_of(inverse)
     for effect in unknowns.effects:
-        if effect.observation is not None and effect not in turned:
+        if effect.observation is not None and effect is not RIGID_MOTION:
             values = unknowns.of_effect(effect, z)
             places = _seen_by(effect, inverse, at)
             r = r + effect.shift(places, normals, tissues, values, inverse.frame)
     return PredictedScan(points, r, normals, at, pose)
+
+
+def compared_points(
+    inverse: InverseProblem,
+    unknowns: Unknowns,
+    z: FloatArray,
+    points: FloatArray,
+    pose: FloatArray | None,
+) -> FloatArray:
+    """Return where points that the model has moved are compared with a scan, shape (k, 3)."""
+    centre_mm = inverse.frame.centre_mm
+    if RIGID_MOTION in unknowns.effects:
+        motion = np.array(list(unknowns.of_effect(RIGID_MOTION, z).values()))
+        points = rigidly_moved(points, motion, centre_mm)
+    return points if pose is None else rigidly_moved(points, -pose, centre_mm)
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,6 +83,10 @@ class NoiseSettings:
     learning_field: tuple[float, float] = (1.0, 20.0)
     # [cost] A smooth field is weighed under as many of the likeliest points of the average.
     field_states: int = 1
+    # [principle] The noise is read again where the best single effect puts the points, if that is
+    # as far from where it was read, root mean square, as the noise is high across the interfaces
+    # or long along them.
+    elsewhere: float = 1.0
     # [prior] Stated or measured noise that differs from what is learnt by this factor is said.
     misstated: float = 1.25
 
@@ -96,8 +100,8 @@ class PoseSettings:
     # In standard deviations of the segmentation: an interface drawn too large in one scan.
     drawing: float = 0.1
     # [numerics] A scan is moved to where its residuals say that it lies until that changes by less
-    # than this, in the standard deviations above: 0.01 mm. How often at most.
-    settled: float = 0.03
+    # than this, in the standard deviations above: 0.003 mm. How often at most.
+    settled: float = 0.01
     registrations: int = 8
 
 
@@ -204,7 +208,8 @@ class JointFitSettings:
     singles: int = 5
     # [cost] The best of them are paired with each other.
     partners: int = 3
-    # [by hand] An effect this far behind the best one by screening is not fitted, in nats.
+    # [by hand] An effect this far behind the best one by screening is not fitted, in nats; nor
+    # fitted again once the noise was read again.
     far_behind: float = 60.0
     # [by hand] But one that gains this part of what the best one gains is: where data are much
     # finer than the effects, the linear model errs by more than that.

@@ -6,7 +6,8 @@
     calibrate_nominal  a case               > constants, points and noise in the store
     analyse_effect     one effect, one scan > what it would do to the residuals
     fit_effects        up to three effects  > the most probable constants and magnitudes
-    weigh_hypotheses   all of these         > the joint fits still wanted, or the outcome
+    read_noise_again   the best effect      > constants and noise, read where it puts the points
+    weigh_hypotheses   all of these         > what is still wanted, or the outcome
 
 Every task is idempotent: what the store has is not made again. A request names digests, so
 workers need the store and nothing else. `workers.tasks.diagnosis_store` knows what lies where.
@@ -23,10 +24,13 @@ from storage.arrays import Arrays
 from storage.values import BoolArray
 from workers.comparison.observation.interface import InterfacePoints
 from workers.diagnosis.calibration import calibrate
-from workers.diagnosis.diagnosis import Combination, Course, Diagnosis, advance, diagnose
+from workers.diagnosis.diagnosis import Course, Diagnosis, SecondReading, advance, diagnose
+from workers.diagnosis.gauss_newton import SolvedFit
+from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.joint_fit import fit_jointly
 from workers.diagnosis.pictures.scan_pictures import Displacements
 from workers.diagnosis.scan_prediction import predict_scan
+from workers.diagnosis.second_reading import read_again
 from workers.diagnosis.sensitivity_analysis import scan_sensitivity
 from workers.diagnosis.summarise import summarise
 from workers.scan_threads import scan_threads
@@ -39,13 +43,31 @@ from workers.tasks.diagnosis_store import (
     SensitivityRecord,
 )
 from workers.tasks.learnt_noise import noise_arrays
+from workers.tasks.task_store import Part
 
 
 @dataclass(frozen=True, slots=True)
 class WeighingRecord:
-    """Joint fits that are still missing, by the names of their effects; empty at the end."""
+    """What is still missing.
 
-    wanted: tuple[tuple[str, ...], ...]
+    Parameters
+    ----------
+    wanted : tuple of tuple of str
+        Joint fits, by the names of their effects.
+    read_at : tuple of str
+        Effects at whose fit the noise is read for these; none for the first reading.
+    unread : bool
+        Whether that reading itself is missing.
+    """
+
+    wanted: tuple[tuple[str, ...], ...] = ()
+    read_at: tuple[str, ...] = ()
+    unread: bool = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether anything is missing."""
+        return self.unread or bool(self.wanted)
 
 
 def build_problem(request: DiagnosisRequest) -> None:
@@ -75,26 +97,46 @@ def calibrate_nominal(request: DiagnosisRequest, threads: int = 1) -> Calibratio
         whole = store.uncalibrated
         with scan_threads(threads) as each:
             inverse, fit = calibrate(whole, store.finer(), each)
-        arrays = {
-            "kept": kept_of(whole.points, inverse.points),
-            "bias": inverse.bias,
-            "z": fit.z,
-            "jacobian": fit.jacobian,
-        } | noise_arrays(inverse)
-        record = CalibrationRecord(
-            points=len(inverse.points),
-            constants={
-                f.unit.name_at_door(f.name): f.unit.to_door(fit.values()[f.name])
-                for f in inverse.free
-            },
-            scans=len(inverse.scans),
-            cost=fit.cost,
-            converged=fit.converged,
-            iterations=fit.iterations,
-            seconds=time.perf_counter() - begun,
-        )
-        part.save(record, arrays)
+        points = {"kept": kept_of(whole.points, inverse.points), "bias": inverse.bias}
+        _save_reading(part, inverse, fit, points, time.perf_counter() - begun)
     return part.record(CalibrationRecord)
+
+
+def read_noise_again(
+    request: DiagnosisRequest, effects: tuple[str, ...], threads: int = 1
+) -> CalibrationRecord:
+    """Read the noise where the joint fit of `effects` puts the points; fit the constants again."""
+    store = DiagnosisStore(request)
+    part = store.read_again_at(effects).reading
+    if not part.is_finished:
+        begun = time.perf_counter()
+        best = store.load_joint_fit(store.combination(effects))
+        if best is None:
+            raise ValueError(f"{effects} could not be simulated: the noise is not read there")
+        with scan_threads(threads) as each:
+            found = read_again(store.analysis, store.single_fits(), best, each)
+        seconds = time.perf_counter() - begun
+        _save_reading(part, found.inverse, found.nominal, {}, seconds)
+    return part.record(CalibrationRecord)
+
+
+def _save_reading(
+    part: Part, inverse: InverseProblem, fit: SolvedFit, arrays: Arrays, seconds: float
+) -> None:
+    """Keep a reading of the noise, and the constants that were fitted under it."""
+    record = CalibrationRecord(
+        points=len(inverse.points),
+        constants={
+            f.unit.name_at_door(f.name): f.unit.to_door(fit.values()[f.name]) for f in inverse.free
+        },
+        scans=len(inverse.scans),
+        cost=fit.cost,
+        converged=fit.converged,
+        iterations=fit.iterations,
+        seconds=seconds,
+    )
+    found = {"z": fit.z, "jacobian": fit.jacobian}
+    part.save(record, arrays | found | noise_arrays(inverse))
 
 
 def analyse_effect(request: DiagnosisRequest, effect: str, scan: int) -> SensitivityRecord:
@@ -112,10 +154,23 @@ def analyse_effect(request: DiagnosisRequest, effect: str, scan: int) -> Sensiti
 
 
 def fit_effects(
-    request: DiagnosisRequest, effects: tuple[str, ...], threads: int = 1
+    request: DiagnosisRequest,
+    effects: tuple[str, ...],
+    read_at: tuple[str, ...] = (),
+    threads: int = 1,
 ) -> JointFitRecord:
-    """Fit the constants and the parameters of up to three effects."""
-    store = DiagnosisStore(request)
+    """Fit the constants and the parameters of up to three effects.
+
+    Parameters
+    ----------
+    request : DiagnosisRequest
+    effects : tuple of str
+    read_at : tuple of str
+        See `WeighingRecord`.
+    threads : int
+        That would have nothing else to do.
+    """
+    store = DiagnosisStore(request, read_at)
     part = store.joint_fit(effects)
     if not part.is_finished:
         begun = time.perf_counter()
@@ -126,42 +181,49 @@ def fit_effects(
 
 
 def weigh_hypotheses(request: DiagnosisRequest) -> WeighingRecord:
-    """Advance the diagnosis as far as the stored joint fits allow.
+    """Advance the diagnosis as far as the stored parts allow.
 
-    Without a missing fit it ends, and its outcome is in the store with the residuals on the
+    Without a missing one it ends, and its outcome is in the store with the residuals on the
     interfaces.
     """
     store = DiagnosisStore(request)
     part = store.outcome
     if part.is_finished:
-        return WeighingRecord(())
+        return WeighingRecord()
     reached = replay(store, diagnose(store.analysis, store.effects))
-    if not isinstance(reached, Diagnosis):
-        return WeighingRecord(tuple(tuple(e.name for e in effects) for effects in reached))
+    if isinstance(reached, WeighingRecord):
+        return reached
     summary = summarise(reached, store.effects, store.source.name)
-    displacements = _displacements(store, reached)
+    displacements = _displacements(reached)
     drawn, summary = store.source.describe(reached, displacements, summary)
     part.save(Outcome(summary, tuple(store.source.scans)), residual_maps(reached) | drawn)
-    return WeighingRecord(())
+    return WeighingRecord()
 
 
-def replay(store: DiagnosisStore, course: Course) -> Diagnosis | list[Combination]:
-    """Send stored joint fits to a diagnosis: it, or the first fits that are missing."""
+def replay(store: DiagnosisStore, course: Course) -> Diagnosis | WeighingRecord:
+    """Send what is stored to a diagnosis: it, or what is missing first."""
     reached = advance(course)
     while not isinstance(reached, Diagnosis):
-        missing = [effects for effects in reached if not store.has_joint_fit(effects)]
+        if isinstance(reached, SecondReading):
+            store = store.read_again_at(reached.best.names)
+            if not store.reading.is_finished:
+                return WeighingRecord((), store.read_at, unread=True)
+            reached = advance(course, store.analysis)
+            continue
+        missing = [one for one in reached if not store.has_joint_fit(one)]
         if missing:
-            return missing
+            names = tuple(tuple(e.name for e in effects) for effects in missing)
+            return WeighingRecord(names, store.read_at)
         reached = advance(course, [store.load_joint_fit(effects) for effects in reached])
     return reached
 
 
-def _displacements(store: DiagnosisStore, diagnosis: Diagnosis) -> Displacements:
+def _displacements(diagnosis: Diagnosis) -> Displacements:
     """Return those of the nodes before, and after where an effect is accused and simulated.
 
     What the store has of a joint fit are its points; the body is solved once more.
     """
-    inverse, nominal = store.inverse, store.nominal
+    inverse, nominal = diagnosis.analysis.inverse, diagnosis.analysis.nominal
     found = {"before": [one.at.solution.displacement_mm for one in nominal.predictions]}
     if diagnosis.best is not None:
         fit = diagnosis.best.fit

@@ -6,11 +6,12 @@
     calibration    points kept, noise, constants, derivatives
     sensitivity    columns of one effect in one scan
     joint fit      of some effects with the constants
+    reading        noise, constants and derivatives, read again where an effect puts the points
     outcome        the summary, and residuals on the interfaces
 
 The body, its mesh and its distance maps are made from the source; a process builds them once.
-The nominal equilibria are solved again from rest at the stored constants, in every process
-alike: what a joint fit finds does not depend on who computes it.
+The nominal equilibria are solved again from rest at the stored constants, those of another
+reading of the noise from there, in every process alike: what a joint fit finds does not depend on who computes it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -34,6 +35,7 @@ from workers.diagnosis.source import Source
 from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.model import Model
+from workers.mechanics.fem.solve import Equilibrium
 from workers.organs.source_registry import source_module
 from workers.tasks.code_version import code_version
 from workers.tasks.learnt_noise import with_stored_noise
@@ -136,6 +138,9 @@ class DiagnosisStore:
     ----------
     request : DiagnosisRequest
         With its name; see `named`.
+    read_at : tuple of str
+        Effects at whose joint fit the noise is read; none where the nominal model puts the
+        points. What the store has of joint fits is that under this reading.
 
     Raises
     ------
@@ -143,15 +148,19 @@ class DiagnosisStore:
         If this process would give it another name.
     """
 
-    def __init__(self, request: DiagnosisRequest) -> None:
+    def __init__(self, request: DiagnosisRequest, read_at: Sequence[str] = ()) -> None:
         here = named(request).name
         if here != request.name:
             raise StoreError(
                 f"The driver calls this diagnosis {request.name}, this worker {here}: they run "
                 "different versions. `palpate doctor` shows which; install the same everywhere."
             )
-        self.request = request
+        self.request, self.read_at = request, tuple(read_at)
         self.parts = TaskStore(request.store)
+
+    def read_again_at(self, effects: Sequence[str]) -> "DiagnosisStore":
+        """Return the same diagnosis with the noise read where a joint fit puts the points."""
+        return DiagnosisStore(self.request, effects)
 
     # What was diagnosed
 
@@ -173,6 +182,8 @@ class DiagnosisStore:
     @property
     def uncalibrated(self) -> InverseProblem:
         """The body with its scans, before any fit."""
+        if self.read_at:
+            return self._first.uncalibrated
         nodes, spacing_mm = self.request.nodes, self.request.spacing_mm
         return self._cached("uncalibrated", lambda: self.source.inverse_problem(nodes, spacing_mm))
 
@@ -191,9 +202,14 @@ class DiagnosisStore:
         """Return columns of one effect in one scan."""
         return self._part("sensitivity", effect, scan)
 
+    @property
+    def reading(self) -> Part:
+        """Noise, constants and derivatives; those of the calibration unless read again."""
+        return self._part("reading", *self.read_at) if self.read_at else self.calibration
+
     def joint_fit(self, effects: Sequence[str]) -> Part:
         """Return the joint fit of some effects."""
-        return self._part("joint fit", *effects)
+        return self._part("joint fit", " ".join(self.read_at), *effects)
 
     @property
     def outcome(self) -> Part:
@@ -204,7 +220,7 @@ class DiagnosisStore:
 
     @property
     def inverse(self) -> InverseProblem:
-        """The body with the points and the noise of the calibration."""
+        """The body with the points of the calibration and the noise as it was read."""
         return self._cached("inverse", self._inverse)
 
     @property
@@ -240,6 +256,12 @@ class DiagnosisStore:
         )
         return JointFit(tuple(effects), fit, record.log_evidence)
 
+    def single_fits(self) -> list[JointFit]:
+        """Return all single effects that were fitted under the first reading."""
+        stored = [[e] for e in self.effects if self._first.has_joint_fit([e])]
+        found = [self._first.load_joint_fit(one) for one in stored]
+        return [one for one in found if one is not None]
+
     def save_joint_fit(
         self, effects: Sequence[str], fitted: JointFit | None, seconds: float
     ) -> None:
@@ -261,21 +283,32 @@ class DiagnosisStore:
         )
         part.save(record, arrays)
 
+    @property
+    def _first(self) -> "DiagnosisStore":
+        """The same diagnosis with the noise read where the nominal model puts the points."""
+        return DiagnosisStore(self.request)
+
     def _inverse(self) -> InverseProblem:
-        _, arrays = self.calibration.load(CalibrationRecord)
-        kept = self.uncalibrated.keeping(arrays["kept"])
-        return with_stored_noise(replace(kept, bias=arrays["bias"]), arrays)
+        _, points = self.calibration.load(CalibrationRecord)
+        _, noise = self.reading.load(CalibrationRecord)
+        kept = self.uncalibrated.keeping(points["kept"])
+        return with_stored_noise(replace(kept, bias=points["bias"]), noise)
 
     def _nominal(self) -> SolvedFit:
-        record, arrays = self.calibration.load(CalibrationRecord)
+        record, arrays = self.reading.load(CalibrationRecord)
         inverse, z = self.inverse, arrays["z"]
         free = unknowns(inverse.free, [])
-        predicted = [predict_scan(inverse, scan, free, z, None) for scan in inverse.scans]
+        rest: Sequence[Equilibrium | None] = [None] * len(inverse.scans)
+        starts = self._first.nominal.starts() if self.read_at else rest
+        predicted = [
+            predict_scan(inverse, scan, free, z, start)
+            for scan, start in zip(inverse.scans, starts, strict=True)
+        ]
         solved = tuple(one for one in predicted if one is not None)
         if len(solved) < len(predicted):
             raise StoreError(
                 "The calibrated constants were not solved again from rest. Remove "
-                f"{self.calibration.path} and run the diagnosis again."
+                f"{self.reading.path} and run the diagnosis again."
             )
         return SolvedFit(
             unknowns=free,
@@ -289,7 +322,13 @@ class DiagnosisStore:
 
     def _analysis(self, nominal: SolvedFit) -> NominalAnalysis:
         found = [self._joined(effect) for effect in self.effects]
-        return NominalAnalysis(self.inverse, nominal, [one for one in found if one is not None])
+        begun = {one.names[0]: one.fit.values() for one in self.single_fits()}
+        return NominalAnalysis(
+            self.inverse,
+            nominal,
+            [one for one in found if one is not None],
+            begun if self.read_at else {},
+        )
 
     def _joined(self, effect: Effect) -> EffectSensitivity | None:
         scans = []
@@ -302,4 +341,4 @@ class DiagnosisStore:
         return Part(self.parts, digest("diagnosis", self.request.name, kind, *which))
 
     def _cached(self, what: str, make: Callable[[], T]) -> T:
-        return self.parts.cached(("diagnosis", self.request.name, what), make)
+        return self.parts.cached(("diagnosis", self.request.name, self.read_at, what), make)

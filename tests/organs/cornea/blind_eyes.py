@@ -17,8 +17,7 @@ import numpy as np
 from quad_cornea import Eye, deformed
 
 from workers.diagnosis.calibration import calibrate
-from workers.diagnosis.diagnosis import Diagnosis, advance, diagnose
-from workers.diagnosis.joint_fit import fit_jointly
+from workers.diagnosis.diagnosis import diagnose_here
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.sensitivity_analysis import joined_sensitivity, scan_sensitivity
 from workers.organs.cornea.cohort import TABLE_5_2
@@ -135,11 +134,7 @@ def diagnosed(source):
     found = [(e, scan_sensitivity(inverse, nominal, 0, e)) for e in source.effects]
     joined = [joined_sensitivity(e, [one]) for e, one in found]
     analysis = NominalAnalysis(inverse, nominal, [one for one in joined if one is not None])
-    course = diagnose(analysis, source.effects)
-    reached = advance(course)
-    while not isinstance(reached, Diagnosis):
-        reached = advance(course, [fit_jointly(analysis, effects) for effects in reached])
-    return reached
+    return diagnose_here(analysis, source.effects)
 
 
 def main():

@@ -37,15 +37,35 @@ def anchored(
     """
     drawn = scan.drawn or scan.compare
     there, raw = drawn(anchor, points)
-    _, along = _averaged(drawn, _disc(raw, correlation_mm), anchor, points)
-    disc = _disc(along, correlation_mm)
-    error = there - _averaged(drawn, disc, anchor, points)[0]
+    disc = _flat_disc(drawn, anchor, points, raw, correlation_mm)
+    average, along = _averaged(drawn, disc, anchor, points)
+    steeper = 1.0 / np.maximum(np.linalg.norm(along, axis=1), SETTINGS.points.least_slope)
+    error = there - steeper * average
 
     def compare(moved: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
         distance, normals = _averaged(drawn, disc, moved, of)
-        return distance + error, normals
+        return steeper * distance + error, steeper[:, None] * normals
 
     return replace(scan, compare=compare, drawn=drawn)
+
+
+def _flat_disc(
+    compare: Compare,
+    anchor: FloatArray,
+    points: InterfacePoints,
+    normals: FloatArray,
+    correlation_mm: float,
+) -> FloatArray:
+    """Return offsets, shape (n, k, 3), over the widest disc on which each interface is flat."""
+    first, *wider = SETTINGS.points.discs
+    _, along = _averaged(compare, _disc(normals, first * correlation_mm), anchor, points)
+    found = _disc(along, first * correlation_mm)
+    for radius in wider:
+        disc = _disc(along, radius * correlation_mm)
+        _, average = _averaged(compare, disc, anchor, points)
+        flat = np.linalg.norm(average, axis=1) > SETTINGS.points.flat
+        found[:, flat] = disc[:, flat]
+    return found
 
 
 def _averaged(

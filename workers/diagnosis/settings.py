@@ -41,10 +41,16 @@ class PointSettings:
     clear_noises: float = 5.0
     # [by hand] Of that reach, by which the distance may differ: curvature and blur.
     clear_slack: float = 0.1
-    # [numerics] Rings of the disc over which an interface is averaged, with its middle: their
-    # radii in correlation lengths of the segmentation, and the points on each. Beyond one length
-    # little noise is left, and the interface's own shape begins to go.
+    # [numerics] Radii of the discs over which an interface is averaged, in correlation lengths of
+    # the segmentation: the first, or the widest on which it is flat. On a disc of one length the
+    # noise keeps 0.6 of its slope, on one of two 0.3.
+    discs: tuple[float, ...] = (0.7, 1.0, 1.4, 2.0)
+    # [numerics] Rings of a disc with its middle: parts of its radius, and the points on each.
     disc: tuple[tuple[float, int], ...] = ((0.5, 6), (1.0, 8))
+    # [numerics] Length of the averaged normal above which an interface is flat, and least length
+    # that is stretched to one.
+    flat: float = 0.93
+    least_slope: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)

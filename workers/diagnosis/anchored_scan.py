@@ -4,10 +4,14 @@ A residual is read where the model puts a material point. A hypothesis that lets
 by some mm reads it elsewhere on the drawn interface, where its error is another one: misfits of two
 hypotheses then differ by the difference of two draws of noise, which is tens of nats for a thousand
 points, and tells nothing of either. So the error is read once, where the nominal model puts the
-points; how a hypothesis changes a residual is read off the interface averaged over a disc, which
-has little noise left but the same shape:
+points, or the best effect (`workers.diagnosis.second_reading`); how a hypothesis changes a residual
+is read off the interface averaged over a disc, which has little noise left but the same shape:
 
-.. math:: r(x) = d(x_0) + \\bar d(x) - \\bar d(x_0)
+.. math:: r(x) = d(x_0) + (\\bar d(x) - \\bar d(x_0)) / |\\nabla \\bar d(x_0)|
+
+The wider the disc, the less noise is left of it, but on a curved interface also the less of its
+slope: each point has the widest disc on which its interface is flat, and is stretched by what is
+missing.
 """
 
 from dataclasses import replace
@@ -39,7 +43,8 @@ def anchored(
     there, raw = drawn(anchor, points)
     disc = _flat_disc(drawn, anchor, points, raw, correlation_mm)
     average, along = _averaged(drawn, disc, anchor, points)
-    steeper = 1.0 / np.maximum(np.linalg.norm(along, axis=1), SETTINGS.points.least_slope)
+    slope = np.linalg.norm(along, axis=1)
+    steeper = 1.0 / np.clip(slope, SETTINGS.points.least_slope, 1.0)
     error = there - steeper * average
 
     def compare(moved: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:

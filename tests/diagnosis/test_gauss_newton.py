@@ -12,11 +12,17 @@ from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.point_interpolation import interpolation
 from workers.diagnosis.gauss_newton import SolvedFit, fit
-from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan, unknowns
+from workers.diagnosis.inverse_problem import (
+    FreeConstant,
+    InverseProblem,
+    Scan,
+    Unknowns,
+    unknowns,
+)
 from workers.diagnosis.joint_fit import fit_jointly
 from workers.diagnosis.noise_model import NoiseParts, believed
 from workers.diagnosis.nominal_analysis import NominalAnalysis
-from workers.diagnosis.scan_poses import registered
+from workers.diagnosis.scan_poses import PosedNoise, registered, residuals
 from workers.diagnosis.scan_prediction import derivatives, predict_scan
 from workers.diagnosis.sensitivity_analysis import (
     inclusion_grid,
@@ -162,6 +168,54 @@ def test_scans_are_compared_where_they_lie() -> None:
     again = registered(inverse, free, found.z, found.predictions)
     for before, after in zip(found.predictions, again, strict=True):
         np.testing.assert_allclose(after.residual, before.residual, atol=0.01)
+
+
+def drawn_roughly(inverse: InverseProblem) -> InverseProblem:
+    """Interfaces whose error is as high as is stated, and falls and rises within 6 mm."""
+    rng = np.random.default_rng(5)
+    waves, phases = rng.standard_normal((3, 100)) / 4.0, rng.uniform(0, 2 * np.pi, 100)
+    size = 0.1 * np.sqrt(2 / 100)
+
+    def rough(scan: Scan) -> Scan:
+        def compare(moved: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
+            distance, normals = scan.compare(moved, of)
+            turns = moved @ waves + phases
+            slopes = size * np.sin(turns) @ waves.T
+            return distance - size * np.cos(turns).sum(axis=1), normals + slopes
+
+        return replace(scan, compare=compare)
+
+    return replace(inverse, scans=[rough(scan) for scan in inverse.scans])
+
+
+def cost(inverse: InverseProblem, free: Unknowns, z: FloatArray, near: SolvedFit) -> float:
+    """Minus twice the log posterior, with poses where they are most probable."""
+    found = [
+        predict_scan(inverse, scan, free, z, start, pose)
+        for scan, start, pose in zip(inverse.scans, near.starts(), near.poses(), strict=True)
+    ]
+    compared = registered(inverse, free, z, [one for one in found if one is not None])
+    noise = PosedNoise(inverse, compared)
+    white = noise.whiten(residuals(inverse, compared))
+    return float(white @ noise.cleared(white) + (((z - free.mean) / free.sd) ** 2).sum())
+
+
+def test_a_fit_ends_where_no_neighbour_is_better() -> None:
+    """Poses take a part of every change, and a rough interface points elsewhere a mm on."""
+    shift_mm = np.array([0.6, 0.0, -0.4])
+    inverse = drawn_roughly(lying_elsewhere(problem_between_plates(), shift_mm))
+    free = unknowns(FREE, [])
+    found = fit(inverse, free, free.mean, [None, None])
+    assert found is not None
+    assert found.converged
+    least = cost(inverse, free, found.z, found)
+    assert least == pytest.approx(found.cost, abs=0.02)
+    curvature = 1.0 + (found.linearised(inverse).scaled_nominal ** 2).sum(axis=0)
+    for step in np.diag(free.sd / np.sqrt(curvature)):
+        ahead, behind = (cost(inverse, free, found.z + s * step, found) for s in (1, -1))
+        # A whole standard deviation costs 1 on both sides: it is a valley, and this its floor.
+        assert (ahead + behind) / 2 == pytest.approx(least + 1.0, abs=0.2)
+        assert ahead == pytest.approx(behind, abs=0.4)
 
 
 def test_a_tilt_is_suspected_first_and_found() -> None:

@@ -117,13 +117,19 @@ def test_a_field_alone_is_none_of_these():
 
 
 def test_an_effect_beside_something_else_is_doubtful():
-    """A field on top of the effect has far more than either; it may be a mere likeness."""
-    found = verdict([Hypothesis((), -100.0, 30.0), Hypothesis(("a",), -90.0, 40.0)], FAMILIES)
-    assert found.kind != "effect"
-    assert set(found.set90) == {"a", "none-of-these"}
-    assert found.probabilities["a"] == pytest.approx(0.5, abs=1e-3)
-    assert found.none_of_these == pytest.approx(0.5, abs=1e-3)
-    assert found.explained_share == pytest.approx(10 / 50)
+    """The more of the evidence a field on top of it has, the more is it a mere likeness."""
+    shares = [0.01, 0.2, 0.8]
+    tried = [Hypothesis(("a",), 500.0 * (1 - one), 500.0 * one) for one in shares]
+    found = [verdict([Hypothesis((), 0.0, 100.0), one], FAMILIES) for one in tried]
+    assert [one.set90 for one in found] == [
+        ("a",),
+        ("a", "none-of-these"),
+        ("none-of-these",),
+    ]
+    # Exponential of mean 0.1 against anything from 0 to 1, at even odds.
+    assert found[1].probabilities["a"] == pytest.approx(0.575, abs=0.001)
+    assert found[1].none_of_these == pytest.approx(0.425, abs=0.001)
+    assert found[1].explained_share == pytest.approx(0.8)
 
 
 def test_a_pair_is_named_with_the_more_probable_first():

@@ -82,14 +82,24 @@ class PriorOdds:
     triple: float = SETTINGS.prior_odds.triple
     triple_and_field: float = SETTINGS.prior_odds.triple_and_field
     beside_unlisted: float = SETTINGS.prior_odds.beside_unlisted
+    unlisted_part: float = SETTINGS.prior_odds.unlisted_part
 
     def __post_init__(self) -> None:
         if not min(astuple(self)) > 0:
             raise InputError(f"Prior odds must be > 0, found {astuple(self)}.")
 
-    def trust(self, field: bool) -> float:
-        """Return how probably the effects of a hypothesis act and are not a mere likeness."""
-        return self.beside_unlisted if field else 1.0
+    def trust(self, unlisted: float) -> float:
+        """Return how probably effects act and are not a mere likeness of what is not listed.
+
+        Parameters
+        ----------
+        unlisted : float
+            Part of the evidence, 0 to 1, that a smooth field gains beside them.
+        """
+        mean = self.unlisted_part
+        acting = np.exp(-unlisted / mean) / (mean * -np.expm1(-1.0 / mean))
+        likeness = (1.0 - self.beside_unlisted) / self.beside_unlisted
+        return float(acting / (acting + likeness))
 
     def log_prior(self, case: Case, catalogue: int) -> float:
         """Return that of one hypothesis, up to a constant, of a catalogue of so many effects."""

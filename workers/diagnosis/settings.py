@@ -103,8 +103,9 @@ class PoseSettings:
 
     shift_sd_mm: float = 0.3
     turn_sd_deg: float = 0.3
-    # In standard deviations of the segmentation: an interface drawn too large in one scan.
-    drawing: float = 0.1
+    # In standard deviations of the segmentation: an interface drawn too large in one scan, by a
+    # habit or by half a voxel.
+    drawing: float = 0.3
     # [numerics] A scan is moved to where its residuals say that it lies until that changes by less
     # than this, in the standard deviations above: 0.003 mm. How often at most.
     settled: float = 0.01
@@ -274,8 +275,10 @@ class OddsSettings:
     triple: float = 0.025
     triple_and_field: float = 0.005
     # Where something unlisted acts beside effects: that these act indeed, and do not only
-    # resemble a part of it.
+    # resemble a part of it. If they do, the part of the evidence that is left to the unlisted is
+    # small, exponential with this mean; a mere likeness leaves any part alike.
     beside_unlisted: float = 0.5
+    unlisted_part: float = 0.1
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 The verdict is read off the probabilities. A hypothesis counts for its most probable effect; one
 without effects for "no gap", or for "none of these" where a smooth field is all there is. Where a
 field is needed beside effects, something acts that is not listed, of which these may be a mere
-likeness: half of that counts for "none of these".
+likeness, the more probably the more of the evidence the field has: that counts for "none of these".
 
 1. No gap if that is the most probable cause. An effect that hides in the nominal parameters (see
    `workers.diagnosis.detectability.hides`) keeps the probability that it had beside no gap, and
@@ -112,7 +112,10 @@ def verdict(
     visible = _with_hidden(hypotheses, hidden)
     odds = odds or PriorOdds()
     cases = probabilities(visible, len(families), odds)
-    acts = {case: p * odds.trust(case[1]) for case, p in cases.items() if case[0]}
+    trust = {h.effects: odds.trust(1.0 - _explained(visible, h.effects)) for h in visible}
+    acts = {
+        (who, field): p * (trust[who] if field else 1.0) for (who, field), p in cases.items() if who
+    }
     acting = {name: sum(p for (who, _), p in acts.items() if name in who) for name in families}
     causes = _causes(cases, acts, acting, hidden)
     credible = _credible(causes)
@@ -133,7 +136,7 @@ def verdict(
             for family in dict.fromkeys(families.values())
         },
         family=suspects.pop() if len(suspects) == 1 else None,
-        explained_share=_explained(visible, best),
+        explained_share=_explained(visible, best) if best else None,
         alarm=loudness,
         threshold=loudness - _log_odds_of_a_gap(causes),
         hidden=hidden,
@@ -211,10 +214,8 @@ def _primary(effects: tuple[str, ...], cause: str, acting: Mapping[str, float]) 
     return (cause, *(name for name in others if acting[name] >= SETTINGS.verdict.credible))
 
 
-def _explained(hypotheses: Sequence[Hypothesis], effects: tuple[str, ...]) -> float | None:
+def _explained(hypotheses: Sequence[Hypothesis], effects: tuple[str, ...]) -> float:
     """le / (le + max(gain, 0)), with le the log evidence of the effects against none."""
-    if not effects:
-        return None
     nothing = next(h for h in hypotheses if not h.effects)
     found = next(h for h in hypotheses if h.effects == effects)
     own = max(0.0, found.log_evidence - nothing.log_evidence)

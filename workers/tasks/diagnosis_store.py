@@ -11,7 +11,8 @@
 
 The body, its mesh and its distance maps are made from the source; a process builds them once.
 The nominal equilibria are solved again from rest at the stored constants, those of another
-reading of the noise from there, in every process alike: what a joint fit finds does not depend on who computes it.
+reading of the noise from there, in every process alike: what a joint fit finds does not depend on
+who computes it.
 """
 
 from collections.abc import Callable, Mapping, Sequence

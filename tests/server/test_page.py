@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_process import TOKEN, ServiceProcess
-from stand_ins import SPEC, set_manners
+from service_process import TOKEN, ServiceProcess, until_stopped
+from stand_ins import SPEC, set_manners, told
 
 from service.client import Client
 
@@ -158,8 +158,9 @@ def test_submit_watch_pause_resume_cancel(shown: Shown, served: ServiceProcess) 
     assert page.locator("#workers tbody tr").count() == 2
     shown.act("pause")
     shown.state("paused")
-    page.wait_for_timeout(1200)
-    stopped = shown.drawn()
+    until_stopped(served.home / "watched")
+    stopped = len(told(served.home / "watched"))
+    shown.wait_drawn(stopped)
     page.wait_for_timeout(600)
     assert shown.drawn() == stopped
     shown.act("resume")

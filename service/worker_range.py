@@ -33,8 +33,14 @@ Workers: TypeAlias = int | WorkerRange
 """A number of workers, or a range."""
 
 
-def read_workers(text: str, option: str = "--workers") -> Workers:
+def read_workers(text: str, option: str = "--workers ") -> Workers:
     """Read a number of workers such as ``4``, or a range such as ``1-4``.
+
+    Parameters
+    ----------
+    text : str
+    option : str
+        What stands before it where it was typed.
 
     Raises
     ------
@@ -51,14 +57,16 @@ def read_workers(text: str, option: str = "--workers") -> Workers:
     match = _RANGE.fullmatch(text.strip())
     if match is None:
         raise InputError(
-            f"{option} {text}: expected a number of workers such as 4, or the least and the most "
+            f"{option}{text}: expected a number of workers such as 4, or the least and the most "
             "of them such as 1-4."
         )
     least, most = int(match[1]), int(match[2] or match[1])
     if least < 1:
-        raise InputError(f"{option} must be at least 1, got {text}: one worker is always kept.")
+        raise InputError(
+            f"{option.rstrip(' =')} must be at least 1, got {text}: one worker is always kept."
+        )
     if most < least:
-        raise InputError(f"{option} {text}: the least comes first, so {most}-{least}.")
+        raise InputError(f"{option}{text}: the least comes first, so {most}-{least}.")
     return least if most == least else WorkerRange(least, most)
 
 

@@ -76,10 +76,10 @@ def cluster_options(
     from service.scheduler_address import host_and_port
     from service.worker_range import read_workers
 
-    option = "--workers"
+    option = "--workers "
     if scheduler is None and workers is None:
         scheduler = os.environ.get(SCHEDULER) or None
-        workers, option = None if scheduler else os.environ.get(WORKERS) or None, WORKERS
+        workers, option = None if scheduler else os.environ.get(WORKERS) or None, f"{WORKERS}="
     elif scheduler is not None and workers is not None:
         raise InputError(
             "--workers starts processes of this machine, --scheduler uses those of a running "

@@ -38,7 +38,7 @@ def test_an_option_counts_more_than_the_environment(monkeypatch: pytest.MonkeyPa
         cluster_options("tcp://other:1", "2-8")
     monkeypatch.setenv("PALPATE_WORKERS", "4-1")
     monkeypatch.delenv("PALPATE_SCHEDULER")
-    with pytest.raises(InputError, match="PALPATE_WORKERS 4-1: the least comes first, so 1-4"):
+    with pytest.raises(InputError, match="PALPATE_WORKERS=4-1: the least comes first, so 1-4"):
         cluster_options(None, None)
 
 

@@ -85,7 +85,7 @@ def diagnose(
     began, when = time.monotonic(), datetime.now(UTC).isoformat()
     stored = finished(request) is not None
     with stop_requests() as requests:
-        diagnosis = _diagnosed(request, processes, scheduler, requests)
+        diagnosis = _diagnosed(request, source, processes, scheduler, requests)
         if diagnosis is not None and _to_be_planned(diagnosis.summary, source, plan):
             diagnosis = _with_plan(diagnosis, source, request, processes, scheduler, requests)
     if diagnosis is None:
@@ -104,6 +104,7 @@ def diagnose(
 
 def _diagnosed(
     request: "DiagnosisRequest",
+    source: Path,
     workers: "Workers | None",
     scheduler: str | None,
     requests: list[int],
@@ -112,8 +113,9 @@ def _diagnosed(
     from rich.console import Console
 
     from service.cluster import open_cluster
+    from service.dask_diagnosis import run_and_tell
     from service.diagnosis.progress import DiagnosisProgress
-    from service.diagnosis.run import finished, run
+    from service.diagnosis.run import finished
     from service.dispatch import Dispatcher
     from service.errors import Interrupted
 
@@ -127,7 +129,7 @@ def _diagnosed(
         with open_cluster(scheduler, workers) as cluster:
             dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
             with DiagnosisProgress(Console(stderr=True, highlight=False)) as progress:
-                return run(request, dispatcher, progress)
+                return run_and_tell(request, dispatcher, source, progress)
     except (Interrupted, KeyboardInterrupt):
         return None
 

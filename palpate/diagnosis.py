@@ -4,8 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from service.cluster import open_cluster
+from service.dask_diagnosis import run_and_tell
 from service.diagnosis.run import FinishedDiagnosis as Diagnosis
-from service.diagnosis.run import finished, request_for, run
+from service.diagnosis.run import finished, request_for
 from service.dispatch import Dispatcher
 from service.report.diagnosis_page import render
 from storage.atomic import write_file
@@ -66,7 +67,9 @@ def diagnose(
     diagnosis = finished(request)
     if diagnosis is None:
         with open_cluster(scheduler, workers) as cluster:
-            diagnosis = run(request, Dispatcher(cluster.client))
+            diagnosis = run_and_tell(
+                request, Dispatcher(cluster.client), Path(source), lambda step: None
+            )
     if page is not None:
         write_file(Path(page), render(diagnosis).encode())
     return diagnosis

@@ -21,10 +21,12 @@ import dask.system
 from distributed import Client, LocalCluster, Security, Status
 from tornado.ioloop import PeriodicCallback
 
+from service.adaptive import follow_the_work
 from service.dask_tab import add_tab
 from service.errors import ClusterError
 from service.scheduler_address import check_reachable
 from service.task_failures import sentence
+from service.worker_range import WorkerRange, Workers
 from storage.errors import InputError
 from workers import THREAD_ENVIRONMENT
 from workers.resources import OneThread
@@ -117,7 +119,7 @@ class Cluster:
 @contextmanager
 def open_cluster(
     scheduler: str | None = None,
-    workers: int | None = None,
+    workers: Workers | None = None,
     *,
     allowed_failures: int = ALLOWED_FAILURES,
     connect_s: float = 5.0,
@@ -128,8 +130,8 @@ def open_cluster(
     ----------
     scheduler : str, optional
         Address such as ``tcp://10.0.0.5:8786``. Default: a cluster of this machine.
-    workers : int, optional
-        Local processes, >= 1; default: one per core.
+    workers : int or WorkerRange, optional
+        Local processes, >= 1; default: one per core. In a range as many as there is work for.
     allowed_failures : int
         Deaths of a worker after which the scheduler gives a task up (local only).
     connect_s : float
@@ -142,7 +144,7 @@ def open_cluster(
     InputError
         If both `scheduler` and `workers` are given, or there are too few workers.
     """
-    if workers is not None and workers < 1:
+    if isinstance(workers, int) and workers < 1:
         raise InputError(f"--workers must be at least 1, got {workers}.")
     if scheduler is not None and workers is not None:
         raise InputError(
@@ -222,8 +224,8 @@ def _unlogged(name: str) -> Iterator[None]:
 
 
 @contextmanager
-def _local(workers: int | None, allowed_failures: int) -> Iterator[Cluster]:
-    count = workers or usable_cores()
+def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
+    count = workers.least if isinstance(workers, WorkerRange) else workers or usable_cores()
     os.environ.update(THREAD_ENVIRONMENT)  # inherited by the workers, before they load NumPy
     with ExitStack() as stack:
         scratch = stack.enter_context(
@@ -246,6 +248,8 @@ def _local(workers: int | None, allowed_failures: int) -> Iterator[Cluster]:
             )
         _require_workers(cluster)
         stack.enter_context(_mended(cluster))
+        if isinstance(workers, WorkerRange):
+            follow_the_work(cluster, workers)
         client = stack.enter_context(Client(cluster, set_as_default=False))
         yield Cluster(client, cluster.dashboard_link or "", local=True)
 

@@ -1,28 +1,28 @@
-"""Adds a tab to the dashboard of Dask's scheduler: studies, the barrier's idle time, stages.
+"""Adds a tab to the dashboard of Dask's scheduler: studies, diagnoses, idle time, stages.
 
-`add_tab` registers a plugin, which sums up the records of `service.dask_records` in the
-scheduler's process and adds the page ``/palpate`` to its server. Dask has no public way to add a
-page: where a version has other insides, or a scheduler takes no plugins, there is no tab.
+`add_tab` registers a plugin, which sums up the records of `service.dask_records` and
+`service.dask_diagnosis` in the scheduler's process and adds the page ``/palpate`` to its server.
+Dask has no public way to add a page: where a version has other insides, or a scheduler takes no
+plugins, there is no tab.
 """
 
 import logging
-import math
-import time
-from collections import Counter, deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Mapping
 from functools import partial
 from html import escape
-from typing import Any
+from typing import Any, TypeVar
 
 from distributed import Client, Scheduler, SchedulerPlugin
 
 from service.dask_records import TOPIC
+from service.dask_rows import DiagnosisRow, IdleTime, StudyRow
 
 PAGE = "palpate"
-MOST_STUDIES = 30
-MOST_GENERATIONS = 200
+MOST_ROWS = 30
 RENEW_MS = 1000
+
+Row = TypeVar("Row")
 
 _log = logging.getLogger(__name__)
 
@@ -43,100 +43,8 @@ def add_tab(client: Client) -> bool:
     return True
 
 
-class IdleTime:
-    """Integrates the time in which threads of workers have no task.
-
-    Parameters
-    ----------
-    clock : callable
-        In seconds.
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._since = clock()
-        self._threads = self._busy = 0
-        self._idle_s = self._all_s = 0.0
-
-    def note(self, tasks_and_threads: list[tuple[int, int]]) -> None:
-        """Note the tasks that each worker has from now on, and its threads."""
-        self.so_far()
-        self._threads = sum(threads for _, threads in tasks_and_threads)
-        self._busy = sum(min(pair) for pair in tasks_and_threads)
-
-    def so_far(self) -> tuple[float, float]:
-        """Return idle seconds and all seconds, summed over threads."""
-        now = self._clock()
-        passed, self._since = now - self._since, now
-        self._idle_s += passed * (self._threads - self._busy)
-        self._all_s += passed * self._threads
-        return self._idle_s, self._all_s
-
-
-@dataclass
-class StudyRow:
-    """What the tab shows of one study.
-
-    Parameters
-    ----------
-    name : str
-    most : int
-        Evaluations, if the search runs to its last generation.
-    client : str
-        Who runs it.
-    state : str
-        In words.
-    best_gsf : float
-        Infinite while there is none.
-    endings : Counter of str
-        Evaluations by their ending.
-    stages : Counter of str
-        Seconds by stage, of what was computed in this run.
-    generations : deque of (int, float)
-        Number, and share of the workers' time without a task until its barrier.
-    begun : tuple of float
-        Idle and all seconds when the generation began.
-    computed : bool
-        Whether the generation had anything to compute; one that is known says nothing of barriers.
-    """
-
-    name: str
-    most: int
-    client: str
-    state: str = "preparing"
-    best_gsf: float = math.inf
-    endings: Counter[str] = field(default_factory=Counter)
-    stages: Counter[str] = field(default_factory=Counter)
-    generations: deque[tuple[int, float]] = field(
-        default_factory=lambda: deque(maxlen=MOST_GENERATIONS)
-    )
-    begun: tuple[float, float] = (0.0, 0.0)
-    computed: bool = False
-
-    def add(self, record: dict[str, Any], idle: IdleTime) -> None:
-        """Take in one record of `service.dask_records.DaskRecords`."""
-        what = record["what"]
-        if what == "ended":
-            self.endings[record["status"]] += 1
-            self.computed |= record["computed"]
-            self.stages.update(record["seconds"])
-            self.best_gsf = min(self.best_gsf, math.inf if record["gsf"] is None else record["gsf"])
-        elif what == "generation begun":
-            self.state = f"generation {record['number']}"
-            self.begun, self.computed = idle.so_far(), False
-        elif what == "generation ended" and self.computed:
-            idle_s, all_s = (
-                now - then for now, then in zip(idle.so_far(), self.begun, strict=True)
-            )
-            if all_s > 0.0:
-                self.generations.append((record["number"], idle_s / all_s))
-        elif what == "stopped":
-            self.state = record["reason"]
-            self.client = ""
-
-
 class PalpateTab(SchedulerPlugin):
-    """Sums up records of studies in the scheduler's process, and shows them."""
+    """Sums up records of studies and diagnoses in the scheduler's process, and shows them."""
 
     name = "palpate-tab"
     idempotent = True
@@ -145,23 +53,33 @@ class PalpateTab(SchedulerPlugin):
         """Begin to sum up, and add the page; Dask calls this when the plugin is registered."""
         self._scheduler = scheduler
         self.studies: dict[str, StudyRow] = {}
+        self.diagnoses: dict[str, DiagnosisRow] = {}
         self.idle = IdleTime()
         self._note_workers()
         _add_page(self, scheduler)
 
     def log_event(self, topic: str, msg: Any) -> None:
-        """Take in the records of a study."""
+        """Take in the records of a study or a diagnosis."""
         if topic != TOPIC:
             return
         for record in msg["records"]:
-            key = record["study"]
-            if record["what"] == "started":
-                self.studies.pop(key, None)  # shown last
-                self.studies[key] = StudyRow(record["name"], record["most"], msg["client"])
-                if len(self.studies) > MOST_STUDIES:
-                    del self.studies[next(iter(self.studies))]
-            elif key in self.studies:
-                self.studies[key].add(record, self.idle)
+            if "diagnosis" in record:
+                self._add_diagnosis(record["diagnosis"], record, msg["client"])
+            else:
+                self._add_study(record["study"], record, msg["client"])
+
+    def _add_study(self, key: str, record: dict[str, Any], client: str) -> None:
+        if record["what"] == "started":
+            _put_last(self.studies, key, StudyRow(record["name"], record["most"], client))
+        elif key in self.studies:
+            self.studies[key].add(record, self.idle)
+
+    def _add_diagnosis(self, key: str, record: dict[str, Any], client: str) -> None:
+        if record["what"] == "started":
+            row = DiagnosisRow(record["name"], client, self.idle.so_far())
+            _put_last(self.diagnoses, key, row)
+        elif key in self.diagnoses:
+            self.diagnoses[key].add(record, self.idle)
 
     def transition(self, key: str, start: str, finish: str, *args: Any, **more: Any) -> None:
         """Count the workers that have a task."""
@@ -177,14 +95,22 @@ class PalpateTab(SchedulerPlugin):
         self._note_workers()
 
     def remove_client(self, scheduler: Scheduler, client: str) -> None:
-        """Note that nobody runs the studies of a client any more."""
-        for study in self.studies.values():
-            if study.client == client:
-                study.state = "interrupted"
+        """Note that nobody runs what a client ran any more."""
+        for row in (*self.studies.values(), *self.diagnoses.values()):
+            if row.client == client:
+                row.state = "interrupted"
 
     def _note_workers(self) -> None:
         workers = self._scheduler.workers.values()
         self.idle.note([(len(worker.processing), worker.nthreads) for worker in workers])
+
+
+def _put_last(rows: dict[str, Row], key: str, row: Row) -> None:
+    """Put a row at the end, which is shown first, and forget the oldest of too many."""
+    rows.pop(key, None)
+    rows[key] = row
+    if len(rows) > MOST_ROWS:
+        del rows[next(iter(rows))]
 
 
 def _add_page(tab: PalpateTab, scheduler: Scheduler) -> None:
@@ -231,11 +157,13 @@ def _document(
             if data != sources[name].data:
                 sources[name].data = data
         table.text = _rows(sources["studies"].data)
+        diagnoses.text = _rows(sources["diagnoses"].data)
         stages.y_range.factors = sources["stages"].data["stage"]
 
-    table, stages = _table(sources["studies"]), _stages(sources["stages"])
+    table, diagnoses = _table(sources["studies"]), _table(sources["diagnoses"])
+    stages = _stages(sources["stages"])
     doc.title = "Dask: Palpate"
-    parts = table, _barrier(sources["barrier"]), stages
+    parts = table, diagnoses, _barrier(sources["barrier"]), stages
     doc.add_root(column(*parts, sizing_mode="stretch_width"))
     doc.template, doc.theme = look["template"], look["theme"]
     doc.template_variables.update(variables)
@@ -243,8 +171,9 @@ def _document(
 
 
 def columns(tab: PalpateTab) -> dict[str, dict[str, list[Any]]]:
-    """Return the columns of the tables that the page shows; the study begun last comes first."""
+    """Return the columns of the tables that the page shows; what was begun last comes first."""
     studies = list(reversed(tab.studies.values()))
+    diagnoses = list(reversed(tab.diagnoses.values()))
     shown = studies[0] if studies else StudyRow("", 0, "")
     spent: Counter[str] = sum((study.stages for study in studies), Counter())
     stages = sorted(spent, key=lambda stage: spent[stage])
@@ -260,6 +189,12 @@ def columns(tab: PalpateTab) -> dict[str, dict[str, list[Any]]]:
             "lost": [s.endings["lost"] for s in studies],
             "best": [f"{s.best_gsf:.4g}" if s.endings["done"] else "" for s in studies],
             "idle": [_mean_percent(s) for s in studies],
+        },
+        "diagnoses": {
+            "diagnosis": [d.name for d in diagnoses],
+            "state": [d.state for d in diagnoses],
+            "tasks ended": [d.tasks for d in diagnoses],
+            "idle": ["" if d.idle is None else f"{100.0 * d.idle:.0f} %" for d in diagnoses],
         },
         "barrier": {
             "generation": [number for number, _ in shown.generations],

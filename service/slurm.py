@@ -15,8 +15,10 @@ from typing import Any
 
 import dask
 
+from service.adaptive import follow_the_work
 from service.cluster import CONFIG
 from service.errors import ClusterError
+from service.worker_range import WorkerRange, Workers
 from storage.atomic import explained
 from storage.errors import InputError
 from workers import THREAD_ENVIRONMENT
@@ -30,8 +32,8 @@ class SlurmRequest:
 
     Parameters
     ----------
-    workers : int
-        Jobs.
+    workers : int or WorkerRange
+        Jobs; in a range as many as there is work for.
     memory : str
         Of each, such as ``"4GB"``; a worker that needs more is ended.
     walltime : str
@@ -50,7 +52,7 @@ class SlurmRequest:
         Folder for what the jobs print.
     """
 
-    workers: int
+    workers: Workers
     memory: str = "4GB"
     walltime: str = "24:00:00"
     queue: str | None = None
@@ -79,11 +81,15 @@ class SlurmCluster:
     address: str
     dashboard: str
     script: str
+    _workers: Workers
     _cluster: Any
 
-    def submit(self, workers: int) -> None:
-        """Submit jobs until there are so many; jobs that end are submitted again."""
-        self._cluster.scale(jobs=workers)
+    def submit(self) -> None:
+        """Submit as many jobs as were asked for."""
+        if isinstance(self._workers, WorkerRange):
+            follow_the_work(self._cluster, self._workers)
+        else:
+            self._cluster.scale(jobs=self._workers)
 
     @property
     def running(self) -> int:
@@ -142,7 +148,11 @@ def open_slurm(request: SlurmRequest) -> Iterator[SlurmCluster]:
             ) from error
         with cluster:
             yield SlurmCluster(
-                cluster.scheduler_address, cluster.dashboard_link, cluster.job_script(), cluster
+                cluster.scheduler_address,
+                cluster.dashboard_link,
+                cluster.job_script(),
+                request.workers,
+                cluster,
             )
 
 

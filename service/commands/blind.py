@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from service.blind.metrics import Metric
     from service.blind.scored_set import ScoredSet
     from service.dispatch import Dispatcher
+    from service.worker_range import Workers
 
 NODES = 5000
 
@@ -77,7 +78,7 @@ def make(
 
     Ctrl-C stops it at any time; the same command continues it.
     """
-    scheduler, workers = cluster_options(scheduler, workers)
+    scheduler, processes = cluster_options(scheduler, workers)
     from service.blind.make_case import make_case
     from service.blind.make_set import SetRequest, plan, seal, unmade
     from service.blind.make_set import make as make_cases
@@ -97,7 +98,7 @@ def make(
             make_cases(blind, truths, waiting, request, dispatcher, tell, make_case)
 
     if waiting:
-        _with_workers(work, scheduler, workers)
+        _with_workers(work, scheduler, processes)
     sealed = seal(blind, truths, entries, request)
     typer.echo(f"{len(entries)} cases in {folder}, their truths in {truths.root}")
     typer.echo(f"manifest: sha256 {sealed}")
@@ -128,7 +129,7 @@ def run(
 
     Ctrl-C stops it at any time; the same command continues it.
     """
-    scheduler, workers = cluster_options(scheduler, workers)
+    scheduler, processes = cluster_options(scheduler, workers)
     from service.blind.progress import SetProgress
     from service.blind.run import Answering, answer, seal, unanswered
     from service.blind.sets import BlindSet, read_manifest
@@ -144,7 +145,7 @@ def run(
             answer(answering, waiting, dispatcher, tell)
 
     if waiting:
-        _with_workers(work, scheduler, workers)
+        _with_workers(work, scheduler, processes)
     sealed = seal(answering)
     if sealed is None:
         left = len(unanswered(answering))
@@ -199,7 +200,7 @@ def _refuse_nested(folder: Path, truth: Path) -> None:
 
 
 def _with_workers(
-    work: "Callable[[Dispatcher, Console], None]", scheduler: str | None, workers: int | None
+    work: "Callable[[Dispatcher, Console], None]", scheduler: str | None, workers: "Workers | None"
 ) -> None:
     """Do something with a cluster; leave with 130 if somebody asks to stop."""
     from rich.console import Console

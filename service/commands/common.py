@@ -24,10 +24,12 @@ StoreOption = Annotated[
     ),
 ]
 WorkersOption = Annotated[
-    int | None,
+    str | None,
     typer.Option(
         "--workers",
-        help="Processes of this machine. Default: $PALPATE_WORKERS, else one per core.",
+        metavar="N|LEAST-MOST",
+        help="Processes of this machine: 4, or 1-4 for as many as there is work for. "
+        "Default: $PALPATE_WORKERS, else one per core.",
         show_default=False,
     ),
 ]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from service.diagnosis.run import FinishedDiagnosis
+    from service.worker_range import Workers
     from workers.diagnosis.summary import Summary
     from workers.tasks.diagnosis_store import DiagnosisRequest
 
@@ -72,7 +73,7 @@ def diagnose(
     from storage.typed_json import to_json
     from workers.tasks.sources import is_plannable, open_source
 
-    scheduler, workers = cluster_options(scheduler, workers)
+    scheduler, processes = cluster_options(scheduler, workers)
     if plan and source.is_file() and not is_plannable(source):
         raise InputError(
             f"{source} is a bench experiment, and --plan knows further scans only. Leave it out."
@@ -84,9 +85,9 @@ def diagnose(
     began, when = time.monotonic(), datetime.now(UTC).isoformat()
     stored = finished(request) is not None
     with stop_requests() as requests:
-        diagnosis = _diagnosed(request, workers, scheduler, requests)
+        diagnosis = _diagnosed(request, source, processes, scheduler, requests)
         if diagnosis is not None and _to_be_planned(diagnosis.summary, source, plan):
-            diagnosis = _with_plan(diagnosis, source, request, workers, scheduler, requests)
+            diagnosis = _with_plan(diagnosis, source, request, processes, scheduler, requests)
     if diagnosis is None:
         raise interrupted()
     spent = None if stored else time.monotonic() - began
@@ -102,14 +103,19 @@ def diagnose(
 
 
 def _diagnosed(
-    request: "DiagnosisRequest", workers: int | None, scheduler: str | None, requests: list[int]
+    request: "DiagnosisRequest",
+    source: Path,
+    workers: "Workers | None",
+    scheduler: str | None,
+    requests: list[int],
 ) -> "FinishedDiagnosis | None":
     """Return the diagnosis; None if somebody asked to stop."""
     from rich.console import Console
 
     from service.cluster import open_cluster
+    from service.dask_diagnosis import run_and_tell
     from service.diagnosis.progress import DiagnosisProgress
-    from service.diagnosis.run import finished, run
+    from service.diagnosis.run import finished
     from service.dispatch import Dispatcher
     from service.errors import Interrupted
 
@@ -123,7 +129,7 @@ def _diagnosed(
         with open_cluster(scheduler, workers) as cluster:
             dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
             with DiagnosisProgress(Console(stderr=True, highlight=False)) as progress:
-                return run(request, dispatcher, progress)
+                return run_and_tell(request, dispatcher, source, progress)
     except (Interrupted, KeyboardInterrupt):
         return None
 
@@ -140,7 +146,7 @@ def _with_plan(
     diagnosis: "FinishedDiagnosis",
     source: Path,
     request: "DiagnosisRequest",
-    workers: int | None,
+    workers: "Workers | None",
     scheduler: str | None,
     requests: list[int],
 ) -> "FinishedDiagnosis | None":

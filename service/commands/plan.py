@@ -48,11 +48,11 @@ def plan(
     from service.diagnosis.planning import request_plan
     from storage.typed_json import to_json
 
-    scheduler, workers = cluster_options(scheduler, workers)
+    scheduler, processes = cluster_options(scheduler, workers)
     print_understood(source)
     request = request_plan(source, store_place(store), nodes)
     with stop_requests() as requests:
-        summary = planned(request, workers, scheduler, requests)
+        summary = planned(request, processes, scheduler, requests)
     if summary is None:
         raise interrupted()
     page = _write(summary, out or RUNS / folder_name(source) / "plan.html")

@@ -8,12 +8,16 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from service.worker_range import Workers
     from workers.diagnosis.planning.summary import PlanSummary
     from workers.tasks.planning import LoadRecord, PlanRequest
 
 
 def planned(
-    request: "PlanRequest", workers: int | None, scheduler: str | None, requests: list[int]
+    request: "PlanRequest",
+    workers: "Workers | None",
+    scheduler: str | None,
+    requests: list[int],
 ) -> "PlanSummary | None":
     """Return the plan; None if somebody asked to stop."""
     from rich.console import Console

@@ -12,6 +12,7 @@ from service.commands.common import (
     find_study,
     print_json,
 )
+from service.commands.settings import cluster_options
 
 if TYPE_CHECKING:
     from service.profile import Profile
@@ -39,10 +40,11 @@ def profile(
     from service.study_work import Tasks
     from workers.spec import validated
 
+    scheduler, processes = cluster_options(scheduler, workers)
     folder = find_study(study)
     record, log = read_study(folder)
     spec = validated(StudySpec, record.spec, f"The study in {folder}")
-    with open_cluster(scheduler, workers) as cluster:
+    with open_cluster(scheduler, processes) as cluster:
         found = profile_of(spec, log, Tasks(), Dispatcher(cluster.client), name, points)
     if as_json:
         print_json(asdict(found))

@@ -19,6 +19,7 @@ from service.commands.settings import RUNS, cluster_options, stated_store
 if TYPE_CHECKING:
     from service.progress import Progress
     from service.study import Study
+    from service.worker_range import Workers
 
 
 def run(
@@ -52,7 +53,7 @@ def run(
     palpate.log in the study's folder.
     """
     with stop_requests() as requests:  # before the imports, which take a while
-        scheduler, workers = cluster_options(scheduler, workers)
+        scheduler, processes = cluster_options(scheduler, workers)
         spec = load_spec(study)  # a slip is named before what takes a while is imported
         home = folder or (study if study.is_dir() else RUNS / spec.name)
         from service.commands.tables import make_console
@@ -78,7 +79,7 @@ def run(
                 if not opened.begun:
                     _look_first(opened, accept_implausible, elsewhere=scheduler is not None)
                 with page:
-                    completed = _completed(opened, progress, scheduler, workers, requests)
+                    completed = _completed(opened, progress, scheduler, processes, requests)
                 if page.path.parent.is_dir():
                     _write_page(home, quick=not completed)
                 if not completed:
@@ -102,7 +103,7 @@ def _completed(
     study: "Study",
     progress: "Progress",
     scheduler: str | None,
-    workers: int | None,
+    workers: "Workers | None",
     requests: list[int],
 ) -> bool:
     """Run to the end; False if somebody asked to stop."""

@@ -7,7 +7,7 @@ import typer
 
 from service.commands.common import SchedulerOption, WorkersOption
 from service.commands.interrupts import stop_requests
-from service.commands.settings import RUNS
+from service.commands.settings import RUNS, cluster_options
 
 
 def serve(
@@ -45,6 +45,7 @@ def serve(
     token, which `palpate token new NAME` makes.
     """
     with stop_requests() as requests:
+        address, processes = cluster_options(scheduler, workers)
         from service.cluster import open_cluster
         from service.server.guard import is_loopback
         from service.server.limits import MIB, Limits
@@ -57,7 +58,7 @@ def serve(
             listening,
             open_service(
                 home,
-                lambda: open_cluster(scheduler, workers),
+                lambda: open_cluster(address, processes),
                 store=store,
                 limits=Limits(upload_bytes=upload_mb * MIB),
                 read_token=read_token or not is_loopback(host),

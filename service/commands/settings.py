@@ -14,9 +14,13 @@ import shlex
 from collections.abc import Sequence
 from contextvars import ContextVar
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from storage.errors import InputError
 from storage.places import Place, place_of
+
+if TYPE_CHECKING:
+    from service.worker_range import Workers
 
 STORE, SCHEDULER, WORKERS = "PALPATE_STORE", "PALPATE_SCHEDULER", "PALPATE_WORKERS"
 RUNS = Path("runs")
@@ -57,37 +61,30 @@ def store_place(option: str | None) -> Place:
     return stated_store(option) or place_of(RUNS / "store")
 
 
-def cluster_options(scheduler: str | None, workers: int | None) -> tuple[str | None, int | None]:
+def cluster_options(
+    scheduler: str | None, workers: str | None
+) -> tuple[str | None, "Workers | None"]:
     """Return the scheduler or the number of workers that is used; neither by default.
 
     Raises
     ------
     InputError
-        If both are given, or there are too few workers.
+        If both are given, or `workers` is no number or range, or too few.
     ClusterError
         If the scheduler's address is none.
     """
     from service.scheduler_address import host_and_port
+    from service.worker_range import read_workers
 
+    option = "--workers "
     if scheduler is None and workers is None:
         scheduler = os.environ.get(SCHEDULER) or None
-        workers = None if scheduler else _workers_of_environment()
+        workers, option = None if scheduler else os.environ.get(WORKERS) or None, f"{WORKERS}="
     elif scheduler is not None and workers is not None:
         raise InputError(
             "--workers starts processes of this machine, --scheduler uses those of a running "
-            "cluster: give one of them."
+            "cluster, whose number is not ours to change: give one of them."
         )
-    if workers is not None and workers < 1:
-        raise InputError(f"--workers must be at least 1, got {workers}.")
     if scheduler is not None:
         host_and_port(scheduler)
-    return scheduler, workers
-
-
-def _workers_of_environment() -> int | None:
-    given = os.environ.get(WORKERS)
-    if not given:
-        return None
-    if not given.strip().isdecimal():
-        raise InputError(f"{WORKERS}={given}: expected a number of processes, such as 4.")
-    return int(given)
+    return scheduler, None if workers is None else read_workers(workers, option)

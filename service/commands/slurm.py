@@ -12,7 +12,13 @@ SAY_EVERY_S = 1.0
 
 
 def slurm(
-    workers: Annotated[int, typer.Option(min=1, help="Jobs, each of them one worker.")],
+    workers: Annotated[
+        str,
+        typer.Option(
+            metavar="N|LEAST-MOST",
+            help="Jobs, each of them one worker: 32, or 2-32 for as many as there is work for.",
+        ),
+    ],
     memory: Annotated[str, typer.Option(help="Of each job.")] = "4GB",
     walltime: Annotated[str, typer.Option(help="Of each job.")] = "24:00:00",
     queue: Annotated[str | None, typer.Option(help="Partition.")] = None,
@@ -37,9 +43,10 @@ def slurm(
     The script is shown before it is submitted.
     """
     from service.slurm import SlurmRequest, open_slurm
+    from service.worker_range import read_workers
 
     request = SlurmRequest(
-        workers=workers,
+        workers=read_workers(workers),
         memory=memory,
         walltime=walltime,
         queue=queue,
@@ -56,7 +63,7 @@ def slurm(
             return
         if not yes and not typer.confirm(f"Submit this {workers} times?", err=True):
             return
-        cluster.submit(workers)
+        cluster.submit()
         typer.echo(f"submitted; in another window: palpate run --scheduler {cluster.address} ...")
         if cluster.dashboard:
             typer.echo(f"dashboard: {cluster.dashboard}")

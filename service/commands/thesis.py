@@ -13,13 +13,14 @@ from service.commands.common import (
     print_json,
 )
 from service.commands.interrupts import interrupted, stop_requests
-from service.commands.settings import RUNS, store_place
+from service.commands.settings import RUNS, cluster_options, store_place
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from service.thesis.results import ThesisResults
     from service.thesis.run import ThesisRequest
+    from service.worker_range import Workers
 
 EVERYTHING = ("all", "book")
 
@@ -62,17 +63,19 @@ def thesis(
     Without --full at a reduced scale. Ctrl-C stops it at any time; the same command
     continues it, and what the store has is not made again.
     """
+    scheduler, processes = cluster_options(scheduler, workers)
     request = _request(name, full, sketch, out, strategy, store)
     from service.cluster import usable_cores
     from service.thesis.estimate import estimate
+    from service.worker_range import most_workers
 
-    about = estimate(request, workers or usable_cores())
+    about = estimate(request, most_workers(processes or usable_cores()))
     typer.echo(f"thesis {name}, {request.scale} scale: {about.sentence}", err=True)
     if dry_run:
         return
     if about.missing:
         with stop_requests() as requests:
-            if not _completed(request, workers, scheduler, requests):
+            if not _completed(request, processes, scheduler, requests):
                 raise interrupted()
     _show(request, name, as_json)
 
@@ -105,7 +108,7 @@ def _request(
 
 
 def _completed(
-    request: "ThesisRequest", workers: int | None, scheduler: str | None, requests: list[int]
+    request: "ThesisRequest", workers: "Workers | None", scheduler: str | None, requests: list[int]
 ) -> bool:
     """Run to the end; False if somebody asked to stop."""
     from rich.console import Console

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from service.diagnosis.words import likely
+from service.formatting import MINUS
 from service.report.svg import Mark, Scale, Svg, horizontal_axis, legend, text_width
 from workers.diagnosis.summary import GapEstimate
 
@@ -95,7 +96,7 @@ def evidence(rows: Sequence[Evidence], threshold: float, width: float) -> Svg:
         if more:
             bars.bar(y, max(row.gain, 0.0), max(row.gain, 0.0) + more, "bar-field")
         text = f"{row.gain:.1f}" + (f" + {more:.1f}" if more else "")
-        bars.beside(y, max(row.gain, 0.0) + more, text)
+        bars.beside(y, max(row.gain, 0.0) + more, text.replace("-", MINUS))
     bars.limit(threshold)
     return bars.finished("log evidence gained over the nominal model")
 

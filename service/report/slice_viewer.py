@@ -8,6 +8,7 @@ from service.report.slices import View
 from storage.values import Triple, Volume
 
 HINT = "Move the slider, or focus it and use the arrow keys. Point at a slice to read it."
+FLAT_HINT = "Point at the section to read it."
 MARGIN_MM = 3.0
 
 
@@ -64,6 +65,7 @@ def slice_viewer(
     choices : sequence of (str, str)
         Names of volumes that stand for ``$choice``, and their titles.
     """
+    flat = len(views) == 1
     return {
         "sets": [_set(one) for one in sets],
         "panels": [
@@ -76,8 +78,8 @@ def slice_viewer(
         "labels": {str(label): list(told) for label, told in labels.items()},
         "differences": [list(one) for one in differences],
         "choices": [list(one) for one in choices],
-        "hint": HINT,
-        "flat": len(views) == 1,
+        "hint": FLAT_HINT if flat else HINT,
+        "flat": flat,
     }
 
 

@@ -7,7 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from service.diagnosis.run import Step, finished, request_for, run
+from service.dask_diagnosis import run_and_tell
+from service.diagnosis.run import Step, finished, request_for
 from service.dispatch import Dispatcher
 from service.report.diagnosis_files import write_diagnosis
 from service.report.diagnosis_made import Origin, origin_of
@@ -70,7 +71,7 @@ def run_diagnosis(
             bring_source, str(source), str(store), request["nodes"], named, when
         )
         stored = finished(asked) is not None
-        diagnosis = run(asked, dispatcher, observe)
+        diagnosis = run_and_tell(asked, dispatcher, folder, observe)
         spent = None if stored else time.monotonic() - began
         write_diagnosis(
             diagnosis, folder, replace(origin, made=replace(origin.made, seconds=spent))

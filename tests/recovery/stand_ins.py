@@ -5,7 +5,9 @@ last, divergence an ordinary ending, everything a function of the request. Each
 execution leaves one line in `LOG`, written when the evaluation is finished.
 
 A file `MANNERS` in the store makes them slow, or makes them crash or die where
-the first gene is above a bound.
+the first gene is above a bound. With `held_after` no more than so many of the store are
+finished until it says otherwise (and one for each worker, where several count at once): what
+happens meanwhile happens in the middle of a study, however slow the machine is.
 """
 
 import json
@@ -127,9 +129,10 @@ def note(store: Store, log: str, name: str) -> None:
 
 
 def misbehave(store: Store, fat: float) -> None:
-    path = store.root / MANNERS
-    is_there = store.backend.is_file(path)
-    manners = json.loads(store.backend.read(path)) if is_there else {}
+    manners = manners_of(store)
+    while "held_after" in manners and len(executed(store.root)) >= manners["held_after"]:
+        time.sleep(0.02)
+        manners = manners_of(store)
     time.sleep(manners.get("seconds", 0.0))
     if fat > manners.get("crash_above", math.inf):
         raise ZeroDivisionError(f"no such tissue: E_fat = {fat}")
@@ -142,6 +145,14 @@ def misbehave(store: Store, fat: float) -> None:
         time.sleep(60)
     if fat > manners.get("die_above", math.inf):
         os.kill(os.getpid(), 9)
+
+
+def manners_of(store: Store) -> dict[str, float]:
+    path = store.root / MANNERS
+    manners: dict[str, float] = {}
+    if store.backend.is_file(path):
+        manners = json.loads(store.backend.read(path))
+    return manners
 
 
 def set_manners(location: Location, **manners: float) -> None:

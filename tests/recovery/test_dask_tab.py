@@ -4,6 +4,7 @@ import asyncio
 import time
 import urllib.request
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,9 +14,13 @@ from bokeh.client import pull_session
 from distributed import Client, LocalCluster
 from stand_ins import TASKS, set_manners, small_spec
 
+from service import dask_diagnosis
 from service.cluster import open_cluster
+from service.dask_diagnosis import DiagnosisRecords, run_and_tell
 from service.dask_records import DaskRecords
-from service.dask_tab import PAGE, IdleTime, PalpateTab, add_tab
+from service.dask_rows import IdleTime
+from service.dask_tab import PAGE, PalpateTab, add_tab
+from service.diagnosis.run import Step
 from service.dispatch import Dispatcher
 from service.server.study_job import run_study, study_request
 from service.study_log import StudyLog
@@ -45,7 +50,7 @@ def sources_of(url: str) -> dict[str, dict[str, Any]]:
     """Return the data that a browser gets, by the name of the source."""
     session = pull_session(url=url)
     try:
-        names = "studies", "barrier", "stages"
+        names = "studies", "diagnoses", "barrier", "stages"
         return {name: dict(session.document.get_model_by_name(name).data) for name in names}
     finally:
         session.close()
@@ -82,6 +87,48 @@ def test_the_page_holds_the_evaluations_of_a_study(tmp_path: Path) -> None:
     assert sources["stages"]["stage"] == ["solve"]
     computed = sum(r.seconds["solve"] for r in log.endings.values() if not r.reused)
     assert sources["stages"]["seconds"] == pytest.approx([computed])
+
+
+def test_the_page_holds_the_steps_of_a_diagnosis(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = [Step("calibration", 0, 1), Step("calibration", 1, 1, "")]
+    steps += [Step("effects", n, 3, "plate_tilt, 0" if n else "") for n in range(3)]
+    observed: list[Step] = []
+    shown: list[str] = []
+
+    def run(request: Any, dispatcher: Any, observe: Any) -> Any:
+        for step in steps:
+            dispatcher.call(time.sleep, 0.01)
+            observe(step)
+        shown.extend(state_of_diagnosis(url, lambda state: state.startswith("effects, 2")))
+        return SimpleNamespace(summary=SimpleNamespace(verdict="no-gap"))
+
+    monkeypatch.setattr(dask_diagnosis, "run", run)
+    with open_cluster(workers=1) as cluster:
+        url = page_of(cluster.dashboard)
+        request: Any = None
+        place = tmp_path / "patient-7"
+        run_and_tell(request, Dispatcher(cluster.client), place, observed.append)
+        shown.extend(state_of_diagnosis(url, lambda state: state == "no-gap"))
+        with Client(cluster.client.scheduler.address, set_as_default=False) as other:
+            DiagnosisRecords(other, place)
+            shown.extend(state_of_diagnosis(url, lambda state: state == "reading"))
+        shown.extend(state_of_diagnosis(url, lambda state: state == "interrupted"))
+        diagnoses = sources_of(url)["diagnoses"]
+    assert observed == steps
+    assert shown == ["effects, 2 of 3: plate_tilt, 0", "no-gap", "reading", "interrupted"]
+    assert diagnoses["diagnosis"] == ["patient-7"]  # begun again, it has one row
+
+
+def state_of_diagnosis(url: str, reached: Callable[[str], bool]) -> list[str]:
+    """Return the states of the diagnoses once one of them is such."""
+    end = time.monotonic() + DEADLINE_S
+    while not any(map(reached, states := sources_of(url)["diagnoses"]["state"])):
+        if time.monotonic() > end:
+            break
+        time.sleep(0.1)
+    return list(states)
 
 
 def test_an_existing_scheduler_gets_it_once(tmp_path: Path) -> None:

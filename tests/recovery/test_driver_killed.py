@@ -3,13 +3,12 @@
 from pathlib import Path
 
 from processes import kill_and_finish
-from stand_ins import Inline, assert_each_ran_once, run, set_manners, told
+from stand_ins import Inline, assert_each_ran_once, run, told
 
 
 def test_driver_killed_three_times(tmp_path: Path) -> None:
     run(tmp_path / "undisturbed" / "demo", Inline())
     folder = tmp_path / "runs" / "demo"
-    set_manners(folder.parent / "store", seconds=0.1)
     kill_and_finish(folder, ["--workers", "2"], killed_after=[1, 8, 20])
     assert told(folder) == told(tmp_path / "undisturbed" / "demo")
     assert_each_ran_once(folder, cut_off=6)  # two workers go down with each of the three

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from object_server import ObjectServer
 from processes import HERE
 from stand_ins import Inline, executed, run, set_manners, small_spec, told
 
+from service.dispatch import Ending
 from service.spec import parse_spec
 from service.study import Study
 from storage.journal import Journal
@@ -68,7 +70,27 @@ def test_real_evaluations_are_the_same_to_the_last_bit(bucket: str, tmp_path: Pa
     assert journal(tmp_path / "bucket") == journal(tmp_path / "local")
 
 
-def cut_off(server: ObjectServer, folder: Path, after: int, seconds: float) -> threading.Thread:
+class CutOff(Inline):
+    """Stops the server after so many endings, and lets it come back after some seconds."""
+
+    def __init__(self, server: ObjectServer, after: int, seconds: float) -> None:
+        self._server, self._left = server, after
+        self.back = threading.Timer(seconds, server.start)
+
+    def run(
+        self, task: Callable[..., Any], calls: Iterable[tuple[Any, tuple[Any, ...]]]
+    ) -> Iterator[Ending]:
+        for ending in super().run(task, calls):
+            yield ending
+            self._left -= 1
+            if self._left == 0:
+                self._server.stop()
+                self.back.start()
+
+
+def cut_off(
+    server: ObjectServer, folder: Path, store: str, after: int, seconds: float
+) -> threading.Thread:
     """Stop the server once the journal has so many endings, and start it again."""
 
     def cutting() -> None:
@@ -77,6 +99,7 @@ def cut_off(server: ObjectServer, folder: Path, after: int, seconds: float) -> t
         server.stop()
         time.sleep(seconds)
         server.start()
+        set_manners(store, seconds=0.1)
 
     thread = threading.Thread(target=cutting)
     thread.start()
@@ -88,11 +111,10 @@ def test_a_server_that_is_away_for_a_while_costs_nothing_but_time(
 ) -> None:
     run(tmp_path / "calm" / "demo", Inline())
     folder, store = tmp_path / "runs" / "demo", f"s3://{stoppable_server.new_bucket()}/store"
-    set_manners(store, seconds=0.01)
-    cutting = cut_off(stoppable_server, folder, after=10, seconds=3.0)
+    cutting = CutOff(stoppable_server, after=10, seconds=3.0)
     began = time.monotonic()
-    run(folder, Inline(), store=store)
-    cutting.join()
+    run(folder, cutting, store=store)
+    cutting.back.join()
     assert time.monotonic() - began > 3.0
     assert journal(folder) == journal(tmp_path / "calm" / "demo")
     ran = executed(store)
@@ -106,10 +128,10 @@ def test_workers_wait_ten_seconds_for_the_server(
     """The driver and two workers, each a process of its own, as `palpate run` starts them."""
     run(tmp_path / "calm" / "demo", Inline())
     folder, store = tmp_path / "runs" / "demo", f"s3://{stoppable_server.new_bucket()}/store"
-    set_manners(store, seconds=0.1)
+    set_manners(store, seconds=0.1, held_after=20)  # so the cut comes before the end
     command = [sys.executable, str(HERE / "driver.py"), str(folder), "--workers", "2", store]
     with subprocess.Popen(command) as driver:
-        cutting = cut_off(stoppable_server, folder, after=10, seconds=10.0)
+        cutting = cut_off(stoppable_server, folder, store, after=10, seconds=10.0)
         assert driver.wait(180) == 0
         cutting.join()
     assert told(folder) == told(tmp_path / "calm" / "demo")

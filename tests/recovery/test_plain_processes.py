@@ -6,13 +6,12 @@ import sys
 from pathlib import Path
 
 from processes import kill_and_finish, plain_cluster
-from stand_ins import Inline, executions, run, set_manners, told
+from stand_ins import Inline, executions, run, told
 
 
 def test_drivers_come_and_go_beside_a_running_scheduler(tmp_path: Path) -> None:
     run(tmp_path / "undisturbed" / "demo", Inline())
     folder = tmp_path / "runs" / "demo"
-    set_manners(folder.parent / "store", seconds=0.1)
     with plain_cluster(tmp_path, workers=2) as address:
         kill_and_finish(folder, ["--scheduler", address], killed_after=[2, 11, 23])
         doctor = subprocess.run(

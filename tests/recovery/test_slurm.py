@@ -4,17 +4,21 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from stand_ins import Inline, assert_each_ran_once, run, told
+from stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
+from service import adaptive
 from service.cluster import open_cluster
 from service.dispatch import Dispatcher
 from service.errors import ClusterError
 from service.slurm import SlurmRequest, open_slurm
+from service.worker_range import WorkerRange
 
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed")
 
@@ -74,11 +78,46 @@ def test_a_study_on_jobs_of_slurm(jobs: Path, tmp_path: Path) -> None:
         ):
             assert line in cluster.script.splitlines(), cluster.script
         assert "--nthreads 1" in cluster.script
-        cluster.submit(2)
+        cluster.submit()
         with open_cluster(cluster.address) as opened:
             run(folder, Dispatcher(opened.client))
     submitted = [script.read_text() for script in jobs.glob("*.sh")]
     assert len(submitted) == 2
+    assert told(folder) == told(tmp_path / "here" / "demo")
+    assert_each_ran_once(folder)
+
+
+def test_jobs_follow_the_work(jobs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(adaptive, "ADAPT_EVERY_S", 0.1)
+    monkeypatch.setattr(adaptive, "IDLE_S", 1.0)
+    run(tmp_path / "here" / "demo", Inline())
+    folder = tmp_path / "runs" / "demo"
+    set_manners(tmp_path / "runs" / "store", held_after=0)
+
+    def until_up(workers: int) -> None:
+        deadline = time.monotonic() + 60
+        while (alive := cluster.running) != workers:
+            assert time.monotonic() < deadline, f"{alive} workers"
+            time.sleep(0.05)
+
+    def release() -> None:
+        try:
+            until_up(2)
+        finally:
+            set_manners(tmp_path / "runs" / "store")
+
+    with open_slurm(
+        SlurmRequest(workers=WorkerRange(1, 2), memory="1GB", host="127.0.0.1")
+    ) as cluster:
+        cluster.submit()
+        until_up(1)
+        releasing = threading.Thread(target=release)
+        releasing.start()
+        with open_cluster(cluster.address) as opened:
+            run(folder, Dispatcher(opened.client))
+        releasing.join()
+        assert len(list(jobs.glob("*.sh"))) >= 2
+        until_up(1)
     assert told(folder) == told(tmp_path / "here" / "demo")
     assert_each_ran_once(folder)
 

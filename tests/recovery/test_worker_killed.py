@@ -17,19 +17,23 @@ from service.dispatch import Dispatcher
 def test_five_workers_killed(tmp_path: Path) -> None:
     run(tmp_path / "undisturbed" / "demo", Inline())
     folder = tmp_path / "runs" / "demo"
-    set_manners(folder.parent / "store", seconds=0.2)
+    store = folder.parent / "store"
+    set_manners(store, seconds=0.2, held_after=40)
     killed: list[int] = []
     over = threading.Event()
 
     def kill(client: Any) -> None:
         chance = random.Random(5)
-        while len(killed) < 5 and not over.wait(chance.uniform(0.2, 0.6)):
-            pids = client.run(os.getpid, on_error="ignore").values()
-            alive = sorted(set(pids) - set(killed))
-            with suppress(ProcessLookupError):  # it may be going at this moment
-                if alive:
-                    os.kill(victim := chance.choice(alive), signal.SIGKILL)
-                    killed.append(victim)
+        try:
+            while len(killed) < 5 and not over.wait(chance.uniform(0.2, 0.6)):
+                pids = client.run(os.getpid, on_error="ignore").values()
+                alive = sorted(set(pids) - set(killed))
+                with suppress(ProcessLookupError):  # it may be going at this moment
+                    if alive:
+                        os.kill(victim := chance.choice(alive), signal.SIGKILL)
+                        killed.append(victim)
+        finally:
+            set_manners(store, seconds=0.2)
 
     with open_cluster(workers=2) as cluster:
         killer = threading.Thread(target=kill, args=(cluster.client,))

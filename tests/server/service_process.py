@@ -4,9 +4,13 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from service.client import Client
+from storage.errors import JournalError
+from storage.journal import Journal
+from storage.layout import StudyLayout
 
 TOKEN = "a-token-of-the-tests"
 SERVED = Path(__file__).parent / "served.py"
@@ -59,3 +63,13 @@ class ServiceProcess:
         assert self.process is not None
         self.process.terminate()
         return self.process.wait(timeout=90)
+
+
+def until_stopped(folder: Path, patience_s: float = 60.0) -> None:
+    """Wait until no process or thread writes the journal of a study."""
+    deadline = time.monotonic() + patience_s
+    while True:
+        with suppress(JournalError):
+            return Journal(StudyLayout(folder).journal).close()
+        assert time.monotonic() < deadline, "the study runs on"
+        time.sleep(0.05)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_process import TOKEN, ServiceProcess
-from stand_ins import SPEC, set_manners
+from service_process import TOKEN, ServiceProcess, until_stopped
+from stand_ins import SPEC, set_manners, told
 
 from service.client import Client
 
@@ -155,11 +155,13 @@ def test_submit_watch_pause_resume_cancel(shown: Shown, served: ServiceProcess) 
     before = shown.drawn()
     shown.wait_drawn(before + 5)
     assert "of at most" in page.inner_text("header .lead")
+    page.locator("#workers tbody tr").nth(1).wait_for()
     assert page.locator("#workers tbody tr").count() == 2
     shown.act("pause")
     shown.state("paused")
-    page.wait_for_timeout(1200)
-    stopped = shown.drawn()
+    until_stopped(served.home / "watched")
+    stopped = len(told(served.home / "watched"))
+    shown.wait_drawn(stopped)
     page.wait_for_timeout(600)
     assert shown.drawn() == stopped
     shown.act("resume")
@@ -284,6 +286,7 @@ def test_nothing_is_cut_and_both_schemes_are_known(
 
 def test_a_stranger_watches_and_changes_nothing(browser: Any, served: ServiceProcess) -> None:
     page = browser.new_page()
+    page.set_default_timeout(PATIENCE_MS)
     page.goto(served.url)
     page.wait_for_selector("form.sign-in")
     assert not page.locator("text=Submit a study").is_visible()

@@ -217,7 +217,8 @@ FILES = {
 
 OPTIONS = {
     "no worker": BadInput(f"{RUN} --workers 0", "--workers must be at least 1"),
-    "workers in words": BadInput(f"{RUN} --workers two", "--workers"),
+    "workers in words": BadInput(f"{RUN} --workers two", "--workers two: expected a number"),
+    "a range without workers": BadInput(f"{RUN} --workers 0-4", "one worker is always kept"),
     "a scheduler that is no address": BadInput(f"{RUN} --scheduler foo", "tcp://127.0.0.1:8786"),
     "a scheduler with a web address": BadInput(
         f"{RUN} --scheduler http://127.0.0.1:8787", "which is no address"

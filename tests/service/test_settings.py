@@ -17,20 +17,43 @@ from service.commands.settings import cluster_options, store_place
 from service.dispatch import Ending
 from service.errors import ClusterError
 from service.scheduler_address import check_reachable, host_and_port
+from service.worker_range import WorkerRange, read_workers
 from storage.errors import InputError
 from storage.layout import StudyLayout
 
 
 def test_an_option_counts_more_than_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     assert cluster_options(None, None) == (None, None)
+    monkeypatch.setenv("PALPATE_WORKERS", "1-3")
+    assert cluster_options(None, None) == (None, WorkerRange(1, 3))
     monkeypatch.setenv("PALPATE_WORKERS", "3")
     assert cluster_options(None, None) == (None, 3)
     monkeypatch.setenv("PALPATE_SCHEDULER", "tcp://host:8786")
     assert cluster_options(None, None) == ("tcp://host:8786", None)
-    assert cluster_options(None, 2) == (None, 2)
+    assert cluster_options(None, "2") == (None, 2)
+    assert cluster_options(None, "2-2") == (None, 2)
+    assert cluster_options(None, "2-8") == (None, WorkerRange(2, 8))
     assert cluster_options("tcp://other:1", None) == ("tcp://other:1", None)
     with pytest.raises(InputError, match="give one of them"):
-        cluster_options("tcp://other:1", 2)
+        cluster_options("tcp://other:1", "2-8")
+    monkeypatch.setenv("PALPATE_WORKERS", "4-1")
+    monkeypatch.delenv("PALPATE_SCHEDULER")
+    with pytest.raises(InputError, match="PALPATE_WORKERS=4-1: the least comes first, so 1-4"):
+        cluster_options(None, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0", "at least 1"),
+        ("0-4", "at least 1"),
+        ("4-1", "so 1-4"),
+        *((text, "expected a number") for text in ("a-b", "", "1-", "-4", "1-4-8", "2.5", "4 2")),
+    ],
+)
+def test_what_is_no_number_of_workers(text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        read_workers(text)
 
 
 def test_the_store_of_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """What the bench of strategies counts, and its chart, from studies made by hand."""
 
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +14,7 @@ from service.strategy_bench import (
     Improvement,
     OneCore,
     Reached,
+    measure,
     near_from,
     study_of,
     targets,
@@ -78,3 +80,14 @@ def test_the_chart_names_the_strategies_that_ran(tmp_path: Path) -> None:
     words = [e.text for e in ElementTree.parse(tmp_path / "chart.svg").iter() if e.text]
     assert {"least-squares", "genetic"} <= set(words)
     assert "cma" not in words
+
+
+def test_a_study_stops_after_so_many_evaluations_and_goes_on_later(tmp_path: Path) -> None:
+    bench = Bench(targets=1, nodes=850, spacing_mm=2.0)
+    (cut,) = measure(tmp_path / "cut", ["least-squares"], replace(bench, at_most=2))
+    assert (cut.evaluations, cut.ended) == (2, False)
+    (on,) = measure(tmp_path / "cut", ["least-squares"], bench)
+    (whole,) = measure(tmp_path / "whole", ["least-squares"], bench)
+    assert on.ended
+    assert whole.evaluations > 2
+    assert (on.evaluations, on.errors) == (whole.evaluations, whole.errors)

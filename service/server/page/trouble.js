@@ -4,7 +4,10 @@ import { Refused } from "./api.js";
 
 const place = document.getElementById("trouble");
 
+let ofConnection = false;
+
 export const complain = (error) => {
+  ofConnection = false;
   place.hidden = !error;
   place.textContent = error ? error.message || String(error) : "";
   if (error && !(error instanceof Refused)) console.error(error);
@@ -22,5 +25,10 @@ export const attempt = async (act) => {
   }
 };
 
-export const connected = (there) =>
-  complain(there ? null : new Refused(0, "The service does not answer. This page goes on when it is back."));
+// A connection that is there takes back only its own complaint, not that of a button.
+export const connected = (there) => {
+  if (there && ofConnection) complain(null);
+  if (there) return;
+  complain(new Refused(0, "The service does not answer. This page goes on when it is back."));
+  ofConnection = true;
+};

@@ -1,0 +1,90 @@
+"""A cluster whose workers follow the work: more under load, fewer when idle, the same journal."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from stand_ins import Inline, assert_each_ran_once, run, set_manners, told
+
+from service import adaptive
+from service.cluster import open_cluster
+from service.dispatch import Dispatcher
+from service.study_log import StudyLog
+from service.worker_range import WorkerRange
+from storage.layout import StudyLayout
+
+PATIENCE_S = 120.0
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(adaptive, "ADAPT_EVERY_S", 0.1)
+    monkeypatch.setattr(adaptive, "IDLE_S", 1.0)
+
+
+def until(reached: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not reached():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+
+
+@contextmanager
+def running(folder: Path, client: Any) -> Iterator[None]:
+    """A study that runs meanwhile; it has ended afterwards."""
+    failed: list[BaseException] = []
+
+    def study() -> None:
+        try:
+            run(folder, Dispatcher(client))
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=study)
+    thread.start()
+    try:
+        yield
+    finally:
+        set_manners(folder.parent / "store")
+        thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+    assert failed == []
+
+
+def assert_as_calm(folder: Path, calm: Path) -> None:
+    assert told(folder) == told(calm)
+    endings = StudyLog.read(StudyLayout(folder).journal).endings.values()
+    assert {record.attempts for record in endings} == {1}
+
+
+def test_workers_come_with_the_work_and_go_when_it_is_done(tmp_path: Path) -> None:
+    calm, folder = tmp_path / "calm" / "demo", tmp_path / "runs" / "demo"
+    run(calm, Inline())
+    set_manners(folder.parent / "store", held_after=3)
+    with open_cluster(workers=WorkerRange(1, 3)) as cluster:
+        client, local = cluster.client, cluster.client.cluster
+        assert len(client.nthreads()) == 1
+        with running(folder, client):
+            until(lambda: len(client.nthreads()) == 3, "three workers under load")
+            until(lambda: all(w.processing for w in workers_of(local)), "all of them busy")
+            # One is retired while it computes; another may come, for there is work for three.
+            retired = max(workers_of(local), key=lambda worker: worker.name)
+            local.sync(local._adaptive.scale_down, [retired.name])
+            assert retired.address not in [worker.address for worker in workers_of(local)]
+            assert len(told(folder)) < 52
+        assert told(folder) == told(calm)
+        endings = StudyLog.read(StudyLayout(folder).journal).endings.values()
+        assert {record.attempts for record in endings} == {1}  # nobody counts as lost
+        assert_each_ran_once(folder)
+        until(lambda: len(client.nthreads()) == 1, "one worker when idle")
+        time.sleep(0.5)
+        assert len(client.nthreads()) == 1
+
+
+def workers_of(local: Any) -> list[Any]:
+    """Return what the scheduler knows of its workers."""
+    return list(local.scheduler.workers.values())

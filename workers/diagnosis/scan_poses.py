@@ -76,22 +76,28 @@ def registered(
     """Compare with the scans where the residuals say that they lie.
 
     A cost belongs to parameters only where this has settled: off the interface it is too low.
+    Distances may have a kink, across which the best pose lies on either side the other one:
+    steps that do not become shorter are halved.
     """
     found = tuple(found)
     if not inverse.has_poses:
         return found
     sd = np.repeat(inverse.pose_sd, 3)
-    before = [np.zeros(6) if one.pose is None else one.pose for one in found]
+    poses = np.array([np.zeros(6) if one.pose is None else one.pose for one in found])
+    poses /= np.where(sd > 0, sd, 1.0)
+    length, before = 1.0, np.inf
     for _ in range(SETTINGS.pose.registrations):
         noise = PosedNoise(inverse, found)
         best = noise.poses(noise.whiten(residuals(inverse, found)))
-        after = [sd * one for one in best.reshape(len(found), -1)]
-        moved = np.abs(np.array(after) - before) / np.where(sd > 0, sd, 1.0)
-        if moved.max() < SETTINGS.pose.settled:
+        step = best.reshape(poses.shape) - poses
+        longest = float(np.abs(step).max())
+        if longest > SETTINGS.pose.shorter * before:
+            length /= 2
+        if length * longest < SETTINGS.pose.settled:
             break
+        poses, before = poses + length * step, longest
         found = tuple(
-            compare_with_scan(inverse, scan, unknowns, z, one.at, pose)
-            for scan, one, pose in zip(inverse.scans, found, after, strict=True)
+            compare_with_scan(inverse, scan, unknowns, z, one.at, sd * pose)
+            for scan, one, pose in zip(inverse.scans, found, poses, strict=True)
         )
-        before = after
     return found

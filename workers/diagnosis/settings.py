@@ -107,9 +107,11 @@ class PoseSettings:
     # habit or by half a voxel.
     drawing: float = 0.3
     # [numerics] A scan is moved to where its residuals say that it lies until that changes by less
-    # than this, in the standard deviations above: 0.003 mm. How often at most.
+    # than this, in the standard deviations above: 0.003 mm. How often at most; and what part of
+    # the step before a step is at most that is not halved.
     settled: float = 0.01
-    registrations: int = 8
+    registrations: int = 12
+    shorter: float = 0.7
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,7 +85,8 @@ def _numerical(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> 
     """Return the columns of the numerical error; it grows with the element and the load."""
     settings, shape = SETTINGS.numerical, (len(inverse.scans), -1)
     difference = np.sqrt((inverse.bias.reshape(shape) ** 2).mean(axis=1))
-    each = np.hypot(settings.of_difference * difference, settings.least_mm)
+    least_mm = max(settings.least_mm, settings.of_nugget * inverse.noise.nugget_mm)
+    each = np.hypot(settings.of_difference * difference, least_mm)
     if not inverse.is_segmented:
         each = settings.of_difference * difference
     return smooth_columns(

@@ -118,8 +118,10 @@ class PoseSettings:
 class NumericalSettings:
     """Of what another mesh, element and contact of the same physics would change."""
 
-    # [open cases] A part that every solver has, in mm.
+    # [open cases] A part that every solver has, in mm; and as much of the nugget for voxels larger
+    # than theirs: where a face lies along voxels, what they cannot show is the same all over it.
     least_mm: float = 0.03
+    of_nugget: float = 0.75
     # [numerics] A part of what a finer mesh changes, root mean square of each scan: what is
     # still unknown after that difference is taken off is as large as the difference itself.
     of_difference: float = 1.0

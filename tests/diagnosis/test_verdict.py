@@ -116,6 +116,15 @@ def test_a_field_alone_is_none_of_these():
     assert found.primary == ()
 
 
+def test_a_mere_likeness_is_none_of_these():
+    """With an error of form that no real effect has, the same pattern fits by 5 nats better."""
+    likeness = Hypothesis(("a",), 0.0, acting=0.1)
+    found = weigh(likeness)
+    assert found.probabilities["a"] == pytest.approx(0.1, abs=1e-6)
+    assert found.none_of_these == pytest.approx(0.9, abs=1e-6)
+    assert found.kind == "none-of-these"
+
+
 def test_an_effect_beside_something_else_is_doubtful():
     """The more of the evidence a field on top of it has, the more is it a mere likeness."""
     shares = [0.01, 0.2, 0.8]
@@ -155,12 +164,13 @@ def test_three_effects_are_named():
 
 
 def test_what_hides_is_neither_accused_nor_acquitted():
-    """It keeps what it had before data beside no gap, whatever its own fit gained."""
-    found = weigh(Hypothesis(("a",), -80.0), Hypothesis(("d",), -60.0), hiding={"d"})
-    assert found.hidden == ("d",)
-    assert found.primary == ("a",)
-    assert 0 < found.probabilities["d"] < 1e-6
-    quiet = weigh(Hypothesis(("d",), -60.0), hiding={"d"})
+    """It stays in the sum with what speaks for it, and counts for no gap."""
+    louder = weigh(Hypothesis(("a",), -80.0), Hypothesis(("d",), -60.0), hiding={"d"})
+    assert (louder.kind, louder.primary, louder.hidden) == ("no-gap", (), ("d",))
+    softer = weigh(Hypothesis(("a",), -60.0), Hypothesis(("d",), -80.0), hiding={"d"})
+    assert (softer.kind, softer.primary) == ("effect", ("a",))
+    # Constants that take it up fit as well without it, whatever a fit with it has lost.
+    quiet = weigh(Hypothesis(("d",), -140.0), hiding={"d"})
     assert quiet.kind == "no-gap"
     odds = PriorOdds()
     assert quiet.probabilities["d"] / quiet.no_gap == pytest.approx(

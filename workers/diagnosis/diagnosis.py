@@ -16,6 +16,8 @@ from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+import numpy as np
+
 from workers.diagnosis.hypotheses import Hypothesis
 from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.joint_fit import JointFit, fit_jointly
@@ -182,8 +184,14 @@ def _weighed(
 ) -> Hypothesis:
     at = fitted.fit.hypothesis(analysis.inverse)
     pattern = analysis.registered(nominal.residual - at.residual)
-    at = at.with_errors(analysis.form.columns(pattern))
-    return Hypothesis(names, analysis.noise.log_evidence(at), analysis.noise.field_gain(at))
+    settings, noise = SETTINGS.form, analysis.noise
+    formed = at.with_errors(analysis.form.columns(pattern))
+    likened = at.with_errors(analysis.form.columns(pattern, settings.likeness_sd))
+    acting = float(np.log1p(-settings.likeness)) + noise.log_evidence(formed)
+    either = np.logaddexp(acting, np.log(settings.likeness) + noise.log_evidence(likened))
+    return Hypothesis(
+        names, float(either), noise.field_gain(formed), float(np.exp(acting - either))
+    )
 
 
 def _fitted(

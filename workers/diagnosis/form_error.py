@@ -5,6 +5,9 @@ shape. Where an effect changes the residuals by a pattern, it may in truth chang
 that is smoothly a fifth larger here and smaller there. As columns with a prior these errors enter
 the evidence of the hypothesis: a strong effect then does not lose to a field that mends its form,
 and does not beat a relative by some nats of hundreds; a weak one is hardly touched.
+
+A cause that is not listed may resemble one that is. Its pattern then differs by more: the same
+hypothesis with a larger error of form, in which the effects do not act.
 """
 
 import numpy as np
@@ -31,11 +34,13 @@ class FormError:
         same = states[:, None] == states
         smooth = np.exp(-0.5 * squares / settings.length_mm**2)
         smooth *= np.where(same, 1.0, settings.state_correlation)
-        self._modes = settings.relative_sd * pivoted(smooth, settings.rank_tolerance)
+        self._modes = pivoted(smooth, settings.rank_tolerance)
         near = np.exp(-0.5 * squares / settings.envelope_mm**2) * same
         self._average = near / near.sum(axis=1)[:, None]
 
-    def columns(self, pattern: FloatArray) -> FloatArray:
+    def columns(
+        self, pattern: FloatArray, relative_sd: float = SETTINGS.form.relative_sd
+    ) -> FloatArray:
         """Return columns of unit deviation, shape (m, k).
 
         Parameters
@@ -43,8 +48,10 @@ class FormError:
         pattern : ndarray, shape (m,)
             What the effects of a hypothesis change of the residuals, once constants and poses
             have followed, in mm.
+        relative_sd : float
+            Standard deviation of the error, over the size of the pattern.
         """
-        return self.envelope(pattern)[:, None] * self._modes
+        return relative_sd * self.envelope(pattern)[:, None] * self._modes
 
     def envelope(self, pattern: FloatArray) -> FloatArray:
         """Return the root mean square of a pattern around each point, shape (m,)."""

@@ -35,6 +35,9 @@ class Hypothesis:
         with the evidence of the linear model.
     discrepancy_gain : float, optional
         By how much a smooth field raises it; None if that was not tried.
+    acting : float
+        How probably the effects act and do not only resemble a cause that is not listed; see
+        `workers.diagnosis.form_error`.
 
     Raises
     ------
@@ -45,6 +48,7 @@ class Hypothesis:
     effects: tuple[str, ...]
     log_evidence: float
     discrepancy_gain: float | None = None
+    acting: float = 1.0
 
     def __post_init__(self) -> None:
         if len(self.effects) > MOST_EFFECTS or len(set(self.effects)) < len(self.effects):

@@ -146,6 +146,10 @@ class FormSettings:
 
     relative_sd: float = 0.2
     length_mm: float = 30.0
+    # Of effects that do not act but resemble a cause that is not listed, and how probable that is
+    # before data.
+    likeness_sd: float = 0.5
+    likeness: float = 0.05
     # Over which the size of a pattern is averaged: an error need not vanish where it changes sign.
     envelope_mm: float = 12.0
     state_correlation: float = 0.9

@@ -6,8 +6,8 @@ field is needed beside effects, something acts that is not listed, of which thes
 likeness, the more probably the more of the evidence the field has: that counts for "none of these".
 
 1. No gap if that is the most probable cause. An effect that hides in the nominal parameters (see
-   `workers.diagnosis.detectability.hides`) keeps the probability that it had beside no gap, and
-   counts for it: these scans cannot show it, and it is neither accused nor acquitted.
+   `workers.diagnosis.detectability.hides`) has at least the probability that it had beside no
+   gap, and counts for it: these scans cannot show it, and it is neither accused nor acquitted.
 2. None of these if that is.
 3. Else the effect, or, if more than one cause is needed to hold 90 % of the probability, what
    cannot be told apart.
@@ -112,9 +112,14 @@ def verdict(
     visible = _with_hidden(hypotheses, hidden)
     odds = odds or PriorOdds()
     cases = probabilities(visible, len(families), odds)
-    trust = {h.effects: odds.trust(1.0 - _explained(visible, h.effects)) for h in visible}
+    alone = {h.effects: h.acting for h in visible}
+    beside = {
+        h.effects: h.acting * odds.trust(1.0 - _explained(visible, h.effects)) for h in visible
+    }
     acts = {
-        (who, field): p * (trust[who] if field else 1.0) for (who, field), p in cases.items() if who
+        (who, field): p * (beside if field else alone)[who]
+        for (who, field), p in cases.items()
+        if who
     }
     acting = {name: sum(p for (who, _), p in acts.items() if name in who) for name in families}
     causes = _causes(cases, acts, acting, hidden)
@@ -155,14 +160,16 @@ def _check(hypotheses: Sequence[Hypothesis], families: Mapping[str, str]) -> Non
 
 
 def _with_hidden(hypotheses: Sequence[Hypothesis], hidden: Sequence[str]) -> list[Hypothesis]:
-    """Return hypotheses of which effects that hide have the evidence of what hides them.
+    """Return hypotheses of which effects that hide have at least the evidence of what hides them.
 
-    The constants take such an effect up, so a fit with it is as good as one without; what it
-    may gain or lose by moving them from where they are plausible says nothing of the scans.
+    The constants take such an effect up, so a fit with it is as good as one without. The little
+    that they leave of it may speak for it, but not loudly enough to accuse it.
     """
     nothing = next(h for h in hypotheses if not h.effects)
     kept = [h for h in hypotheses if not set(h.effects) & set(hidden)]
-    return kept + [Hypothesis((name,), nothing.log_evidence) for name in hidden]
+    own = {h.effects[0]: h.log_evidence for h in hypotheses if len(h.effects) == 1}
+    least = nothing.log_evidence
+    return kept + [Hypothesis((name,), max(own.get(name, least), least)) for name in hidden]
 
 
 def _causes(

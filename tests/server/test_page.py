@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from service_process import TOKEN, ServiceProcess, until_stopped
-from stand_ins import SPEC, set_manners, told
+from stand_ins import SPEC, Inline, executed, run, set_manners, small_spec, told
 
 from service.client import Client
 
@@ -259,6 +259,34 @@ def test_slices_slide_and_the_body_turns(shown: Shown, served: ServiceProcess) -
     shown.settled()
     turned = float(page.get_attribute('[data-viewer="body"]', "data-azimuth"))
     assert turned == pytest.approx(azimuth - 30, abs=1)
+
+
+def test_bodies_that_are_ahead_of_the_page_are_not_waited_for(
+    shown: Shown, served: ServiceProcess, tmp_path: Path
+) -> None:
+    """A body is drawn of the best candidate there is by then, of which the page may not know."""
+    text = named("ahead").replace("seed: 7", "seed: 10")
+    run(tmp_path / "calm" / "ahead", Inline(), small_spec(text))
+    scores = {c: e[4]["gsf"] for c, e in told(tmp_path / "calm" / "ahead").items() if e[4]}
+    best = min(scores, key=lambda candidate: (scores[candidate], candidate))
+    assert best >= 12
+    bodies = {"ready": True, "candidate": best, "slices": None, "body": None}
+    bodies |= {"missing": [], "tissues": [], "differences": []}
+    page = shown.page
+    page.route("**/jobs/ahead/bodies", lambda route: route.fulfill(json=bodies))
+    set_manners(served.home / "store", held_after=len(executed(served.home / "store")) + 6)
+    try:
+        with served.client() as client:
+            client.submit_study(text)
+        shown.open("ahead")
+        offer = page.locator("#bodies button:has-text('which is better')")
+        offer.click()
+        page.wait_for_selector("#bodies .note:has-text('being drawn')")
+    finally:
+        set_manners(served.home / "store")
+    shown.state("finished")
+    page.wait_for_selector(f"#bodies .note:has-text('Candidate {best}.')")
+    assert not offer.is_visible()
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(WIDE, "dark"), (NARROW, "light")])

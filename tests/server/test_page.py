@@ -205,6 +205,25 @@ def test_a_failed_candidate_is_opened_with_its_constants_and_its_log(
     assert endings == page.locator("#failures .badge.crashed").count() > 0
 
 
+def test_a_page_that_is_left_before_it_appears_stays_away(
+    shown: Shown, served: ServiceProcess
+) -> None:
+    set_manners(served.home / "store")
+    with served.client() as client:
+        client.submit_study(named("twice").replace("seed: 7", "seed: 12"))
+    page = shown.page
+    page.evaluate("""() => {
+        for (const job of ["twice", "", "twice", "", "twice"]) {
+            location.hash = `#/${job}`;
+            dispatchEvent(new Event("hashchange"));
+        }
+    }""")
+    shown.state("finished")
+    page.wait_for_timeout(300)
+    assert page.locator("#main h1").all_inner_texts() == ["twice"]
+    assert page.locator("#bodies").count() == page.locator("#workers").count() == 1
+
+
 def test_charts_answer_to_keys(shown: Shown, served: ServiceProcess) -> None:
     set_manners(served.home / "store")
     with served.client() as client:
@@ -333,6 +352,15 @@ def test_a_stranger_watches_and_changes_nothing(browser: Any, served: ServicePro
 @pytest.mark.slow
 def test_a_real_study_shows_its_gap_and_its_report(browser: Any, tmp_path: Path) -> None:
     served = ServiceProcess(tmp_path / "runs", ["--workers", "1"], 0, "--real").start()
+    try:
+        look_at_a_real_study(browser, served)
+    except BaseException:
+        served.kill()
+        raise
+    assert served.stop() == 0
+
+
+def look_at_a_real_study(browser: Any, served: ServiceProcess) -> None:
     page = browser.new_page(viewport={"width": WIDE, "height": 900})
     shown = Shown(page, served.url)
     with served.client() as client:
@@ -347,7 +375,6 @@ def test_a_real_study_shows_its_gap_and_its_report(browser: Any, tmp_path: Path)
         page.click("text=report.html")
     opened.value.wait_for_selector("h2:has-text('What was found')")
     page.close()
-    assert served.stop() == 0
 
 
 @pytest.mark.slow

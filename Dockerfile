@@ -1,5 +1,9 @@
 # One image for the scheduler, the workers and the service, so that the code is the same on all.
-FROM python:3.11-slim AS build
+#
+# The digest is that of the index of all architectures. It was taken from public Dockerfiles that
+# agree on it, for no registry could be asked where this was written; this says whether it still
+# is what the tag means:  docker buildx imagetools inspect python:3.11.15-slim-bookworm
+FROM python:3.11.15-slim-bookworm@sha256:d29f48a31a8b408ed19272ca1e7b10ebae13b240a27e862d3d4217c528e2e0c3 AS build
 
 WORKDIR /source
 RUN python -m venv /opt/palpate
@@ -18,7 +22,7 @@ COPY palpate/ palpate/
 RUN pip install --no-cache-dir --disable-pip-version-check --no-deps .
 
 
-FROM python:3.11-slim
+FROM python:3.11.15-slim-bookworm@sha256:d29f48a31a8b408ed19272ca1e7b10ebae13b240a27e862d3d4217c528e2e0c3
 
 RUN useradd --create-home --uid 1000 palpate \
     && install --directory --owner palpate --group palpate /data /objects /home/palpate/.cache

@@ -29,7 +29,8 @@ RUN useradd --create-home --uid 1000 palpate \
 COPY --from=build /opt/palpate /opt/palpate
 
 # PYTHONSAFEPATH: a folder named `service` beside a study must not shadow the package.
-# One thread per evaluation; the cores are used by more workers. Compiled kernels are
+# One thread per evaluation, the cores are used by more workers; memory that is freed is kept
+# for the next evaluation. Compiled kernels are
 # kept in the home folder, for the packages are not writable.
 ENV PATH=/opt/palpate/bin:$PATH \
     PYTHONSAFEPATH=1 \
@@ -40,7 +41,9 @@ ENV PATH=/opt/palpate/bin:$PATH \
     OMP_NUM_THREADS=1 \
     OPENBLAS_NUM_THREADS=1 \
     MKL_NUM_THREADS=1 \
-    VECLIB_MAXIMUM_THREADS=1
+    VECLIB_MAXIMUM_THREADS=1 \
+    MALLOC_MMAP_THRESHOLD_=33554432 \
+    MALLOC_TRIM_THRESHOLD_=268435456
 
 # By number, so that an orchestrator can tell that it is not root.
 USER 1000

@@ -28,7 +28,7 @@ from service.scheduler_address import check_reachable
 from service.task_failures import sentence
 from service.worker_range import WorkerRange, Workers
 from storage.errors import InputError
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 from workers.resources import OneThread
 
 ALLOWED_FAILURES = 5
@@ -226,7 +226,7 @@ def _unlogged(name: str) -> Iterator[None]:
 @contextmanager
 def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
     count = workers.least if isinstance(workers, WorkerRange) else workers or usable_cores()
-    os.environ.update(THREAD_ENVIRONMENT)  # inherited by the workers, before they load NumPy
+    os.environ.update(WORKER_ENVIRONMENT)  # inherited by the workers, before they load NumPy
     with ExitStack() as stack:
         scratch = stack.enter_context(
             tempfile.TemporaryDirectory(prefix="palpate-dask-", ignore_cleanup_errors=True)

@@ -23,7 +23,7 @@ from service.errors import ClusterError
 from service.worker_range import WorkerRange, Workers
 from storage.atomic import explained
 from storage.errors import InputError
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 
 DEATH_TIMEOUT_S = 300
 LOOK_EVERY_S = 5.0
@@ -205,7 +205,7 @@ def _scheduler_options(request: SlurmRequest) -> dict[str, Any]:
 
 def _exports() -> list[str]:
     """Tell the workers what a cluster of this machine is told; see `service.cluster`."""
-    told = dict(THREAD_ENVIRONMENT) | {"PYTHONSAFEPATH": "1"}
+    told = dict(WORKER_ENVIRONMENT) | {"PYTHONSAFEPATH": "1"}
     for key, value in CONFIG.items():
         if key.startswith("distributed.worker."):
             told["DASK_" + key.upper().replace(".", "__").replace("-", "_")] = str(value)

@@ -25,7 +25,7 @@ import yaml
 from service import retry
 from service.client import Client
 from service.cluster import CONFIG
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"
@@ -233,7 +233,7 @@ def test_dask_is_told_the_same_as_by_a_cluster_of_our_own(compose: dict[str, Any
 
 def test_the_image_keeps_evaluations_to_one_thread() -> None:
     final = (ROOT / "Dockerfile").read_text().rpartition("\nFROM ")[2]
-    for name, value in THREAD_ENVIRONMENT.items():
+    for name, value in WORKER_ENVIRONMENT.items():
         assert f"{name}={value}" in final
     assert "PYTHONSAFEPATH=1" in final
     assert re.search(r"^USER [1-9]\d*$", final, re.MULTILINE), "the image must not run as root"

@@ -21,7 +21,7 @@ def diagnose(
     *,
     nodes: int = SETTINGS.mesh.nodes,
     effects: Iterable[str] | None = None,
-    workers: int | None = None,
+    workers: int | str | None = None,
     scheduler: str | None = None,
     store: str | Path = "runs/store",
     page: str | Path | None = None,
@@ -39,8 +39,9 @@ def diagnose(
         Of the mesh.
     effects : iterable of str, optional
         Effects that are suspected; by default the whole catalogue.
-    workers : int, optional
-        Processes of this machine; by default as many as fit.
+    workers : int or str, optional
+        Processes of this machine, ``"1-8"`` for as many as there is work for; by default as many
+        as fit.
     scheduler : str, optional
         Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
     store : str or Path

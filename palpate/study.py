@@ -101,7 +101,7 @@ class Study:
     def run(
         self,
         *,
-        workers: int | None = None,
+        workers: int | str | None = None,
         scheduler: str | None = None,
         store: str | Path | None = None,
         progress: bool = False,
@@ -112,8 +112,9 @@ class Study:
 
         Parameters
         ----------
-        workers : int, optional
-            Processes of this machine; by default as many as fit.
+        workers : int or str, optional
+            Processes of this machine, ``"1-8"`` for as many as there is work for; by default as
+            many as fit.
         scheduler : str, optional
             Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
         store : str or Path, optional

@@ -26,9 +26,9 @@ from service.dask_tab import add_tab
 from service.errors import ClusterError
 from service.scheduler_address import check_reachable
 from service.task_failures import sentence
-from service.worker_range import WorkerRange, Workers
+from service.worker_range import WorkerRange, Workers, read_workers
 from storage.errors import InputError
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 from workers.resources import OneThread
 
 ALLOWED_FAILURES = 5
@@ -119,7 +119,7 @@ class Cluster:
 @contextmanager
 def open_cluster(
     scheduler: str | None = None,
-    workers: Workers | None = None,
+    workers: Workers | str | None = None,
     *,
     allowed_failures: int = ALLOWED_FAILURES,
     connect_s: float = 5.0,
@@ -130,8 +130,9 @@ def open_cluster(
     ----------
     scheduler : str, optional
         Address such as ``tcp://10.0.0.5:8786``. Default: a cluster of this machine.
-    workers : int or WorkerRange, optional
-        Local processes, >= 1; default: one per core. In a range as many as there is work for.
+    workers : int, WorkerRange or str, optional
+        Local processes, >= 1; default: one per core. In a range, such as ``"1-8"``, as many as
+        there is work for.
     allowed_failures : int
         Deaths of a worker after which the scheduler gives a task up (local only).
     connect_s : float
@@ -144,6 +145,8 @@ def open_cluster(
     InputError
         If both `scheduler` and `workers` are given, or there are too few workers.
     """
+    if isinstance(workers, str):
+        workers = read_workers(workers, "workers=")
     if isinstance(workers, int) and workers < 1:
         raise InputError(f"--workers must be at least 1, got {workers}.")
     if scheduler is not None and workers is not None:
@@ -226,7 +229,7 @@ def _unlogged(name: str) -> Iterator[None]:
 @contextmanager
 def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
     count = workers.least if isinstance(workers, WorkerRange) else workers or usable_cores()
-    os.environ.update(THREAD_ENVIRONMENT)  # inherited by the workers, before they load NumPy
+    os.environ.update(WORKER_ENVIRONMENT)  # inherited by the workers, before they load NumPy
     with ExitStack() as stack:
         scratch = stack.enter_context(
             tempfile.TemporaryDirectory(prefix="palpate-dask-", ignore_cleanup_errors=True)

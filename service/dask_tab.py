@@ -96,7 +96,8 @@ class PalpateTab(SchedulerPlugin):
 
     def remove_client(self, scheduler: Scheduler, client: str) -> None:
         """Note that nobody runs what a client ran any more."""
-        for row in (*self.studies.values(), *self.diagnoses.values()):
+        rows: list[StudyRow | DiagnosisRow] = [*self.studies.values(), *self.diagnoses.values()]
+        for row in rows:
             if row.client == client:
                 row.state = "interrupted"
 

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from service.search.cma_search import CmaSettings
+from service.search.cma_search import CMA_STALL_GENERATIONS, CmaSettings
 from service.search.genetic import GeneticSettings
 from service.search.operators import INITIAL, MUTATIONS
 from service.search.space import Space
@@ -89,7 +89,8 @@ class SearchSpec(Door):
     def _few_candidates_for_cma(cls, data: Any) -> Any:
         """Fill in what CMA-ES usually takes where the thesis' numbers would stand."""
         if isinstance(data, Mapping) and data.get("strategy") == "cma":
-            return {"population": 12, "generations": 60, **data}
+            patience = {"generations": CMA_STALL_GENERATIONS}
+            return {"population": 12, "generations": 60, "stall": patience, **data}
         return data
 
     @property

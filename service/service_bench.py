@@ -29,7 +29,7 @@ from service.study import Study
 from service.study_log import StudyLog
 from storage.errors import InputError
 from storage.layout import StudyLayout
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 
 POPULATION = 200
 # Workers, population, generations, how long evaluations take, modes. Two workers are processes,
@@ -195,7 +195,7 @@ def _processes(
 ) -> Iterator[tuple[subprocess.Popen[bytes], subprocess.Popen[bytes], Client]]:
     """Start scheduler, workers and service."""
     token, address = secrets.token_urlsafe(), _free_address()
-    environment = os.environ | THREAD_ENVIRONMENT | {ENVIRONMENT: token}
+    environment = os.environ | WORKER_ENVIRONMENT | {ENVIRONMENT: token}
     dask = [sys.executable, "-m", "dask"]
     own = [sys.executable, "-m", "service.service_bench", str(home), address]
     port = address.rpartition(":")[2]

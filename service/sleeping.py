@@ -8,13 +8,13 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from service.study_work import Tasks
 from storage.digest import digest
 from storage.evaluations import save_evaluation
-from storage.stores import open_store
+from storage.places import Location
+from storage.stores import Store, open_store
 
 Record = dict[str, Any]
 DURATIONS = "sleeping.json"
@@ -41,15 +41,15 @@ class Durations:
     mean_s: float = 0.0
     spread: float = 0.0
 
-    def write(self, store: Path) -> None:
-        """Write it into a store, which is made."""
-        open_store(store)
-        (store / DURATIONS).write_text(json.dumps([self.mean_s, self.spread]))
+    def write(self, place: Location) -> None:
+        """Write it into a store, in a folder or a bucket, which is made."""
+        store = open_store(place)
+        store.backend.write(store.root / DURATIONS, json.dumps([self.mean_s, self.spread]).encode())
 
     @staticmethod
-    def seconds(store: Path, name: str) -> float:
+    def seconds(store: Store, name: str) -> float:
         """Return how long the evaluation of a digest takes."""
-        mean_s, spread = json.loads((store / DURATIONS).read_text())
+        mean_s, spread = json.loads(store.backend.read(store.root / DURATIONS))
         return float(mean_s * (1 + spread * (2 * int(name[:8], 16) / 2**32 - 1)))
 
 
@@ -73,7 +73,7 @@ def name_of(
 def evaluate(request: Record) -> Any:
     """Sleep, then write a record as a simulation would."""
     store, name = open_store(request["store"]), request["digest"]
-    seconds = Durations.seconds(Path(request["store"]), name)
+    seconds = Durations.seconds(store, name)
     time.sleep(seconds)
     constants: Mapping[str, float] = request["constants"]
     apart = math.hypot(*(constants[key] / true - 1 for key, true in TRUTH.items())) + 1e-9

@@ -6,14 +6,16 @@ installation, and a file system that holds the store.
 
 import os
 import shutil
+import time
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import dask
+from tornado.ioloop import PeriodicCallback
 
 from service.adaptive import follow_the_work
 from service.cluster import CONFIG
@@ -21,9 +23,11 @@ from service.errors import ClusterError
 from service.worker_range import WorkerRange, Workers
 from storage.atomic import explained
 from storage.errors import InputError
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 
 DEATH_TIMEOUT_S = 300
+LOOK_EVERY_S = 5.0
+GONE_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ class SlurmCluster:
     _cluster: Any
 
     def submit(self) -> None:
-        """Submit as many jobs as were asked for."""
+        """Submit as many jobs as were asked for; those that end are submitted again."""
         if isinstance(self._workers, WorkerRange):
             follow_the_work(self._cluster, self._workers)
         else:
@@ -146,7 +150,7 @@ def open_slurm(request: SlurmRequest) -> Iterator[SlurmCluster]:
                 f"The scheduler for SLURM cannot be started: {error}. Give another --host or "
                 "--port."
             ) from error
-        with cluster:
+        with cluster, _submitted_again(cluster):
             yield SlurmCluster(
                 cluster.scheduler_address,
                 cluster.dashboard_link,
@@ -156,6 +160,44 @@ def open_slurm(request: SlurmRequest) -> Iterator[SlurmCluster]:
             )
 
 
+class _EndedJobs:
+    """Submits jobs again whose worker came up and has been gone for `GONE_S`.
+
+    SLURM ends a job with its walltime, or for one that is more urgent. Neither Dask nor
+    dask-jobqueue replaces it. Where only the worker died, its nanny is quicker.
+    """
+
+    def __init__(self, cluster: Any) -> None:
+        self._cluster = cluster
+        self._gone_since: dict[Any, float] = {}
+        self._came_up: set[Any] = set()
+
+    async def submit_again(self) -> None:
+        """Look once; called in the cluster's own thread."""
+        cluster, now = self._cluster, time.monotonic()
+        there = {worker.name for worker in cluster.scheduler.workers.values()}
+        self._came_up = (self._came_up | there) & cluster.worker_spec.keys()
+        gone = {n: self._gone_since.get(n, now) for n in self._came_up - there}
+        ended = [n for n, since in gone.items() if now - since >= GONE_S and n in cluster.workers]
+        self._gone_since = {n: since for n, since in gone.items() if n not in ended}
+        self._came_up -= set(ended)
+        for name in ended:
+            with suppress(Exception):  # SLURM knows the job no more
+                await cluster.workers.pop(name).close()
+        if ended:
+            cluster.scale(len(cluster.worker_spec))  # as many as before
+
+
+@contextmanager
+def _submitted_again(cluster: Any) -> Iterator[None]:
+    looking = PeriodicCallback(_EndedJobs(cluster).submit_again, 1000 * LOOK_EVERY_S)
+    cluster.loop.add_callback(looking.start)
+    try:
+        yield
+    finally:
+        cluster.loop.add_callback(looking.stop)
+
+
 def _scheduler_options(request: SlurmRequest) -> dict[str, Any]:
     options: dict[str, Any] = {"port": request.port, "dashboard_address": ":0"}
     return options if request.host is None else options | {"host": request.host}
@@ -163,7 +205,7 @@ def _scheduler_options(request: SlurmRequest) -> dict[str, Any]:
 
 def _exports() -> list[str]:
     """Tell the workers what a cluster of this machine is told; see `service.cluster`."""
-    told = dict(THREAD_ENVIRONMENT) | {"PYTHONSAFEPATH": "1"}
+    told = dict(WORKER_ENVIRONMENT) | {"PYTHONSAFEPATH": "1"}
     for key, value in CONFIG.items():
         if key.startswith("distributed.worker."):
             told["DASK_" + key.upper().replace(".", "__").replace("-", "_")] = str(value)

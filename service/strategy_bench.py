@@ -7,7 +7,6 @@ its end in one process and counts seconds on the processor; it is resumed where 
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -15,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from service.dispatch import Ending, Task, TaskCalls
-from service.errors import Interrupted
 from service.results_reader import study_results
 from service.search_replay import best_of, score_of
 from service.single_process import SingleProcess
@@ -97,8 +95,6 @@ class Reached:
         Whether the 90 % interval holds the true value, by gene.
     improvements : tuple of Improvement
         Every change of the best candidate.
-    ended : bool
-        False where the study was stopped after as many evaluations as the bench allows.
     """
 
     strategy: str
@@ -111,7 +107,6 @@ class Reached:
     errors: Mapping[str, float]
     within: Mapping[str, bool]
     improvements: tuple[Improvement, ...]
-    ended: bool = True
 
 
 def targets(count: int) -> list[dict[str, float]]:
@@ -130,24 +125,11 @@ def targets(count: int) -> list[dict[str, float]]:
 
 
 class OneCore(SingleProcess):
-    """Has evaluations say their seconds on the processor, which others' work does not lengthen.
-
-    Parameters
-    ----------
-    at_most : int or None
-        Evaluations; one more raises `Interrupted`.
-    """
-
-    def __init__(self, at_most: int | None = None) -> None:
-        self.left = at_most
+    """Has evaluations say their seconds on the processor, which others' work does not lengthen."""
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Run tasks that may fail, see `SingleProcess.run`."""
         for call in calls:
-            if self.left is not None:
-                if self.left <= 0:
-                    raise Interrupted
-                self.left -= 1
             began = time.process_time()
             for ending in super().run(task, [call]):
                 yield _with_seconds(ending, time.process_time() - began)
@@ -176,15 +158,12 @@ class Bench:
     spacing_mm : float
     target_nodes : int or None
         Of the target's own mesh; None where target and candidates share one.
-    at_most : int or None
-        Evaluations of a study; it stops there as if it had been interrupted.
     """
 
     targets: int = 10
     nodes: int = 2000
     spacing_mm: float = 1.0
     target_nodes: int | None = None
-    at_most: int | None = None
 
 
 def study_of(strategy: str, target: int, constants: Mapping[str, float], bench: Bench) -> StudySpec:
@@ -224,9 +203,7 @@ def measure(
         for number, constants in enumerate(targets(bench.targets))
         for strategy in strategies
     ]
-    if processes == 1:
-        yield from (_measure_one(*one) for one in each)
-        return
+    # Processes of their own even for one at a time: libraries in them use one thread.
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
         yield from pool.map(_measure_one, *zip(*each, strict=True))
 
@@ -234,16 +211,12 @@ def measure(
 def _measure_one(
     folder: Path, strategy: str, target: int, constants: Mapping[str, float], bench: Bench
 ) -> Reached:
-    """Run one study to its end, or to as many evaluations as the bench allows."""
+    """Run one study to its end."""
     spec = study_of(strategy, target, constants, bench)
     home = folder / spec.name
     study = Study(spec, home, folder / "store")
     if not study.ended:
-        at_most = bench.at_most
-        if at_most is not None and study.begun:
-            at_most -= len(StudyLog.read(StudyLayout(home).journal).endings)
-        with suppress(Interrupted):
-            study.run(OneCore(at_most))  # type: ignore[arg-type]
+        study.run(OneCore())  # type: ignore[arg-type]
     return reached(home, strategy, target, constants)
 
 
@@ -273,7 +246,6 @@ def reached(home: Path, strategy: str, target: int, constants: Mapping[str, floa
         errors={gene: best.genes[gene] / value - 1 for gene, value in constants.items()},
         within=within,
         improvements=improvements,
-        ended=log.end is not None,
     )
 
 

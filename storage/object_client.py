@@ -6,6 +6,8 @@ Address and credentials come from the usual environment, as every S3 client read
     AWS_REGION or AWS_DEFAULT_REGION
     AWS_ENDPOINT_URL              of a server that is not Amazon's, http:// or https://
 
+Without AWS_ACCESS_KEY_ID they come from a profile of the AWS command line: `storage.aws_profile`.
+
 A request that finds nobody, or a server in trouble, is repeated with growing pauses. The first
 contact of a process gives up sooner: it is more likely a wrong address than an outage.
 """
@@ -14,10 +16,12 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import timedelta
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from storage.aws_profile import Profile, read_profile
 from storage.errors import StoreError
 from storage.object_path import ObjectPath
 
@@ -31,7 +35,9 @@ CONNECT_S, REQUEST_S = 5.0, 60.0
 MOST_RETRIES = 100_000  # the patience ends them
 
 _ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
-_WHO = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_REGION")
+_WHO = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN")
+_REGIONS = ("AWS_REGION", "AWS_DEFAULT_REGION")
+REGION = "us-east-1"
 
 _reached: set[str] = set()
 """Buckets that have answered this process."""
@@ -43,16 +49,36 @@ def client_of(place: ObjectPath) -> "S3Store":
     Raises
     ------
     StoreError
-        If obstore is not installed.
+        If obstore is not installed, or a profile cannot be used.
     """
     patience_s = PATIENCE_S if place.bucket in _reached else FIRST_PATIENCE_S
     who = tuple(os.environ.get(name, "") for name in _WHO)
-    return _client(place.bucket, endpoint(), who, patience_s)
+    return _client(place.bucket, _access(), who, patience_s)
 
 
 def endpoint() -> str:
     """Return the address of the server; empty for Amazon's."""
-    return next((os.environ[name] for name in _ENDPOINTS if os.environ.get(name)), "")
+    return _access().endpoint_url
+
+
+def _access() -> Profile:
+    """Return what the environment says, and a profile where it holds no keys.
+
+    Raises
+    ------
+    StoreError
+        If the profile cannot be used.
+    """
+    profile = Profile() if os.environ.get("AWS_ACCESS_KEY_ID") else read_profile()
+    return replace(
+        profile,
+        region=_stated(_REGIONS) or profile.region or REGION,
+        endpoint_url=_stated(_ENDPOINTS) or profile.endpoint_url,
+    )
+
+
+def _stated(names: tuple[str, ...]) -> str:
+    return next((os.environ[name] for name in names if os.environ.get(name)), "")
 
 
 @contextmanager
@@ -78,7 +104,7 @@ def explained(place: ObjectPath) -> Iterator[None]:
 
 
 @lru_cache(maxsize=16)
-def _client(bucket: str, server: str, who: tuple[str, ...], patience_s: float) -> "S3Store":
+def _client(bucket: str, access: Profile, who: tuple[str, ...], patience_s: float) -> "S3Store":
     try:
         from obstore.store import S3Store
     except ImportError as error:
@@ -86,14 +112,19 @@ def _client(bucket: str, server: str, who: tuple[str, ...], patience_s: float) -
             f"s3://{bucket} is an object store, which needs obstore. Install it everywhere with "
             "`pip install 'palpate[s3]'`, or give a local folder."
         ) from error
-    options: dict[str, str] = {"region": os.environ.get("AWS_REGION") or _default_region()}
-    if server:
-        options["endpoint"] = server
+    said = {
+        "region": access.region,
+        "endpoint": access.endpoint_url,
+        "access_key_id": access.access_key_id,
+        "secret_access_key": access.secret_access_key,
+        "session_token": access.session_token,
+    }
+    options = {name: value for name, value in said.items() if value}
     return S3Store(
         bucket,
         config=options,  # type: ignore[arg-type]  # a dictionary with the keys it names
         client_options={
-            "allow_http": server.startswith("http://"),
+            "allow_http": access.endpoint_url.startswith("http://"),
             "connect_timeout": timedelta(seconds=CONNECT_S),
             "timeout": timedelta(seconds=REQUEST_S),
         },
@@ -107,10 +138,6 @@ def _client(bucket: str, server: str, who: tuple[str, ...], patience_s: float) -
             },
         },
     )
-
-
-def _default_region() -> str:
-    return os.environ.get("AWS_DEFAULT_REGION") or "us-east-1"
 
 
 def _no_bucket(place: ObjectPath) -> StoreError:
@@ -129,12 +156,14 @@ def _explanation(place: ObjectPath, error: Exception) -> StoreError:
     if "169.254." in text:
         return StoreError(
             f"{place} cannot be used: there are no credentials. Set AWS_ACCESS_KEY_ID and "
-            "AWS_SECRET_ACCESS_KEY, here and for the workers."
+            "AWS_SECRET_ACCESS_KEY, or write them to ~/.aws/credentials with `aws configure`, "
+            "here and for the workers."
         )
     if isinstance(error, PermissionDeniedError | UnauthenticatedError):
         return StoreError(
             f"{place} cannot be used: {_server()} refuses access{_code(text)}. Check "
-            "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and what they may do with this bucket."
+            "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY or the profile (AWS_PROFILE), and what they "
+            "may do with this bucket."
         )
     if "HTTP error" in text or "error sending request" in text:
         return StoreError(

@@ -16,7 +16,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from distributed import Worker, WorkerPlugin, get_worker
 
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 
 T = TypeVar("T")
 
@@ -30,7 +30,7 @@ class OneThread(WorkerPlugin):
 
     Register it with ``client.register_plugin(OneThread())``. It comes in time for
     numba, but not for the BLAS of NumPy, which Dask itself loads: a worker that
-    starts without `THREAD_ENVIRONMENT` logs a warning.
+    starts without `WORKER_ENVIRONMENT` logs a warning.
     """
 
     name = "palpate-one-thread"
@@ -44,7 +44,7 @@ class OneThread(WorkerPlugin):
                 "evaluations side by side may slow each other down. Set them where it is started.",
                 worker.name,
             )
-        os.environ.update(THREAD_ENVIRONMENT)
+        os.environ.update(WORKER_ENVIRONMENT)
 
 
 def worker_name() -> str:

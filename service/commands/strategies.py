@@ -27,9 +27,6 @@ def strategies(
         int | None,
         typer.Option(min=100, help="Of the targets' own mesh. Default: that of the candidates."),
     ] = None,
-    evaluations: Annotated[
-        int | None, typer.Option(min=1, help="At most so many of a study. Default: to its end.")
-    ] = None,
     workers: Annotated[
         int, typer.Option(min=1, help="So many studies at a time, each on one core.")
     ] = 1,
@@ -37,7 +34,7 @@ def strategies(
 ) -> None:
     """Search the same targets by each strategy, and count what it takes.
 
-    Least-squares takes seconds of one core a target, genetic some ten minutes. Studies that
+    Least-squares takes seconds of one core a target, genetic some minutes. Studies that
     have ended are read, those that were cut go on. FOLDER/strategies.svg shows score and errors
     over evaluations and seconds.
     """
@@ -50,7 +47,7 @@ def strategies(
     if unknown := sorted(set(chosen) - set(STRATEGIES)):
         raise InputError(f"--only {unknown[0]}: expected some of {', '.join(STRATEGIES)}.")
     rows = []
-    bench = Bench(targets, nodes, spacing_mm, target_nodes, evaluations)
+    bench = Bench(targets, nodes, spacing_mm, target_nodes)
     for row in measure(folder, chosen, bench, workers):
         rows.append(row)
         typer.echo(line(row), err=as_json)
@@ -67,10 +64,9 @@ def strategies(
 def line(row: "Reached") -> str:
     """Write one study."""
     near = "never" if row.until_near is None else f"{row.until_near:4d} evaluations"
-    how = "in all" if row.ended else "until it was stopped"
     errors = ", ".join(f"{gene} {100 * e:+.2f} %" for gene, e in row.errors.items())
     return (
-        f"target {row.target}, {row.strategy}: near after {near}, {row.evaluations} {how}, "
+        f"target {row.target}, {row.strategy}: near after {near}, {row.evaluations} in all, "
         f"{row.core_s:.0f} core-s, GSF {row.gsf:.3f}; {errors}"
     )
 

@@ -17,6 +17,8 @@ from service.search.space import FloatArray, Space
 from service.search.stall import Stall
 
 FIRST_SIGMA = 0.3
+# CMA-ES keeps no elite: with small populations its best candidate rests for many generations.
+CMA_STALL_GENERATIONS = 20
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class CmaSettings:
 
     population: int = 12
     generations: int = 60
-    stall: Stall | None = field(default_factory=Stall)
+    stall: Stall | None = field(default_factory=lambda: Stall(CMA_STALL_GENERATIONS))
 
     @property
     def most_evaluations(self) -> int:

@@ -22,7 +22,7 @@ from service.study_log import read_study
 from storage.atomic import write_file
 from storage.errors import PalpateError, StoreError
 from storage.layout import StudyLayout
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 from workers.spec import validated
 
 NAME = "bodies-{candidate}.json"
@@ -66,7 +66,7 @@ class BodiesMaker:
                 self._path = path
                 self._process = subprocess.Popen(
                     [sys.executable, "-m", "service.server.bodies", str(folder), str(path)],
-                    env=os.environ | THREAD_ENVIRONMENT,
+                    env=os.environ | WORKER_ENVIRONMENT,
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                 )

@@ -12,7 +12,7 @@ from service.dispatch import Dispatcher
 from service.spec import StudySpec
 from service.study import Study, Tasks
 from storage.places import Location
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 from workers.spec import validated
 
 REPORT_S = 900.0
@@ -56,7 +56,7 @@ def write_report(folder: Path) -> None:
     """Write the page of a study, in a process of its own; a failure is no failure of the study."""
     subprocess.run(
         [sys.executable, "-m", "service", "report", str(folder)],
-        env=os.environ | THREAD_ENVIRONMENT,
+        env=os.environ | WORKER_ENVIRONMENT,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

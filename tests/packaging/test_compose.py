@@ -25,11 +25,12 @@ import yaml
 from service import retry
 from service.client import Client
 from service.cluster import CONFIG
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"
 BIN = Path(sys.executable).parent
+VERSION, DIGEST = r".+:v?\d+\.\d+\.\d+", "@sha256:[0-9a-f]{64}"
 ENDING = ("driver", "bucket")  # services that end by themselves
 
 
@@ -110,7 +111,8 @@ def test_one_scheduler_scaled_workers_one_service(compose: dict[str, Any]) -> No
     assert "ports" not in services["worker"]
     assert len({service["image"] for service in ours(compose).values()}) == 1
     for service in services.values():
-        assert re.fullmatch(r".+:v?\d+\.\d+\.\d+(@sha256:[0-9a-f]{64})?", service["image"])
+        assert re.fullmatch(rf"{VERSION}({DIGEST})?", service["image"])
+    assert re.fullmatch(f"{VERSION}{DIGEST}", services["objects"]["image"])
 
 
 def test_every_service_waits_for_those_it_needs(compose: dict[str, Any]) -> None:
@@ -231,10 +233,17 @@ def test_dask_is_told_the_same_as_by_a_cluster_of_our_own(compose: dict[str, Any
 
 def test_the_image_keeps_evaluations_to_one_thread() -> None:
     final = (ROOT / "Dockerfile").read_text().rpartition("\nFROM ")[2]
-    for name, value in THREAD_ENVIRONMENT.items():
+    for name, value in WORKER_ENVIRONMENT.items():
         assert f"{name}={value}" in final
     assert "PYTHONSAFEPATH=1" in final
     assert re.search(r"^USER [1-9]\d*$", final, re.MULTILINE), "the image must not run as root"
+
+
+def test_the_image_stands_on_one_base_of_a_known_digest() -> None:
+    bases = re.findall(r"^FROM (\S+)", (ROOT / "Dockerfile").read_text(), re.MULTILINE)
+    assert len(bases) == 2
+    assert len(set(bases)) == 1
+    assert re.fullmatch(rf"python:\d+\.\d+\.\d+-slim-\w+{DIGEST}", bases[0])
 
 
 def test_the_image_is_given_all_that_it_copies() -> None:

@@ -14,7 +14,6 @@ from service import adaptive
 from service.cluster import open_cluster
 from service.dispatch import Dispatcher
 from service.study_log import StudyLog
-from service.worker_range import WorkerRange
 from storage.layout import StudyLayout
 
 PATIENCE_S = 120.0
@@ -65,7 +64,7 @@ def test_workers_come_with_the_work_and_go_when_it_is_done(tmp_path: Path) -> No
     calm, folder = tmp_path / "calm" / "demo", tmp_path / "runs" / "demo"
     run(calm, Inline())
     set_manners(folder.parent / "store", held_after=3)
-    with open_cluster(workers=WorkerRange(1, 3)) as cluster:
+    with open_cluster(workers="1-3") as cluster:
         client, local = cluster.client, cluster.client.cluster
         assert len(client.nthreads()) == 1
         with running(folder, client):

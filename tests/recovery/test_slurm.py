@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
-from service import adaptive
+from service import adaptive, slurm
 from service.cluster import open_cluster
 from service.dispatch import Dispatcher
 from service.errors import ClusterError
-from service.slurm import SlurmRequest, open_slurm
+from service.slurm import SlurmCluster, SlurmRequest, open_slurm
 from service.worker_range import WorkerRange
 
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed")
@@ -87,6 +87,28 @@ def test_a_study_on_jobs_of_slurm(jobs: Path, tmp_path: Path) -> None:
     assert_each_ran_once(folder)
 
 
+def until_up(cluster: SlurmCluster, workers: int) -> None:
+    deadline = time.monotonic() + 60
+    while (alive := cluster.running) != workers:
+        assert time.monotonic() < deadline, f"{alive} workers"
+        time.sleep(0.05)
+
+
+def test_a_job_that_slurm_ends_is_submitted_again(
+    jobs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(slurm, "LOOK_EVERY_S", 0.1)
+    monkeypatch.setattr(slurm, "GONE_S", 0.5)
+    with open_slurm(SlurmRequest(workers=1, memory="1GB", host="127.0.0.1")) as cluster:
+        cluster.submit()
+        until_up(cluster, 1)
+        (ended,) = jobs.glob("*.pid")
+        os.killpg(int(ended.read_text()), signal.SIGKILL)
+        until_up(cluster, 0)
+        until_up(cluster, 1)
+        assert len(list(jobs.glob("*.sh"))) == 2
+
+
 def test_jobs_follow_the_work(jobs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(adaptive, "ADAPT_EVERY_S", 0.1)
     monkeypatch.setattr(adaptive, "IDLE_S", 1.0)
@@ -94,15 +116,9 @@ def test_jobs_follow_the_work(jobs: Path, tmp_path: Path, monkeypatch: pytest.Mo
     folder = tmp_path / "runs" / "demo"
     set_manners(tmp_path / "runs" / "store", held_after=0)
 
-    def until_up(workers: int) -> None:
-        deadline = time.monotonic() + 60
-        while (alive := cluster.running) != workers:
-            assert time.monotonic() < deadline, f"{alive} workers"
-            time.sleep(0.05)
-
     def release() -> None:
         try:
-            until_up(2)
+            until_up(cluster, 2)
         finally:
             set_manners(tmp_path / "runs" / "store")
 
@@ -110,14 +126,14 @@ def test_jobs_follow_the_work(jobs: Path, tmp_path: Path, monkeypatch: pytest.Mo
         SlurmRequest(workers=WorkerRange(1, 2), memory="1GB", host="127.0.0.1")
     ) as cluster:
         cluster.submit()
-        until_up(1)
+        until_up(cluster, 1)
         releasing = threading.Thread(target=release)
         releasing.start()
         with open_cluster(cluster.address) as opened:
             run(folder, Dispatcher(opened.client))
         releasing.join()
         assert len(list(jobs.glob("*.sh"))) >= 2
-        until_up(1)
+        until_up(cluster, 1)
     assert told(folder) == told(tmp_path / "here" / "demo")
     assert_each_ran_once(folder)
 

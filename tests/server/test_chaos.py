@@ -34,7 +34,7 @@ STUDIES = {
     .replace("population: 12", "population: 33")
     for name, seed in (("left", 1), ("right", 2))
 }
-KILLS = 10
+KILLS, WHILE_STARTING = 10, 3
 
 
 class Kept:
@@ -166,7 +166,7 @@ def cut_off(objects: ObjectServer) -> None:
 def torment(
     cluster: Kept, service: ServiceProcess, home: Path, objects: ObjectServer | None
 ) -> None:
-    """Kill workers at random all the while; the rest on the way."""
+    """Kill workers at random, the first while they start; everything else on the way."""
     chance = random.Random(3)
     on_the_way = {40: "service", 100: "scheduler", 180: "service"}
     if objects is not None:
@@ -174,7 +174,7 @@ def torment(
     kills, deadline = 0, time.monotonic() + 400
     while (kills < KILLS or on_the_way) and time.monotonic() < deadline:
         # Often sooner than a worker takes to come up: those are killed while they start.
-        time.sleep(chance.uniform(0.3, 2.5))
+        time.sleep(chance.uniform(0.3, 1.8))
         ended = endings(home)
         if on_the_way and ended >= min(on_the_way):
             victim = on_the_way.pop(min(on_the_way))
@@ -185,7 +185,7 @@ def torment(
             else:
                 service.kill()
                 service.start()
-        elif kills < KILLS:
+        elif kills < min(KILLS, WHILE_STARTING + ended // 20):
             cluster.kill(chance.choice([1, 2]))
             kills += 1
     assert kills == KILLS

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from service_process import TOKEN, ServiceProcess, until_stopped
-from stand_ins import SPEC, set_manners, told
+from stand_ins import SPEC, Inline, executed, run, set_manners, small_spec, told
 
 from service.client import Client
 
@@ -205,6 +205,25 @@ def test_a_failed_candidate_is_opened_with_its_constants_and_its_log(
     assert endings == page.locator("#failures .badge.crashed").count() > 0
 
 
+def test_a_page_that_is_left_before_it_appears_stays_away(
+    shown: Shown, served: ServiceProcess
+) -> None:
+    set_manners(served.home / "store")
+    with served.client() as client:
+        client.submit_study(named("twice").replace("seed: 7", "seed: 12"))
+    page = shown.page
+    page.evaluate("""() => {
+        for (const job of ["twice", "", "twice", "", "twice"]) {
+            location.hash = `#/${job}`;
+            dispatchEvent(new Event("hashchange"));
+        }
+    }""")
+    shown.state("finished")
+    page.wait_for_timeout(300)
+    assert page.locator("#main h1").all_inner_texts() == ["twice"]
+    assert page.locator("#bodies").count() == page.locator("#workers").count() == 1
+
+
 def test_charts_answer_to_keys(shown: Shown, served: ServiceProcess) -> None:
     set_manners(served.home / "store")
     with served.client() as client:
@@ -261,6 +280,34 @@ def test_slices_slide_and_the_body_turns(shown: Shown, served: ServiceProcess) -
     assert turned == pytest.approx(azimuth - 30, abs=1)
 
 
+def test_bodies_that_are_ahead_of_the_page_are_not_waited_for(
+    shown: Shown, served: ServiceProcess, tmp_path: Path
+) -> None:
+    """A body is drawn of the best candidate there is by then, of which the page may not know."""
+    text = named("ahead").replace("seed: 7", "seed: 10")
+    run(tmp_path / "calm" / "ahead", Inline(), small_spec(text))
+    scores = {c: e[4]["gsf"] for c, e in told(tmp_path / "calm" / "ahead").items() if e[4]}
+    best = min(scores, key=lambda candidate: (scores[candidate], candidate))
+    assert best >= 12
+    bodies = {"ready": True, "candidate": best, "slices": None, "body": None}
+    bodies |= {"missing": [], "tissues": [], "differences": []}
+    page = shown.page
+    page.route("**/jobs/ahead/bodies", lambda route: route.fulfill(json=bodies))
+    set_manners(served.home / "store", held_after=len(executed(served.home / "store")) + 6)
+    try:
+        with served.client() as client:
+            client.submit_study(text)
+        shown.open("ahead")
+        offer = page.locator("#bodies button:has-text('which is better')")
+        offer.click()
+        page.wait_for_selector("#bodies .note:has-text('being drawn')")
+    finally:
+        set_manners(served.home / "store")
+    shown.state("finished")
+    page.wait_for_selector(f"#bodies .note:has-text('Candidate {best}.')")
+    assert not offer.is_visible()
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(WIDE, "dark"), (NARROW, "light")])
 def test_nothing_is_cut_and_both_schemes_are_known(
     shown: Shown, served: ServiceProcess, width: int, scheme: str
@@ -305,6 +352,15 @@ def test_a_stranger_watches_and_changes_nothing(browser: Any, served: ServicePro
 @pytest.mark.slow
 def test_a_real_study_shows_its_gap_and_its_report(browser: Any, tmp_path: Path) -> None:
     served = ServiceProcess(tmp_path / "runs", ["--workers", "1"], 0, "--real").start()
+    try:
+        look_at_a_real_study(browser, served)
+    except BaseException:
+        served.kill()
+        raise
+    assert served.stop() == 0
+
+
+def look_at_a_real_study(browser: Any, served: ServiceProcess) -> None:
     page = browser.new_page(viewport={"width": WIDE, "height": 900})
     shown = Shown(page, served.url)
     with served.client() as client:
@@ -319,7 +375,6 @@ def test_a_real_study_shows_its_gap_and_its_report(browser: Any, tmp_path: Path)
         page.click("text=report.html")
     opened.value.wait_for_selector("h2:has-text('What was found')")
     page.close()
-    assert served.stop() == 0
 
 
 @pytest.mark.slow

@@ -116,6 +116,38 @@ def test_what_cannot_be_used_is_said_once(
     assert "AWS_ACCESS_KEY_ID" in err
 
 
+def test_keys_come_from_the_environment_or_else_from_a_profile(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signed: list[str] = []
+
+    def note(handler: BaseHTTPRequestHandler) -> None:
+        _, _, credential = handler.headers["Authorization"].partition("Credential=")
+        signed.append(credential.split("/aws4")[0])
+        deny(handler)
+
+    set_environment({"HOME": str(tmp_path)}, monkeypatch)
+    (tmp_path / ".aws").mkdir()
+    keys = "[lab]\naws_access_key_id=of-the-profile\naws_secret_access_key=x\nregion=eu-west-1\n"
+    with server_of(note) as address:
+        (tmp_path / ".aws" / "credentials").write_text(f"{keys}endpoint_url={address}\n")
+        monkeypatch.setenv("AWS_PROFILE", "lab")
+        code, _, err = call("store", "check", "--store", "s3://bucket/store")
+        assert (code, f"{address} refuses access" in err, "AWS_PROFILE" in err) == (2, True, True)
+        for name, value in (("ENDPOINT_URL", address), ("SECRET_ACCESS_KEY", "y")):
+            monkeypatch.setenv(f"AWS_{name}", value)
+        monkeypatch.setenv("AWS_ACCESS_KEY_ID", "of-the-environment")
+        call("store", "check", "--store", "s3://bucket/store")
+    assert {tuple(one.split("/")[::2]) for one in signed} == {
+        ("of-the-profile", "eu-west-1"),
+        ("of-the-environment", "us-east-1"),
+    }
+    monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    monkeypatch.setenv("AWS_PROFILE", "lob")
+    code, _, err = call("store", "check", "--store", "s3://bucket/store")
+    assert (code, "There is no profile lob in" in err, "Traceback" in err) == (2, True, False)
+
+
 def test_a_store_that_needs_obstore_says_how_to_get_it(
     call: Call, bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

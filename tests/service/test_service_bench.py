@@ -1,12 +1,18 @@
 """Around the simulations: overhead, memory, idle workers; at small size, and whole when slow."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
+from stand_ins import Inline
 
 from service.service_bench import all_rows, busy, soak
-from service.sleeping import Durations
+from service.sleeping import TASKS, Durations, text_of
+from service.spec import parse_spec
+from service.study import Study
+from service.study_log import StudyLog
 from storage.errors import InputError
+from storage.layout import StudyLayout
 
 
 def test_a_steady_search_keeps_workers_busier_than_a_barrier(tmp_path: Path) -> None:
@@ -16,6 +22,19 @@ def test_a_steady_search_keeps_workers_busier_than_a_barrier(tmp_path: Path) -> 
         for mode in ("barrier", "steady")
     }
     assert 0.2 < shares["barrier"] < shares["steady"] <= 1.0
+
+
+def test_tasks_sleep_on_a_store_in_a_bucket_too(bucket: str, tmp_path: Path) -> None:
+    place = f"{bucket}/store"
+    Durations(mean_s=0.002, spread=0.5).write(place)
+    spec = parse_spec(text_of("bench", 6, 2), "the test's study", Path())
+    dispatcher: Any = Inline()
+    Study(spec, tmp_path / "bench", place, tasks=TASKS).run(dispatcher)
+    endings = StudyLog.read(StudyLayout(tmp_path / "bench").journal).endings.values()
+    slept = [record.seconds["sleep"] for record in endings]
+    assert len(slept) >= 6
+    assert all(0.001 <= seconds <= 0.003 for seconds in slept)
+    assert not (tmp_path / "store").exists()
 
 
 def test_evaluations_must_fill_generations(tmp_path: Path) -> None:

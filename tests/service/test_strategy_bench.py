@@ -82,12 +82,10 @@ def test_the_chart_names_the_strategies_that_ran(tmp_path: Path) -> None:
     assert "cma" not in words
 
 
-def test_a_study_stops_after_so_many_evaluations_and_goes_on_later(tmp_path: Path) -> None:
-    bench = Bench(targets=1, nodes=850, spacing_mm=2.0)
-    (cut,) = measure(tmp_path / "cut", ["least-squares"], replace(bench, at_most=2))
-    assert (cut.evaluations, cut.ended) == (2, False)
-    (on,) = measure(tmp_path / "cut", ["least-squares"], bench)
-    (whole,) = measure(tmp_path / "whole", ["least-squares"], bench)
-    assert on.ended
-    assert whole.evaluations > 2
-    assert (on.evaluations, on.errors) == (whole.evaluations, whole.errors)
+def test_studies_run_beside_each_other_and_come_in_order(tmp_path: Path) -> None:
+    bench = Bench(targets=2, nodes=850, spacing_mm=2.0)
+    beside = list(measure(tmp_path / "beside", ["least-squares"], bench, processes=2))
+    assert [row.target for row in beside] == [0, 1]
+    (alone,) = measure(tmp_path / "alone", ["least-squares"], replace(bench, targets=1))
+    assert (alone.evaluations, alone.errors) == (beside[0].evaluations, beside[0].errors)
+    assert list(measure(tmp_path / "beside", ["least-squares"], bench)) == beside  # read, not run

@@ -8,7 +8,7 @@ import numpy as np
 from distributed import Client
 from scipy import sparse
 
-from workers import THREAD_ENVIRONMENT
+from workers import WORKER_ENVIRONMENT
 from workers.resources import Cache, OneThread, size_bytes, worker_name
 
 KILOBYTE = np.zeros(128)
@@ -120,5 +120,5 @@ def test_a_dask_worker_computes_with_one_thread_and_knows_its_name(monkeypatch):
         threads, environment = client.submit(numba_threads).result(timeout=60)
         name = client.submit(worker_name).result(timeout=60)
     assert threads == 1
-    assert environment.items() >= THREAD_ENVIRONMENT.items()
+    assert environment.items() >= WORKER_ENVIRONMENT.items()
     assert name == "0"

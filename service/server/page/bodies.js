@@ -31,7 +31,8 @@ export class BodiesSection {
   // Shows the first bodies that there are; newer ones when the reader wants them.
   update(job, sessions) {
     this.now = [job, sessions];
-    const best = job.best ? job.best.candidate : null;
+    const best = this.best;
+    if (best === this.shown) this.renew.hidden = true; // what was drawn may have been ahead of us
     if (!sessions || this.loading || best === this.shown) return;
     if (this.shown === undefined || this.shown === null) {
       this.load();
@@ -41,13 +42,19 @@ export class BodiesSection {
     this.renew.textContent = `show candidate ${best}, which is better`;
   }
 
+  get best() {
+    const [job] = this.now;
+    return job.best ? job.best.candidate : null;
+  }
+
   async load() {
     if (this.loading) return;
     Object.assign(this, { loading: true, failed: false });
     this.renew.hidden = true;
     try {
       let bodies = await get(`/jobs/${encodeURIComponent(this.job)}/bodies`);
-      while ((!bodies.ready || bodies.candidate === this.shown) && !this.page.ended) {
+      const waits = () => !bodies.ready || (bodies.candidate === this.shown && this.shown !== this.best);
+      while (waits() && !this.page.ended) {
         this.words.textContent = "The bodies are being drawn.";
         await pause(ASK_EVERY_MS);
         bodies = await get(`/jobs/${encodeURIComponent(this.job)}/bodies`);

@@ -10,6 +10,17 @@ const main = document.getElementById("main");
 const state = { owner: "", readToken: false, cluster: null };
 let leave = () => {};
 
+// What is on the screen: a place of its own, and what ends with it. Who leaves before its first
+// answer has come does not see it appear beside the next one, and nothing of it goes on.
+const newPage = () => {
+  const place = make("div");
+  const page = { main: place, state, ended: false, ends: [] };
+  page.leave = { push: (end) => (page.ended ? end() : page.ends.push(end)) };
+  page.end = () => { page.ended = true; page.ends.forEach((end) => end()); };
+  main.replaceChildren(place);
+  return page;
+};
+
 const route = async () => {
   leave();
   leave = () => {};
@@ -22,11 +33,10 @@ const route = async () => {
   }
   const job = decodeURIComponent(location.hash.replace(/^#\/?/, ""));
   document.title = job ? `${job} \u00b7 Palpate` : "Palpate";
-  const page = { main, state, ended: false };
-  leave = () => { page.ended = true; (page.leave || []).forEach((end) => end()); };
-  page.leave = [];
+  const page = newPage();
+  leave = page.end;
   await attempt(() => (job ? showJob(page, job) : showJobs(page)));
-  scrollTo(0, 0);
+  if (!page.ended) scrollTo(0, 0);
 };
 
 const session = document.getElementById("session");

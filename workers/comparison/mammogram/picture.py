@@ -12,6 +12,8 @@ PERCENTILES = (1.0, 99.5)
 # A pixel behind less than this attenuation, ln(open / energy), shows air.
 AIR = 0.05
 EQUAL = 128
+# Of the range of attenuations behind the body: so large a difference saturates.
+LARGEST_DIFFERENCE = 0.1
 
 
 def presentation_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16]:
@@ -58,8 +60,8 @@ def grey_picture(mammogram: Mammogram) -> NDArray[np.uint8]:
 def difference_picture(first: Mammogram, second: Mammogram) -> NDArray[np.uint8]:
     """Signed difference of attenuations (thesis Fig. 4.18): grey where they are equal.
 
-    White, and black, where the first, and the second, attenuates more by half of the
-    range that the first one shows.
+    White, and black, where the first, and the second, attenuates more by a tenth of the
+    range that the first one shows; differences of breasts are hundredths of it.
 
     Raises
     ------
@@ -72,7 +74,7 @@ def difference_picture(first: Mammogram, second: Mammogram) -> NDArray[np.uint8]
             f"The mammograms have {a.shape} and {b.shape} pixels. Take both in one geometry."
         )
     low, high = window_of(a)
-    grey = EQUAL + 127 * (a - b) / (0.5 * (high - low))
+    grey = EQUAL + 127 * (a - b) / (LARGEST_DIFFERENCE * (high - low))
     return np.asarray(np.rint(np.clip(grey, 0, 255)), np.uint8)
 
 

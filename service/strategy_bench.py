@@ -4,6 +4,7 @@ Each target is a compressed body with constants that the search does not see. It
 its end in one process and counts seconds on the processor; it is resumed where it was cut.
 """
 
+import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -204,7 +205,11 @@ def measure(
         for strategy in strategies
     ]
     # Processes of their own even for one at a time: libraries in them use one thread.
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+    # Ctrl-C ends them at once, and the journals are kept.
+    at_ctrl_c = (signal.SIGINT, signal.SIG_DFL)
+    with ProcessPoolExecutor(
+        processes, get_context("spawn"), initializer=signal.signal, initargs=at_ctrl_c
+    ) as pool:
         yield from pool.map(_measure_one, *zip(*each, strict=True))
 
 

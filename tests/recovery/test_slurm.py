@@ -102,6 +102,7 @@ def test_a_job_that_slurm_ends_is_submitted_again(
     with open_slurm(SlurmRequest(workers=1, memory="1GB", host="127.0.0.1")) as cluster:
         cluster.submit()
         until_up(cluster, 1)
+        time.sleep(1.0)  # ten looks: a worker that nobody saw is not missed
         (ended,) = jobs.glob("*.pid")
         os.killpg(int(ended.read_text()), signal.SIGKILL)
         until_up(cluster, 0)

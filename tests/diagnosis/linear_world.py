@@ -14,7 +14,8 @@ import numpy as np
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.linearisation import Linearised, factored
-from workers.diagnosis.noise_model import LinearHypothesis, NoiseModel, NoiseParts, NoiseState
+from workers.diagnosis.noise_evidence import LinearHypothesis, NoiseModel
+from workers.diagnosis.noise_model import NoiseParts, NoiseState
 from workers.diagnosis.nuisances import smooth_columns, smooth_covariance
 from workers.diagnosis.settings import SETTINGS
 

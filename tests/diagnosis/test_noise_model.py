@@ -24,7 +24,9 @@ from scipy.stats import norm
 
 from storage.errors import InputError
 from workers.diagnosis.linearisation import factored
-from workers.diagnosis.noise_model import NoiseModel, NoiseParts, NoiseState, learnt_states
+from workers.diagnosis.noise_evidence import NoiseModel
+from workers.diagnosis.noise_learning import learnt_states
+from workers.diagnosis.noise_model import NoiseParts, NoiseState
 from workers.diagnosis.nuisances import (
     drawing_columns,
     pose_columns,

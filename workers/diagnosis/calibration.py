@@ -12,7 +12,8 @@ from workers.comparison.observation.point_interpolation import interpolation
 from workers.diagnosis.anchored_scan import anchored
 from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit
 from workers.diagnosis.inverse_problem import InverseProblem, Scan, unknowns
-from workers.diagnosis.noise_model import LearntNoise, believed, learnt_states
+from workers.diagnosis.noise_learning import learnt_states
+from workers.diagnosis.noise_model import LearntNoise, believed
 from workers.diagnosis.noise_parts import noise_parts
 from workers.diagnosis.nuisances import pose_columns, smooth_columns
 from workers.diagnosis.scan_poses import residuals
@@ -131,7 +132,7 @@ def with_anchored_scans(inverse: InverseProblem, anchors: Sequence[FloatArray]) 
 def with_learnt_noise(
     inverse: InverseProblem, columns: FloatArray, predictions: Sequence[ComparedScan]
 ) -> InverseProblem:
-    """Find out how large and how smooth the noise is; see `workers.diagnosis.noise_model`.
+    """Find out how large and how smooth the noise is; see `workers.diagnosis.noise_learning`.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ import numpy as np
 from workers.diagnosis.hypotheses import Hypothesis
 from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.joint_fit import JointFit, fit_jointly
-from workers.diagnosis.noise_model import LinearHypothesis
+from workers.diagnosis.noise_evidence import LinearHypothesis
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.screening import screen
 from workers.diagnosis.second_reading import is_elsewhere, read_again

@@ -8,7 +8,7 @@ import numpy as np
 from storage.values import FloatArray
 from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns
 from workers.diagnosis.linearisation import Linearised, factored
-from workers.diagnosis.noise_model import LinearHypothesis
+from workers.diagnosis.noise_evidence import LinearHypothesis
 from workers.diagnosis.scan_poses import PosedNoise, poses_of, registered, residuals
 from workers.diagnosis.scan_prediction import (
     ComparedScan,
@@ -84,7 +84,7 @@ class Fit:
         )
 
     def hypothesis(self, inverse: InverseProblem) -> LinearHypothesis:
-        """Return the same for `workers.diagnosis.noise_model.NoiseModel`."""
+        """Return the same for `workers.diagnosis.noise_evidence.NoiseModel`."""
         u = self.unknowns
         found = LinearHypothesis(
             residuals(inverse, self.predictions),

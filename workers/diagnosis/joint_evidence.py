@@ -16,7 +16,7 @@ from storage.values import BoolArray, FloatArray, IntArray
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.evidence import Quadratic, log_marginal
 from workers.diagnosis.hypotheses import Hypothesis
-from workers.diagnosis.noise_model import LinearHypothesis, NoiseModel
+from workers.diagnosis.noise_evidence import LinearHypothesis, NoiseModel
 
 
 class JointEvidence:

@@ -16,7 +16,7 @@ from workers.diagnosis.form_error import FormError
 from workers.diagnosis.gauss_newton import SolvedFit
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.linearisation import Linearised
-from workers.diagnosis.noise_model import NoiseModel
+from workers.diagnosis.noise_evidence import NoiseModel
 from workers.diagnosis.nuisances import smooth_columns
 from workers.diagnosis.screening import ScreeningResult, screen
 from workers.diagnosis.sensitivity_analysis import InclusionGrid, inclusion_grid

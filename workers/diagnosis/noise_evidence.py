@@ -1,0 +1,244 @@
+"""Weighs hypotheses under noise that is not known exactly: the evidence is averaged over it.
+
+The stated covariance factors interface by interface. One Cholesky factor for each correlation
+length whitens everything; scales, the numerical error and a smooth field on top cost systems of
+the size of their columns.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import logsumexp
+
+from storage.values import BoolArray, FloatArray
+from workers.diagnosis.evidence import Quadratic, log_marginal
+from workers.diagnosis.noise_model import NoiseParts, NoiseState, weighted_sum
+from workers.diagnosis.settings import SETTINGS
+
+
+class _Whitened:
+    """Columns in the space where the stated noise is white, and products by groups."""
+
+    def __init__(self, factor: FloatArray, masks: Sequence[FloatArray], columns: FloatArray):
+        self.columns = np.asarray(solve_triangular(factor, columns, lower=True, check_finite=False))
+        self.parts = [self.columns[mask] for mask in masks]
+
+    def gram(self, other: "_Whitened") -> list[FloatArray]:
+        """Return ``own' other`` of each group."""
+        return [a.T @ b for a, b in zip(self.parts, other.parts, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearHypothesis:
+    """The model around a fit of some effects.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (m,)
+        In mm.
+    columns : ndarray, shape (m, p)
+        Derivatives per prior standard deviation.
+    offset : ndarray, shape (p,)
+        Fit minus prior mean, in prior standard deviations.
+    one_sided : ndarray of bool, shape (p,)
+    """
+
+    residual: FloatArray
+    columns: FloatArray
+    offset: FloatArray
+    one_sided: BoolArray
+
+    def with_errors(self, columns: FloatArray) -> "LinearHypothesis":
+        """Return it with more columns of unit deviation, shape (m, q)."""
+        q = columns.shape[1]
+        return LinearHypothesis(
+            self.residual,
+            np.hstack([self.columns, columns]),
+            np.append(self.offset, np.zeros(q)),
+            np.append(self.one_sided, np.zeros(q, np.bool_)),
+        )
+
+
+class NoiseModel:
+    """The noise of one diagnosis, averaged over what is not known of it.
+
+    Parameters
+    ----------
+    parts : NoiseParts
+    states : sequence of NoiseState
+        See `learnt_states`.
+    fields : sequence of ndarray, shape (m, r)
+        A smooth field of unit amplitude for each of its lengths.
+    amplitudes_mm : sequence of float
+        Of that field; all pairs are equally probable.
+    """
+
+    def __init__(
+        self,
+        parts: NoiseParts,
+        states: Sequence[NoiseState],
+        fields: Sequence[FloatArray] = (),
+        amplitudes_mm: Sequence[float] = SETTINGS.smooth_field.amplitudes_mm,
+    ) -> None:
+        self.parts, self.states, self.amplitudes_mm = parts, tuple(states), tuple(amplitudes_mm)
+        self.size = parts.size
+        self._masks = [parts.groups == g for g in range(int(parts.groups.max()) + 1)]
+        self._counts = np.array([mask.sum() for mask in self._masks])
+        self._factors = {
+            n: np.asarray(cholesky(parts.stated[n], lower=True, check_finite=False))
+            for n in {state.length for state in states}
+        }
+        nuisances = np.hstack([parts.fixed, parts.numerical])
+        self._nuisances = {n: self._white(n, nuisances) for n in self._factors}
+        self._own = {n: white.gram(white) for n, white in self._nuisances.items()}
+        self._fields = {
+            n: [self._white(n, f) for f in fields] for n in {s.length for s in self.likeliest}
+        }
+        self._n_fields = len(fields)
+        self._systems: dict[int, FloatArray] = {}
+        self._field_systems: dict[tuple[int, int, float], FloatArray] = {}
+
+    @property
+    def likeliest(self) -> tuple[NoiseState, ...]:
+        """The states under which a smooth field is weighed."""
+        return self.states[: SETTINGS.noise.field_states]
+
+    def plain(
+        self,
+        columns: FloatArray,
+        residuals: FloatArray,
+        states: Sequence[NoiseState] | None = None,
+    ) -> list[Quadratic]:
+        """Return the misfit under every state of the noise.
+
+        Weights of the states are in the determinants, so log evidences of a hypothesis are
+        joined by the logarithm of the sum of their exponentials.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (m, p)
+            Derivatives of the residuals per prior standard deviation, in mm.
+        residuals : ndarray, shape (m, n)
+            In mm.
+        states : sequence of NoiseState, optional
+            Some of them; all.
+        """
+        p = columns.shape[1]
+        found = []
+        for length, some in self._by_length(self.states if states is None else states):
+            white = self._white(length, np.hstack([columns, residuals]))
+            own, cross = white.gram(white), self._nuisances[length].gram(white)
+            for state in some:
+                weights = 1.0 / state.scales**2
+                factor = self._system(state)
+                X = self._scale(state)[:, None] * weighted_sum(weights, cross)
+                found.append(self._quadratic(state, p, weighted_sum(weights, own), factor, X))
+        return found
+
+    def with_field(self, columns: FloatArray, residuals: FloatArray) -> list[Quadratic]:
+        """Return the same with a smooth field in the noise, under the likeliest states.
+
+        See `plain`. The states that are left out are made good for by the share that they had
+        when the noise was learnt, with a smooth field then too.
+        """
+        p = columns.shape[1]
+        share = np.log(max(1, self._n_fields) * len(self.amplitudes_mm))
+        share += np.log(sum(state.share for state in self.likeliest))
+        found = []
+        for length, states in self._by_length(self.likeliest):
+            white = self._white(length, np.hstack([columns, residuals]))
+            own, cross = white.gram(white), self._nuisances[length].gram(white)
+            for f, field in enumerate(self._fields[length]):
+                across = field.gram(white)
+                for state in states:
+                    weights = 1.0 / state.scales**2
+                    X = self._scale(state)[:, None] * weighted_sum(weights, cross)
+                    F = weighted_sum(weights, across)
+                    for amplitude in self.amplitudes_mm:
+                        factor = self._field_system(state, f, amplitude)
+                        both = np.vstack([X, amplitude * F])
+                        q = self._quadratic(state, p, weighted_sum(weights, own), factor, both)
+                        found.append(q._replace(log_determinant=q.log_determinant + 2.0 * share))
+        return found
+
+    def log_evidence(
+        self, at: LinearHypothesis, states: Sequence[NoiseState] | None = None
+    ) -> float:
+        """Return the log evidence of a hypothesis, averaged over the states of the noise."""
+        quadratics = self.plain(at.columns, at.residual[:, None], states)
+        return float(logsumexp([log_marginal(q, at.offset, at.one_sided)[0] for q in quadratics]))
+
+    def field_gain(self, at: LinearHypothesis) -> float | None:
+        """Return by how much a smooth field raises it; None without one."""
+        if not self.has_field:
+            return None
+        quadratics = self.with_field(at.columns, at.residual[:, None])
+        found = logsumexp([log_marginal(q, at.offset, at.one_sided)[0] for q in quadratics])
+        return float(found) - self.log_evidence(at)
+
+    @property
+    def has_field(self) -> bool:
+        """Whether a smooth field can be tried."""
+        return self._n_fields > 0
+
+    def _quadratic(
+        self, state: NoiseState, p: int, own: FloatArray, factor: FloatArray, X: FloatArray
+    ) -> Quadratic:
+        Y = solve_triangular(factor, X, lower=True, check_finite=False)
+        A, rho = Y[:, :p], Y[:, p:]
+        return Quadratic(
+            np.diag(own)[p:] - (rho**2).sum(axis=0),
+            own[:p, p:] - A.T @ rho,
+            own[:p, :p] - A.T @ A,
+            self._log_determinant(state, factor) - 2.0 * state.log_weight,
+        )
+
+    def _log_determinant(self, state: NoiseState, factor: FloatArray) -> float:
+        stated = float(np.log(np.diag(self._factors[state.length])).sum())
+        return 2.0 * (
+            stated
+            + float(self._counts @ np.log(state.scales))
+            + float(np.log(np.diag(factor)).sum())
+        )
+
+    @staticmethod
+    def _by_length(states: Sequence[NoiseState]) -> list[tuple[int, list[NoiseState]]]:
+        return [
+            (length, [state for state in states if state.length == length])
+            for length in sorted({state.length for state in states})
+        ]
+
+    def _white(self, length: int, columns: FloatArray) -> _Whitened:
+        return _Whitened(self._factors[length], self._masks, columns)
+
+    def _scale(self, state: NoiseState) -> FloatArray:
+        fixed, numerical = self.parts.fixed.shape[1], self.parts.numerical.shape[1]
+        return np.repeat([1.0, state.numerical], [fixed, numerical])
+
+    def _system(self, state: NoiseState) -> FloatArray:
+        found = self._systems.get(id(state))
+        if found is None:
+            d = self._scale(state)
+            gram = weighted_sum(1.0 / state.scales**2, self._own[state.length])
+            found = cholesky(np.eye(len(d)) + d[:, None] * gram * d, lower=True)
+            self._systems[id(state)] = found
+        return found
+
+    def _field_system(self, state: NoiseState, f: int, amplitude: float) -> FloatArray:
+        key = (id(state), f, amplitude)
+        found = self._field_systems.get(key)
+        if found is None:
+            weights, d = 1.0 / state.scales**2, self._scale(state)
+            field, nuisances = self._fields[state.length][f], self._nuisances[state.length]
+            top = self._system(state)
+            cross = d[:, None] * weighted_sum(weights, nuisances.gram(field)) * amplitude
+            below = np.asarray(weighted_sum(weights, field.gram(field))) * amplitude**2
+            side = solve_triangular(top, cross, lower=True, check_finite=False)
+            corner = cholesky(np.eye(len(below)) + below - side.T @ side, lower=True)
+            n, r = top.shape[0], len(corner)
+            found = np.zeros((n + r, n + r))
+            found[:n, :n], found[n:, :n], found[n:, n:] = top, side.T, corner
+            self._field_systems[key] = found
+        return found

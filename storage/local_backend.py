@@ -18,7 +18,7 @@ from storage.atomic import (
     withdraw,
     write_file,
 )
-from storage.backend import Entry, FillGroup, ZarrAddress
+from storage.backend import DESCRIPTION, Entry, FillGroup, ZarrAddress
 from storage.errors import StoreError
 
 
@@ -91,7 +91,8 @@ def move(place: Path, target: Path) -> None:
 
 def publish_group(place: Path, attributes: Mapping[str, Any], fill: FillGroup) -> None:
     """Write a group under a temporary name and rename it."""
-    withdraw(place)  # a folder that has lost its description would keep its name for ever
+    if place.exists() and not is_file(place / DESCRIPTION):
+        withdraw(place)  # a folder that has lost its description would keep its name for ever
     with explained(place), publishing(place) as temporary:
         fill(zarr.create_group(temporary, zarr_format=3, attributes=dict(attributes)))
 

@@ -136,6 +136,21 @@ def test_a_writer_that_comes_second_at_the_very_end_discards_its_own(tmp_path, m
     assert [p.name for p in tmp_path.iterdir()] == ["x.zarr"]
 
 
+def test_a_group_that_appears_while_ours_is_begun_is_never_taken_away(tmp_path, monkeypatch):
+    path = tmp_path / "x.zarr"
+    save_arrays(path, {"a": np.zeros(3)})
+    monkeypatch.setattr("storage.arrays.exists", lambda _: False)  # asked before it was there
+    create = zarr.create_group
+
+    def while_it_is_filled(*arguments: object, **options: object) -> zarr.Group:
+        assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
+        return create(*arguments, **options)
+
+    monkeypatch.setattr("storage.local_backend.zarr.create_group", while_it_is_filled)
+    save_arrays(path, {"a": np.ones(3)})
+    assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
+
+
 def test_processes_that_write_one_name_at_once_leave_one_whole_group(tmp_path):
     code = """
 import sys

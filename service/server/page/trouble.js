@@ -5,19 +5,23 @@ import { Refused } from "./api.js";
 const place = document.getElementById("trouble");
 
 let ofConnection = false;
+let complaints = 0;
 
 export const complain = (error) => {
   ofConnection = false;
+  if (error) complaints += 1;
   place.hidden = !error;
   place.textContent = error ? error.message || String(error) : "";
   if (error && !(error instanceof Refused)) console.error(error);
 };
 
-// Does what a button asks, and says why it could not.
+// Does what a button asks, and says why it could not. What goes right takes back only what was
+// said before it began: a list that was still loading leaves the refusal of a token where it is.
 export const attempt = async (act) => {
+  const before = complaints;
   try {
     const result = await act();
-    complain(null);
+    if (complaints === before) complain(null);
     return result;
   } catch (error) {
     complain(error);

@@ -128,7 +128,9 @@ def hypothesis_of(problem, one_sided=None):
     p = len(problem.nominal_sd)
     sided = np.zeros(p, bool) if one_sided is None else one_sided
     columns = problem.nominal * problem.nominal_sd
-    return LinearHypothesis(problem.residual, columns, problem.scaled_offset, sided)
+    return LinearHypothesis(
+        problem.residual, columns, problem.scaled_offset, sided, np.zeros(p, bool)
+    )
 
 
 def joint_evidence(problem, sensitivities):

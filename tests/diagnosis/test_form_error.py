@@ -19,8 +19,8 @@ K = 150
 
 @pytest.fixture(scope="module")
 def form():
-    points, _, states = layout(K)
-    return FormError(points, states)
+    points, normals, states = layout(K)
+    return FormError(points, normals, states, 20.0)
 
 
 def test_errors_are_a_fifth_of_the_pattern(form):
@@ -36,6 +36,29 @@ def test_they_grow_with_the_effect_and_are_smooth(form):
     pattern = mode(K, (0, 1, 1), 0, 1.0)
     assert form.columns(3.0 * pattern) == pytest.approx(3.0 * form.columns(pattern))
     assert form.columns(pattern).shape[1] < K
+
+
+def test_they_move_both_sides_of_a_layer_alike():
+    """The error of a displacement is one up on this side and one down on the other."""
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
+    normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    layer = FormError(points, normals, np.zeros(2, np.int32), 20.0)
+    errors = layer.columns(np.array([1.0, -1.0]))
+    covariance = errors @ errors.T
+    assert covariance[0, 1] / covariance[0, 0] == pytest.approx(-1.0, abs=0.03)
+
+
+def test_they_are_as_smooth_as_the_organ_is_large():
+    """Of one length of the field apart, whatever that is in mm."""
+    found = []
+    for length_mm in (1.5, 20.0):
+        points = np.array([[0.0, 0.0, 0.0], [length_mm, 0.0, 0.0]])
+        normals = np.tile([0.0, 0.0, 1.0], (2, 1))
+        form = FormError(points, normals, np.zeros(2, np.int32), length_mm)
+        errors = form.columns(np.ones(2))
+        found.append(errors @ errors.T)
+    assert found[0] == pytest.approx(found[1])
+    assert found[0][0, 1] < 0.9 * found[0][0, 0]
 
 
 def evidence(columns, problem, errors=None):

@@ -187,11 +187,22 @@ def _weighed(
     settings, noise = SETTINGS.form, analysis.noise
     formed = at.with_errors(analysis.form.columns(pattern))
     likened = at.with_errors(analysis.form.columns(pattern, settings.likeness_sd))
-    acting = float(np.log1p(-settings.likeness)) + noise.log_evidence(formed)
-    either = np.logaddexp(acting, np.log(settings.likeness) + noise.log_evidence(likened))
-    return Hypothesis(
-        names, float(either), noise.field_gain(formed), float(np.exp(acting - either))
+    alone, acting = _either(noise.log_evidence(formed), noise.log_evidence(likened))
+    if not noise.has_field:
+        return Hypothesis(names, alone, acting=acting)
+    beside, acting_beside = _either(
+        noise.log_evidence_with_field(formed), noise.log_evidence_with_field(likened)
     )
+    return Hypothesis(names, alone, beside - alone, acting, acting_beside)
+
+
+def _either(formed: float, likened: float) -> tuple[float, float]:
+    """Return the log evidence of effects that act or only resemble a cause that is not listed,
+    and how probably they act."""
+    likeness = SETTINGS.form.likeness
+    acts = float(np.log1p(-likeness)) + formed
+    either = float(np.logaddexp(acts, np.log(likeness) + likened))
+    return either, float(np.exp(acts - either))
 
 
 def _fitted(

@@ -50,6 +50,13 @@ class Quadratic(NamedTuple):
             gradient=self.gradient[which], curvature=self.curvature[np.ix_(which, which)]
         )
 
+    def scaled(self, factors: FloatArray) -> "Quadratic":
+        """Return the same for prior standard deviations that are larger by factors, (p,)."""
+        return self._replace(
+            gradient=self.gradient * factors[:, None],
+            curvature=self.curvature * factors[:, None] * factors,
+        )
+
 
 class Posterior(NamedTuple):
     """Of the parameters, in prior standard deviations: mean (p, n), covariance (p, p)."""

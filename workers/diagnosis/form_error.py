@@ -2,9 +2,11 @@
 
 No real effect has just the form that is listed: friction has another law, a gradient another
 shape. Where an effect changes the residuals by a pattern, it may in truth change them by a pattern
-that is smoothly a fifth larger here and smaller there. As columns with a prior these errors enter
-the evidence of the hypothesis: a strong effect then does not lose to a field that mends its form,
-and does not beat a relative by some nats of hundreds; a weak one is hardly touched.
+that is smoothly a fifth larger here and smaller there. The error is that of a displacement: it
+moves both sides of a layer alike, so that one residual grows and the other one shrinks. As columns
+with a prior these errors enter the evidence of the hypothesis: a strong effect then does not lose
+to a field that mends its form, and does not beat a relative by some nats of hundreds; a weak one is
+hardly touched.
 
 A cause that is not listed may resemble one that is. Its pattern then differs by more: the same
 hypothesis with a larger error of form, in which the effects do not act.
@@ -23,19 +25,25 @@ class FormError:
 
     Parameters
     ----------
-    points : ndarray, shape (m, 3)
+    points, normals : ndarray, shape (m, 3)
         At rest, of each residual.
     states : ndarray of int, shape (m,)
+    field_length_mm : float
+        The middle one of the smooth field that stands for something else.
     """
 
-    def __init__(self, points: FloatArray, states: IntArray) -> None:
+    def __init__(
+        self, points: FloatArray, normals: FloatArray, states: IntArray, field_length_mm: float
+    ) -> None:
         settings = SETTINGS.form
         squares = cdist(points, points, "sqeuclidean")
         same = states[:, None] == states
-        smooth = np.exp(-0.5 * squares / settings.length_mm**2)
+        length_mm = settings.lengths * field_length_mm
+        envelope_mm = settings.envelope_lengths * field_length_mm
+        smooth = np.exp(-0.5 * squares / length_mm**2) * (normals @ normals.T)
         smooth *= np.where(same, 1.0, settings.state_correlation)
         self._modes = pivoted(smooth, settings.rank_tolerance)
-        near = np.exp(-0.5 * squares / settings.envelope_mm**2) * same
+        near = np.exp(-0.5 * squares / envelope_mm**2) * same
         self._average = near / near.sum(axis=1)[:, None]
 
     def columns(

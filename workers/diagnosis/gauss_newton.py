@@ -91,8 +91,9 @@ class Fit:
             self.jacobian * u.sd,
             (self.z - u.mean) / u.sd,
             u.one_sided,
+            np.zeros(len(u.sd), np.bool_),
         )
-        return found.with_errors(self.pose_columns(inverse))
+        return found.with_errors(self.pose_columns(inverse), are_poses=True)
 
     def pose_columns(self, inverse: InverseProblem) -> FloatArray:
         """Return what poses do to the residuals; see `workers.diagnosis.scan_poses`."""

@@ -35,9 +35,9 @@ class Hypothesis:
         with the evidence of the linear model.
     discrepancy_gain : float, optional
         By how much a smooth field raises it; None if that was not tried.
-    acting : float
-        How probably the effects act and do not only resemble a cause that is not listed; see
-        `workers.diagnosis.form_error`.
+    acting, acting_beside : float
+        How probably the effects act and do not only resemble a cause that is not listed, without
+        and with a smooth field beside them; see `workers.diagnosis.form_error`.
 
     Raises
     ------
@@ -49,6 +49,7 @@ class Hypothesis:
     log_evidence: float
     discrepancy_gain: float | None = None
     acting: float = 1.0
+    acting_beside: float = 1.0
 
     def __post_init__(self) -> None:
         if len(self.effects) > MOST_EFFECTS or len(set(self.effects)) < len(self.effects):

@@ -14,9 +14,9 @@ from scipy.special import logsumexp
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
-from workers.diagnosis.evidence import Quadratic, log_marginal
+from workers.diagnosis.evidence import Quadratic
 from workers.diagnosis.hypotheses import Hypothesis
-from workers.diagnosis.noise_evidence import LinearHypothesis, NoiseModel
+from workers.diagnosis.noise_evidence import LinearHypothesis, NoiseModel, joined
 
 
 class JointEvidence:
@@ -67,6 +67,8 @@ class JointEvidence:
         self._sided = np.concatenate(sided)
         self._offset = np.zeros(len(self._sided))
         self._offset[:p] = nominal.offset
+        self._is_pose = np.zeros(len(self._sided), np.bool_)
+        self._is_pose[:p] = nominal.is_pose
         A, residual = np.hstack(blocks), nominal.residual[:, None]
         self._plain = noise.plain(A, residual)
         self._field = noise.with_field(A, residual) if noise.has_field else []
@@ -94,6 +96,8 @@ class JointEvidence:
         found, places = [], list(product(*(self._columns[name] for name in effects)))
         for place in places:
             which = np.concatenate([self._nominal, *place])
-            sided, offset = self._sided[which], self._offset[which]
-            found += [float(log_marginal(q.of(which), offset, sided)[0]) for q in quadratics]
+            freed = [q.of(which) for q in quadratics]
+            found.append(
+                joined(freed, self._offset[which], self._sided[which], self._is_pose[which])
+            )
         return float(logsumexp(found) - np.log(len(places)))

@@ -43,14 +43,17 @@ class LinearHypothesis:
     offset : ndarray, shape (p,)
         Fit minus prior mean, in prior standard deviations.
     one_sided : ndarray of bool, shape (p,)
+    is_pose : ndarray of bool, shape (p,)
+        Which columns are motions of a scan: their prior deviation is averaged over.
     """
 
     residual: FloatArray
     columns: FloatArray
     offset: FloatArray
     one_sided: BoolArray
+    is_pose: BoolArray
 
-    def with_errors(self, columns: FloatArray) -> "LinearHypothesis":
+    def with_errors(self, columns: FloatArray, *, are_poses: bool = False) -> "LinearHypothesis":
         """Return it with more columns of unit deviation, shape (m, q)."""
         q = columns.shape[1]
         return LinearHypothesis(
@@ -58,7 +61,38 @@ class LinearHypothesis:
             np.hstack([self.columns, columns]),
             np.append(self.offset, np.zeros(q)),
             np.append(self.one_sided, np.zeros(q, np.bool_)),
+            np.append(self.is_pose, np.full(q, are_poses)),
         )
+
+
+def with_pose_scales(quadratics: Sequence[Quadratic], is_pose: BoolArray) -> list[Quadratic]:
+    """Return misfits for scans that lie off as far as is stated, and for such as lie nearer.
+
+    Poses that are known far better from the residuals than before them cost each hypothesis the
+    same, whether it needs them or not. Where scans lie as their headers say, what moves the body
+    as poses do would be lost by that; see `workers.diagnosis.settings.PoseSettings.scales`.
+    """
+    if not is_pose.any():
+        return list(quadratics)
+    scales = SETTINGS.pose.scales
+    each = 2.0 * np.log(len(scales))
+    return [
+        q.scaled(np.where(is_pose, scale, 1.0))._replace(log_determinant=q.log_determinant + each)
+        for q in quadratics
+        for scale in scales
+    ]
+
+
+def joined(
+    quadratics: Sequence[Quadratic], offset: FloatArray, one_sided: BoolArray, is_pose: BoolArray
+) -> float:
+    """Return the log evidence, averaged over the noise and over how far scans may lie off."""
+    each = with_pose_scales(quadratics, is_pose)
+    return float(logsumexp([log_marginal(q, offset, one_sided)[0] for q in each]))
+
+
+def _joined(quadratics: Sequence[Quadratic], at: LinearHypothesis) -> float:
+    return joined(quadratics, at.offset, at.one_sided, at.is_pose)
 
 
 class NoiseModel:
@@ -167,16 +201,17 @@ class NoiseModel:
         self, at: LinearHypothesis, states: Sequence[NoiseState] | None = None
     ) -> float:
         """Return the log evidence of a hypothesis, averaged over the states of the noise."""
-        quadratics = self.plain(at.columns, at.residual[:, None], states)
-        return float(logsumexp([log_marginal(q, at.offset, at.one_sided)[0] for q in quadratics]))
+        return _joined(self.plain(at.columns, at.residual[:, None], states), at)
 
     def field_gain(self, at: LinearHypothesis) -> float | None:
         """Return by how much a smooth field raises it; None without one."""
         if not self.has_field:
             return None
-        quadratics = self.with_field(at.columns, at.residual[:, None])
-        found = logsumexp([log_marginal(q, at.offset, at.one_sided)[0] for q in quadratics])
-        return float(found) - self.log_evidence(at)
+        return self.log_evidence_with_field(at) - self.log_evidence(at)
+
+    def log_evidence_with_field(self, at: LinearHypothesis) -> float:
+        """Return the log evidence with a smooth field in the noise."""
+        return _joined(self.with_field(at.columns, at.residual[:, None]), at)
 
     @property
     def has_field(self) -> bool:

@@ -86,9 +86,7 @@ class NominalAnalysis:
     def field(self) -> FloatArray:
         """Columns of a smooth field of middling amplitude and length, shape (m, r), in mm."""
         prior = self.inverse.something_else
-        amplitude = sorted(prior.amplitudes_mm)[len(prior.amplitudes_mm) // 2]
-        length = sorted(prior.lengths_mm)[len(prior.lengths_mm) // 2]
-        return amplitude * self._smooth_columns(length)
+        return prior.middle_amplitude_mm * self._smooth_columns(prior.middle_length_mm)
 
     def _smooth_columns(self, length_mm: float) -> FloatArray:
         normals = np.concatenate([scan.normals for scan in self.nominal.predictions])
@@ -105,7 +103,10 @@ class NominalAnalysis:
     @cached_property
     def form(self) -> FormError:
         """How far patterns may differ from those of the catalogue."""
-        return FormError(self._points, self.inverse.rows)
+        inverse = self.inverse
+        normals = np.tile(inverse.points.normals, (len(inverse.scans), 1))
+        length_mm = inverse.something_else.middle_length_mm
+        return FormError(self._points, normals, inverse.rows, length_mm)
 
     @property
     def _points(self) -> FloatArray:

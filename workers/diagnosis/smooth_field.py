@@ -40,3 +40,13 @@ class SmoothField:
                 "A smooth field needs amplitudes > 0, lengths > 0 and a correlation between "
                 f"states from 0 to 1, found {self}."
             )
+
+    @property
+    def middle_amplitude_mm(self) -> float:
+        """The middle one of the amplitudes."""
+        return sorted(self.amplitudes_mm)[len(self.amplitudes_mm) // 2]
+
+    @property
+    def middle_length_mm(self) -> float:
+        """The middle one of the lengths."""
+        return sorted(self.lengths_mm)[len(self.lengths_mm) // 2]

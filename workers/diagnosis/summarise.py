@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from storage.values import BoolArray, FloatArray
+from storage.values import BoolArray
 from workers.diagnosis.acquisition import INTERFACES
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.gap import Gap, LinearFit, Registration, gap
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.linearisation import Linearised
+from workers.diagnosis.parameter_posterior import parameter_posterior
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.shrinkage import Shrinkage, shrinkage, unseen_shrinkage
 from workers.diagnosis.summary import (
@@ -101,13 +102,14 @@ def _parameters(
     diagnosis: Diagnosis, effect: Effect, names: tuple[str, ...]
 ) -> list[ParameterEstimate]:
     """Return those of the joint fit of `names`; without one what the screening expects."""
-    fitted = diagnosis.joint_fits.get(names)
-    screened = diagnosis.analysis.screening_by_name[effect.name]
+    analysis, fitted = diagnosis.analysis, diagnosis.joint_fits.get(names)
+    posterior = fitted and parameter_posterior(analysis.inverse, analysis.noise, fitted.fit)
+    screened = analysis.screening_by_name[effect.name]
     found = []
     for i, parameter in enumerate(effect.parameters):
-        if fitted is not None:
+        if fitted and posterior:
             at = fitted.fit.unknowns.names.index(parameter.name)
-            value, sd = float(fitted.fit.z[at]), float(_posterior_sd(diagnosis, names)[at])
+            value, sd = float(posterior.mean[at]), float(posterior.sd[at])
         elif i < len(screened.estimate):
             value, sd = float(screened.estimate[i]), float(screened.estimate_sd[i])
             if one_sided(parameter):
@@ -125,13 +127,6 @@ def _parameters(
 
 def _in_deviations(parameter: ParameterEstimate) -> float:
     return abs(float(parameter.magnitude)) / max(float(parameter.sd), 1e-12)
-
-
-def _posterior_sd(diagnosis: Diagnosis, names: tuple[str, ...]) -> FloatArray:
-    at = diagnosis.joint_fits[names].fit.linearised(diagnosis.analysis.inverse)
-    A = at.scaled_nominal
-    spread = np.sqrt(np.diag(np.linalg.inv(np.eye(A.shape[1]) + A.T @ A)))
-    return np.asarray(spread * at.nominal_sd)
 
 
 def _gap_mm(diagnosis: Diagnosis) -> GapSummary:

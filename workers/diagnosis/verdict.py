@@ -114,7 +114,8 @@ def verdict(
     cases = probabilities(visible, len(families), odds)
     alone = {h.effects: h.acting for h in visible}
     beside = {
-        h.effects: h.acting * odds.trust(1.0 - _explained(visible, h.effects)) for h in visible
+        h.effects: h.acting_beside * odds.trust(1.0 - _explained(visible, h.effects))
+        for h in visible
     }
     acts = {
         (who, field): p * (beside if field else alone)[who]

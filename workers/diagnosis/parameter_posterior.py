@@ -1,0 +1,40 @@
+"""Where the parameters of a joint fit lie, averaged over what is not known of noise and poses.
+
+A fit is made with one noise, and with scans that may lie as far off as is stated. Where they are
+seen to lie nearer, an effect that moves a body as a pose does is larger than that fit has it. The
+mean is one step of Newton's method away for each noise and each size of the poses, and these are
+weighed as the evidence weighs them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import softmax
+
+from storage.values import FloatArray
+from workers.diagnosis.evidence import log_marginal, posterior
+from workers.diagnosis.gauss_newton import Fit
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.noise_evidence import NoiseModel, with_pose_scales
+
+
+class ParameterPosterior(NamedTuple):
+    """Mean and standard deviation of each unknown of a fit, shape (p,)."""
+
+    mean: FloatArray
+    sd: FloatArray
+
+
+def parameter_posterior(inverse: InverseProblem, noise: NoiseModel, fit: Fit) -> ParameterPosterior:
+    """Return where the unknowns of a fit lie; one-sided ones not beyond their bound."""
+    at, u = fit.hypothesis(inverse), fit.unknowns
+    p = len(u.sd)
+    quadratics = with_pose_scales(noise.plain(at.columns, at.residual[:, None]), at.is_pose)
+    weights = softmax([log_marginal(q, at.offset, at.one_sided)[0] for q in quadratics])
+    each = [posterior(q, at.offset) for q in quadratics]
+    means = np.stack([one.mean[:p, 0] for one in each])
+    variances = np.stack([np.diag(one.covariance)[:p] for one in each])
+    mean = weights @ means
+    sd = np.sqrt(weights @ (variances + (means - mean) ** 2)) * u.sd
+    z = np.clip(u.mean + mean * u.sd, u.lower, u.upper)
+    return ParameterPosterior(np.asarray(z), np.asarray(sd))

@@ -150,10 +150,10 @@ class FormSettings:
 
     relative_sd: float = 0.2
     lengths: float = 1.5
-    # Of effects that do not act but resemble a cause that is not listed, and how probable that is
-    # before data.
+    # [open cases] Of effects that do not act but resemble a cause that is not listed, and how
+    # probable that is before data.
     likeness_sd: float = 0.5
-    likeness: float = 0.05
+    likeness: float = 0.03
     # Over which the size of a pattern is averaged: an error need not vanish where it changes sign.
     envelope_lengths: float = 0.6
     state_correlation: float = 0.9

@@ -141,6 +141,16 @@ def test_an_effect_beside_something_else_is_doubtful():
     assert found[1].explained_share == pytest.approx(0.8)
 
 
+def test_a_field_that_mends_a_form_says_no_more_against_an_effect():
+    """Without a field its form was a likeness's; with one it need not be."""
+    mended = Hypothesis(("a",), 490.0, 10.0, acting=0.1, acting_beside=0.95)
+    same = Hypothesis(("a",), 490.0, 10.0, acting=0.1, acting_beside=0.1)
+    nothing = Hypothesis((), 0.0, 100.0)
+    found = [verdict([nothing, one], FAMILIES).probabilities["a"] for one in (mended, same)]
+    assert found[0] > 0.8
+    assert found[1] < 0.15
+
+
 def test_a_pair_is_named_with_the_more_probable_first():
     found = weigh(
         Hypothesis(("a",), -90.0), Hypothesis(("c",), -70.0), Hypothesis(("a", "c"), -50.0)

@@ -11,6 +11,7 @@ from typing import TypedDict
 from storage.atomic import PREFIX, discard, explained
 from workers.blind.newton import NoEquilibriumError
 from workers.blind.random_case import draw
+from workers.blind.world import World
 from workers.blind.write_case import write_case
 
 ATTEMPTS = 5
@@ -25,7 +26,9 @@ class CaseMade(TypedDict):
     attempts: int
 
 
-def make_case(seed: int, kind: str, one_direction: bool, case: str, truth: str) -> CaseMade:
+def make_case(
+    seed: int, kind: str, one_direction: bool, world: str, case: str, truth: str
+) -> CaseMade:
     """Draw a case and write it, with its truth elsewhere; both are whole or not there.
 
     Parameters
@@ -35,6 +38,8 @@ def make_case(seed: int, kind: str, one_direction: bool, case: str, truth: str) 
         See `workers.blind.random_case.KINDS`.
     one_direction : bool
         Whether all scans are pressed along y.
+    world : str
+        See `workers.blind.world.World`.
     case, truth : str
         Folders that are made here, both of the same name. A case is there last.
 
@@ -45,7 +50,7 @@ def make_case(seed: int, kind: str, one_direction: bool, case: str, truth: str) 
     """
     begun = time.perf_counter()
     for attempt in range(ATTEMPTS):
-        drawn = draw(seed + attempt, kind, one_direction=one_direction)
+        drawn = draw(seed + attempt, kind, one_direction=one_direction, world=World(world))
         try:
             publish(Path(case), Path(truth), partial(write_case, drawn))
         except NoEquilibriumError:

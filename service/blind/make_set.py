@@ -43,6 +43,8 @@ class SetRequest:
         Of the diagnosis' working mesh, which the manifest freezes.
     controls : bool
         Whether no body lacks anything: null replicates by full simulation.
+    world : str
+        See `workers.blind.world.World`.
     """
 
     cases: int
@@ -50,11 +52,16 @@ class SetRequest:
     one_direction: bool
     nodes: int
     controls: bool = False
+    world: str = "plain"
 
     @property
-    def rules(self) -> dict[str, bool]:
+    def rules(self) -> dict[str, bool | str]:
         """Return what the cases of a set depend on besides its seed."""
-        return {"one_direction": self.one_direction, "controls": self.controls}
+        return {
+            "one_direction": self.one_direction,
+            "controls": self.controls,
+            "world": self.world,
+        }
 
 
 def plan(
@@ -101,13 +108,14 @@ def plan(
 def _planned_before(truths: Truths, request: SetRequest) -> list[PlannedCase]:
     """Read the plan of an earlier call, and refuse it if it is of another set."""
     earlier = read_json(truths.plan)
-    rules = {name: earlier.get(name, False) for name in request.rules}
+    before = {"controls": False, "world": "plain"} | earlier  # an older plan says nothing of them
+    rules = {name: before[name] for name in request.rules}
     same_seed = request.seed in (None, earlier["seed"])
     if len(earlier["cases"]) != request.cases or rules != request.rules or not same_seed:
         raise InputError(
             f"{truths.plan} plans another set ({len(earlier['cases'])} cases, seed "
             f"{earlier['seed']}, one direction: {rules['one_direction']}, controls only: "
-            f"{rules['controls']}). Ask for the same, or for a new SET."
+            f"{rules['controls']}, world: {rules['world']}). Ask for the same, or for a new SET."
         )
     return list(earlier["cases"])
 
@@ -154,7 +162,7 @@ def make(
     def arguments(entry: PlannedCase) -> tuple[str, tuple[Any, ...]]:
         name = entry["id"]
         folders = (str(f.absolute()) for f in (blind.case(name), truths.of(name)))
-        return name, (entry["seed"], entry["kind"], request.one_direction, *folders)
+        return name, (entry["seed"], entry["kind"], request.one_direction, request.world, *folders)
 
     for ending in dispatcher.run(task, map(arguments, entries)):
         if ending.value is None:

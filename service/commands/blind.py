@@ -36,6 +36,13 @@ app = typer.Typer(
 )
 
 
+class World(StrEnum):
+    """What is off in a case besides its cause; see `workers.blind.world`."""
+
+    plain = "plain"
+    hard = "hard"
+
+
 class Which(StrEnum):
     """Scans that a diagnosis is shown."""
 
@@ -69,6 +76,9 @@ def make(
     controls: Annotated[
         bool, typer.Option("--controls", help="Only bodies that lack nothing: null replicates.")
     ] = False,
+    world: Annotated[
+        World, typer.Option(help="Whether all else is as the model has it, or a little off.")
+    ] = World.plain,
     truth: TruthOption = None,
     nodes: Annotated[int, typer.Option(min=200, help="Of the diagnosis that is sealed.")] = NODES,
     workers: WorkersOption = None,
@@ -89,7 +99,7 @@ def make(
     blind = BlindSet(folder)
     truths = Truths(truth or blind.truth_beside())
     _refuse_nested(folder, truths.root)
-    request = SetRequest(cases, seed, one_direction, nodes, controls)
+    request = SetRequest(cases, seed, one_direction, nodes, controls, world.value)
     entries = plan(blind, truths, request, {CONTROL: 1.0} if controls else KINDS)
     waiting = unmade(blind, truths, entries)
 

@@ -41,7 +41,9 @@ SHARES = {"control": 1.0, "tilt": 1.0}
 LOADS = (PRESSED[1], CROSSWISE)
 
 
-def small_case(seed: int, kind: str, one_direction: bool, case: str, truth: str) -> dict[str, Any]:
+def small_case(
+    seed: int, kind: str, one_direction: bool, world: str, case: str, truth: str
+) -> dict[str, Any]:
     """In place of `service.blind.make_case.make_case`: a tilted plate, or nothing."""
     loads = LOADS[:1] if one_direction else LOADS
     publish(Path(case), Path(truth), lambda *folders: write_small(kind, loads, *folders))

@@ -26,7 +26,7 @@ def test_a_draw_without_equilibrium_is_drawn_again(
 
     monkeypatch.setattr(making, "write_case", write)
     folders = [str(tmp_path / place / "c0") for place in ("cases", "truth")]
-    told = making.make_case(7, "tilt", True, *folders)
+    told = making.make_case(7, "tilt", True, "plain", *folders)
     assert told["attempts"] == attempts
     assert seeds == list(range(7, 7 + attempts))
     assert Path(folders[0], "case.json").read_text() == "tilt"
@@ -39,7 +39,9 @@ def test_one_that_never_stands_is_given_up(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(making, "write_case", write)
     with pytest.raises(making.NoEquilibriumError):
-        making.make_case(7, "tilt", True, str(tmp_path / "a" / "c0"), str(tmp_path / "b" / "c0"))
+        making.make_case(
+            7, "tilt", True, "plain", str(tmp_path / "a" / "c0"), str(tmp_path / "b" / "c0")
+        )
     assert not list(tmp_path.rglob("c0"))
 
 

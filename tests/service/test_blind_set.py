@@ -27,7 +27,9 @@ from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 SHARES = {"control": 2.0, "tilt": 1.0, "friction": 1.0}
 
 
-def tiny(seed: int, kind: str, one_direction: bool, case: str, truth: str) -> dict[str, Any]:
+def tiny(
+    seed: int, kind: str, one_direction: bool, world: str, case: str, truth: str
+) -> dict[str, Any]:
     """A case of two small files."""
 
     def write(case: Path, truth: Path) -> None:
@@ -110,6 +112,7 @@ def test_another_set_in_the_same_place_is_refused(blind: BlindSet, truths: Truth
         SetRequest(8, 8, False, 600),
         SetRequest(8, 7, True, 600),
         SetRequest(8, 7, False, 600, True),
+        SetRequest(8, 7, False, 600, world="hard"),
     ):
         with pytest.raises(InputError, match="plans another set"):
             plan(blind, truths, asked, SHARES)
@@ -118,7 +121,8 @@ def test_another_set_in_the_same_place_is_refused(blind: BlindSet, truths: Truth
 
 
 def test_a_case_that_cannot_be_made_is_no_case(tmp_path: Path) -> None:
-    def failing(seed: int, kind: str, one: bool, case: str, truth: str) -> dict[str, Any]:
+    def failing(*asked: Any) -> dict[str, Any]:
+        case, truth = asked[-2:]
         publish(Path(case), Path(truth), lambda c, t: (c / "half").write_text(str(1 / 0)))
         raise AssertionError
 

@@ -77,7 +77,7 @@ def _system(scene: Scene, topology: Topology, materials: ElementMaterials, axis:
 def _wall(scene: Scene, mesh: QuadraticMesh) -> Wall:
     places = np.einsum("qa,kai->kqi", face_shapes(), mesh.nodes[mesh.wall]).reshape(-1, 3)
     spring = np.zeros((len(places), 3))
-    spring[:, :2] = WALL_SPRING_KPA_PER_MM
+    spring[:, :2] = WALL_SPRING_KPA_PER_MM * scene.wall_spring_factor
     if scene.wall_grip is not None:
         spring[:, :2] += scene.wall_grip(places)[:, None]
     if scene.wall_compliance is not None:

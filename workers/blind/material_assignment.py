@@ -9,7 +9,7 @@ import numpy as np
 from storage.values import FloatArray, Tissue, Volume
 from workers.blind.element_energy import ElementMaterials
 from workers.blind.quadratic_element import QuadraticMesh, points_in_cells
-from workers.blind.scene import NU, Scene
+from workers.blind.scene import Scene
 
 SAMPLES = 64  # read in every element
 
@@ -62,8 +62,8 @@ def materials_of(scene: Scene, mesh: QuadraticMesh, labels: Volume) -> ElementMa
     flat = at.reshape(-1, 3)
     fibre = np.tile([0.0, 0.0, 1.0], (len(flat), 1)) if scene.fibres is None else scene.fibres(flat)
     return ElementMaterials(
-        mu=young / (2 * (1 + NU)),
-        kappa=young / (3 * (1 - 2 * NU)),
+        mu=young / (2 * (1 + scene.nu)),
+        kappa=young / (3 * (1 - 2 * scene.nu)),
         eta=eta,
         fung=np.full(shape, scene.fung),
         growth=stretch,

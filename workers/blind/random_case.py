@@ -1,7 +1,7 @@
 """Draw the case that a seed makes: a fixed table of kinds, everything else at random."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import reduce
 from types import MappingProxyType
 from typing import Any, Final
@@ -17,6 +17,7 @@ from workers.blind.causes.material import Fibres, Gradient, SkinSheet, Stiffenin
 from workers.blind.causes.observation import Segmentation
 from workers.blind.causes.plates import BentPlate, Tilt
 from workers.blind.scene import Anatomy, Constants, Scene
+from workers.blind.world import Deviations, World, draw_deviations
 
 SINGLES: Final[tuple[type[Cause], ...]] = (
     Gravity,
@@ -79,7 +80,9 @@ class Truth:
     loads : tuple of Load
         The loaded scans in order.
     noise_sd_mm : float
-        Of the segmentation of every scan.
+        Of the segmentation of every scan, as it is stated.
+    deviations : Deviations
+        What is off besides the causes.
     """
 
     seed: int
@@ -89,6 +92,7 @@ class Truth:
     constants: Constants
     loads: tuple[Load, ...]
     noise_sd_mm: float
+    deviations: Deviations = field(default_factory=Deviations)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -109,7 +113,8 @@ class Truth:
     def scene(self) -> Scene:
         """Return the physics of the case."""
         nominal = Scene(self.anatomy, self.constants)
-        return reduce(lambda scene, cause: cause.apply_to(scene), self.causes, nominal)
+        caused = reduce(lambda scene, cause: cause.apply_to(scene), self.causes, nominal)
+        return self.deviations.apply_to(caused)
 
     def record(self) -> dict[str, Any]:
         """Return all fields, ready for JSON."""
@@ -127,10 +132,17 @@ class Truth:
             "constants": asdict(self.constants),
             "loads": [asdict(load) for load in self.loads],
             "noise_sd_mm": self.noise_sd_mm,
+            "deviations": asdict(self.deviations),
         }
 
 
-def draw(seed: int, kind: str | None = None, *, one_direction: bool = False) -> Truth:
+def draw(
+    seed: int,
+    kind: str | None = None,
+    *,
+    one_direction: bool = False,
+    world: World = World.plain,
+) -> Truth:
     """Draw the case of a seed.
 
     Parameters
@@ -142,6 +154,8 @@ def draw(seed: int, kind: str | None = None, *, one_direction: bool = False) -> 
         One of `KINDS`; drawn by their shares where none is given.
     one_direction : bool
         Only plates normal to y.
+    world : World
+        What is off besides the causes; all else is the same in both worlds.
 
     Raises
     ------
@@ -152,7 +166,8 @@ def draw(seed: int, kind: str | None = None, *, one_direction: bool = False) -> 
         raise InputError(f"The seed of a case must be a whole number >= 0, got {seed!r}.")
     if kind is not None and kind not in KINDS:
         raise InputError(f"No case is of the kind {kind!r}; use one of {', '.join(KINDS)}.")
-    body, choice, size = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+    streams = np.random.SeedSequence(seed).spawn(4)
+    body, choice, size, off = (np.random.default_rng(stream) for stream in streams)
     anatomy = _anatomy(body)
     constants = Constants(
         log_uniform(body, 7, 14),
@@ -164,7 +179,8 @@ def draw(seed: int, kind: str | None = None, *, one_direction: bool = False) -> 
     drawn = str(choice.choice(list(KINDS), p=list(KINDS.values())))
     chosen = kind or drawn
     causes = tuple(cause.draw(size, anatomy) for cause in _classes(chosen, choice))
-    return Truth(seed, chosen, causes, anatomy, constants, loads, noise)
+    deviations = draw_deviations(world, off, len(loads))
+    return Truth(seed, chosen, causes, anatomy, constants, loads, noise, deviations)
 
 
 def _classes(kind: str, rng: np.random.Generator) -> tuple[type[Cause], ...]:

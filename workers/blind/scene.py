@@ -109,6 +109,10 @@ class Scene:
         E t of a skin.
     segmentation_mm : tuple of float
         How far the outline and the glandular labels of the loaded scans reach too far.
+    nu : float
+        Poisson's ratio.
+    wall_spring_factor : float
+        On the springs along the chest wall.
     """
 
     anatomy: Anatomy
@@ -126,3 +130,5 @@ class Scene:
     growth: tuple[Callable[[FloatArray, FloatArray], FloatArray], ...] = ()
     skin_n_per_m: float = 0.0
     segmentation_mm: tuple[float, float] = field(default=(0.0, 0.0))
+    nu: float = NU
+    wall_spring_factor: float = 1.0

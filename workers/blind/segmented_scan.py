@@ -20,6 +20,7 @@ BLUR_VOXELS = 0.8
 MARGIN_MM = 6.0
 # Halves of the variance; together about those of one length of 4 mm.
 LENGTHS_MM = (3.4, 4.8)
+PIECE_RADIUS_MM = (3.0, 5.0)
 # Of a boundary's scatter, left by voxels of 0.8 mm and by the blur of who looks at it.
 KEPT = 0.93
 
@@ -34,11 +35,17 @@ class Segmenter:
         Of the boundaries along their normals.
     outline_mm, glandular_mm : float
         How far all labels, and the glandular ones, reach too far.
+    ln_at_wall : float
+        ln of how much larger the scatter is at the chest wall than at the nipple.
+    pieces : int
+        Pieces of gland that are missed, and as many that are added.
     """
 
     sd_mm: float
     outline_mm: float = 0.0
     glandular_mm: float = 0.0
+    ln_at_wall: float = 0.0
+    pieces: int = 0
 
 
 def glandular_share(labels: Volume) -> Volume:
@@ -98,12 +105,13 @@ def segmented(labels: Volume, segmenter: Segmenter, rng: np.random.Generator) ->
     """
     first = int(np.flatnonzero((labels.values != Tissue.AIR).any(axis=(1, 2)))[0])
     above = labels.values[first:]
-    body = _redrawn(
-        above != Tissue.AIR, labels.spacing_mm, segmenter.sd_mm, segmenter.outline_mm, rng
-    )
+    body = _redrawn(above != Tissue.AIR, labels.spacing_mm, segmenter, segmenter.outline_mm, rng)
     gland = _redrawn(
-        above == Tissue.GLANDULAR, labels.spacing_mm, segmenter.sd_mm, segmenter.glandular_mm, rng
+        above == Tissue.GLANDULAR, labels.spacing_mm, segmenter, segmenter.glandular_mm, rng
     )
+    for _ in range(segmenter.pieces):
+        gland &= ~_piece(gland, labels.spacing_mm, rng)
+        gland |= _piece(body & ~gland, labels.spacing_mm, rng)
     drawn = np.where(gland, Tissue.GLANDULAR, Tissue.FAT) * body
     values = np.zeros(labels.values.shape, np.uint8)
     values[first:] = drawn
@@ -113,7 +121,7 @@ def segmented(labels: Volume, segmenter: Segmenter, rng: np.random.Generator) ->
 def _redrawn(
     inside: NDArray[np.bool_],
     spacing_mm: tuple[float, float, float],
-    sd_mm: float,
+    segmenter: Segmenter,
     offset_mm: float,
     rng: np.random.Generator,
 ) -> NDArray[np.bool_]:
@@ -121,7 +129,22 @@ def _redrawn(
     # "nearest" continues the body straight through the cut at the chest wall.
     share = ndimage.gaussian_filter(inside.astype(np.float32), BLUR_VOXELS, mode="nearest")
     depth = BLUR_VOXELS * min(spacing_mm) * ndtri(np.clip(share, 1e-6, 1 - 1e-6))
-    return np.asarray(depth + offset_mm + sd_mm / KEPT * _waves(inside.shape, spacing_mm, rng) > 0)
+    towards_wall = np.linspace(0.5, -0.5, len(inside))[:, None, None]
+    sd_mm = segmenter.sd_mm / KEPT * np.exp(segmenter.ln_at_wall * towards_wall)
+    return np.asarray(depth + offset_mm + sd_mm * _waves(inside.shape, spacing_mm, rng) > 0)
+
+
+def _piece(
+    inside: NDArray[np.bool_], spacing_mm: tuple[float, float, float], rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Return the voxels of a ball somewhere inside a tissue."""
+    places = np.argwhere(inside)
+    z, y, x = places[rng.integers(len(places))]
+    radius_mm = rng.uniform(*PIECE_RADIUS_MM)
+    step = np.asarray(spacing_mm)[::-1]
+    grid = np.ogrid[tuple(slice(0, n) for n in inside.shape)]
+    away = sum(((g - c) * s) ** 2 for g, c, s in zip(grid, (z, y, x), step, strict=True))
+    return np.asarray(away < radius_mm**2)
 
 
 def _waves(

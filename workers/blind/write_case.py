@@ -6,6 +6,7 @@ Nothing of the kind shows in the names, order, precision or times of the files.
 import gzip
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,12 +84,17 @@ def _scans(truth: Truth, body: Body, solutions: list[Solution]) -> dict[str, Vol
     streams = np.random.SeedSequence([truth.seed, 1]).spawn(len(solutions) + 1)
     rngs = [np.random.default_rng(s) for s in streams]
     outline, gland = truth.scene.segmentation_mm
-    rest = deformed_labels(share, fine, np.zeros_like(body.mesh.nodes))
-    scans = {"reference.nrrd": segmented(rest, Segmenter(truth.noise_sd_mm), rngs[0])}
-    segmenter = Segmenter(truth.noise_sd_mm, outline, gland)
-    for name, solution, rng in zip(scan_names(truth.loads), solutions, rngs[1:], strict=True):
-        moved = deformed_labels(share, fine, solution.displacement_mm)
-        scans[name] = segmented(moved, segmenter, rng)
+    off, nodes = truth.deviations, body.mesh.nodes
+    rest = deformed_labels(share, fine, np.zeros_like(nodes))
+    reader = Segmenter(
+        off.noise_factor * truth.noise_sd_mm, ln_at_wall=off.ln_noise_at_wall, pieces=off.pieces
+    )
+    scans = {"reference.nrrd": segmented(rest, reader, rngs[0])}
+    segmenter = replace(reader, outline_mm=outline, glandular_mm=gland)
+    for number, (solution, rng) in enumerate(zip(solutions, rngs[1:], strict=True)):
+        shown = off.posed(number, nodes + solution.displacement_mm) - nodes
+        moved = deformed_labels(share, fine, shown)
+        scans[scan_names(truth.loads)[number]] = segmented(moved, segmenter, rng)
     return scans
 
 

@@ -12,6 +12,7 @@ from workers.diagnosis.gap import Gap, LinearFit, Registration, gap
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.parameter_posterior import parameter_posterior
+from workers.diagnosis.region_gap import region_gap
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.shrinkage import Shrinkage, shrinkage, unseen_shrinkage
 from workers.diagnosis.summary import (
@@ -223,25 +224,7 @@ def _where(diagnosis: Diagnosis) -> Iterator[RegionGap]:
             for region, inside in depths.items():
                 chosen = rows & inside
                 if chosen.sum() >= SETTINGS.gap.fewest_residuals:
-                    yield _region(fit, chosen, scan.name, one.name, region)
-
-
-def _region(fit: LinearFit, chosen: BoolArray, scan: str, interface: str, region: str) -> RegionGap:
-    found, residual = gap(fit, chosen), fit.residual[chosen]
-    return RegionGap(
-        scan=scan,
-        interface=interface,
-        region=region,
-        gap_mm=found.gap_mm,
-        low_mm=found.low_mm,
-        high_mm=found.high_mm,
-        noise_mm=found.noise_mm,
-        points=found.points,
-        signed_mean_mm=float(residual.mean()),
-        p50_mm=float(np.quantile(np.abs(residual), 0.5)),
-        p95_mm=float(np.quantile(np.abs(residual), 0.95)),
-        significant=bool(found.low_mm > SETTINGS.gap.nothing_mm),
-    )
+                    yield region_gap(fit, chosen, scan.name, one.name, region)
 
 
 def _constants(diagnosis: Diagnosis) -> dict[str, ConstantEstimate]:

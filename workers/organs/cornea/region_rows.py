@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.gap import LinearFit, gap
+from workers.diagnosis.gap import LinearFit
+from workers.diagnosis.region_gap import region_gap
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.summary import RegionGap
 
@@ -25,20 +26,5 @@ def region_rows(diagnosis: Diagnosis) -> Iterator[RegionGap]:
     for number, surface in enumerate(SURFACES):
         for region, inside in parts.items():
             chosen = inside & (inverse.points.interface == number)
-            if chosen.sum() < SETTINGS.gap.fewest_residuals:
-                continue
-            found, residual = gap(fit, chosen), fit.residual[chosen]
-            yield RegionGap(
-                scan=inverse.scans[0].name,
-                interface=surface,
-                region=region,
-                gap_mm=found.gap_mm,
-                low_mm=found.low_mm,
-                high_mm=found.high_mm,
-                noise_mm=found.noise_mm,
-                points=found.points,
-                signed_mean_mm=float(residual.mean()),
-                p50_mm=float(np.quantile(np.abs(residual), 0.5)),
-                p95_mm=float(np.quantile(np.abs(residual), 0.95)),
-                significant=bool(found.low_mm > SETTINGS.gap.nothing_mm),
-            )
+            if chosen.sum() >= SETTINGS.gap.fewest_residuals:
+                yield region_gap(fit, chosen, inverse.scans[0].name, surface, region)

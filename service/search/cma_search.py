@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import cma
 import numpy as np
 
 from service.search.base import Generation, Proposal, Stopped
@@ -83,6 +82,8 @@ class CmaSearch:
             "verbose": -9,
             "verb_log": 0,
         }
+        import cma  # a second, which other searches and commands need not wait
+
         return cma.CMAEvolutionStrategy([0.5] * self.space.dimension, FIRST_SIGMA, options)
 
     def _reason_to_stop(self, bests: FloatArray) -> str | None:

@@ -112,7 +112,6 @@ def metrics(records: Records) -> list[Metric]:
         *_others(records, floor),
         *_gaps(records),
         *_shrinkages(records),
-        *_shrinkages(records),
         *_sizes(records),
         *_probabilities(records),
         *_baselines(records, floor),

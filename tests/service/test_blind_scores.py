@@ -30,7 +30,9 @@ from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 
 
 def scored(*records: CaseRecord) -> dict[str, Metric]:
-    return {f.key: f for f in metrics(records)}
+    found = metrics(records)
+    assert len({f.key for f in found}) == len(found)
+    return {f.key: f for f in found}
 
 
 def value(found: dict[str, Metric], key: str) -> tuple[float | None, int]:

@@ -16,6 +16,9 @@ from workers.blind.causes.base import Rng, log_uniform
 from workers.blind.scene import NU, Scene
 
 SHIFT_SD_MM = TURN_SD_DEG = 0.3
+# Of what a diagnosis holds: so little that no more than what noise hides follows from it. Springs
+# at the wall that are weaker by a third move a body by more than a millimetre.
+NU_OFF, SPRINGS_OFF, FIBRE_TILT_SD_DEG = 0.002, 0.03, 0.3
 
 Pose = tuple[float, float, float, float, float, float]
 """Shift along x, y and z in mm, then turn about these axes in degrees."""
@@ -79,11 +82,11 @@ def draw_deviations(world: World, rng: Rng, scans: int) -> Deviations:
     """Draw what is off in one case with some number of loaded scans."""
     if world is World.plain:
         return Deviations()
-    tilt_x, tilt_y = (round(a, 3) for a in rng.normal(0, 2.0, 2))
+    tilt_x, tilt_y = (round(a, 3) for a in rng.normal(0, FIBRE_TILT_SD_DEG, 2))
     sd = np.repeat([SHIFT_SD_MM, TURN_SD_DEG], 3)
     return Deviations(
-        nu=round(rng.uniform(0.485, 0.494), 4),
-        wall_spring_factor=round(log_uniform(rng, 0.6, 1.6), 3),
+        nu=round(rng.uniform(NU - NU_OFF, NU + NU_OFF), 5),
+        wall_spring_factor=round(rng.uniform(1 - SPRINGS_OFF, 1 + SPRINGS_OFF), 4),
         fibre_tilt_deg=(tilt_x, tilt_y),
         noise_factor=round(log_uniform(rng, 0.5, 2.0), 3),
         ln_noise_at_wall=round(rng.uniform(-0.5, 0.5), 3),

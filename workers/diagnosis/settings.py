@@ -104,8 +104,9 @@ class PoseSettings:
     shift_sd_mm: float = 0.3
     turn_sd_deg: float = 0.3
     # Parts of these deviations, equally probable, that scans of one case have in truth: some lie
-    # just where their headers say, and then what shifts a body as a pose does can be seen.
-    scales: tuple[float, ...] = (0.1, 0.3, 1.0)
+    # where their headers say, and then what shifts a body as a pose does can be seen. Less than a
+    # tenth of a millimetre would be less than voxels and numerical errors leave.
+    scales: tuple[float, ...] = (0.3, 1.0)
     # In standard deviations of the segmentation: an interface drawn too large in one scan, by a
     # habit or by half a voxel.
     drawing: float = 0.3

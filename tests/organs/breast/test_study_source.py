@@ -67,7 +67,8 @@ def own() -> StudySource:
 
 
 def test_a_target_with_hidden_constants_shows_no_gap(own: StudySource, tmp_path: Path) -> None:
-    store = diagnosed_store(own, tmp_path / "store", 5000, 6.0, EFFECTS)
+    """None of all the effects that a breast may lack is accused."""
+    store = diagnosed_store(own, tmp_path / "store", 5000, 6.0)
     inverse, found = store.inverse, store.nominal
     linear = found.linearised(inverse)
     A = linear.scaled_nominal
@@ -77,7 +78,7 @@ def test_a_target_with_hidden_constants_shows_no_gap(own: StudySource, tmp_path:
     assert (np.abs(found.z - true) < 3 * sd).all()
     assert (sd < 0.3).all()
     assert 0.1 < (linear.whitened_residual**2).mean() < 1.2
-    assert len(store.analysis.screening) == len(EFFECTS)
+    assert len(store.analysis.screening) > len(EFFECTS)
     said = diagnosis_in(store).verdict
     assert said.kind == "no-gap"
     assert said.no_gap > 0.5

@@ -91,8 +91,10 @@ def move(place: Path, target: Path) -> None:
 
 def publish_group(place: Path, attributes: Mapping[str, Any], fill: FillGroup) -> None:
     """Write a group under a temporary name and rename it."""
+    # A folder that has lost its description would keep its name for ever. Whether it is there is
+    # asked first: one that another writer publishes meanwhile has its description from the start.
     if place.exists() and not is_file(place / DESCRIPTION):
-        withdraw(place)  # a folder that has lost its description would keep its name for ever
+        withdraw(place)
     with explained(place), publishing(place) as temporary:
         fill(zarr.create_group(temporary, zarr_format=3, attributes=dict(attributes)))
 

@@ -1,6 +1,7 @@
 """A whole case as files, looked at with the eyes of the diagnosis."""
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,6 +19,7 @@ from workers.blind.segmented_scan import (
     padded,
     segmented,
 )
+from workers.blind.world import Deviations
 from workers.blind.write_case import write_case
 from workers.body.images.read import read_volume
 from workers.comparison.observation.interface import GLANDULAR, OUTLINE
@@ -62,6 +64,24 @@ def test_truth_lies_on_the_interfaces_that_the_scans_show(folder):
             assert len(near) > 0.9 * len(away)
             assert abs(np.median(near)) < 0.08
             assert 0.75 * noise < near.std() < 1.4 * noise
+
+
+def test_a_scan_of_the_hard_world_shows_the_body_where_its_pose_puts_it(folder):
+    """Two millimetres off along y in the second scan, and no other cause."""
+    pose = (0.0, 2.0, 0.0, 0.0, 0.0, 0.0)
+    off = Deviations(noise_factor=0.5, poses=((0.0,) * 6, pose))
+    truth = replace(draw(4, "control", one_direction=True), deviations=off)
+    case, hidden = folder / "posed-case", folder / "posed-truth"
+    write_case(truth, case, hidden, **COARSE)
+    there, moves = np.load(hidden / "truth.npz"), [0.0, 2.0]
+    mine = there["interface"] == 0
+    for name, displacement, shift in zip(FILES[1:3], there["displacement"], moves, strict=True):
+        outline = signed_distance(read_volume(case / name), OUTLINE.inside)
+        away, _ = outline.at((there["points"] + displacement)[mine] + [0.0, shift, 0.0])
+        assert abs(np.median(away)) < 0.08
+        assert away.std() < 0.75 * truth.noise_sd_mm
+    stated = json.loads((case / "case.json").read_text())["segmentation"]
+    assert f"sd {truth.noise_sd_mm:g} mm" in stated
 
 
 def test_loads_move_the_body_more_than_noise_and_the_larger_more(folder):

@@ -7,9 +7,11 @@ import pytest
 from pressed_blocks import block
 
 from storage.values import Tissue, Volume
+from workers.blind.load_stepping import wall_of
 from workers.blind.material_assignment import materials_of
 from workers.blind.random_case import draw
 from workers.blind.scene import NU, Constants, Scene
+from workers.blind.world import Deviations
 
 SIDES = np.array([30.0, 20.0, 16.0])
 SLOPE = 1e-3  # of the stiffness for a mm: exp is linear to 0.02 %
@@ -45,3 +47,19 @@ def test_glandular_tissue_beyond_a_plane_stiffens_the_points_there():
     right = mesh.nodes[mesh.cells[:, :4], 0] > 0
     assert share[right].min() > 0.5 > share[~right].max()
     assert materials.kappa == pytest.approx(materials.mu * 2 * (1 + NU) / (3 * (1 - 2 * NU)))
+
+
+def test_deviations_reach_materials_springs_and_fibres():
+    """With nu 0.48 instead of 0.49 tissue is half as stiff to a change of its volume."""
+    mesh = block((1, 1, 1), SIDES)
+    labels = Volume(np.full((16, 20, 30), Tissue.FAT, np.uint8), (1.0,) * 3, (-14.5, -9.5, 0.5))
+    plain = Scene(draw(1).anatomy, Constants(10.0, 40.0, 80.0))
+    off = Deviations(nu=0.48, wall_spring_factor=1.5, fibre_tilt_deg=(3.0, 0.0)).apply_to(plain)
+    found = materials_of(off, mesh, labels)
+    assert found.mu == pytest.approx(np.full(found.mu.shape, 0.010 / 2.96))
+    assert found.kappa == pytest.approx(np.full(found.mu.shape, 0.010 / 0.12))
+    tilted = [0.0, -np.sin(np.radians(3)), np.cos(np.radians(3))]
+    assert found.fibre.reshape(-1, 3) == pytest.approx(np.tile(tilted, (found.mu.size, 1)))
+    springs = [wall_of(scene, mesh).spring[..., :2] for scene in (plain, off)]
+    assert springs[1] == pytest.approx(1.5 * springs[0])
+    assert springs[0].min() > 0

@@ -66,7 +66,7 @@ def _system(scene: Scene, topology: Topology, materials: ElementMaterials, axis:
     return System(
         topology,
         materials,
-        _wall(scene, mesh),
+        wall_of(scene, mesh),
         plates_of(scene, axis),
         friction.reshape(topology.skin.areas.shape),
         np.asarray(scene.gravity_g),
@@ -74,7 +74,8 @@ def _system(scene: Scene, topology: Topology, materials: ElementMaterials, axis:
     )
 
 
-def _wall(scene: Scene, mesh: QuadraticMesh) -> Wall:
+def wall_of(scene: Scene, mesh: QuadraticMesh) -> Wall:
+    """Return how the chest wall holds the body."""
     places = np.einsum("qa,kai->kqi", face_shapes(), mesh.nodes[mesh.wall]).reshape(-1, 3)
     spring = np.zeros((len(places), 3))
     spring[:, :2] = WALL_SPRING_KPA_PER_MM * scene.wall_spring_factor

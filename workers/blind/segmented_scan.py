@@ -95,7 +95,7 @@ def segmented(labels: Volume, segmenter: Segmenter, rng: np.random.Generator) ->
     labels : Volume
         Fat and glandular tissue with air around; the body's end at the chest wall is not
         drawn but cut.
-    segmenter : Hand
+    segmenter : Segmenter
     rng : numpy Generator
 
     Returns

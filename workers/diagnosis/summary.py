@@ -131,7 +131,8 @@ class EffectSummary:
     probability : float
         That it acts, alone or with another.
     magnitude, sd, unit
-        Of the parameter that stands out most.
+        Of the parameter that stands out most; of a joint fit averaged over noise and poses, see
+        `workers.diagnosis.parameter_posterior`.
     parameters : tuple of ParameterEstimate
     log_bayes_factor : float
         Of the screening, in nats.
@@ -166,8 +167,8 @@ class ConstantEstimate:
 class JointFitSummary:
     """What the joint fit of some effects has gained over the nominal model, in nats.
 
-    `field_gain` is what a smooth field gains on top of it; `values` are all parameters, inside
-    names and units.
+    `field_gain` is what a smooth field gains on top of it; `values` are all parameters at
+    its optimum, inside names and units.
     """
 
     effects: tuple[str, ...]

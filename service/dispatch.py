@@ -20,7 +20,7 @@ import queue
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 from uuid import uuid4
@@ -29,7 +29,7 @@ from distributed import Client, Future, KilledWorker
 
 from service.errors import ClusterError, Interrupted, TaskError
 from service.slots import OwnSlots, Slots
-from service.submission import NOT_YET, Patience, Submission, TaskCalls, WaitingCalls, ready
+from service.submission import NOT_YET, Patience, Submission, TaskCalls, WaitingCalls
 from service.task_failures import (
     as_cluster_error,
     death,
@@ -227,18 +227,6 @@ class Dispatcher:
         del in_flight[id(submission)]
         self.slots.give_back()
         self._release(submission)
-
-    @contextmanager
-    def meanwhile(self, task: Task, calls: TaskCalls) -> Iterator[None]:
-        """Run tasks beside others; nobody waits for them or learns how they end."""
-        sent = [Submission(*call) for call in ready(calls)]
-        try:
-            for submission in sent:
-                self._send(task, submission, queue.SimpleQueue())
-            yield
-        finally:
-            for submission in sent:
-                self._release(submission)
 
     def _send(self, task: Task, submission: Submission, arrived: _Arrived) -> None:
         submission.attempts += 1

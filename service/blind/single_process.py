@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
 
 from service.diagnosis.run import run
 from service.dispatch import Ending, Task, TaskCalls
@@ -30,7 +29,3 @@ class InThisProcess:
         """Run tasks one after the other; what they raise goes up unchanged."""
         for key, arguments in ready(calls):
             yield Ending(key, "returned", task(*arguments))
-
-    def meanwhile(self, task: Task, calls: TaskCalls) -> AbstractContextManager[None]:
-        """There is nobody else to run them."""
-        return nullcontext()

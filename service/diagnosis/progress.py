@@ -8,10 +8,11 @@ from rich.status import Status
 from service.diagnosis.run import Step
 from service.formatting import number
 from service.progress import clock
-from workers.tasks.diagnosis_store import CalibrationRecord, JointFitRecord
+from workers.tasks.diagnosis_store import CalibrationRecord, JointFitRecord, PreparationRecord
 
 LINE_EVERY_S = 10.0
 _PHASES = {
+    "preparation": "measuring distances to the interfaces",
     "calibration": "finding the nominal constants",
     "effects": "asking what every effect would do",
     "weighing": "weighing",
@@ -56,6 +57,8 @@ class DiagnosisProgress:
             self._line(_PHASES[phase] + (f" ({of})" if of > 1 else ""))
         elif isinstance(record, CalibrationRecord):
             self._line(_calibrated(record))
+        elif isinstance(record, PreparationRecord):
+            return
         elif isinstance(record, JointFitRecord):
             self._line(f"{done} of {of} refits: {_fitted(step.task, record)}")
         elif done == of or now - self._last >= LINE_EVERY_S:

@@ -6,7 +6,6 @@ it depends on. Running a diagnosis and going on with an interrupted one are the 
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -22,9 +21,9 @@ from workers.mechanics.effects.inclusion import INCLUSION
 from workers.mechanics.effects.plate_friction import FRICTION
 from workers.tasks.diagnosis import (
     analyse_effect,
-    build_problem,
     calibrate_nominal,
     fit_effects,
+    prepare_scan,
     read_noise_again,
     weigh_hypotheses,
 )
@@ -51,7 +50,7 @@ class Step:
 
     Parameters
     ----------
-    phase : {"calibration", "effects", "weighing", "reading", "refits"}
+    phase : {"preparation", "calibration", "effects", "weighing", "reading", "refits"}
     done, of : int
         Tasks of the phase that have ended, and all of them; none when it begins.
     task : str
@@ -79,9 +78,6 @@ class Workers(Protocol):
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Run a task for each key and its arguments."""
-
-    def meanwhile(self, task: Task, calls: TaskCalls) -> AbstractContextManager[None]:
-        """Run tasks beside others, for which nobody waits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,10 +179,10 @@ def run(
         If the dispatcher is told to stop.
     """
     phases = _Phases(request, workers, observe)
-    calibrated = DiagnosisStore(request).calibration.is_finished
-    idle = 0 if calibrated else max(0, workers.threads - 1)
-    with workers.meanwhile(build_problem, [(n, (request,)) for n in range(idle)]):
-        (calibration,) = phases.run("calibration", calibrate_nominal, [()], by_scans=True)
+    store = DiagnosisStore(request)
+    if workers.threads > 1 and not store.calibration.is_finished:
+        phases.run("preparation", prepare_scan, [(name,) for name in store.source.preparations])
+    (calibration,) = phases.run("calibration", calibrate_nominal, [()], by_scans=True)
     effects = sorted(request.effects, key=lambda name: name not in LONG)
     numbers = range(calibration.scans)
     phases.run("effects", analyse_effect, [(e, number) for e in effects for number in numbers])

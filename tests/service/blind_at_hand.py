@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -95,11 +94,6 @@ class Inline:
                 yield Ending(key, "returned", task(*arguments))
             except ArithmeticError as error:
                 yield Ending(key, "crashed", None, error, f"{type(error).__name__}: {error}")
-
-    @contextmanager
-    def meanwhile(self, task: Task, calls: TaskCalls) -> Iterator[None]:
-        self.asked += [task.__name__ for _ in calls]
-        yield
 
 
 def make_set(root: Path, cases: int = 2, task: Any = small_case, **more: Any) -> BlindSet:

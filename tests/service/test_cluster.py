@@ -53,16 +53,6 @@ def test_a_local_cluster() -> None:
         Dispatcher(cluster.client).call(signals_of_process)
 
 
-def test_what_runs_beside_others_is_not_waited_for(tmp_path: Path) -> None:
-    here = str(tmp_path)
-    with open_cluster(workers=2) as cluster:
-        dispatcher = Dispatcher(cluster.client)
-        with dispatcher.meanwhile(meet, [("beside", (here, "beside", "awaited"))]):
-            assert dispatcher.call(meet, here, "awaited", "beside")["met"]
-        with dispatcher.meanwhile(fail, [("beside", ("",))]):  # how it ends is not heard
-            assert dispatcher.call(signals_of_process)
-
-
 def test_a_worker_that_dask_has_given_up_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "MEND_EVERY_S", 0.2)
     with open_cluster(workers=1) as cluster:

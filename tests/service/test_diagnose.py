@@ -27,8 +27,9 @@ from workers.diagnosis.summarise import summarise
 from workers.mechanics.effects.breast_catalogue import effect
 from workers.organs.breast.case_files import read_case
 from workers.organs.breast.case_source import ScannedCaseSource
+from workers.resources import CACHE
 from workers.tasks import diagnosis_store
-from workers.tasks.diagnosis import analyse_effect, calibrate_nominal, kept_of
+from workers.tasks.diagnosis import analyse_effect, calibrate_nominal, kept_of, prepare_scan
 from workers.tasks.diagnosis_store import (
     DiagnosisRequest,
     DiagnosisStore,
@@ -202,7 +203,7 @@ def test_an_interrupted_diagnosis_goes_on(
     assert made(request).items() >= done.items()
 
 
-def test_others_build_while_one_calibrates(tilted: Path, tmp_path: Path) -> None:
+def test_scans_are_prepared_once_for_all_processes(tilted: Path, tmp_path: Path) -> None:
     """But only where the store has no calibration yet."""
 
     def until_effects(step: Step) -> None:
@@ -213,12 +214,30 @@ def test_others_build_while_one_calibrates(tilted: Path, tmp_path: Path) -> None
     for _ in range(2):
         with pytest.raises(Interrupted):
             run(request, workers, until_effects)
-    assert workers.asked == [
-        "build_problem",
-        "build_problem",
-        "calibrate_nominal",
-        "calibrate_nominal",
-    ]
+    scans = len(read_case(tilted).deformed)
+    prepared = ["prepare_scan"] * (2 + scans)
+    assert workers.asked == [*prepared, "calibrate_nominal", "calibrate_nominal"]
+
+
+def test_what_was_prepared_is_what_a_process_alone_makes(tilted: Path, tmp_path: Path) -> None:
+    """Bit for bit."""
+    request = asked(tilted, tmp_path / "store")
+    own = DiagnosisStore(request).uncalibrated
+    names = DiagnosisStore(request).source.preparations
+    for name in names:
+        prepare_scan(request, name)
+    CACHE.clear()
+    stored = DiagnosisStore(request)
+    assert all(stored.preparation(name).is_finished for name in names)
+    again = stored.uncalibrated
+    assert np.array_equal(again.points.points, own.points.points)
+    assert np.array_equal(again.model.finest.nodes, own.model.finest.nodes)
+    moved = own.points.points + 0.3
+    for mine, theirs in zip(own.scans, again.scans, strict=True):
+        for a, b in zip(
+            mine.compare(moved, own.points), theirs.compare(moved, again.points), strict=True
+        ):
+            assert np.array_equal(a, b)
 
 
 def test_what_is_missing_is_made_again_and_nothing_else(

@@ -17,10 +17,23 @@ from workers.comparison.observation.noise import SegmentationNoise, covariance
 from workers.comparison.observation.point_interpolation import interpolation
 from workers.comparison.observation.residual import observe, residual
 from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan, Values
+from workers.diagnosis.preparation import (
+    BODY,
+    POINTS,
+    Prepared,
+    ReadPrepared,
+    arrays_of_distances,
+    arrays_of_points,
+    arrays_of_volume,
+    distances_of,
+    points_of,
+    scan_preparation,
+    volume_of,
+)
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.fields import Frame, frame_of
-from workers.mechanics.fem.model import prepare
+from workers.mechanics.fem.model import Model, prepare
 from workers.mechanics.fem.problem import Problem
 
 ProblemBuilder = Callable[[Values], Problem]
@@ -39,8 +52,10 @@ class Acquisition:
         As its owner calls it.
     reference : Volume
         `Tissue` labels of the body at rest, on whose interfaces points are put.
+    body : callable
+        Returns what is meshed.
     mesh : callable
-        From a number of nodes to the mesh of the body.
+        From that and a number of nodes to the mesh of the body.
     noise : SegmentationNoise
     free : sequence of FreeConstant
         Constants of the model that the scans must determine.
@@ -57,7 +72,8 @@ class Acquisition:
 
     name: str
     reference: Volume
-    mesh: Callable[[int], Hierarchy]
+    body: Callable[[], Volume]
+    mesh: Callable[[Volume, int], Hierarchy]
     noise: SegmentationNoise
     free: Sequence[FreeConstant]
     loads: Sequence[str]
@@ -66,8 +82,42 @@ class Acquisition:
     pose_sd: tuple[float, float] = (SETTINGS.pose.shift_sd_mm, SETTINGS.pose.turn_sd_deg)
 
 
+def prepare_scan(
+    acquisition: Acquisition, name: str, spacing_mm: float, loaded: Sequence[Volume] = ()
+) -> Prepared:
+    """Make what has this name in `workers.diagnosis.preparation`.
+
+    Raises
+    ------
+    InputError
+        If a scan shows no body or no glandular tissue.
+    """
+    if name == BODY:
+        return arrays_of_volume(acquisition.body())
+    if name == POINTS:
+        clear_mm = SETTINGS.points.clear_noises * acquisition.noise.sd_mm
+        margin_mm = SETTINGS.points.wall_margin_mm
+        reference = acquisition.reference
+        points = interface_points(reference, INTERFACES, spacing_mm, margin_mm, clear_mm)
+        return arrays_of_points(points)
+    number = [scan_preparation(n) for n in range(len(loaded))].index(name)
+    return arrays_of_distances(observe(loaded[number], INTERFACES))
+
+
+def finer_model(
+    acquisition: Acquisition, nodes: int, prepared: ReadPrepared | None = None
+) -> Model:
+    """Return another mesh of the body, with about so many nodes."""
+    body = acquisition.body() if prepared is None else volume_of(prepared(BODY))
+    return prepare(acquisition.mesh(body, nodes))
+
+
 def inverse_problem_of(
-    acquisition: Acquisition, nodes: int, spacing_mm: float, loaded: Sequence[Volume] = ()
+    acquisition: Acquisition,
+    nodes: int,
+    spacing_mm: float,
+    loaded: Sequence[Volume] = (),
+    prepared: ReadPrepared | None = None,
 ) -> InverseProblem:
     """Mesh the body, put points on its interfaces and compare them with the loaded scans.
 
@@ -81,22 +131,19 @@ def inverse_problem_of(
     loaded : sequence of Volume
         `Tissue` labels under each load, in order. Without them the problem has no scans, and
         its covariance is that of one scan.
+    prepared : callable, optional
+        Gives what `prepare_scan` makes where it is made already.
 
     Raises
     ------
     InputError
         If a scan shows no body or no glandular tissue.
     """
-    hierarchy = acquisition.mesh(nodes)
+    read = prepared or (lambda name: prepare_scan(acquisition, name, spacing_mm, loaded))
+    hierarchy = acquisition.mesh(volume_of(read(BODY)), nodes)
     model, noise = prepare(hierarchy), acquisition.noise
     frame = frame_of(model.finest.nodes)
-    points = interface_points(
-        acquisition.reference,
-        INTERFACES,
-        spacing_mm,
-        SETTINGS.points.wall_margin_mm,
-        SETTINGS.points.clear_noises * noise.sd_mm,
-    )
+    points = points_of(read(POINTS))
     states = max(1, len(loaded))
     return InverseProblem(
         model=model,
@@ -108,9 +155,9 @@ def inverse_problem_of(
             Scan(
                 acquisition.loads[number],
                 acquisition.problem(number, frame),
-                partial(residual, observed=observe(labels, INTERFACES)),
+                partial(residual, observed=distances_of(read(scan_preparation(number)))),
             )
-            for number, labels in enumerate(loaded)
+            for number in range(len(loaded))
         ],
         noise=noise,
         covariance=covariance(points, noise, states),

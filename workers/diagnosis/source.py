@@ -12,6 +12,7 @@ from workers.diagnosis.acquisition import Acquisition
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.pictures.scan_pictures import Displacements
+from workers.diagnosis.preparation import Prepared, ReadPrepared
 from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.model import Model
@@ -120,8 +121,25 @@ class Source(HasContent, Protocol):
             Saying what was found, what was expected and what to change.
         """
 
-    def inverse_problem(self, nodes: int, spacing_mm: float) -> InverseProblem:
+    @property
+    def preparations(self) -> Sequence[str]:
+        """Names of what `prepare` can make, the longest first; see
+        `workers.diagnosis.preparation`."""
+
+    def prepare(self, name: str, spacing_mm: float) -> Prepared:
+        """Make one of them, for points `spacing_mm` apart."""
+
+    def inverse_problem(
+        self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
+    ) -> InverseProblem:
         """Mesh the body with `nodes` and put points `spacing_mm` apart on it.
+
+        Parameters
+        ----------
+        nodes : int
+        spacing_mm : float
+        prepared : callable, optional
+            Gives what `prepare` has made; without it, it is made here.
 
         Raises
         ------
@@ -129,7 +147,7 @@ class Source(HasContent, Protocol):
             If there is nothing to mesh or nothing to compare.
         """
 
-    def finer(self, nodes: int) -> Model | None:
+    def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> Model | None:
         """Return another mesh of the same body, to see what the mesh adds; None if known."""
 
     def describe(

@@ -2,7 +2,7 @@
 
 ::
 
-    build_problem      a case               > nothing: this process has its meshes and maps
+    prepare_scan       a case               > points, body or distances in the store
     calibrate_nominal  a case               > constants, points and noise in the store
     analyse_effect     one effect, one scan > what it would do to the residuals
     fit_effects        up to three effects  > the most probable constants and magnitudes
@@ -40,6 +40,7 @@ from workers.tasks.diagnosis_store import (
     DiagnosisStore,
     JointFitRecord,
     Outcome,
+    PreparationRecord,
     SensitivityRecord,
 )
 from workers.tasks.learnt_noise import noise_arrays
@@ -70,9 +71,15 @@ class WeighingRecord:
         return self.unread or bool(self.wanted)
 
 
-def build_problem(request: DiagnosisRequest) -> None:
-    """Make what every task of a case needs, while another process calibrates it."""
-    _ = DiagnosisStore(request).uncalibrated
+def prepare_scan(request: DiagnosisRequest, name: str) -> PreparationRecord:
+    """Make what has this name in `workers.diagnosis.preparation`, for all processes."""
+    store = DiagnosisStore(request)
+    part = store.preparation(name)
+    if not part.is_finished:
+        begun = time.perf_counter()
+        arrays = store.prepare(name)
+        part.save(PreparationRecord(time.perf_counter() - begun), arrays)
+    return part.record(PreparationRecord)
 
 
 def calibrate_nominal(request: DiagnosisRequest, threads: int = 1) -> CalibrationRecord:

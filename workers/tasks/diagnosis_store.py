@@ -3,13 +3,15 @@
 ::
 
     source         what was imaged or measured; see `workers.tasks.sources`
+    preparation    points, body, distances; see `workers.diagnosis.preparation`
     calibration    points kept, noise, constants, derivatives
     sensitivity    columns of one effect in one scan
     joint fit      of some effects with the constants
     reading        noise, constants and derivatives, read again where an effect puts the points
     outcome        the summary, and residuals on the interfaces
 
-The body, its mesh and its distance maps are made from the source; a process builds them once.
+The mesh is made from the source and the preparations; a process builds it once. A process that
+works alone makes the preparations for itself, and keeps none.
 The nominal equilibria are solved again from rest at the stored constants, those of another
 reading of the noise from there, in every process alike: what a joint fit finds does not depend on
 who computes it.
@@ -28,6 +30,7 @@ from workers.diagnosis.gauss_newton import Fit, SolvedFit
 from workers.diagnosis.inverse_problem import InverseProblem, unknowns
 from workers.diagnosis.joint_fit import JointFit
 from workers.diagnosis.nominal_analysis import NominalAnalysis
+from workers.diagnosis.preparation import Prepared
 from workers.diagnosis.scan_poses import registered
 from workers.diagnosis.scan_prediction import ComparedScan, predict_scan
 from workers.diagnosis.sensitivity_analysis import ScanSensitivity, joined_sensitivity
@@ -72,6 +75,13 @@ class DiagnosisRequest:
     spacing_mm: float
     effects: tuple[str, ...]
     name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PreparationRecord:
+    """How long it took."""
+
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,13 +196,29 @@ class DiagnosisStore:
         if self.read_at:
             return self._first.uncalibrated
         nodes, spacing_mm = self.request.nodes, self.request.spacing_mm
-        return self._cached("uncalibrated", lambda: self.source.inverse_problem(nodes, spacing_mm))
+        return self._cached(
+            "uncalibrated",
+            lambda: self.source.inverse_problem(nodes, spacing_mm, self._read_prepared),
+        )
 
     def finer(self) -> Model | None:
         """Return a finer mesh of the same body; None where it would tell nothing new."""
-        return self.source.finer(round(SETTINGS.mesh.finer_ratio * self.request.nodes))
+        nodes = round(SETTINGS.mesh.finer_ratio * self.request.nodes)
+        return self.source.finer(nodes, self._read_prepared)
+
+    def prepare(self, name: str) -> Prepared:
+        """Make what has this name in `workers.diagnosis.preparation`."""
+        return self.source.prepare(name, self.request.spacing_mm)
+
+    def _read_prepared(self, name: str) -> Prepared:
+        part = self.preparation(name)
+        return part.load(PreparationRecord)[1] if part.is_finished else self.prepare(name)
 
     # The parts
+
+    def preparation(self, name: str) -> Part:
+        """Return what is made of the scans before anything is fitted."""
+        return self._part("preparation", name)
 
     @property
     def calibration(self) -> Part:

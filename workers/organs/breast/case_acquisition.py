@@ -19,7 +19,8 @@ def acquisition_of(case: ScannedCase) -> Acquisition:
     return Acquisition(
         name=case.file.name,
         reference=case.reference,
-        mesh=lambda nodes: mesh_of(case, nodes),
+        body=lambda: body_of(case),
+        mesh=mesh_of,
         noise=case.noise,
         free=case.free,
         loads=case.names,
@@ -29,9 +30,9 @@ def acquisition_of(case: ScannedCase) -> Acquisition:
     )
 
 
-def mesh_of(case: ScannedCase, nodes: int) -> Hierarchy:
-    """Mesh the body of a case with about so many nodes."""
-    return build_hierarchy(body_of(case), nodes=nodes)
+def mesh_of(body: Volume, nodes: int) -> Hierarchy:
+    """Mesh a body with about so many nodes."""
+    return build_hierarchy(body, nodes=nodes)
 
 
 def body_of(case: ScannedCase) -> Volume:

@@ -6,17 +6,23 @@ from typing import Any
 from numpy.typing import NDArray
 
 from workers.comparison.observation.noise import SegmentationNoise
-from workers.diagnosis.acquisition import Acquisition, inverse_problem_of
+from workers.diagnosis.acquisition import (
+    Acquisition,
+    finer_model,
+    inverse_problem_of,
+    prepare_scan,
+)
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.pictures.scan_pictures import Displacements, pictures_of_scans
+from workers.diagnosis.preparation import Prepared, ReadPrepared, preparations_of
 from workers.diagnosis.source import SourceContent
 from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
-from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.fem.model import Model
 from workers.mechanics.pressed import Pressed
-from workers.organs.breast.case_acquisition import acquisition_of, mesh_of
+from workers.organs.breast.case_acquisition import acquisition_of
 from workers.organs.breast.case_checks import check_case
 from workers.organs.breast.case_spec import CaseFile
 from workers.organs.breast.scanned_case import ScannedCase, above_wall
@@ -78,13 +84,30 @@ class ScannedCaseSource:
         """Refuse scans that cannot be one body under these loads."""
         check_case(self.case)
 
-    def inverse_problem(self, nodes: int, spacing_mm: float) -> InverseProblem:
-        """Mesh the body, put points on its interfaces and compare them with the scans."""
-        return inverse_problem_of(acquisition_of(self.case), nodes, spacing_mm, self.case.deformed)
+    @property
+    def preparations(self) -> Sequence[str]:
+        """Points, body and loaded scans."""
+        return preparations_of(len(self.case.deformed))
 
-    def finer(self, nodes: int) -> Model:
+    def prepare(self, name: str, spacing_mm: float) -> Prepared:
+        """Make one of them."""
+        return prepare_scan(self.acquisition, name, spacing_mm, self.case.deformed)
+
+    def inverse_problem(
+        self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
+    ) -> InverseProblem:
+        """Mesh the body, put points on its interfaces and compare them with the scans."""
+        scans = self.case.deformed
+        return inverse_problem_of(self.acquisition, nodes, spacing_mm, scans, prepared)
+
+    def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> Model:
         """Return another mesh of the same outline."""
-        return prepare(mesh_of(self.case, nodes))
+        return finer_model(self.acquisition, nodes, prepared)
+
+    @property
+    def acquisition(self) -> Acquisition:
+        """What is known without looking at its loaded scans."""
+        return acquisition_of(self.case)
 
     def describe(
         self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary

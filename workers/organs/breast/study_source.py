@@ -18,16 +18,23 @@ from workers.body.images.largest_component import in_air
 from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.smooth_outline import smooth_outline
-from workers.diagnosis.acquisition import Acquisition, ProblemBuilder, inverse_problem_of
+from workers.diagnosis.acquisition import (
+    Acquisition,
+    ProblemBuilder,
+    finer_model,
+    inverse_problem_of,
+    prepare_scan,
+)
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Values
 from workers.diagnosis.pictures.scan_pictures import Displacements, pictures_of_scans
+from workers.diagnosis.preparation import Prepared, ReadPrepared, preparations_of
 from workers.diagnosis.source import FinishedStudy, SourceContent
 from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.model import Model, prepare
+from workers.mechanics.fem.model import Model
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.parameters import Bounds
 from workers.mechanics.pressed import Pressed
@@ -173,13 +180,25 @@ class StudySource:
                 "search.parameters."
             )
 
-    def inverse_problem(self, nodes: int, spacing_mm: float) -> InverseProblem:
-        """Mesh the body, put points on its interfaces and compare them with the target."""
-        return inverse_problem_of(self.acquisition, nodes, spacing_mm, [self.pieces.target])
+    @property
+    def preparations(self) -> Sequence[str]:
+        """Points, body and target."""
+        return preparations_of(1)
 
-    def finer(self, nodes: int) -> Model:
+    def prepare(self, name: str, spacing_mm: float) -> Prepared:
+        """Make one of them."""
+        return prepare_scan(self.acquisition, name, spacing_mm, [self.pieces.target])
+
+    def inverse_problem(
+        self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
+    ) -> InverseProblem:
+        """Mesh the body, put points on its interfaces and compare them with the target."""
+        target = [self.pieces.target]
+        return inverse_problem_of(self.acquisition, nodes, spacing_mm, target, prepared)
+
+    def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> Model:
         """Return a mesh of the same body: that of the study where the target shares it."""
-        return prepare(self._mesh(nodes))
+        return finer_model(self.acquisition, nodes, prepared)
 
     def describe(
         self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
@@ -196,6 +215,7 @@ class StudySource:
         return Acquisition(
             name=self.name,
             reference=self.pieces.reference,
+            body=self._body,
             mesh=self._mesh,
             noise=self.noise,
             free=self.free,
@@ -218,16 +238,24 @@ class StudySource:
 
         return build
 
-    def _mesh(self, nodes: int) -> Hierarchy:
+    @property
+    def _shares_mesh(self) -> bool:
+        """Whether the candidates' own mesh has made the target."""
+        return self.pieces.target_mesh == self.pieces.case.mesh
+
+    def _body(self) -> Volume:
+        """Return what is meshed: smooth where its segmentation is rough."""
+        body = materials_of(self.pieces.reference, self.pieces.case.model)
+        if self._shares_mesh or not self.noise.reference_sd_mm:
+            return body
+        return smooth_outline(body, self.noise.correlation_mm)
+
+    def _mesh(self, body: Volume, nodes: int) -> Hierarchy:
         """Mesh the body; a target that the candidates' own mesh has made is fitted by that one."""
-        case = self.pieces.case
-        body = materials_of(self.pieces.reference, case.model)
-        if self.pieces.target_mesh == case.mesh:
-            size, count = case.mesh.element_size_mm, case.mesh.nodes
-            return build_hierarchy(body, element_size_mm=size, nodes=count)
-        if self.noise.reference_sd_mm:
-            body = smooth_outline(body, self.noise.correlation_mm)
-        return build_hierarchy(body, nodes=nodes)
+        if not self._shares_mesh:
+            return build_hierarchy(body, nodes=nodes)
+        mesh = self.pieces.case.mesh
+        return build_hierarchy(body, element_size_mm=mesh.element_size_mm, nodes=mesh.nodes)
 
     def _usual_noise(self) -> SegmentationNoise:
         pieces = self.pieces

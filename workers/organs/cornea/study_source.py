@@ -22,6 +22,7 @@ from workers.diagnosis.acquisition import Acquisition
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan
 from workers.diagnosis.pictures.scan_pictures import Displacements
+from workers.diagnosis.preparation import Prepared, ReadPrepared
 from workers.diagnosis.smooth_field import SmoothField
 from workers.diagnosis.source import FinishedStudy, SourceContent
 from workers.diagnosis.summary import Summary
@@ -166,7 +167,18 @@ class CorneaStudySource:
                 "a diagnosis needs a constant of the law, such as mu1_pa, under search.parameters."
             )
 
-    def inverse_problem(self, nodes: int, spacing_mm: float) -> InverseProblem:
+    @property
+    def preparations(self) -> Sequence[str]:
+        """None."""
+        return ()
+
+    def prepare(self, name: str, spacing_mm: float) -> Prepared:
+        """See `Source.prepare`; a section is meshed at once."""
+        raise KeyError(name)
+
+    def inverse_problem(
+        self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
+    ) -> InverseProblem:
         """Mesh the section as the study does and compare its surfaces with the image.
 
         The mesh is that of the study, and points are `SPACING_MM` apart: `nodes` and
@@ -195,7 +207,7 @@ class CorneaStudySource:
             is_segmented=False,
         )
 
-    def finer(self, nodes: int) -> None:
+    def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> None:
         """Return None: a finer mesh moves no point by a tenth of a micrometre."""
 
     def describe(

@@ -186,7 +186,7 @@ def run(
     effects = sorted(request.effects, key=lambda name: name not in LONG)
     numbers = range(calibration.scans)
     phases.run("effects", analyse_effect, [(e, number) for e in effects for number in numbers])
-    while (left := phases.run("weighing", weigh_hypotheses, [()])[0]).is_open:
+    while (left := phases.run("weighing", weigh_hypotheses, [()], by_scans=True)[0]).is_open:
         if left.unread:
             phases.run("reading", read_noise_again, [(left.read_at,)], by_scans=True)
             continue

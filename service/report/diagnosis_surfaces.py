@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
-from matplotlib.colors import Normalize, to_rgb
+from matplotlib.collections import TriMesh
+from matplotlib.colors import Normalize, to_rgb, to_rgba_array
 from matplotlib.figure import Figure
+from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
@@ -139,22 +140,22 @@ def _solid(
     shaded = colours * (AMBIENT + (1 - AMBIENT) * light)[:, None]
     order = np.argsort((corners @ near).mean(axis=1), kind="stable")
     flat = np.stack([corners @ across, corners @ up], axis=-1)
-    axes.add_collection(
-        PolyCollection(
-            list(flat[order]),
-            facecolors=shaded[order],
-            edgecolors=shaded[order],
-            linewidths=0.25,
-            antialiaseds=False,
-            rasterized=True,
-        )
-    )
+    axes.add_collection(_flat_triangles(flat[order], shaded[order]), autolim=False)
     low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
     axes.set(
         xlim=(low[0] - 2, high[0] + 2), ylim=(low[1] - 2, high[1] + 2), aspect="equal", anchor="S"
     )
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
+
+
+def _flat_triangles(corners: FloatArray, colours: FloatArray) -> TriMesh:
+    """Return triangles (m, 3, 2) of one colour each; many times faster drawn than as polygons."""
+    x, y = corners.reshape(-1, 2).T
+    alone = Triangulation(x, y, np.arange(len(x)).reshape(-1, 3))
+    drawn = TriMesh(alone, rasterized=True)
+    drawn.set_facecolor(to_rgba_array(np.repeat(colours, 3, axis=0)))  # type: ignore[arg-type]
+    return drawn
 
 
 def _span(vertices: FloatArray, across: FloatArray, up: FloatArray) -> NDArray[np.float64]:

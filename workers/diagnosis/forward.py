@@ -17,8 +17,8 @@ class Forward(Protocol):
     def tangents(self, at: Any, changes: Sequence[Any], tolerance: float) -> FloatArray:
         """Return derivatives of the displacement; see `workers.mechanics.fem.sensitivity`."""
 
-    def loosened(self, problem: Any, tolerance_mm: float) -> Any:
-        """Return the problem with a coarser tolerance, where it has one."""
+    def loosened(self, problem: Any, tolerance_mm: float, friction_steps: int) -> Any:
+        """Return the problem with a coarser tolerance and fewer steps, where it has them."""
 
     def direction(self, problem: Any) -> Sequence[float]:
         """Return the direction in which the body is loaded, x, y, z."""
@@ -30,9 +30,13 @@ class Tetrahedra:
     equilibrium = staticmethod(solve.equilibrium)
     tangents = staticmethod(sensitivity.tangents)
 
-    def loosened(self, problem: Any, tolerance_mm: float) -> Any:
+    def loosened(self, problem: Any, tolerance_mm: float, friction_steps: int) -> Any:
         """See `Forward.loosened`."""
-        return replace(problem, tolerance_mm=max(problem.tolerance_mm, tolerance_mm))
+        return replace(
+            problem,
+            tolerance_mm=max(problem.tolerance_mm, tolerance_mm),
+            friction_steps=min(problem.friction_steps, friction_steps),
+        )
 
     def direction(self, problem: Any) -> Sequence[float]:
         """See `Forward.direction`."""

@@ -19,6 +19,7 @@ from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect, one_sided
 from workers.mechanics.effects.inclusion import INCLUSION, PLACE, RATIO
 from workers.mechanics.fem.problem import Problem
+from workers.mechanics.fem.sensitivity import Change
 from workers.mechanics.fem.solve import Equilibrium
 
 
@@ -126,10 +127,7 @@ def _columns(
     if effect.observation is not None:
         return observed_columns(inverse, effect, prediction)
     if effect is INCLUSION:
-        changes = []
-        for offset in inclusion_grid(inverse).offsets:
-            where = {RATIO: 0.0} | dict(zip(PLACE, map(float, offset), strict=True))
-            changes.append(effect.changes(problem, inverse.frame, where)[0])
+        changes = [_lump(inverse, prediction, offset) for offset in inclusion_grid(inverse).offsets]
         return columns_of(
             inverse, prediction, changes, tolerance=SETTINGS.sensitivities.tangent_error
         ).T[:, :, None]
@@ -139,11 +137,21 @@ def _columns(
     return columns_of(inverse, prediction, changes, tolerance=SETTINGS.sensitivities.tangent_error)
 
 
+def _lump(inverse: InverseProblem, prediction: PredictedScan, offset: FloatArray) -> Change:
+    """Return what a lump changes; one-sided, for the forces without it are those at hand."""
+    step, without = INCLUSION.steps[0], prediction.at.problem
+    where = dict(zip(PLACE, map(float, offset), strict=True))
+    return Change(INCLUSION.apply(without, {RATIO: step} | where, inverse.frame), without, step)
+
+
 def _secants(
     inverse: InverseProblem, view: PredictedScan, effect: Effect, problem: Problem
 ) -> FloatArray | None:
-    problem = inverse.forward.loosened(problem, SETTINGS.sensitivities.secant_step_mm)
-    tried = SETTINGS.sensitivities.secant_magnitudes if len(effect.names) == 1 else (1.0,)
+    settings = SETTINGS.sensitivities
+    problem = inverse.forward.loosened(
+        problem, settings.secant_step_mm, settings.secant_friction_steps
+    )
+    tried = settings.secant_magnitudes if len(effect.names) == 1 else (1.0,)
     places, start = [], view.at
     for share in tried:
         columns = []

@@ -200,9 +200,10 @@ class SensitivitySettings:
     # [numerics] How often a magnitude that cannot be simulated is halved.
     secant_halvings: int = 2
     # [numerics] Columns only choose what is fitted: relative error of a tangent, Newton's last
-    # step of a secant in mm.
+    # step of a secant in mm, steps of its friction (0.5 to 2 % off those of eight).
     tangent_error: float = 1e-4
     secant_step_mm: float = 0.02
+    secant_friction_steps: int = 4
 
 
 @dataclass(frozen=True, slots=True)

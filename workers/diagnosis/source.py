@@ -17,6 +17,7 @@ from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.model import Model
 from workers.mechanics.pressed import Pressed
+from workers.scan_threads import Each
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +152,11 @@ class Source(HasContent, Protocol):
         """Return another mesh of the same body, to see what the mesh adds; None if known."""
 
     def describe(
-        self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
+        self,
+        diagnosis: Diagnosis,
+        displacements: Displacements,
+        summary: Summary,
+        each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Return what the report draws of the bodies, and the summary with the source's rows.
 
@@ -162,4 +167,6 @@ class Source(HasContent, Protocol):
             See `workers.diagnosis.pictures.scan_pictures`.
         summary : Summary
             Of the diagnosis, without these rows.
+        each : callable
+            Calls a function with every item; see `workers.scan_threads`.
         """

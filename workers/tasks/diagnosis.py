@@ -33,7 +33,7 @@ from workers.diagnosis.scan_prediction import predict_scan
 from workers.diagnosis.second_reading import read_again
 from workers.diagnosis.sensitivity_analysis import scan_sensitivity
 from workers.diagnosis.summarise import summarise
-from workers.scan_threads import scan_threads
+from workers.scan_threads import Each, scan_threads
 from workers.tasks.diagnosis_store import (
     CalibrationRecord,
     DiagnosisRequest,
@@ -187,11 +187,11 @@ def fit_effects(
     return part.record(JointFitRecord)
 
 
-def weigh_hypotheses(request: DiagnosisRequest) -> WeighingRecord:
+def weigh_hypotheses(request: DiagnosisRequest, threads: int = 1) -> WeighingRecord:
     """Advance the diagnosis as far as the stored parts allow.
 
     Without a missing one it ends, and its outcome is in the store with the residuals on the
-    interfaces.
+    interfaces. `threads` would have nothing else to do.
     """
     store = DiagnosisStore(request)
     part = store.outcome
@@ -201,8 +201,9 @@ def weigh_hypotheses(request: DiagnosisRequest) -> WeighingRecord:
     if isinstance(reached, WeighingRecord):
         return reached
     summary = summarise(reached, store.effects, store.source.name)
-    displacements = _displacements(reached)
-    drawn, summary = store.source.describe(reached, displacements, summary)
+    with scan_threads(threads) as each:
+        displacements = _displacements(reached, each)
+        drawn, summary = store.source.describe(reached, displacements, summary, each)
     part.save(Outcome(summary, tuple(store.source.scans)), residual_maps(reached) | drawn)
     return WeighingRecord()
 
@@ -225,7 +226,7 @@ def replay(store: DiagnosisStore, course: Course) -> Diagnosis | WeighingRecord:
     return reached
 
 
-def _displacements(diagnosis: Diagnosis) -> Displacements:
+def _displacements(diagnosis: Diagnosis, each: Each) -> Displacements:
     """Return those of the nodes before, and after where an effect is accused and simulated.
 
     What the store has of a joint fit are its points; the body is solved once more.
@@ -234,10 +235,13 @@ def _displacements(diagnosis: Diagnosis) -> Displacements:
     found = {"before": [one.at.solution.displacement_mm for one in nominal.predictions]}
     if diagnosis.best is not None:
         fit = diagnosis.best.fit
-        again = [
-            predict_scan(inverse, scan, fit.unknowns, fit.z, one.at)
-            for scan, one in zip(inverse.scans, nominal.predictions, strict=True)
-        ]
+        again = list(
+            each(
+                lambda scan, one: predict_scan(inverse, scan, fit.unknowns, fit.z, one.at),
+                inverse.scans,
+                nominal.predictions,
+            )
+        )
         solved = [one.at.solution.displacement_mm for one in again if one is not None]
         if len(solved) == len(again):
             found["after"] = solved

@@ -36,12 +36,16 @@ from workers.diagnosis.pictures.overlap import (
 )
 from workers.diagnosis.pictures.shapes import shape
 from workers.diagnosis.summary import LoudestPlace, OverlapFigures, OverlapRow
+from workers.scan_threads import Each
 
 Arrays = dict[str, NDArray[Any]]
 
 
 def bodies(
-    reference: Volume, observed: Sequence[Volume], predicted: Mapping[str, Sequence[Volume]]
+    reference: Volume,
+    observed: Sequence[Volume],
+    predicted: Mapping[str, Sequence[Volume]],
+    each: Each = map,
 ) -> Arrays:
     """Return shapes of the body at rest, and the labels of every scan.
 
@@ -54,6 +58,8 @@ def bodies(
     predicted : mapping of str to sequence of Volume
         For "before", and "after" if an effect is accused: see
         `workers.diagnosis.pictures.overlap.predict`. Cut where the scans were cut.
+    each : callable
+        Calls a function with every item; see `workers.scan_threads`.
 
     Raises
     ------
@@ -64,8 +70,8 @@ def bodies(
         "labels_rest": np.asarray(reference.values, np.uint8),
         "labels_rest_frame": frame(reference),
     }
-    for interface in INTERFACES:
-        drawn = shape(reference, interface.inside)
+    shapes = each(lambda interface: shape(reference, interface.inside), INTERFACES)
+    for interface, drawn in zip(INTERFACES, shapes, strict=True):
         arrays[f"shape_{interface.name}_vertices"] = drawn.vertices.astype(np.float32)
         arrays[f"shape_{interface.name}_triangles"] = drawn.triangles
     for scan, body in enumerate(observed):
@@ -109,6 +115,7 @@ def overlap_rows(
     residuals: Mapping[str, FloatArray],
     noise: FloatArray,
     interface: IntArray,
+    each: Each = map,
 ) -> list[OverlapRow]:
     """Compare bodies before and after, for every scan and interface.
 
@@ -124,15 +131,19 @@ def overlap_rows(
         Standard deviations of the nominal residuals.
     interface : ndarray of int, shape (k,)
         The interface of each point.
+    each : callable
+        Calls a function with every item; see `workers.scan_threads`.
 
     Returns
     -------
     list of OverlapRow
         Interfaces without points are left out.
     """
-    rows = []
-    for scan, name in enumerate(names):
-        scores = {when: overlaps(p[scan], observed[scan]) for when, p in predicted.items()}
+
+    def rows_of(scan: int) -> list[OverlapRow]:
+        body = observed[scan]
+        scores = {when: overlaps(p[scan], body) for when, p in predicted.items()}
+        rows = []
         for number, one in enumerate(INTERFACES):
             own = interface == number
             if not own.any():
@@ -141,11 +152,12 @@ def overlap_rows(
                 when: _figures(found[one.name], distances(residuals[when][scan], interface, number))
                 for when, found in scores.items()
             }
-            reachable = reachable_jc(observed[scan], one, noise[scan, own])
-            rows.append(
-                OverlapRow(name, one.name, reachable, figures["before"], figures.get("after"))
-            )
-    return rows
+            reachable = reachable_jc(body, one, noise[scan, own])
+            after = figures.get("after")
+            rows.append(OverlapRow(names[scan], one.name, reachable, figures["before"], after))
+        return rows
+
+    return [row for rows in each(rows_of, range(len(names))) for row in rows]
 
 
 def _figures(score: Score, apart: Distances) -> OverlapFigures:

@@ -19,6 +19,7 @@ from workers.diagnosis.pictures.drawings import (
 from workers.diagnosis.pictures.overlap import predict
 from workers.diagnosis.summary import CauseMapSummary, Summary
 from workers.mechanics.effects.inclusion import INCLUSION
+from workers.scan_threads import Each
 
 Displacements = Mapping[str, Sequence[FloatArray]]
 """Displacements of the finest nodes in mm, one for each scan: "before", and "after" with the
@@ -32,6 +33,7 @@ def pictures_of_scans(
     reference: Volume,
     observed: Sequence[Volume],
     cut: Callable[[Volume], Volume],
+    each: Each = map,
 ) -> tuple[Arrays, Summary]:
     """Draw bodies, maps and overlaps before and after.
 
@@ -45,6 +47,8 @@ def pictures_of_scans(
         `Tissue` labels.
     cut : callable
         Takes off what the scans do not show below the chest wall.
+    each : callable
+        Calls a function with every item; see `workers.scan_threads`.
 
     Returns
     -------
@@ -57,7 +61,7 @@ def pictures_of_scans(
     finest = analysis.inverse.model.finest
     mesh = TetMesh(finest.nodes, finest.elements.tets)
     predicted = {
-        when: [cut(predict(reference, mesh, u, scan)) for u, scan in zip(us, observed, strict=True)]
+        when: list(each(lambda u, scan: cut(predict(reference, mesh, u, scan)), us, observed))
         for when, us in displacements.items()
     }
     fits = {"before": analysis.linear}
@@ -68,8 +72,8 @@ def pictures_of_scans(
     noise = np.sqrt((analysis.linear.covariance_factor**2).sum(axis=1)).reshape(shape)
     residuals = {when: fit.residual.reshape(shape) for when, fit in fits.items()}
     names = [scan.name for scan in analysis.inverse.scans]
-    arrays = bodies(reference, observed, predicted) | local_means(fits, points)
-    overlap = overlap_rows(names, observed, predicted, residuals, noise, points.interface)
+    arrays = bodies(reference, observed, predicted, each) | local_means(fits, points)
+    overlap = overlap_rows(names, observed, predicted, residuals, noise, points.interface, each)
     summary = replace(summary, overlap=tuple(overlap))
     lump = analysis.sensitivity_by_name.get(INCLUSION.name)
     if lump is not None:

@@ -30,7 +30,6 @@ from workers.mechanics.fem.contact import (
 EPSILON_MM = 0.05
 # Slip that a sliding node has in reserve when it turns back; friction is then at 95 %.
 RESERVE_MM = 3 * EPSILON_MM
-LOAD_STEPS = 8
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,6 @@ import numpy as np
 
 from storage.errors import InputError
 from storage.values import FloatArray
-from workers.mechanics.fem import frictional_contact
 from workers.mechanics.fem.contact import Gap, PlateSurface, plate_contact
 from workers.mechanics.fem.level import Level
 from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Load
@@ -34,21 +33,21 @@ def load_stages(model: Model, problem: Problem) -> list[Stage]:
         return [stage_at(model, problem.load, 1.0)]
     if not isinstance(problem.load, ForceControl | DistanceControl):
         raise InputError("Friction needs plates: give a plate force or a plate distance.")
-    return [stage_at(model, problem.load, f) for f in friction_fractions(problem.load)]
+    return [stage_at(model, problem.load, f) for f in friction_fractions(problem)]
 
 
 def load_schedules(model: Model, problem: Problem) -> Iterator[list[Stage]]:
     """Yield ways to the full load, in more and more stages."""
     load = problem.load
     yield load_stages(model, problem)
-    first = 2 * frictional_contact.LOAD_STEPS if load.device.friction else 3
+    first = 2 * problem.friction_steps if load.device.friction else 3
     for count in (first, 3 * first):
         yield [stage_at(model, load, f) for f in load_fractions(load, count)]
 
 
-def friction_fractions(load: Load) -> list[float]:
+def friction_fractions(problem: Problem) -> list[float]:
     """Return the fractions of the load at the ends of the steps of friction."""
-    return load_fractions(load, frictional_contact.LOAD_STEPS)
+    return load_fractions(problem.load, problem.friction_steps)
 
 
 def load_fractions(load: Load, steps: int) -> list[float]:

@@ -141,6 +141,9 @@ class Problem:
         Textbook linear tetrahedra without the nodal average; they lock.
     tolerance_mm : float
         The last full Newton step on the finest mesh is shorter than this.
+    friction_steps : int
+        Steps of the load, each in equilibrium, in which friction is followed; >= 1. With four the
+        plates' travel is that of eight within 0.3 %.
     """
 
     constants: Mapping[Tissue, Constants]
@@ -158,3 +161,4 @@ class Problem:
     holds: tuple[Hold, ...] = ()
     plain_elements: bool = False
     tolerance_mm: float = 2e-3
+    friction_steps: int = 8

@@ -12,6 +12,7 @@ earlier steps of the load is held.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, gmres
@@ -132,12 +133,17 @@ class _Linearisation:
     def _forces(self, problem: Problem) -> tuple[FloatArray, float]:
         """Return the out-of-balance force of nodes and plates under another problem."""
         if problem is self.at.problem:
-            level, state, stage = self.level, self.state, self.stage
-        else:
-            model = self._model_of(problem)
-            level = Level.build(model.finest, problem, self.level)
-            stage = stage_at(model, problem.load, self.stage.fraction)
-            state = self._state_under(level, stage)
+            return self._own_forces
+        model = self._model_of(problem)
+        level = Level.build(model.finest, problem, self.level)
+        stage = stage_at(model, problem.load, self.stage.fraction)
+        return self._forces_of(level, self._state_under(level, stage), stage)
+
+    @cached_property
+    def _own_forces(self) -> tuple[FloatArray, float]:
+        return self._forces_of(self.level, self.state, self.stage)
+
+    def _forces_of(self, level: Level, state: State, stage: Stage) -> tuple[FloatArray, float]:
         if level.model is self.level.model:  # the same place: its volumes are known
             contacts, contact = level.contact(state, stage)
             energy = replace(self.energy, plate_contacts=contacts, contact=contact)
@@ -146,7 +152,7 @@ class _Linearisation:
         plate = 0.0
         if stage.force_n is not None:
             plate = energy.contact.travel_force - stage.force_n
-        same_skin = problem.membrane == self.at.problem.membrane
+        same_skin = level.problem.membrane == self.at.problem.membrane
         if level.constants is self.level.constants and same_skin:
             inner = self._inner_force()
             return inner + level.outer_force(state, energy.contact, stage), plate
@@ -193,8 +199,9 @@ class _Linearisation:
 
     def _stages(self) -> list[Stage]:
         """Return the steps in which friction would be applied."""
-        load = self.at.problem.load
-        return [stage_at(self.at.model, load, f) for f in friction_fractions(load)]
+        problem = self.at.problem
+        fractions = friction_fractions(problem)
+        return [stage_at(self.at.model, problem.load, f) for f in fractions]
 
     def _frictionless_path(self) -> list[State]:
         """Return where those steps end without friction, the last one left out."""

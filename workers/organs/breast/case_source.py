@@ -26,6 +26,7 @@ from workers.organs.breast.case_acquisition import acquisition_of
 from workers.organs.breast.case_checks import check_case
 from workers.organs.breast.case_spec import CaseFile
 from workers.organs.breast.scanned_case import ScannedCase, above_wall
+from workers.scan_threads import Each
 from workers.spec import validated
 
 # Names of the volumes of a case in its content; loaded scans follow by their number.
@@ -110,7 +111,11 @@ class ScannedCaseSource:
         return acquisition_of(self.case)
 
     def describe(
-        self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
+        self,
+        diagnosis: Diagnosis,
+        displacements: Displacements,
+        summary: Summary,
+        each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Draw bodies, maps and overlaps."""
         case = self.case
@@ -121,6 +126,7 @@ class ScannedCaseSource:
             case.reference,
             case.deformed,
             lambda volume: above_wall(volume, case.wall_mm),
+            each,
         )
 
 

@@ -41,6 +41,7 @@ from workers.mechanics.pressed import Pressed
 from workers.organs.breast.problem import extent_of, materials_of, pressed_by, problem_of
 from workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
 from workers.organs.breast.study_noise import study_noise
+from workers.scan_threads import Each
 from workers.spec import validated
 
 # Names of both volumes in the content of a study.
@@ -201,12 +202,16 @@ class StudySource:
         return finer_model(self.acquisition, nodes, prepared)
 
     def describe(
-        self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
+        self,
+        diagnosis: Diagnosis,
+        displacements: Displacements,
+        summary: Summary,
+        each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Draw bodies, maps and overlaps."""
         pieces = self.pieces
         return pictures_of_scans(
-            diagnosis, displacements, summary, pieces.reference, [pieces.target], lambda v: v
+            diagnosis, displacements, summary, pieces.reference, [pieces.target], lambda v: v, each
         )
 
     @property

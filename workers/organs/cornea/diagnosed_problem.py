@@ -109,7 +109,9 @@ class CorneaForward:
                 found[number] = _padded(derivative)
         return found
 
-    def loosened(self, problem: CorneaProblem, tolerance_mm: float) -> CorneaProblem:
+    def loosened(
+        self, problem: CorneaProblem, tolerance_mm: float, friction_steps: int
+    ) -> CorneaProblem:
         """Return the problem itself: it is cheap."""
         return problem
 

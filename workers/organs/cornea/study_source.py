@@ -39,6 +39,7 @@ from workers.organs.cornea.section import Section
 from workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget
 from workers.organs.cornea.surface_residual import ANTERIOR, POSTERIOR, SurfaceResidual
 from workers.organs.cornea.t6_mesh import T6Mesh
+from workers.scan_threads import Each
 from workers.spec import validated
 from workers.units import KPA, NUMBER, Unit
 
@@ -211,7 +212,11 @@ class CorneaStudySource:
         """Return None: a finer mesh moves no point by a tenth of a micrometre."""
 
     def describe(
-        self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
+        self,
+        diagnosis: Diagnosis,
+        displacements: Displacements,
+        summary: Summary,
+        each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Name surfaces and regions as those of a cornea."""
         named = replace(

@@ -33,6 +33,7 @@ from workers.organs.specimen.prediction import predict
 from workers.organs.specimen.problem import bounds_mpa, is_wall, problem_of, region_of
 from workers.organs.specimen.spec import LoadsSpec, SpecimenSpec
 from workers.organs.specimen.summary_rows import marker_states, predicted_states
+from workers.scan_threads import Each
 from workers.spec import validated
 
 # Name of the volume in the content of an experiment.
@@ -219,7 +220,11 @@ class SpecimenSource:
         return predicted_states(self.observed, predict(inverse, fit, states))
 
     def describe(
-        self, diagnosis: Diagnosis, displacements: Displacements, summary: Summary
+        self,
+        diagnosis: Diagnosis,
+        displacements: Displacements,
+        summary: Summary,
+        each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Add rows of the markers, of what hides, and of states to come; there are no pictures."""
         analysis, best = diagnosis.analysis, diagnosis.best

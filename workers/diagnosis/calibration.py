@@ -24,6 +24,7 @@ from workers.diagnosis.scan_prediction import (
     predict_scan,
 )
 from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.unmatched_points import matched
 from workers.mechanics.fem.model import Model
 from workers.scan_threads import Each
 
@@ -53,13 +54,15 @@ def calibrate(
             "The nominal model was not solved at the middle of the plausible intervals: "
             "check loads, units and constants of the case."
         )
-    kept = clear(inverse, first)
-    inverse = inverse.keeping(kept)
-    predictions = _compared(inverse, first, first.predictions)
+    inverse, first = _reduced(inverse, first, clear(inverse, first))
+    if inverse.is_segmented:
+        inverse, first = _reduced(inverse, first, _matched(inverse, first))
+        starts = [v.at for v in first.predictions]
+        first = fit(inverse, free, first.z, starts, each=each) or first
+    predictions: Sequence[PredictedScan] = first.predictions
     if finer is not None:
         inverse = with_mesh_bias(inverse, finer, first, predictions, each)
-    rows = np.tile(kept, len(inverse.scans))
-    columns = first.jacobian[rows] * free.sd
+    columns = first.jacobian * free.sd
     inverse = with_anchored_scans(inverse, [v.points for v in predictions])
     predictions = _compared(inverse, first, predictions)
     inverse = with_learnt_noise(inverse, columns, predictions)
@@ -67,6 +70,35 @@ def calibrate(
     if second is None:
         raise AssertionError("the start of the second fit is the end of the first")
     return inverse, second
+
+
+def _reduced(
+    inverse: InverseProblem, at: SolvedFit, kept: BoolArray
+) -> tuple[InverseProblem, SolvedFit]:
+    """Return the problem and its fit at some of the points only, shape (k,)."""
+    rows = np.tile(kept, len(inverse.scans))
+    inverse = inverse.keeping(kept)
+    predictions = tuple(_compared(inverse, at, at.predictions))
+    return inverse, replace(at, predictions=predictions, jacobian=at.jacobian[rows])
+
+
+def _matched(inverse: InverseProblem, at: SolvedFit) -> BoolArray:
+    """Return points that every scan shows, whatever may move them, shape (k,)."""
+    field, centre_mm = inverse.something_else, inverse.frame.centre_mm
+    moved, normals = [v.points for v in at.predictions], [v.normals for v in at.predictions]
+    smooth = smooth_columns(
+        np.tile(inverse.points.points, (len(inverse.scans), 1)),
+        np.concatenate(normals),
+        inverse.rows,
+        np.full(len(inverse.rows), SETTINGS.unmatched.freer * max(field.amplitudes_mm)),
+        field.middle_length_mm,
+        field.state_correlation,
+        SETTINGS.smooth_field.rank_tolerance,
+    )
+    poses = pose_columns(moved, normals, centre_mm, *inverse.pose_sd)
+    columns = np.hstack([at.jacobian * at.unknowns.sd, poses, smooth])
+    stated = np.sqrt(np.diag(inverse.covariance))
+    return matched(inverse.points, stated, columns, residuals(inverse, at.predictions))
 
 
 def _compared(

@@ -98,6 +98,30 @@ class NoiseSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class UnmatchedSettings:
+    """Of points that a scan does not show; see `workers.diagnosis.unmatched_points`."""
+
+    # [principle] The displacement is that of something unlisted, larger by this: all but free.
+    freer: float = 4.0
+    # [principle] Of Huber and of Tukey, in deviations: 95 % efficient where noise is normal.
+    huber: float = 1.345
+    biweight: float = 4.685
+    # [numerics] Change of a deviation at which the fit has settled, and how often it is repeated.
+    settled: float = 0.01
+    iterations: int = 12
+    # [principle] Noise is no smaller than this part of what is stated: half of it is possible.
+    least_scale: float = 0.5
+    # [principle] In robust deviations of an interface: a point as far as the first has no
+    # counterpart, nor have points within the second beside it that are as far as the third. Of a
+    # thousand points, six deviations of normal noise are reached once in a million bodies.
+    far: float = 6.0
+    beside_mm: float = 8.0
+    beside: float = 3.0
+    # [by hand] Where more points than this part of all are far off, that is no error of drawing.
+    most: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
 class PoseSettings:
     """Of where each scan lies [prior]: what a registration leaves."""
 
@@ -354,6 +378,7 @@ class Settings:
     mesh: MeshSettings = field(default_factory=MeshSettings)
     points: PointSettings = field(default_factory=PointSettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
+    unmatched: UnmatchedSettings = field(default_factory=UnmatchedSettings)
     pose: PoseSettings = field(default_factory=PoseSettings)
     numerical: NumericalSettings = field(default_factory=NumericalSettings)
     form: FormSettings = field(default_factory=FormSettings)

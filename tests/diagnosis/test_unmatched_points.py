@@ -1,0 +1,75 @@
+"""Points that one scan does not show are found; what moves a body smoothly is none of them."""
+
+import numpy as np
+import pytest
+from linear_world import (
+    NOISE_MM,
+    NUGGET_MM,
+    REFERENCE_MM,
+    ellipsoid,
+    layout,
+    mode,
+    noise_covariance,
+)
+
+from workers.comparison.observation.interface import InterfacePoints
+from workers.diagnosis.nuisances import smooth_columns
+from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.unmatched_points import matched
+
+K = 400
+SD_MM = np.full(2 * K, np.sqrt(NOISE_MM**2 + NUGGET_MM**2 + REFERENCE_MM**2))
+POINTS = InterfacePoints(
+    *ellipsoid(K), np.zeros(K, np.int32), np.ones(K), part=np.zeros(K, np.int32)
+)
+PIECE = [40, 41, 222]  # points of tissue that the second scan does not show
+
+
+def columns():
+    return smooth_columns(*layout(K), np.full(2 * K, 3.2), 20.0, 0.8, 0.1)
+
+
+def scanned(seed, noise=1.0, gap_mm=0.0):
+    """Residuals with noise, of a body that a load bends otherwise than its model."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.multivariate_normal(np.zeros(2 * K), noise_covariance(K), method="cholesky")
+    return noise * drawn + gap_mm * mode(K, (2, 1, 0), 1, 1.5)
+
+
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0], ids="noise of {} times what is stated".format)
+def test_only_missing_pieces_are_left_out(noise):
+    for seed in range(3):
+        residual = scanned(seed, noise)
+        assert matched(POINTS, SD_MM, columns(), residual).all()
+        residual[[K + p for p in PIECE]] += [8.0, -6.0, 12.0]
+        shown = matched(POINTS, SD_MM, columns(), residual)
+        np.testing.assert_array_equal(np.flatnonzero(~shown), PIECE)
+
+
+def test_a_gap_of_millimetres_is_not_taken_for_them():
+    for gap_mm in (0.5, 2.0, 4.0):
+        residual = scanned(5, gap_mm=gap_mm)
+        assert np.abs(residual).max() > 2.4 * gap_mm
+        assert matched(POINTS, SD_MM, columns(), residual).all()
+        residual[PIECE[0]] += 8.0
+        shown = matched(POINTS, SD_MM, columns(), residual)
+        np.testing.assert_array_equal(np.flatnonzero(~shown), PIECE[:1])
+
+
+def test_what_lies_beside_them_is_left_out_too():
+    points, _ = ellipsoid(K)
+    away = np.linalg.norm(points - points[PIECE[0]], axis=1)
+    beside = np.flatnonzero((away > 0) & (away < SETTINGS.unmatched.beside_mm))
+    assert len(beside)
+    residual = scanned(1)
+    residual[PIECE[0]] += 9.0
+    residual[beside] = 1.6  # half off, as at the rim of a piece
+    shown = matched(POINTS, SD_MM, columns(), residual)
+    assert set(np.flatnonzero(~shown)) == {PIECE[0], *beside.tolist()}
+
+
+def test_where_much_is_far_off_that_is_no_error_of_drawing():
+    residual = scanned(2)
+    many = np.random.default_rng(1).choice(K, K // 8, replace=False)
+    residual[many] += 8.0
+    assert matched(POINTS, SD_MM, columns(), residual).all()

@@ -72,7 +72,8 @@ class DiagnosisProgress:
 
 def _calibrated(record: CalibrationRecord) -> str:
     constants = ", ".join(f"{n} {number(v)}" for n, v in record.constants.items())
-    return f"calibrated at {record.points} points: {constants}"
+    left_out = f" ({record.left_out} left out)" if record.left_out else ""
+    return f"calibrated at {record.points} points{left_out}: {constants}"
 
 
 def _fitted(effects: str, record: JointFitRecord) -> str:

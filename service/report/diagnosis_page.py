@@ -134,9 +134,19 @@ def _lead(summary: Summary) -> str:
         )
     return (
         f"Model and scans were compared at {summary.points} points on {summary.compared}, "
-        "in every loaded scan, after the constants had been fitted. The segmentation alone makes "
-        f"a point err by {noise:.2f} mm; a gap is what differs beyond that. Intervals hold with "
-        "90 %."
+        f"in every loaded scan, after the constants had been fitted. {_left_out(summary)}The "
+        f"segmentation alone makes a point err by {noise:.2f} mm; a gap is what differs beyond "
+        "that. Intervals hold with 90 %."
+    )
+
+
+def _left_out(summary: Summary) -> str:
+    if not summary.left_out:
+        return ""
+    return (
+        f"Of {summary.points + summary.left_out}, {summary.left_out} were left out, because some "
+        "scan does not show them clearly: tissue that one drawing has and another has not, or "
+        "strands too thin. "
     )
 
 

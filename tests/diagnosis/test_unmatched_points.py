@@ -1,5 +1,7 @@
 """Points that one scan does not show are found; what moves a body smoothly is none of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from linear_world import (
@@ -73,3 +75,18 @@ def test_where_much_is_far_off_that_is_no_error_of_drawing():
     many = np.random.default_rng(1).choice(K, K // 8, replace=False)
     residual[many] += 8.0
     assert matched(POINTS, SD_MM, columns(), residual).all()
+
+
+def test_a_piece_that_is_missing_whole_is_left_out_whole():
+    """It lies by itself, so a smooth displacement could carry all of it away."""
+    around, _ = ellipsoid(K)
+    piece = np.argsort(np.linalg.norm(around - around[222], axis=1))[:4]
+    part = np.zeros(K, np.int32)
+    part[piece] = 1
+    points = replace(POINTS, part=part)
+    for seed, gap_mm in ((1, 0.0), (2, 2.0)):
+        residual = scanned(seed, gap_mm=gap_mm)
+        assert matched(points, SD_MM, columns(), residual).all()
+        residual[K + piece] += 15.0
+        shown = matched(points, SD_MM, columns(), residual)
+        np.testing.assert_array_equal(np.flatnonzero(~shown), np.sort(piece))

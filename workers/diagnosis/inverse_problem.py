@@ -122,6 +122,8 @@ class InverseProblem:
     pose_sd : tuple of float
         How far a scan may lie from where its header puts it: along each axis in mm, about each
         in degrees.
+    left_out : int
+        Points that are not among `points` any more, because some scan does not show them clearly.
     forward : Forward
     something_else : SmoothField
         Prior of the field that stands for what is not in the catalogue.
@@ -141,6 +143,7 @@ class InverseProblem:
     learnt: LearntNoise | None = None
     anchors: Sequence[FloatArray] = ()
     pose_sd: tuple[float, float] = (SETTINGS.pose.shift_sd_mm, SETTINGS.pose.turn_sd_deg)
+    left_out: int = 0
     forward: Forward = field(default_factory=Tetrahedra)
     something_else: SmoothField = field(default_factory=SmoothField)
 
@@ -190,6 +193,7 @@ class InverseProblem:
             covariance=self.covariance[np.ix_(rows, rows)],
             bias=self.bias[rows],
             arms=None if self.arms is None else self.arms[index],
+            left_out=self.left_out + int(np.sum(~which)),
         )
 
 

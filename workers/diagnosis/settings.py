@@ -117,6 +117,9 @@ class UnmatchedSettings:
     far: float = 6.0
     beside_mm: float = 8.0
     beside: float = 3.0
+    # [cost] A connected piece of interface of so many points is judged by what all others say of
+    # its place: among few neighbours of its own it follows any fit.
+    small_piece: int = 12
     # [by hand] Where more points than this part of all are far off, that is no error of drawing.
     most: float = 0.1
 

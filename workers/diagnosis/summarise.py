@@ -63,6 +63,7 @@ def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Sum
         constants=_constants(diagnosis),
         refits=tuple(_joint_fit(diagnosis, names) for names in diagnosis.joint_fits),
         points=len(analysis.inverse.points),
+        left_out=analysis.inverse.left_out,
         noise=_noise(analysis.inverse),
     )
 

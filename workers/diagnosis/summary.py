@@ -313,8 +313,8 @@ class Summary:
     constants : mapping of str to ConstantEstimate
         By their names at the door, such as ``E_fat_kpa``.
     refits : tuple of JointFitSummary
-    points : int
-        On the interfaces.
+    points, left_out : int
+        On the interfaces; those that some scan does not show clearly.
     overlap, cause_map : optional
         Of a body that was scanned.
     markers, hidden, predictions : optional
@@ -356,6 +356,7 @@ class Summary:
     surfaces: tuple[str, ...] = ("outline", "glandular")
     compared: str = "the outline and on the boundary of the glandular tissue"
     not_simulated: tuple[tuple[str, str], ...] | None = None
+    left_out: int = 0
 
     def effect(self, name: str) -> EffectSummary:
         """Return what is known of one effect.

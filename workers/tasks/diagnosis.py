@@ -133,6 +133,7 @@ def _save_reading(
     """Keep a reading of the noise, and the constants that were fitted under it."""
     record = CalibrationRecord(
         points=len(inverse.points),
+        left_out=inverse.left_out,
         constants={
             f.unit.name_at_door(f.name): f.unit.to_door(fit.values()[f.name]) for f in inverse.free
         },

@@ -88,11 +88,12 @@ class PreparationRecord:
 class CalibrationRecord:
     """What the nominal fit has found.
 
-    `points` are kept on the interfaces, `scans` is their number; `cost` is minus twice the log
-    posterior.
+    `points` are kept on the interfaces, `left_out` are those that some scan does not show clearly,
+    `scans` is the number of scans; `cost` is minus twice the log posterior.
     """
 
     points: int
+    left_out: int
     constants: Mapping[str, float]
     scans: int
     cost: float

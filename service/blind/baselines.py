@@ -7,10 +7,12 @@
    image when it is fitted together with the constants, however many parameters it takes.
 3. Chance: any effect of the catalogue.
 
-The first two always accuse somebody.
+The first two always accuse somebody. So that like is compared with like, they are also scored with
+a threshold below which they stay silent: on bodies that lack nothing they then raise as many
+alarms as the diagnosis does.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -51,3 +53,31 @@ def closest(left_mm: Mapping[str, float]) -> str | None:
         Root mean square residual of each single refit.
     """
     return min(left_mm, key=lambda name: left_mm[name]) if left_mm else None
+
+
+def improvement(left_mm: Mapping[str, float], before_mm: float) -> float:
+    """Return how loudly the second baseline accuses: the ln of what its refit takes off.
+
+    Parameters
+    ----------
+    left_mm : mapping of str to float
+        As for `closest`.
+    before_mm : float
+        Root mean square residual of the nominal model.
+    """
+    least = min(left_mm.values(), default=before_mm)
+    return float(np.log(before_mm / least)) if least > 0 and before_mm > 0 else 0.0
+
+
+def threshold(silent: Sequence[float], alarms: int) -> float:
+    """Return what a baseline must exceed to accuse.
+
+    Parameters
+    ----------
+    silent : sequence of float
+        How loudly it accuses on each body that lacks nothing.
+    alarms : int
+        So many of them may be accused; more only where several are equally loud.
+    """
+    ranked = sorted(silent, reverse=True)
+    return ranked[alarms] if alarms < len(ranked) else -np.inf

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from service.blind.baselines import threshold
 from service.blind.calibration import (
     brier,
     brier_of_base_rates,
@@ -20,7 +21,7 @@ from service.blind.calibration import (
 )
 from service.blind.records import CaseRecord
 from service.blind.statistics import Estimate, correlation, mean, median, share
-from workers.diagnosis.verdict import NONE_OF_THESE
+from workers.diagnosis.verdict import NO_GAP, NONE_OF_THESE
 from workers.mechanics.effects.inclusion import INCLUSION
 
 Unit = Literal["share", "mm", "number"]
@@ -268,10 +269,28 @@ def _baselines(records: Records, floor: float | None) -> Iterable[Metric]:
     for key, title in titles.items():
         right = share([r.accused_by.get(key) in r.effects for r in in_sight])
         yield _metric(f"baseline_{key}", f"Baseline, {title}: it comes first", right)
+        least = _threshold(records, key)
+        if least is not None:
+            spoken = [
+                r.accused_by.get(key) in r.effects and r.loudness.get(key, 0.0) > least
+                for r in in_sight
+            ]
+            also = f"Baseline, {title}, with as few false alarms: it comes first"
+            yield _metric(f"baseline_{key}_silent", also, share(spoken))
     chance = [1 / r.catalogue for r in in_sight if r.catalogue]
     value = float(np.mean(chance)) if chance else None
     estimate = Estimate(value, value, value, len(chance))
     yield _metric("baseline_chance", "Baseline, chance: it comes first", estimate)
+
+
+def _threshold(records: Records, key: str) -> float | None:
+    """Return below what a baseline stays silent to alarm as rarely as the diagnosis; None without
+    bodies that lack nothing."""
+    silent = [r for r in records if r.silent and key in r.loudness]
+    if not silent:
+        return None
+    alarms = sum(r.answer != NO_GAP for r in silent)
+    return threshold([r.loudness[key] for r in silent], alarms)
 
 
 def _right_first(records: Records) -> Estimate:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from service.blind.answers import Answer
-from service.blind.baselines import closest, largest
+from service.blind.baselines import closest, improvement, largest
 from service.blind.magnitudes import lump_apart_mm, magnitudes, true_values
 from service.blind.records import FAILED, CaseRecord
 from service.blind.seal import read_json
@@ -118,6 +118,10 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
             "raw_correlation": largest(answer.baselines.raw_correlation),
             "refit": closest(answer.baselines.refit_left_mm),
         },
+        loudness={
+            "raw_correlation": max(answer.baselines.raw_correlation.values(), default=0.0),
+            "refit": improvement(answer.baselines.refit_left_mm, _rms(maps["before"])),
+        },
         catalogue=len(effects),
     )
 
@@ -154,6 +158,10 @@ def _offsets(summary: Summary) -> dict[str, float]:
         return {}
     accused = summary.effect(SEGMENTATION_OFFSET.name)
     return {p.parameter: p.magnitude for p in accused.parameters}
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _known(share: ShareEstimate | None) -> float | None:

@@ -60,6 +60,8 @@ class CaseRecord:
         From the found centre of a lump to the true one.
     accused_by : mapping of str to (str or None)
         Whom the baselines accuse.
+    loudness : mapping of str to float
+        How loudly each of them does; see `service.blind.baselines`.
     catalogue : int
         How many effects were suspected.
     reason : str
@@ -89,6 +91,7 @@ class CaseRecord:
     magnitudes: tuple[Magnitude, ...] = ()
     lump_apart_mm: float | None = None
     accused_by: Mapping[str, str | None] = field(default_factory=dict)
+    loudness: Mapping[str, float] = field(default_factory=dict)
     catalogue: int = 0
     reason: str = ""
 

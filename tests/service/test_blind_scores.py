@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from blind_at_hand import nothing, record
 
-from service.blind.baselines import closest, largest, raw_correlation
+from service.blind.baselines import closest, improvement, largest, raw_correlation, threshold
 from service.blind.calibration import (
     brier,
     brier_of_base_rates,
@@ -245,6 +245,27 @@ def test_baselines_accuse_somebody_every_time() -> None:
     assert value(found, "baseline_raw_correlation") == (1.0, 2)
     assert value(found, "baseline_refit") == (0.5, 2)
     assert value(found, "baseline_chance") == (0.5, 2)
+
+
+def test_baselines_that_may_be_silent_alarm_as_rarely_as_the_diagnosis() -> None:
+    def body(group: str, loud: float, **more: object) -> CaseRecord:
+        accused = {"refit": "plate_tilt"}
+        return record(group, accused_by=accused, loudness={"refit": loud}, **more)
+
+    silent = [body("control", loud, answer="no-gap", effects=()) for loud in (0.1, 0.3, 0.2)]
+    singles = [body("single", loud, true_before_mm=0.9) for loud in (0.25, 0.35, 0.9)]
+    assert value(scored(*silent, *singles), "baseline_refit_silent") == (pytest.approx(2 / 3), 3)
+    alarm = body("control", 0.15, answer="effect", effects=())
+    assert value(scored(*silent, alarm, *singles), "baseline_refit_silent") == (1.0, 3)
+    assert value(scored(*singles), "baseline_refit") == (1.0, 3)
+    assert "baseline_refit_silent" not in scored(*singles)
+
+
+def test_a_refit_is_as_loud_as_what_it_takes_off() -> None:
+    assert improvement({"a": 0.5, "b": 0.25}, 0.5) == pytest.approx(np.log(2))
+    assert improvement({}, 0.5) == 0.0
+    assert [threshold([3.0, 1.0, 2.0], alarms) for alarms in (0, 1)] == [3.0, 2.0]
+    assert threshold([], 0) == -np.inf
 
 
 def test_a_failed_diagnosis_is_a_wrong_answer() -> None:

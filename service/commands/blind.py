@@ -18,6 +18,7 @@ from service.commands.common import (
 from service.commands.interrupts import interrupted, stop_requests
 from service.commands.settings import cluster_options, store_place
 from storage.errors import InputError
+from workers.blind.world import World
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,13 +35,6 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
 )
-
-
-class World(StrEnum):
-    """What is off in a case besides its cause; see `workers.blind.world`."""
-
-    plain = "plain"
-    hard = "hard"
 
 
 class Which(StrEnum):

@@ -16,8 +16,9 @@ from workers.blind.causes.local import Inclusion, Ligament, Swelling
 from workers.blind.causes.material import Fibres, Gradient, SkinSheet, Stiffening
 from workers.blind.causes.observation import Segmentation
 from workers.blind.causes.plates import BentPlate, Tilt
+from workers.blind.deviations import Deviations, draw_deviations
 from workers.blind.scene import Anatomy, Constants, Scene
-from workers.blind.world import Deviations, World, draw_deviations
+from workers.blind.world import World
 
 SINGLES: Final[tuple[type[Cause], ...]] = (
     Gravity,

@@ -5,18 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.commands.blind import World as WorldAtTheDoor
 from storage.values import Tissue, Volume
+from workers.blind.deviations import Deviations
 from workers.blind.random_case import KINDS, draw
 from workers.blind.scene import NU
 from workers.blind.segmented_scan import Segmenter, segmented
-from workers.blind.world import Deviations, World
+from workers.blind.world import World
 
 HARD = [draw(seed, "control", world=World.hard) for seed in range(200)]
-
-
-def test_the_door_knows_the_worlds():
-    assert [one.value for one in WorldAtTheDoor] == [one.value for one in World]
 
 
 def test_in_the_plain_world_nothing_is_off():

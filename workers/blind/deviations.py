@@ -1,0 +1,115 @@
+"""What differs from the nominal model in every case, whatever its cause.
+
+In the plain world nothing does. In the hard one, as in a clinic, everything is a little off:
+the law's constants that a diagnosis holds, the springs of the chest wall, the axis of the fibres,
+where a scan lies, how well it is segmented and what is missed or added by who segments it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.blind.causes.base import Rng, log_uniform
+from workers.blind.scene import NU, Scene
+from workers.blind.world import World
+
+SHIFT_SD_MM = TURN_SD_DEG = 0.3
+# Of what a diagnosis holds: so little that no more than what noise hides follows from it. Springs
+# at the wall that are weaker by a third move a body by more than a millimetre.
+NU_OFF, SPRINGS_OFF, FIBRE_TILT_SD_DEG = 0.002, 0.03, 0.3
+
+Pose = tuple[float, float, float, float, float, float]
+"""Shift along x, y and z in mm, then turn about these axes in degrees."""
+
+
+@dataclass(frozen=True, slots=True)
+class Deviations:
+    """Hold what is off in one case.
+
+    Parameters
+    ----------
+    nu : float
+        Poisson's ratio of all tissue.
+    wall_spring_factor : float
+        On the stated springs along the chest wall.
+    fibre_tilt_deg : tuple of float
+        Of the axis of all fibres, about x and about y.
+    noise_factor : float
+        True over stated deviation of the segmentation.
+    ln_noise_at_wall : float
+        ln of how much larger it is at the chest wall than at the nipple.
+    poses : tuple of Pose
+        Of each loaded scan; none where scans lie as their headers say.
+    pieces : int
+        Pieces of gland that are missed, and as many that are added, in every scan.
+    """
+
+    nu: float = NU
+    wall_spring_factor: float = 1.0
+    fibre_tilt_deg: tuple[float, float] = (0.0, 0.0)
+    noise_factor: float = 1.0
+    ln_noise_at_wall: float = 0.0
+    poses: tuple[Pose, ...] = ()
+    pieces: int = 0
+
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return a scene, its causes included, with these deviations."""
+        fibres = scene.fibres
+        if any(self.fibre_tilt_deg):
+            fibres = _tilted(scene.fibres, self.fibre_tilt_deg)
+        springs = self.wall_spring_factor
+        return replace(scene, nu=self.nu, wall_spring_factor=springs, fibres=fibres)
+
+    def posed(self, scan: int, places: FloatArray) -> FloatArray:
+        """Return where places (n, 3) of a loaded scan are shown; it turns about their middle."""
+        if not self.poses:
+            return places
+        pose = np.array(self.poses[scan])
+        middle = (places.min(axis=0) + places.max(axis=0)) / 2
+        return np.asarray((places - middle) @ _rotation(pose[3:]).T + middle + pose[:3])
+
+
+def draw_deviations(world: World, rng: Rng, scans: int) -> Deviations:
+    """Draw what is off in one case with some number of loaded scans."""
+    if world is World.plain:
+        return Deviations()
+    tilt_x, tilt_y = (round(a, 3) for a in rng.normal(0, FIBRE_TILT_SD_DEG, 2))
+    sd = np.repeat([SHIFT_SD_MM, TURN_SD_DEG], 3)
+    return Deviations(
+        nu=round(rng.uniform(NU - NU_OFF, NU + NU_OFF), 5),
+        wall_spring_factor=round(rng.uniform(1 - SPRINGS_OFF, 1 + SPRINGS_OFF), 4),
+        fibre_tilt_deg=(tilt_x, tilt_y),
+        noise_factor=round(log_uniform(rng, 0.5, 2.0), 3),
+        ln_noise_at_wall=round(rng.uniform(-0.5, 0.5), 3),
+        poses=tuple(_pose(sd * rng.standard_normal(6)) for _ in range(scans)),
+        pieces=1,
+    )
+
+
+def _pose(values: FloatArray) -> Pose:
+    x, y, z, a, b, c = (round(v, 4) for v in values.tolist())
+    return x, y, z, a, b, c
+
+
+def _tilted(
+    fibres: Callable[[FloatArray], FloatArray] | None, tilt_deg: tuple[float, float]
+) -> Callable[[FloatArray], FloatArray]:
+    turn = _rotation(np.array([*tilt_deg, 0.0]))
+
+    def at(points: FloatArray) -> FloatArray:
+        straight = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+        return np.asarray((straight if fibres is None else fibres(points)) @ turn.T)
+
+    return at
+
+
+def _rotation(degrees: FloatArray) -> FloatArray:
+    """Return the matrix of a turn about the vector `degrees`, by its length."""
+    angle = float(np.radians(np.linalg.norm(degrees)))
+    if angle == 0:
+        return np.eye(3)
+    x, y, z = np.radians(degrees) / angle
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K)

@@ -128,6 +128,13 @@ def test_all_that_is_not_in_the_catalogue_is_listed(page: Page) -> None:
         assert page.row(what)[1] == why
 
 
+def test_points_that_a_scan_does_not_show_are_counted(page: Page) -> None:
+    assert "left out" not in page.text
+    told = summary() | {"left_out": 9}
+    said = f"Of {told['points'] + 9}, 9 were left out, because some scan does not show them"
+    assert said in Page(render(found(told))).text
+
+
 def test_the_set_of_several_causes_names_their_family() -> None:
     text = Page(render(found(VERDICTS["not told apart"]))).text
     assert "90 % of the probability is held by plate tilt, plate flex and no gap." in text

@@ -16,7 +16,6 @@ from linear_world import (
 
 from workers.comparison.observation.interface import InterfacePoints
 from workers.diagnosis.nuisances import smooth_columns
-from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.unmatched_points import matched
 
 K = 400
@@ -24,6 +23,7 @@ SD_MM = np.full(2 * K, np.sqrt(NOISE_MM**2 + NUGGET_MM**2 + REFERENCE_MM**2))
 POINTS = InterfacePoints(
     *ellipsoid(K), np.zeros(K, np.int32), np.ones(K), part=np.zeros(K, np.int32)
 )
+BESIDE_MM = 8.0
 PIECE = [40, 41, 222]  # points of tissue that the second scan does not show
 
 
@@ -42,9 +42,9 @@ def scanned(seed, noise=1.0, gap_mm=0.0):
 def test_only_missing_pieces_are_left_out(noise):
     for seed in range(3):
         residual = scanned(seed, noise)
-        assert matched(POINTS, SD_MM, columns(), residual).all()
+        assert matched(POINTS, SD_MM, columns(), residual, BESIDE_MM).all()
         residual[[K + p for p in PIECE]] += [8.0, -6.0, 12.0]
-        shown = matched(POINTS, SD_MM, columns(), residual)
+        shown = matched(POINTS, SD_MM, columns(), residual, BESIDE_MM)
         np.testing.assert_array_equal(np.flatnonzero(~shown), PIECE)
 
 
@@ -52,21 +52,21 @@ def test_a_gap_of_millimetres_is_not_taken_for_them():
     for gap_mm in (0.5, 2.0, 4.0):
         residual = scanned(5, gap_mm=gap_mm)
         assert np.abs(residual).max() > 2.4 * gap_mm
-        assert matched(POINTS, SD_MM, columns(), residual).all()
+        assert matched(POINTS, SD_MM, columns(), residual, BESIDE_MM).all()
         residual[PIECE[0]] += 8.0
-        shown = matched(POINTS, SD_MM, columns(), residual)
+        shown = matched(POINTS, SD_MM, columns(), residual, BESIDE_MM)
         np.testing.assert_array_equal(np.flatnonzero(~shown), PIECE[:1])
 
 
 def test_what_lies_beside_them_is_left_out_too():
     points, _ = ellipsoid(K)
     away = np.linalg.norm(points - points[PIECE[0]], axis=1)
-    beside = np.flatnonzero((away > 0) & (away < SETTINGS.unmatched.beside_mm))
+    beside = np.flatnonzero((away > 0) & (away < BESIDE_MM))
     assert len(beside)
     residual = scanned(1)
     residual[PIECE[0]] += 9.0
     residual[beside] = 1.6  # half off, as at the rim of a piece
-    shown = matched(POINTS, SD_MM, columns(), residual)
+    shown = matched(POINTS, SD_MM, columns(), residual, BESIDE_MM)
     assert set(np.flatnonzero(~shown)) == {PIECE[0], *beside.tolist()}
 
 
@@ -74,7 +74,7 @@ def test_where_much_is_far_off_that_is_no_error_of_drawing():
     residual = scanned(2)
     many = np.random.default_rng(1).choice(K, K // 8, replace=False)
     residual[many] += 8.0
-    assert matched(POINTS, SD_MM, columns(), residual).all()
+    assert matched(POINTS, SD_MM, columns(), residual, BESIDE_MM).all()
 
 
 def test_a_piece_that_is_missing_whole_is_left_out_whole():
@@ -86,7 +86,7 @@ def test_a_piece_that_is_missing_whole_is_left_out_whole():
     points = replace(POINTS, part=part)
     for seed, gap_mm in ((1, 0.0), (2, 2.0)):
         residual = scanned(seed, gap_mm=gap_mm)
-        assert matched(points, SD_MM, columns(), residual).all()
+        assert matched(points, SD_MM, columns(), residual, BESIDE_MM).all()
         residual[K + piece] += 15.0
-        shown = matched(points, SD_MM, columns(), residual)
+        shown = matched(points, SD_MM, columns(), residual, BESIDE_MM)
         np.testing.assert_array_equal(np.flatnonzero(~shown), np.sort(piece))

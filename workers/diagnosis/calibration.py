@@ -98,7 +98,9 @@ def _matched(inverse: InverseProblem, at: SolvedFit) -> BoolArray:
     poses = pose_columns(moved, normals, centre_mm, *inverse.pose_sd)
     columns = np.hstack([at.jacobian * at.unknowns.sd, poses, smooth])
     stated = np.sqrt(np.diag(inverse.covariance))
-    return matched(inverse.points, stated, columns, residuals(inverse, at.predictions))
+    beside_mm = SETTINGS.unmatched.beside_lengths * field.middle_length_mm
+    left = residuals(inverse, at.predictions)
+    return matched(inverse.points, stated, columns, left, beside_mm)
 
 
 def _compared(

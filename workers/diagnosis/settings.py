@@ -112,11 +112,13 @@ class UnmatchedSettings:
     # [principle] Noise is no smaller than this part of what is stated: half of it is possible.
     least_scale: float = 0.5
     # [principle] In robust deviations of an interface: a point as far as the first has no
-    # counterpart, nor have points within the second beside it that are as far as the third. Of a
-    # thousand points, six deviations of normal noise are reached once in a million bodies.
+    # counterpart, nor have points beside it that are as far as the second. Of a thousand points,
+    # six deviations of normal noise are reached once in a million bodies.
     far: float = 6.0
-    beside_mm: float = 8.0
     beside: float = 3.0
+    # [by hand] What is beside a point, as a part of the middle length of something unlisted: 8 mm
+    # in a breast.
+    beside_lengths: float = 0.4
     # [cost] A connected piece of interface of so many points is judged by what all others say of
     # its place: among few neighbours of its own it follows any fit.
     small_piece: int = 12

@@ -24,7 +24,11 @@ SD_OF_MEDIAN = 1.4826
 
 
 def matched(
-    points: InterfacePoints, stated_mm: FloatArray, columns: FloatArray, residual: FloatArray
+    points: InterfacePoints,
+    stated_mm: FloatArray,
+    columns: FloatArray,
+    residual: FloatArray,
+    beside_mm: float,
 ) -> BoolArray:
     """Return which points have a counterpart in every scan, shape (k,).
 
@@ -38,6 +42,8 @@ def matched(
         What may move the residuals, per prior standard deviation.
     residual : ndarray, shape (s k,)
         In mm.
+    beside_mm : float
+        How far around a point that is far off others may be off for the same reason.
     """
     settings = SETTINGS.unmatched
     scans = len(residual) // len(points)
@@ -53,7 +59,7 @@ def matched(
     tree = KDTree(points.points)
     for scan, outliers in enumerate(alone):
         for one in np.flatnonzero(outliers):
-            around = tree.query_ball_point(points.points[one], settings.beside_mm)
+            around = tree.query_ball_point(points.points[one], beside_mm)
             alone[scan, around] |= far[scan, around] > settings.beside
     shown = np.asarray(~alone.any(axis=0))
     return shown if shown.mean() > 1 - settings.most else np.ones_like(shown)

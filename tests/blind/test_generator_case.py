@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from storage.values import Tissue, Volume
+from workers.blind.deviations import Deviations
 from workers.blind.fine_mesh import fine_mesh_of
 from workers.blind.material_points import locate, points_on
 from workers.blind.meshed_body import body_of
@@ -19,7 +20,6 @@ from workers.blind.segmented_scan import (
     padded,
     segmented,
 )
-from workers.blind.world import Deviations
 from workers.blind.write_case import write_case
 from workers.body.images.read import read_volume
 from workers.comparison.observation.interface import GLANDULAR, OUTLINE

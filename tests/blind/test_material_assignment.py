@@ -7,11 +7,11 @@ import pytest
 from pressed_blocks import block
 
 from storage.values import Tissue, Volume
+from workers.blind.deviations import Deviations
 from workers.blind.load_stepping import wall_of
 from workers.blind.material_assignment import materials_of
 from workers.blind.random_case import draw
 from workers.blind.scene import NU, Constants, Scene
-from workers.blind.world import Deviations
 
 SIDES = np.array([30.0, 20.0, 16.0])
 SLOPE = 1e-3  # of the stiffness for a mm: exp is linear to 0.02 %

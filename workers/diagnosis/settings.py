@@ -119,8 +119,7 @@ class UnmatchedSettings:
     # [by hand] What is beside a point, as a part of the middle length of something unlisted: 8 mm
     # in a breast.
     beside_lengths: float = 0.4
-    # [cost] A connected piece of interface of so many points is judged by what all others say of
-    # its place: among few neighbours of its own it follows any fit.
+    # [by hand] A connected piece of so few points follows any fit, so all others judge it.
     small_piece: int = 12
     # [by hand] Where more points than this part of all are far off, that is no error of drawing.
     most: float = 0.1

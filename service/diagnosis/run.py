@@ -181,7 +181,7 @@ def run(
     phases = _Phases(request, workers, observe)
     store = DiagnosisStore(request)
     if workers.threads > 1 and not store.calibration.is_finished:
-        phases.run("preparation", prepare_scan, [(name,) for name in store.source.preparations])
+        phases.run("preparation", prepare_scan, [(name,) for name in store.preparations])
     (calibration,) = phases.run("calibration", calibrate_nominal, [()], by_scans=True)
     effects = sorted(request.effects, key=lambda name: name not in LONG)
     numbers = range(calibration.scans)

@@ -225,7 +225,7 @@ def test_what_was_prepared_is_what_a_process_alone_makes(tilted: Path, tmp_path:
     """Bit for bit."""
     request = asked(tilted, tmp_path / "store")
     own = DiagnosisStore(request).uncalibrated
-    names = DiagnosisStore(request).source.preparations
+    names = DiagnosisStore(request).preparations
     for name in names:
         prepare_scan(request, name)
     CACHE.clear()

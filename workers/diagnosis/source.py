@@ -98,6 +98,19 @@ class PressedSource(Protocol):
         """What its segmentations err by."""
 
 
+@runtime_checkable
+class PreparedSource(Protocol):
+    """A source of which parts can be made apart, before anything is fitted."""
+
+    @property
+    def preparations(self) -> Sequence[str]:
+        """Names of what `prepare` can make, the longest first; see
+        `workers.diagnosis.preparation`."""
+
+    def prepare(self, name: str, spacing_mm: float) -> Prepared:
+        """Make one of them, for points `spacing_mm` apart."""
+
+
 class Source(HasContent, Protocol):
     """Something that was imaged or measured, with a model of it."""
 
@@ -122,14 +135,6 @@ class Source(HasContent, Protocol):
             Saying what was found, what was expected and what to change.
         """
 
-    @property
-    def preparations(self) -> Sequence[str]:
-        """Names of what `prepare` can make, the longest first; see
-        `workers.diagnosis.preparation`."""
-
-    def prepare(self, name: str, spacing_mm: float) -> Prepared:
-        """Make one of them, for points `spacing_mm` apart."""
-
     def inverse_problem(
         self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
     ) -> InverseProblem:
@@ -140,7 +145,7 @@ class Source(HasContent, Protocol):
         nodes : int
         spacing_mm : float
         prepared : callable, optional
-            Gives what `prepare` has made; without it, it is made here.
+            Gives what `PreparedSource.prepare` has made; without it, it is made here.
 
         Raises
         ------

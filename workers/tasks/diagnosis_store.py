@@ -35,7 +35,7 @@ from workers.diagnosis.scan_poses import registered
 from workers.diagnosis.scan_prediction import ComparedScan, predict_scan
 from workers.diagnosis.sensitivity_analysis import ScanSensitivity, joined_sensitivity
 from workers.diagnosis.settings import SETTINGS
-from workers.diagnosis.source import Source
+from workers.diagnosis.source import PreparedSource, Source
 from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.model import Model
@@ -207,9 +207,18 @@ class DiagnosisStore:
         nodes = round(SETTINGS.mesh.finer_ratio * self.request.nodes)
         return self.source.finer(nodes, self._read_prepared)
 
+    @property
+    def preparations(self) -> Sequence[str]:
+        """Names of what `prepare` can make."""
+        source = self.source
+        return source.preparations if isinstance(source, PreparedSource) else ()
+
     def prepare(self, name: str) -> Prepared:
         """Make what has this name in `workers.diagnosis.preparation`."""
-        return self.source.prepare(name, self.request.spacing_mm)
+        source = self.source
+        if not isinstance(source, PreparedSource):
+            raise KeyError(name)
+        return source.prepare(name, self.request.spacing_mm)
 
     def _read_prepared(self, name: str) -> Prepared:
         part = self.preparation(name)

@@ -22,7 +22,7 @@ from workers.diagnosis.acquisition import Acquisition
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan
 from workers.diagnosis.pictures.scan_pictures import Displacements
-from workers.diagnosis.preparation import Prepared, ReadPrepared
+from workers.diagnosis.preparation import ReadPrepared
 from workers.diagnosis.smooth_field import SmoothField
 from workers.diagnosis.source import FinishedStudy, SourceContent
 from workers.diagnosis.summary import Summary
@@ -167,15 +167,6 @@ class CorneaStudySource:
                 f"The study {self.name} has searched {', '.join(self.study.bounds) or 'nothing'}; "
                 "a diagnosis needs a constant of the law, such as mu1_pa, under search.parameters."
             )
-
-    @property
-    def preparations(self) -> Sequence[str]:
-        """None."""
-        return ()
-
-    def prepare(self, name: str, spacing_mm: float) -> Prepared:
-        """See `Source.prepare`; a section is meshed at once."""
-        raise KeyError(name)
 
     def inverse_problem(
         self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None

@@ -1,6 +1,6 @@
 """A bench experiment as something that can be diagnosed."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -17,7 +17,7 @@ from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.gauss_newton import Fit
 from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan
 from workers.diagnosis.pictures.scan_pictures import Displacements
-from workers.diagnosis.preparation import Prepared, ReadPrepared
+from workers.diagnosis.preparation import ReadPrepared
 from workers.diagnosis.source import SourceContent
 from workers.diagnosis.summary import PredictedState, Summary
 from workers.mechanics.effects.base import Effect
@@ -145,15 +145,6 @@ class SpecimenSource:
 
     def check(self) -> None:
         """Do nothing: an experiment is checked where its files are read."""
-
-    @property
-    def preparations(self) -> Sequence[str]:
-        """None."""
-        return ()
-
-    def prepare(self, name: str, spacing_mm: float) -> Prepared:
-        """See `Source.prepare`; markers are compared as they are."""
-        raise KeyError(name)
 
     def inverse_problem(
         self, nodes: int, spacing_mm: float = 0.0, prepared: ReadPrepared | None = None

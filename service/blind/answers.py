@@ -16,7 +16,6 @@ from storage.atomic import explained, replacing
 from storage.typed_json import to_json
 from storage.values import Triple
 from workers.diagnosis.summary import Summary
-from workers.mechanics.effects.inclusion import INCLUSION
 from workers.tasks.diagnosis_store import (
     CalibrationRecord,
     DiagnosisRequest,
@@ -70,7 +69,8 @@ class Answer:
     summary : Summary
     baselines : Baselines
     centre_mm : tuple of float or None
-        Middle of the body, from which the place of a lump counts; None if none was fitted.
+        Middle of the body, from which places count; None in answers of earlier versions that
+        fitted no lump.
     """
 
     id: str
@@ -157,9 +157,7 @@ def seal_answers(
     return write_json(blind.sealed_answers(directions), record)
 
 
-def _centre_mm(store: DiagnosisStore) -> Triple | None:
-    if not _is_fitted(store, INCLUSION.name):
-        return None
+def _centre_mm(store: DiagnosisStore) -> Triple:
     x, y, z = store.uncalibrated.frame.centre_mm
     return float(x), float(y), float(z)
 

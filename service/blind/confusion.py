@@ -19,7 +19,8 @@ class Confusion:
     Parameters
     ----------
     rows : tuple of str
-        Kinds of truth: silent ones, single effects, pairs, those out of the catalogue.
+        Kinds of truth: silent ones, single effects, pairs and triples, those out of the
+        catalogue.
     columns : tuple of str
         First effects accused, and answers without any.
     counts : tuple of tuple of int
@@ -52,7 +53,7 @@ def true_name(record: CaseRecord) -> str:
     """Return the row of a case."""
     if record.group == "single":
         return record.effects[0]
-    if record.group == "pair":
+    if record.group in ("pair", "triple"):
         return " + ".join(record.effects)
     return record.kind
 

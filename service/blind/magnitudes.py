@@ -5,13 +5,18 @@ the same meaning, that is what the diagnosis should find:
 
 ========================  ==============================================================
 tilt, friction, gravity,  the same quantities under other names
-chest wall, skin, labels
+chest wall, skin, labels,
+scale of the image
 fibres                    an angle and its direction, as turns towards x and y
 gradient                  ln of the stiffness at the faces of the body (a tanh, not a line)
 lump                      ln of the ratio; the radius of the ball of equal volume; its centre
                           in the frame of the scan
 stiffening                c2 / mu = b / 4: Fung's law mu / (2 b) (exp(b (I1 - 3)) - 1) has the
                           second term mu b / 4 (I1 - 3)^2
+fibres of the gland       ln of the ratio in the middle of the body
+swelling                  ln of the volume of the gland; fat has not grown
+scar, tether              the springs per area; of a disc of radius R, which a scar has, the
+                          radius R / sqrt(2) of the bell with as much stiffness in total
 ========================  ==============================================================
 """
 
@@ -28,6 +33,7 @@ from workers.diagnosis.summary import EffectSummary
 from workers.mechanics.effects.inclusion import INCLUSION, PLACE
 
 Given = Mapping[str, Any]
+SCALES = ("scale_x", "scale_y", "scale_z")
 
 
 def _renamed(**names: str) -> Callable[[Given], dict[str, float]]:
@@ -48,6 +54,23 @@ def _lump(given: Given) -> dict[str, float]:
     return {"inclusion_ln_ratio": ratio, "inclusion_radius_mm": given["radius_mm"]}
 
 
+def _swelling(given: Given) -> dict[str, float]:
+    return {"ln_growth_fat": 0.0, "ln_growth_glandular": math.log1p(given["volume_fraction"])}
+
+
+def _attachment(given: Given) -> dict[str, float]:
+    """Return the springs along all axes of a tether, along the chest wall of a scar."""
+    is_scar = "radius_mm" in given
+    grip, axes = float(given["grip_kpa_per_mm"]), "xy" if is_scar else "xyz"
+    springs = {f"attachment_stiffness_{axis}_kpa_per_mm": grip for axis in axes}
+    bell = {"attachment_radius_mm": given["radius_mm"] / math.sqrt(2)} if is_scar else {}
+    return springs | bell
+
+
+def _scale(given: Given) -> dict[str, float]:
+    return dict(zip(SCALES, given["scale"], strict=True))
+
+
 IN_CATALOGUE: dict[str, Callable[[Given], dict[str, float]]] = {
     "gravity_change": _renamed(gravity_x_g="x_g", gravity_y_g="y_g", gravity_z_g="z_g"),
     "plate_tilt": _renamed(tilt_depth_deg="depth_deg", tilt_across_deg="across_deg"),
@@ -60,6 +83,10 @@ IN_CATALOGUE: dict[str, Callable[[Given], dict[str, float]]] = {
     "strain_stiffening": lambda given: {"stiffening": given["exponent"] / 4},
     "skin_added": _renamed(skin_added_n_per_m="stiffness_n_per_m"),
     "inclusion": _lump,
+    "fibre_contrast": lambda given: {"ln_fibre_contrast": math.log(given["ratio"])},
+    "growth": _swelling,
+    "local_attachment": _attachment,
+    "image_scale": _scale,
     "segmentation_offset": _renamed(
         segmentation_fat_mm="outline_mm", segmentation_glandular_mm="glandular_mm"
     ),

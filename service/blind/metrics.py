@@ -128,7 +128,7 @@ def _alarms(records: Records) -> Iterable[Metric]:
     named = [r for r in records if r.named]
     acts = share([r.right_first for r in named])
     yield _metric("named_right", "An effect that is named acts", acts, _at_least(0.95))
-    known = [r for r in named if r.group in ("control", "absorbed", "single", "pair")]
+    known = [r for r in named if r.group not in ("unlike", "relative")]
     strict = share([r.strictly_right for r in known])
     yield _metric("strict", "Nothing superfluous is named", strict, _at_least(0.80))
     unsure = [r for r in records if r.answer == "cannot-be-told-apart"]
@@ -181,6 +181,12 @@ def _others(records: Records, floor: float | None) -> Iterable[Metric]:
     yield _metric("pairs_first", title, dominant, _at_least(0.90))
     both = share([set(r.primary) == set(r.effects) for r in pairs])
     yield _metric("pairs_both", "Two effects, visible: both are named", both, _at_least(0.40))
+    triples = [r for r in in_sight if r.group == "triple"]
+    first = share([r.first in r.effects for r in triples])
+    yield _metric("triples_first", "Three effects, visible: one of them comes first", first)
+    two = share([len(set(r.primary) & set(r.effects)) >= 2 for r in triples])
+    title = "Three effects, visible: two of them are named"
+    yield _metric("triples_two", title, two, _at_least(0.50))
 
 
 def _gaps(records: Records) -> Iterable[Metric]:

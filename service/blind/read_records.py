@@ -7,6 +7,7 @@ import numpy as np
 
 from service.blind.answers import Answer
 from service.blind.baselines import closest, improvement, largest
+from service.blind.drawn_interfaces import drawn_mm
 from service.blind.magnitudes import lump_apart_mm, magnitudes, true_values
 from service.blind.records import FAILED, CaseRecord
 from service.blind.seal import read_json
@@ -15,15 +16,14 @@ from service.blind.true_gap import true_gap
 from service.blind.truth import Moved, Truth, read_moved, read_truth
 from storage.errors import InputError
 from storage.typed_json import from_json
-from storage.values import FloatArray
+from storage.values import FloatArray, Triple
 from workers.diagnosis.summary import ShareEstimate, Summary
 from workers.diagnosis.verdict import NO_GAP, NONE_OF_THESE
+from workers.mechanics.effects.image_scale import IMAGE_SCALE
 from workers.mechanics.effects.segmentation_offset import SEGMENTATION_OFFSET
 
 Arrays = Mapping[str, FloatArray]
 Y_AXIS = [0, 1, 0]
-# Labels drawn too large, by the interface that they move.
-OFFSETS_MM = ("segmentation_fat_mm", "segmentation_glandular_mm")
 
 
 def read_records(
@@ -106,8 +106,10 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
         alarm=summary.alarm,
         claimed_before_mm=gap.before.gap_mm,
         claimed_after_mm=gap.after.gap_mm if gap.after else None,
-        true_before_mm=_true_mm("before", truth, moved, maps, {}),
-        true_after_mm=_true_mm("after", truth, moved, maps, _offsets(summary)),
+        true_before_mm=_true_mm("before", truth, moved, maps, answer.centre_mm, {}),
+        true_after_mm=_true_mm(
+            "after", truth, moved, maps, answer.centre_mm, _said_of_images(summary)
+        ),
         gap_interval_mm=(gap.before.low_mm, gap.before.high_mm),
         share_interval=_interval(gap.share),
         claimed_share=_known(gap.share),
@@ -136,28 +138,31 @@ def _diagnosed(moved: Moved, case: Path, directions: Directions) -> Moved:
 
 
 def _true_mm(
-    when: str, truth: Truth, moved: Moved, maps: Arrays, found: Mapping[str, float]
+    when: str,
+    truth: Truth,
+    moved: Moved,
+    maps: Arrays,
+    centre_mm: Triple | None,
+    found: Mapping[str, float],
 ) -> float | None:
     """Return the true gap, of the interfaces as they are drawn; None where nobody is accused.
 
-    Labels that are drawn too large are a gap of the images and none of the body. What the
-    diagnosis says of it, `found`, closes that gap.
+    Labels or scans that are drawn too large are a gap of the images and none of the body.
+    What the diagnosis says of it, `found`, closes that gap.
     """
     if f"moved_{when}" not in maps:
         return None
-    normals, interface = maps[f"normals_{when}"], maps["interface"].astype(np.int32)
+    at, normals = maps[f"moved_{when}"], maps[f"normals_{when}"]
     true = true_values(truth)
-    drawn = np.array([true.get(n, 0.0) - found.get(n, 0.0) for n in OFFSETS_MM])
-    known = maps["bias"] + drawn[interface]
-    return true_gap(maps["points"], maps[f"moved_{when}"], normals, moved, known).gap_mm
+    amiss = {n: true.get(n, 0.0) - found.get(n, 0.0) for n in {*true, *found}}
+    drawn = drawn_mm(at, normals, maps["interface"].astype(np.int32), centre_mm, amiss)
+    return true_gap(maps["points"], at, normals, moved, maps["bias"] + drawn).gap_mm
 
 
-def _offsets(summary: Summary) -> dict[str, float]:
-    """Return what is said of labels that are drawn too large, if they are accused."""
-    if SEGMENTATION_OFFSET.name not in summary.primary:
-        return {}
-    accused = summary.effect(SEGMENTATION_OFFSET.name)
-    return {p.parameter: p.magnitude for p in accused.parameters}
+def _said_of_images(summary: Summary) -> dict[str, float]:
+    """Return what is said of labels and scans that are drawn too large, if they are accused."""
+    accused = {SEGMENTATION_OFFSET.name, IMAGE_SCALE.name}.intersection(summary.primary)
+    return {p.parameter: p.magnitude for n in accused for p in summary.effect(n).parameters}
 
 
 def _rms(values: FloatArray) -> float:

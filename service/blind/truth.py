@@ -13,9 +13,9 @@ from storage.values import FloatArray, IntArray
 from workers.mechanics.effects.plate_force import PLATE_FORCE
 from workers.spec import validated
 
-Group = Literal["control", "absorbed", "single", "pair", "unlike", "relative"]
+Group = Literal["control", "absorbed", "single", "pair", "triple", "unlike", "relative"]
 """What a case asks of a diagnosis: to keep still (``control``, ``absorbed``), to name one
-effect or two, to say that none of the catalogue is like it (``unlike``), or to name the
+effect, two or three, to say that none of the catalogue is like it (``unlike``), or to name the
 family of an effect that is not in the catalogue (``relative``)."""
 
 GROUPS: dict[Group, str] = {
@@ -23,6 +23,7 @@ GROUPS: dict[Group, str] = {
     "absorbed": "hidden in the constants",
     "single": "one effect",
     "pair": "two effects",
+    "triple": "three effects",
     "unlike": "unlike any effect",
     "relative": "relative of an effect",
 }
@@ -78,7 +79,8 @@ class Truth(_Record):
             return "relative" if self.families else "unlike"
         if self.effects == (PLATE_FORCE.name,):
             return "absorbed"
-        return "single" if len(self.causes) == 1 else "pair"
+        together: tuple[Group, ...] = ("single", "pair", "triple")
+        return together[len(self.causes) - 1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ import numpy as np
 from service.export.solved_body import SolvedBody
 from storage.values import BoolArray, FloatArray, IntArray, Tissue
 from workers.mechanics.fem.element_energy import deformation_gradients
+from workers.mechanics.fem.external_forces import attachment_stiffness
 from workers.mechanics.fem.problem import Problem
 
 # More materials than this are thinned out: their constants are rounded to fewer digits.
@@ -84,7 +85,7 @@ class SolverModel:
     displacement_mm : ndarray, shape (n, 3)
         What they are; elsewhere our solution.
     wall_n_per_mm : ndarray, shape (n, 3)
-        Springs from the chest wall to the ground, zero where there is none.
+        Springs of the chest wall and of attachments to the ground, zero where there is none.
     drift_n_per_mm : ndarray, shape (n, 3)
         Springs too weak to be felt that keep a body between frictionless plates in its place.
     force_n : ndarray, shape (n, 3)
@@ -116,7 +117,7 @@ class SolverModel:
 
 def comparable(problem: Problem) -> Problem:
     """Return the nearest problem that other solvers can be told."""
-    constants = {tissue: replace(c, law=None) for tissue, c in problem.constants.items()}
+    constants = {t: replace(c, law=None, growth=1.0) for t, c in problem.constants.items()}
     if problem.isochoric_fibre:  # CalculiX has no material with these fibres that also stiffens
         constants = {
             tissue: replace(c, stiffening=0.0) if c.fibre_mpa or c.second_fibre_mpa else c
@@ -142,6 +143,8 @@ def solver_model(own: SolvedBody, told: SolvedBody) -> SolverModel:
     """
     level = told.level
     wall = level.model.wall_areas[:, None] * np.asarray(level.problem.wall.spring_mpa_per_mm)
+    for attachment in level.problem.attachments:
+        wall = wall + attachment_stiffness(level.model, attachment)
     return SolverModel(
         title=told.title,
         nodes=level.model.nodes,
@@ -255,6 +258,8 @@ def _remarks(own: SolvedBody, told: SolvedBody) -> list[str]:
         )
     if own.level.constants.laws:
         remarks.append("Matrix: neo-Hookean of the same E and nu, where this body has another law.")
+    if any(c.growth != 1 for c in problem.constants.values()):
+        remarks.append("Growth: left out.")
     if any(c.stiffening for c in problem.constants.values()) and problem.isochoric_fibre:
         remarks.append("Strain stiffening: left out in tissues with fibres.")
     if any(problem.imaged_gravity_g):

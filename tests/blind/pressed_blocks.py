@@ -41,11 +41,11 @@ def materials(mesh: QuadraticMesh, mu=0.01, kappa=0.5, eta=0.0, fung=0.0, growth
     return ElementMaterials(*(np.full(shape, v) for v in (mu, kappa, eta, fung, growth)), fibre)
 
 
-def plates(half, slopes=(0.0, 0.0), sag=0.0):
-    """At y = -half and half; slopes and sag are of the upper one."""
+def plates(half, slopes=(0.0, 0.0), sag=0.0, edge=-np.inf):
+    """At y = -half and half; slopes and sag are of the upper one; both begin at z = edge."""
     pivot = np.zeros(3)
-    lower = Plate(Y_FRAME, pivot, -half, -1.0, np.zeros(2), 0.0, 50.0)
-    return lower, Plate(Y_FRAME, pivot, half, 1.0, np.array(slopes), sag, 50.0)
+    lower = Plate(Y_FRAME, pivot, -half, -1.0, np.zeros(2), 0.0, 50.0, edge)
+    return lower, Plate(Y_FRAME, pivot, half, 1.0, np.array(slopes), sag, 50.0, edge)
 
 
 def wall(topology: Topology, spring):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from storage.values import Tissue, Volume
+from workers.blind.causes.observation import ImageScale
 from workers.blind.deviations import Deviations
 from workers.blind.fine_mesh import fine_mesh_of
 from workers.blind.material_points import locate, points_on
@@ -82,6 +83,26 @@ def test_a_scan_of_the_hard_world_shows_the_body_where_its_pose_puts_it(folder):
         assert away.std() < 0.75 * truth.noise_sd_mm
     stated = json.loads((case / "case.json").read_text())["segmentation"]
     assert f"sd {truth.noise_sd_mm:g} mm" in stated
+
+
+def test_a_scan_of_another_scale_draws_the_body_larger(folder):
+    """By 2 % along y, about the middle of the body at rest: 0.9 mm at a flank of 45 mm."""
+    truth = draw(4, "control", one_direction=True)
+    scale = ImageScale((0.0, 0.02, 0.0), truth.anatomy.centre_mm)
+    truth = replace(truth, causes=(scale,))
+    case, hidden = folder / "scaled-case", folder / "scaled-truth"
+    write_case(truth, case, hidden, **COARSE)
+    there = np.load(hidden / "truth.npz")
+    mine = there["interface"] == 0
+    for name, displacement in zip(FILES[1:3], there["displacement"], strict=True):
+        went = (there["points"] + displacement)[mine]
+        outline = signed_distance(read_volume(case / name), OUTLINE.inside)
+        away, _ = outline.at(went * [1.0, 1.02, 1.0])
+        assert abs(np.median(away)) < 0.08
+        assert away.std() < 1.4 * truth.noise_sd_mm
+        flank = np.abs(went[:, 1]) > 0.8 * np.abs(went[:, 1]).max()
+        unscaled, _ = outline.at(went[flank])
+        assert np.median(np.abs(unscaled)) > 0.4
 
 
 def test_loads_move_the_body_more_than_noise_and_the_larger_more(folder):

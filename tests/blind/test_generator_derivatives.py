@@ -1,4 +1,4 @@
-"""Forces and tangents of tissue, skin and plates against central differences."""
+"""Forces and tangents of tissue, skin, springs and plates against central differences."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from workers.blind.skin_membrane import sheet_of
 from workers.blind.system import State, System, topology_of
 
 STEP = 1e-5
+SYSTEMS = ["tissue", "weight", "plates", "bent", "short", "friction", "skin", "tether"]
 FORCE_N = 0.3
 
 
@@ -46,13 +47,18 @@ def systems(mesh):
     smooth = np.zeros(top.skin.areas.shape)
     of, still = materials(mesh), np.zeros(3)
     flat, bent = plates(2.5), plates(2.6, slopes=(0.1, -0.07), sag=4.0)
+    # Most points of the skin lie where the plates begin to press, or fully do.
+    short = plates(2.6, slopes=(0.1, -0.07), sag=4.0, edge=-0.5)
+    springs = np.random.default_rng(6).uniform(0, 1e-2, smooth.shape)
     return {
         "tissue": System(top, random_matter(mesh), wall(top, 1e-3), plates(50.0), smooth, still),
         "weight": System(top, of, wall(top, 1e-3), plates(50.0), smooth, np.array([1e3, 2e3, 0])),
         "plates": System(top, of, wall(top, 1e-3), flat, smooth, still),
         "bent": System(top, of, wall(top, 1e-3), bent, smooth, still),
+        "short": System(top, of, wall(top, 1e-3), short, smooth + 0.3, still),
         "friction": System(top, of, wall(top, 1e-3), bent, smooth + 0.3, still),
         "skin": System(top, of, wall(top, 1e-3), plates(50.0), smooth, still, sheet_of(mesh, 0.5)),
+        "tether": System(top, of, wall(top, 0.0), plates(50.0), smooth, still, tether=springs),
     }
 
 
@@ -62,7 +68,7 @@ def nudged(system, state, seed):
     return State(rng.standard_normal(state.u.shape) * system.free, rng.standard_normal())
 
 
-@pytest.mark.parametrize("name", ["tissue", "weight", "plates", "bent", "friction", "skin"])
+@pytest.mark.parametrize("name", SYSTEMS)
 def test_force_is_the_slope_of_the_energy(mesh, name):
     state = random_state(mesh, 0)
     system = rubbed(systems(mesh)[name], state)
@@ -74,7 +80,7 @@ def test_force_is_the_slope_of_the_energy(mesh, name):
         assert slope == pytest.approx((ahead - behind) / (2 * STEP), rel=2e-6)
 
 
-@pytest.mark.parametrize("name", ["tissue", "weight", "plates", "bent", "friction", "skin"])
+@pytest.mark.parametrize("name", SYSTEMS)
 def test_tangent_is_the_slope_of_the_force(mesh, name):
     state = random_state(mesh, 0)
     system = rubbed(systems(mesh)[name], state)

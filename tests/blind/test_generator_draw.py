@@ -28,14 +28,18 @@ def test_shares_sum_to_one_and_are_met():
 
 def test_shares_are_those_of_the_protocol():
     assert 0.15 <= KINDS["control"] <= 0.2
-    assert 0.1 <= KINDS["pair"] <= 0.15
+    assert KINDS["pair"] == 0.1
+    assert KINDS["triple"] == 0.04
     assert KINDS["plate_force"] == 0.05
+    assert sum(KINDS[cause.kind] for cause in SINGLES) == pytest.approx(0.5)
     others = [k for k, cause in BY_KIND.items() if cause.effect is None]
-    assert sum(KINDS[k] for k in others) == pytest.approx(0.15)
+    assert sum(KINDS[k] for k in others) == pytest.approx(0.13)
+    unlike = [k for k in others if BY_KIND[k].family is None]
+    assert unlike == ["short_plate"]
 
 
 def test_a_case_is_a_function_of_its_seed():
-    for kind in (None, "inclusion", "pair"):
+    for kind in (None, "inclusion", "pair", "triple"):
         assert draw(17, kind) == draw(17, kind)
     assert draw(17).anatomy != draw(18).anatomy
 
@@ -80,24 +84,60 @@ def test_fields_of_a_cause_are_finite_everywhere_in_the_box(kind):
         truth = draw(seed, kind)
         scene, body = truth.scene, truth.anatomy
         points = np.random.default_rng(0).uniform(-1, 1, (200, 3)) * body.half_mm + body.centre_mm
-        fields_ = [*scene.friction, *scene.ln_stiffness, scene.wall_compliance, scene.wall_grip]
-        for f in fields_:
+        at_least_zero = (*scene.friction, scene.wall_compliance, scene.wall_grip, scene.skin_grip)
+        for f in (*at_least_zero, *scene.ln_stiffness, scene.ln_gland_fibres):
             if f is not None:
                 values = f(points)
                 assert values.shape == (200,)
                 assert np.isfinite(values).all()
-        for f in (*scene.friction, scene.wall_compliance, scene.wall_grip):
+        for f in at_least_zero:
             assert f is None or f(points).min() >= 0
+        for grown in scene.growth:
+            assert -0.05 < grown(points, np.ones(200)).min() <= grown(points, np.ones(200)).max()
+            assert grown(points, np.ones(200)).max() < 0.2
         if scene.fibres is not None:
             assert np.linalg.norm(scene.fibres(points), axis=1) == pytest.approx(1)
 
 
-def test_pairs_have_two_different_causes():
-    for seed in range(40):
-        truth = draw(seed, "pair")
-        assert len({c.kind for c in truth.causes}) == 2
+@pytest.mark.parametrize(("kind", "count"), [("pair", 2), ("triple", 3)])
+def test_causes_that_act_together_have_effects_of_their_own(kind, count):
+    """An adhesion and a tether are one effect; 60 triples would have them together in five."""
+    for seed in range(60):
+        truth = draw(seed, kind)
+        assert len(truth.causes) == len(truth.families) == count
+        assert len(set(truth.effects)) == count
         assert all(type(c) in SINGLES for c in truth.causes)
-        assert len(truth.effects) == len(truth.families) == 2
+
+
+def test_magnitudes_are_of_the_sizes_that_are_said():
+    """Ranges as the classes state them, spread evenly on a logarithmic scale."""
+    ranges = {
+        "swelling": ("volume_fraction", 0.01, 0.12),
+        "oedema": ("volume_fraction", 0.05, 0.5),
+        "short_plate": ("edge_mm", 2.0, 8.0),
+        "adhesion": ("grip_kpa_per_mm", 0.3, 10.0),
+    }
+    for kind, (name, low, high) in ranges.items():
+        sizes = np.array([getattr(draw(seed, kind).causes[0], name) for seed in range(200)])
+        assert low <= sizes.min() < low * (high / low) ** 0.1
+        assert high * (low / high) ** 0.1 < sizes.max() <= high
+        assert np.median(np.log(sizes)) == pytest.approx(np.log(low * high) / 2, abs=0.3)
+
+
+def test_fibres_of_the_gland_are_stiffer_or_softer():
+    ratios = np.log([draw(seed, "fibre_contrast").causes[0].ratio for seed in range(200)])
+    assert np.log(1.5) <= np.abs(ratios).min() < np.abs(ratios).max() <= np.log(15.0)
+    assert 60 < np.count_nonzero(ratios > 0) < 140
+
+
+def test_scans_are_too_large_or_too_small_along_one_axis():
+    scales = np.array([draw(seed, "image_scale").causes[0].scale for seed in range(200)])
+    assert (np.count_nonzero(scales, axis=1) == 1).all()
+    assert (np.count_nonzero(scales, axis=0) > 40).all()
+    sizes = np.abs(scales).sum(axis=1)
+    assert 0.003 <= sizes.min() < 0.004
+    assert 0.018 < sizes.max() <= 0.02
+    assert 60 < np.count_nonzero(scales.sum(axis=1) > 0) < 140
 
 
 def test_lumps_lie_inside_the_body():

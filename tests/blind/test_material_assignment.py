@@ -7,6 +7,7 @@ import pytest
 from pressed_blocks import block
 
 from storage.values import Tissue, Volume
+from workers.blind.causes.material import FibreContrast
 from workers.blind.deviations import Deviations
 from workers.blind.load_stepping import wall_of
 from workers.blind.material_assignment import materials_of
@@ -47,6 +48,21 @@ def test_glandular_tissue_beyond_a_plane_stiffens_the_points_there():
     right = mesh.nodes[mesh.cells[:, :4], 0] > 0
     assert share[right].min() > 0.5 > share[~right].max()
     assert materials.kappa == pytest.approx(materials.mu * 2 * (1 + NU) / (3 * (1 - 2 * NU)))
+
+
+def test_fibres_of_the_gland_have_a_stiffness_of_their_own():
+    """Six times that of fat beyond a plane, as much as it elsewhere."""
+    mesh = block((1, 1, 1), SIDES)
+    values = np.full((16, 20, 30), Tissue.FAT, np.uint8)
+    values[:, :, 15:] = Tissue.GLANDULAR
+    labels = Volume(values, (1.0,) * 3, (-14.5, -9.5, 0.5))
+    scene = Scene(draw(1).anatomy, Constants(10.0, 40.0, 80.0))
+    contrast = FibreContrast(6.0, 0.0).apply_to(scene)
+    plain, found = materials_of(scene, mesh, labels), materials_of(contrast, mesh, labels)
+    assert plain.eta == pytest.approx(np.full(plain.eta.shape, 0.080))
+    gland = (2 * (1 + NU) * found.mu - 0.010) / 0.030
+    assert found.eta == pytest.approx(0.080 * (1 + 5 * gland))
+    assert np.array_equal(found.mu, plain.mu)
 
 
 def test_deviations_reach_materials_springs_and_fibres():

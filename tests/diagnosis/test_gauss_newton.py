@@ -24,11 +24,7 @@ from workers.diagnosis.noise_model import NoiseParts, believed
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.scan_poses import PosedNoise, registered, residuals
 from workers.diagnosis.scan_prediction import derivatives, predict_scan
-from workers.diagnosis.sensitivity_analysis import (
-    inclusion_grid,
-    joined_sensitivity,
-    scan_sensitivity,
-)
+from workers.diagnosis.sensitivity_analysis import joined_sensitivity, scan_sensitivity
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.breast_catalogue import effect
 from workers.mechanics.fem.fields import frame_of
@@ -242,14 +238,6 @@ def test_friction_is_found_along_the_path() -> None:
     again = fit_jointly(analysed(inverse, nominal, [FRICTION]), [FRICTION])
     assert again is not None
     assert again.fit.values()["friction"] == pytest.approx(0.3, abs=0.03)
-
-
-def test_places_of_a_lump_lie_inside_the_body() -> None:
-    inverse = problem_between_plates()
-    offsets = inclusion_grid(inverse).offsets
-    assert len(offsets) > 10
-    inside = np.abs(offsets) < np.asarray(inverse.frame.half_mm)
-    assert inside.all()
 
 
 def test_some_points_may_be_left_out() -> None:

@@ -50,6 +50,7 @@ def cases() -> list[CaseRecord]:
             set90=("plate_tilt", "plate_friction"),
         ),
         record("pair", name="c0", kind="pair", effects=("plate_tilt", "plate_friction")),
+        record("triple", name="c1", kind="triple", effects=("plate_tilt", "growth", "inclusion")),
         nothing("unlike", name="d0", kind="swelling", answer="none-of-these", true_before_mm=0.4),
         record("relative", name="e0", kind="bent_plate", effects=()),
         CaseRecord(

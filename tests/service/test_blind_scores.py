@@ -19,14 +19,9 @@ from service.blind.calibration import (
     sure_statements,
 )
 from service.blind.confusion import confusion
-from service.blind.magnitudes import IN_CATALOGUE, lump_apart_mm, magnitudes, true_values
 from service.blind.metrics import Metric, floor_mm, metrics, regrouped, strata, visible
 from service.blind.records import CaseRecord, Magnitude
 from service.blind.statistics import correlation, mean, median, share
-from service.blind.truth import Truth
-from workers.blind.random_case import KINDS, draw
-from workers.diagnosis.summary import EffectSummary, ParameterEstimate
-from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 
 
 def scored(*records: CaseRecord) -> dict[str, Metric]:
@@ -173,6 +168,30 @@ def test_pairs() -> None:
     found = scored(first, both, other)
     assert value(found, "pairs_first") == (2 / 3, 3)
     assert value(found, "pairs_both") == (1 / 3, 3)
+
+
+def test_triples() -> None:
+    """Of four diagnoses three name one of the three effects first, and two name two of them."""
+    three = {
+        "effects": ("plate_tilt", "growth", "plate_friction"),
+        "families": ("plate geometry", "growth", "boundary"),
+    }
+    one = record("triple", **three)
+    two = record("triple", **three, primary=("growth", "plate_tilt"))
+    more = record("triple", **three, primary=("inclusion", "growth", "plate_friction"))
+    other = record("triple", **three, primary=("plate_friction", "inclusion"))
+    found = scored(one, two, more, other)
+    assert value(found, "triples_first") == (0.75, 4)
+    assert value(found, "triples_two") == (0.5, 4)
+    assert found["triples_two"].met
+    assert value(found, "strict") == (0.5, 4)
+    assert value(found, "pairs_both") == (None, 0)
+    assert [r.right for r in (one, two, more, other)] == [True, True, False, True]
+    controls = [nothing(true_before_mm=0.10)]
+    faint = record("triple", **three, true_before_mm=0.12)
+    assert value(scored(*controls, faint, two), "triples_two") == (1.0, 1)
+    rows = confusion([one, *controls]).rows
+    assert rows == ("control", "plate_tilt + growth + plate_friction")
 
 
 def test_gaps_and_shrinkage() -> None:
@@ -352,7 +371,7 @@ def test_confusion_counts_every_case_once() -> None:
     assert found.right == {(0, 0), (1, 1), (2, 3)}
 
 
-# Baselines and magnitudes
+# Baselines
 
 
 def test_the_raw_correlation_is_the_largest_cosine_at_any_place() -> None:
@@ -365,72 +384,3 @@ def test_the_raw_correlation_is_the_largest_cosine_at_any_place() -> None:
     assert largest({"a": 0.2, "b": 0.9}) == "b"
     assert closest({"a": 0.2, "b": 0.9}) == "a"
     assert (largest({}), closest({})) == (None, None)
-
-
-GROUP_OF = {
-    "control": "control",
-    "pair": "pair",
-    "plate_force": "absorbed",
-    "swelling": "unlike",
-    "adhesion": "relative",
-    "bent_plate": "relative",
-    "ligament": "relative",
-}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_speaks_the_words_of_the_catalogue(kind: str) -> None:
-    truth = Truth.model_validate(draw(11, kind).record())
-    known = {e.name: e for e in BREAST_EFFECTS}
-    assert truth.group == GROUP_OF.get(kind, "single")
-    assert set(truth.families) <= {e.family for e in BREAST_EFFECTS}
-    assert set(true_values(truth)) <= {
-        p.door_name for n in truth.effects for p in known[n].parameters
-    }
-    for cause in truth.causes:
-        if cause.effect is not None:
-            assert cause.family == known[cause.effect].family
-            assert (cause.effect in IN_CATALOGUE) == (cause.effect != "plate_force")
-
-
-def said(name: str, **sizes: float) -> dict[str, EffectSummary]:
-    rows = tuple(ParameterEstimate(n, m, 0.1, "") for n, m in sizes.items())
-    lead = rows[0]
-    effect = EffectSummary(
-        name=name,
-        family="",
-        summary="",
-        probability=1.0,
-        magnitude=lead.magnitude,
-        sd=lead.sd,
-        unit=lead.unit,
-        parameters=rows,
-        log_bayes_factor=0.0,
-        absorbed_share=0.0,
-        refitted=True,
-    )
-    return {name: effect}
-
-
-def test_fibres_are_compared_as_turns() -> None:
-    turned = {
-        "kind": "fibres",
-        "effect": "fibre_rotation",
-        "family": "global material",
-        "parameters": {"turn_deg": 20.0, "azimuth_deg": 150.0, "fan_deg": 3.0},
-    }
-    truth = Truth.model_validate({"kind": "fibres", "causes": [turned]})
-    found = magnitudes(truth, said("fibre_rotation", fibre_turn_x_deg=-17.0, fibre_turn_y_deg=9.0))
-    assert [m.true for m in found] == pytest.approx([-10 * sqrt(3), 10])
-    assert [m.found for m in found] == [-17.0, 9.0]
-    assert magnitudes(truth, {}) == []
-
-
-def test_a_lump_is_looked_for_from_the_middle_of_the_body() -> None:
-    truth = Truth.model_validate(draw(5, "inclusion").record())
-    at = truth.causes[0].parameters["centre_mm"]
-    off = {f"inclusion_{axis}_mm": at[n] - 10.0 for n, axis in enumerate("xyz")}
-    found = said("inclusion", **off)
-    assert lump_apart_mm(truth, found, (10.0, 10.0, 13.0)) == pytest.approx(3.0)
-    assert lump_apart_mm(truth, found, None) is None
-    assert lump_apart_mm(truth, {}, (0.0, 0.0, 0.0)) is None

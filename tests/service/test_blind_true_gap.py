@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from service.blind.drawn_interfaces import drawn_mm
 from service.blind.true_gap import NEIGHBOURS, material_points, true_gap
 from service.blind.truth import Moved
 from storage.errors import InputError
@@ -121,3 +122,20 @@ def test_an_answer_to_other_scans_is_refused(
     few = Moved(truth.points[:9], truth.interface[:9], truth.displacement[:, :9])
     with pytest.raises(InputError, match=f"has 9 points, expected at least {NEIGHBOURS}"):
         material_points(points, few)
+
+
+def test_scans_and_labels_too_large_draw_interfaces_outside_of_the_body() -> None:
+    """Four points of a cube's faces, two of fat and two of gland, in one scan."""
+    centre = (1.0, 2.0, 3.0)
+    points = np.array([[[11.0, 2, 3], [1, -8, 3], [1, 2, 23], [-9, 2, 3]]])
+    normals = np.array([[[1.0, 0, 0], [0, -1, 0], [0, 0, 1], [0, 1, 0]]])
+    interface = np.array([0, 0, 1, 1], np.int32)
+    scales = {"scale_x": 0.02, "scale_y": 0.01, "scale_z": -0.01}
+    labels = {"segmentation_fat_mm": 0.3, "segmentation_glandular_mm": -0.1}
+    # 10 mm by 2 %, 10 mm by 1 %, 20 mm by -1 %; the last one moves along its face.
+    scaled = np.array([[0.2, 0.1, -0.2, 0.0]])
+    assert drawn_mm(points, normals, interface, centre, scales) == pytest.approx(scaled)
+    both = drawn_mm(points, normals, interface, centre, scales | labels | {"growth": 1.0})
+    assert both == pytest.approx(scaled + np.array([0.3, 0.3, -0.1, -0.1]))
+    without = drawn_mm(points, normals, interface, None, scales | labels)
+    assert without == pytest.approx(np.array([[0.3, 0.3, -0.1, -0.1]]))

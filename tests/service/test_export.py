@@ -14,6 +14,7 @@ from service.export.solved_body import SolvedBody, solve_body
 from service.export.solver_model import SolverModel, comparable, contact_nodes, solver_model
 from storage.errors import InputError
 from workers.body.images.read import read_volume
+from workers.mechanics.fem.external_forces import attachment_stiffness
 
 PHANTOM = {"preset": "445ml", "spacing_mm": 2.0, "seed": 1}
 CASE = {
@@ -155,6 +156,16 @@ def test_what_cannot_be_said_is_named(store: str, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.inp"], found)
     header = (tmp_path / "b.inp").read_text().partition("*NODE")[0]
     assert "Skin: left out" in header
+
+
+def test_attachments_are_springs_and_growth_is_left_out(store: str) -> None:
+    hidden = {"attachment_stiffness_x": 1e-4, "attachment_z": -20.0, "ln_growth_fat": 0.02}
+    own = solve_body(CASE, CONSTANTS | hidden, store, "a body that is held")
+    found = solver_model(own, own.under(comparable(own.solved.problem)))
+    patch = attachment_stiffness(own.level.model, own.level.problem.attachments[0])
+    assert patch[:, 0].sum() > 0.05
+    np.testing.assert_allclose(found.wall_n_per_mm[:, 0], patch[:, 0], rtol=1e-12)
+    assert "Growth: left out." in found.remarks
 
 
 def test_a_diverged_body_is_not_written(store: str, tmp_path: Path) -> None:

@@ -5,7 +5,9 @@ A plate is a height h over the plane normal to the axis of compression d,
 .. math:: g(x, t) = \pm c\, (p + h(s_1, s_2) - t - d \cdot x) , \quad
           h = a_1 s_1 + a_2 s_2 + \tfrac{f}{2} (1 - \cos \tfrac{\pi s_1}{l}) ,
 
-and presses with the penalty ``k <-g>`` at six points of every face. Friction is a
+and presses with the penalty ``w k <-g>`` at six points of every face. A plate that begins
+at some z has w = 0 there and w = 1 a few mm further, a polynomial of degree 5 between; what
+it does at its rounded edge follows from the energy ``w k <-g>^2 / 2``. Friction is a
 return mapping from one load to the next (J. C. Simo, T. A. Laursen, Comput. Struct.
 42 (1992) 97-116): elastic slip up to the coefficient times the pressure, then sliding;
 within an iteration the pressure that limits it is that of the iteration before, so that
@@ -23,6 +25,7 @@ from workers.compile_flags import CONTRACTED
 
 PENALTY_N_PER_MM3 = 1.0
 SLIP_N_PER_MM3 = 0.3
+EDGE_FADE_MM = 4.0  # over which the edge of a short plate is rounded
 
 
 class Plate(NamedTuple):
@@ -42,6 +45,8 @@ class Plate(NamedTuple):
         a1 and a2.
     sag_mm, length_mm : float
         f and l; the plate bends away from the body by f at a distance l from its pivot.
+    edge_mm : float
+        Where the plate begins: the least ``s2 . x`` at which it presses.
     """
 
     frame: FloatArray
@@ -51,6 +56,7 @@ class Plate(NamedTuple):
     slopes: FloatArray
     sag_mm: float
     length_mm: float
+    edge_mm: float = -np.inf
 
 
 class Skin(NamedTuple):
@@ -144,6 +150,83 @@ def _gap(plate: Plate, x: FloatArray, t: float, slope: FloatArray) -> tuple[floa
 
 
 @njit(**CONTRACTED)
+def _share_of_plate(plate: Plate, x: FloatArray) -> tuple[float, float, float]:
+    """Return w at x, and its first and second derivative along s2."""
+    s = -plate.edge_mm
+    for i in range(3):
+        s += plate.frame[1, i] * x[i]
+    s /= EDGE_FADE_MM
+    if s >= 1:
+        return 1.0, 0.0, 0.0
+    if s <= 0:
+        return 0.0, 0.0, 0.0
+    share = s**3 * (10 - 15 * s + 6 * s * s)
+    slope = 30 * (s * (1 - s)) ** 2 / EDGE_FADE_MM
+    return share, slope, 60 * s * (1 - s) * (1 - 2 * s) / EDGE_FADE_MM**2
+
+
+@njit(**CONTRACTED)
+def _press(
+    plate: Plate,
+    x: FloatArray,
+    t: float,
+    slope: FloatArray,
+    push: FloatArray,
+    H: FloatArray,
+    mixed: FloatArray,
+) -> tuple[float, float]:
+    """Differentiate the energy of the penalty per area; fill the slope of the gap, too.
+
+    By x into `push` (3,) and `H` (3, 3), by x and t into `mixed` (3,). Returns the first and
+    second derivative by t.
+    """
+    gap, bend = _gap(plate, x, t, slope)
+    share, share1, share2 = _share_of_plate(plate, x)
+    k = PENALTY_N_PER_MM3 if gap < 0 else 0.0
+    # The gap shrinks with the travel of the upper plate by its own cosine.
+    rate = 0.0
+    if plate.side > 0:
+        for i in range(3):
+            rate += slope[i] * plate.frame[2, i]
+    for i in range(3):
+        push[i] = k * gap * (share * slope[i] + 0.5 * gap * share1 * plate.frame[1, i])
+        mixed[i] = k * rate * (share * slope[i] + gap * share1 * plate.frame[1, i])
+        for j in range(3):
+            across = slope[i] * plate.frame[1, j] + plate.frame[1, i] * slope[j]
+            H[i, j] = k * (
+                share * (slope[i] * slope[j] + gap * bend * plate.frame[0, i] * plate.frame[0, j])
+                + gap * share1 * across
+                + 0.5 * gap * gap * share2 * plate.frame[1, i] * plate.frame[1, j]
+            )
+    return k * share * gap * rate, k * share * rate * rate
+
+
+@njit(**CONTRACTED)
+def _drag(
+    plate: Plate,
+    s: FloatArray,
+    length: float,
+    limit: float,
+    exact: bool,
+    push: FloatArray,
+    H: FloatArray,
+) -> None:
+    """Add the traction of the elastic slip `s` (2,) and its derivatives by x, per area."""
+    sticks = SLIP_N_PER_MM3 * length <= limit
+    secant = SLIP_N_PER_MM3 if sticks else limit / length
+    for c in range(2):
+        for e in range(2):
+            stiffness = secant if c == e else 0.0
+            if exact and not sticks:
+                stiffness -= secant * s[c] * s[e] / length**2
+            for i in range(3):
+                for j in range(3):
+                    H[i, j] += stiffness * plate.frame[c, i] * plate.frame[e, j]
+        for i in range(3):
+            push[i] += secant * s[c] * plate.frame[c, i]
+
+
+@njit(**CONTRACTED)
 def _elastic_slip(
     plate: Plate,
     friction_state: FrictionState,
@@ -172,7 +255,8 @@ def contact_energy(
         for q in range(6):
             _place(skin, f, q, u, d, x)
             gap, _ = _gap(plate, x, t, slope)
-            density = 0.5 * PENALTY_N_PER_MM3 * min(gap, 0.0) ** 2
+            share, _, _ = _share_of_plate(plate, x)
+            density = 0.5 * PENALTY_N_PER_MM3 * share * min(gap, 0.0) ** 2
             length, limit = _elastic_slip(plate, friction_state, skin.friction, f, q, d, s)
             if limit > 0:
                 if SLIP_N_PER_MM3 * length <= limit:
@@ -203,53 +287,25 @@ def add_contact(
     Returns the derivatives by the travel: force in N, stiffness in N/mm.
     """
     d, x, slope, s = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
-    push, H = np.empty(3), np.empty((3, 3))
+    push, H, mixed = np.empty(3), np.empty((3, 3)), np.empty(3)
     closing, stiffness = 0.0, 0.0
     for f in range(skin.areas.shape[0]):
         for q in range(6):
             _place(skin, f, q, u, d, x)
-            gap, bend = _gap(plate, x, t, slope)
-            length, limit = _elastic_slip(plate, friction_state, skin.friction, f, q, d, s)
-            if gap >= 0 and not limit > 0:
-                continue
             area = skin.areas[f, q]
-            k = area * PENALTY_N_PER_MM3 if gap < 0 else 0.0
-            # The gap shrinks with the travel of the upper plate by its own cosine.
-            rate = 0.0
-            if plate.side > 0:
-                for i in range(3):
-                    rate += slope[i] * plate.frame[2, i]
-            for i in range(3):
-                push[i] = k * gap * slope[i]
-                for j in range(3):
-                    H[i, j] = k * (
-                        slope[i] * slope[j] + gap * bend * plate.frame[0, i] * plate.frame[0, j]
-                    )
-            closing += k * gap * rate
-            stiffness += k * rate * rate
+            by_travel, twice_by_travel = _press(plate, x, t, slope, push, H, mixed)
+            closing += area * by_travel
+            stiffness += area * twice_by_travel
+            length, limit = _elastic_slip(plate, friction_state, skin.friction, f, q, d, s)
             if limit > 0:
-                sticks = SLIP_N_PER_MM3 * length <= limit
-                secant = area * (SLIP_N_PER_MM3 if sticks else limit / length)
-                for i in range(3):
-                    for c in range(2):
-                        push[i] += secant * s[c] * plate.frame[c, i]
-                        for j in range(3):
-                            H[i, j] += secant * plate.frame[c, i] * plate.frame[c, j]
-                            if exact and not sticks:
-                                for e in range(2):
-                                    H[i, j] -= (
-                                        secant
-                                        * s[c]
-                                        * s[e]
-                                        / length**2
-                                        * plate.frame[c, i]
-                                        * plate.frame[e, j]
-                                    )
+                _drag(plate, s, length, limit, exact, push, H)
+            elif not push.any():
+                continue
             for a in range(6):
-                n, weight = skin.faces[f, a], skin.shapes[q, a]
+                n, weight = skin.faces[f, a], area * skin.shapes[q, a]
                 for i in range(3):
                     force[n, i] += weight * push[i]
-                    border[n, i] += weight * k * rate * slope[i]
+                    border[n, i] += weight * mixed[i]
                 for b in range(6):
                     both = weight * skin.shapes[q, b]
                     for i in range(3):
@@ -268,7 +324,8 @@ def renew_pressure(
         for q in range(6):
             _place(skin, f, q, u, d, x)
             gap, _ = _gap(plate, x, t, slope)
-            friction_state.pressure[f, q] = -PENALTY_N_PER_MM3 * min(gap, 0.0)
+            share, _, _ = _share_of_plate(plate, x)
+            friction_state.pressure[f, q] = -PENALTY_N_PER_MM3 * share * min(gap, 0.0)
 
 
 @njit(**CONTRACTED)

@@ -7,7 +7,7 @@ from itertools import groupby
 import numpy as np
 
 from storage.values import FloatArray, Volume
-from workers.blind.contact import Plate
+from workers.blind.contact import EDGE_FADE_MM, Plate, Skin
 from workers.blind.element_energy import ElementMaterials
 from workers.blind.material_assignment import materials_of
 from workers.blind.newton import FORCE_TOLERANCE, Newton, NoEquilibriumError
@@ -20,6 +20,7 @@ from workers.blind.system import State, System, Topology, Wall
 SAG_ARM_MM = 50.0
 TOUCH_MM = 0.3  # the plates begin a little closer than the body, so that they touch it
 FRICTION_STEPS = 3
+STEPS = (1, 4, 12)  # tried one after the other, without friction
 # As `newton.FORCE_TOLERANCE`, with friction: at the loads, and at the steps between them.
 FRICTION_TOLERANCE, FRICTION_TOLERANCE_BETWEEN = 3e-4, 1.5e-3
 IN_AXES = {"y": ((1, 0, 0), (0, 0, 1), (0, 1, 0)), "x": ((0, -1, 0), (0, 0, 1), (1, 0, 0))}
@@ -71,7 +72,15 @@ def _system(scene: Scene, topology: Topology, materials: ElementMaterials, axis:
         friction.reshape(topology.skin.areas.shape),
         np.asarray(scene.gravity_g),
         sheet_of(mesh, scene.skin_n_per_m / 1e3) if scene.skin_n_per_m else None,
+        tether_of(scene, topology.skin),
     )
+
+
+def tether_of(scene: Scene, skin: Skin) -> FloatArray | None:
+    """Return the springs on the points of the skin in MPa/mm, shape (k, 6); None without any."""
+    if scene.skin_grip is None:
+        return None
+    return scene.skin_grip(skin.places.reshape(-1, 3)).reshape(skin.areas.shape) / 1e3
 
 
 def wall_of(scene: Scene, mesh: QuadraticMesh) -> Wall:
@@ -95,8 +104,9 @@ def plates_of(scene: Scene, axis: str) -> tuple[Plate, Plate]:
     depth, across = np.tan(np.radians(scene.tilt_deg))
     # Rotations about the in-plane axes by the right hand.
     slopes = np.array([across, -depth])
-    level = Plate(frame, pivot, lower, -1.0, np.zeros(2), 0.0, SAG_ARM_MM)
-    return level, Plate(frame, pivot, upper, 1.0, slopes, scene.sag_mm, SAG_ARM_MM)
+    edge = scene.plate_edge_mm
+    level = Plate(frame, pivot, lower, -1.0, np.zeros(2), 0.0, SAG_ARM_MM, edge)
+    return level, Plate(frame, pivot, upper, 1.0, slopes, scene.sag_mm, SAG_ARM_MM, edge)
 
 
 def _load_sequence(system: System, scene: Scene, loads: list[Load]) -> Iterable[Solution]:
@@ -113,6 +123,7 @@ def _load_sequence(system: System, scene: Scene, loads: list[Load]) -> Iterable[
 def _first_contact_travel(system: System) -> float:
     """Return the travel at which the upper plate first touches the body, and a little more."""
     plate, places = system.plates[1], system.topology.skin.places.reshape(-1, 3)
+    places = places[places @ plate.frame[1] > plate.edge_mm + EDGE_FADE_MM]
     s1, s2 = ((places - plate.pivot_mm) @ plate.frame[:2].T).T
     height = plate.slopes[0] * s1 + plate.slopes[1] * s2
     height += 0.5 * plate.sag_mm * (1 - np.cos(np.pi * s1 / plate.length_mm))
@@ -120,24 +131,30 @@ def _first_contact_travel(system: System) -> float:
 
 
 def _load(newton: Newton, state: State, before: float, force: float) -> State:
-    """Step from one force to a larger one; with friction, or where one is too much, in more."""
-    has_friction = newton.system.has_friction
-    for count in (FRICTION_STEPS,) if has_friction else (1, 4, 12):
-        forces = np.linspace(before, force, count + 1)[1:]
+    """Step from one force to a larger one; with friction, or where one is too much, in more.
+
+    Tissue grows with the first force: from a tenth at once it may find no equilibrium.
+    """
+    counts = (FRICTION_STEPS,) if newton.system.has_friction else STEPS
+    for count in counts:
         try:
-            return _steps(newton, state, forces.tolist(), has_friction)
+            return _steps(newton, state, (before, force), count)
         except NoEquilibriumError:
-            if has_friction or count == 12:
+            if count == counts[-1]:
                 raise
     raise AssertionError("unreachable")
 
 
-def _steps(newton: Newton, state: State, forces: list[float], has_friction: bool) -> State:
-    for force in forces:
+def _steps(newton: Newton, state: State, ends: tuple[float, float], count: int) -> State:
+    """Go from one force to another in so many steps of equal size."""
+    system = newton.system
+    for part in np.linspace(0, 1, count + 1)[1:].tolist():
         tolerance = FORCE_TOLERANCE
-        if has_friction:
-            last = force == forces[-1]
-            tolerance = FRICTION_TOLERANCE if last else FRICTION_TOLERANCE_BETWEEN
+        if system.has_friction:
+            tolerance = FRICTION_TOLERANCE if part == 1 else FRICTION_TOLERANCE_BETWEEN
+        if ends[0] == 0:
+            system.grow(part)
+        force = ends[0] + part * (ends[1] - ends[0])
         state, _ = newton.equilibrium(state, force, tolerance)
-        newton.system.end_step(state)
+        system.end_step(state)
     return state

@@ -57,7 +57,10 @@ def materials_of(scene: Scene, mesh: QuadraticMesh, labels: Volume) -> ElementMa
         factor = np.exp(sum((f(points) for f in scene.ln_stiffness), np.zeros(len(points))))
         grown = sum((g(points, glandular) for g in scene.growth), np.zeros(len(points)))
         young[:, q] = _means((fat + (gland - fat) * glandular) * factor, len(mine))
-        eta[:, q] = _means(scene.constants.eta_kpa / 1e3 * factor, len(mine))
+        fibres = scene.constants.eta_kpa / 1e3 * factor
+        if scene.ln_gland_fibres is not None:
+            fibres = fibres * np.exp(glandular * scene.ln_gland_fibres(points))
+        eta[:, q] = _means(fibres, len(mine))
         stretch[:, q] += _means(grown, len(mine))
     flat = at.reshape(-1, 3)
     fibre = np.tile([0.0, 0.0, 1.0], (len(flat), 1)) if scene.fibres is None else scene.fibres(flat)

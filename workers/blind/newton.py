@@ -102,6 +102,8 @@ class Newton:
             if moved is None:
                 break
             state = moved
+        # The factor of where this has ended up would mislead another try.
+        self._factor = None
         raise NoEquilibriumError(
             f"No equilibrium under {force_n:g} N: {size:.1e} of the force is out of balance "
             f"after {step + 1} steps."

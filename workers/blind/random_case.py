@@ -10,12 +10,13 @@ import numpy as np
 
 from storage.errors import InputError
 from workers.blind.causes.base import Cause, log_uniform
-from workers.blind.causes.boundary import Adhesion, Friction, WallCompliance
+from workers.blind.causes.boundary import Adhesion, Friction, Tether, WallCompliance
+from workers.blind.causes.growth import Oedema, Swelling
 from workers.blind.causes.loading import Gravity, PlateForce
-from workers.blind.causes.local import Inclusion, Ligament, Swelling
-from workers.blind.causes.material import Fibres, Gradient, SkinSheet, Stiffening
-from workers.blind.causes.observation import Segmentation
-from workers.blind.causes.plates import BentPlate, Tilt
+from workers.blind.causes.local import Inclusion, Ligament
+from workers.blind.causes.material import FibreContrast, Fibres, Gradient, SkinSheet, Stiffening
+from workers.blind.causes.observation import ImageScale, Segmentation
+from workers.blind.causes.plates import BentPlate, ShortPlate, Tilt
 from workers.blind.deviations import Deviations, draw_deviations
 from workers.blind.scene import Anatomy, Constants, Scene
 from workers.blind.world import World
@@ -25,26 +26,33 @@ SINGLES: Final[tuple[type[Cause], ...]] = (
     Friction,
     Tilt,
     WallCompliance,
+    Adhesion,
+    Tether,
     Gradient,
     Inclusion,
     Fibres,
+    FibreContrast,
     Stiffening,
     SkinSheet,
+    Swelling,
     Segmentation,
+    ImageScale,
 )
 OTHERS: Final[Mapping[type[Cause], float]] = MappingProxyType(
     {
         PlateForce: 0.05,
-        Swelling: 0.06,
-        Adhesion: 0.03,
+        ShortPlate: 0.06,
         BentPlate: 0.03,
-        Ligament: 0.03,
+        Ligament: 0.02,
+        Oedema: 0.02,
     }
 )
-CONTROL, PAIR = "control", "pair"
+CONTROL, PAIR, TRIPLE = "control", "pair", "triple"
+TOGETHER: Final[Mapping[str, int]] = MappingProxyType({PAIR: 2, TRIPLE: 3})
+"""How many causes act where more than one does; no two of them have one effect."""
 
 KINDS: Final[Mapping[str, float]] = MappingProxyType(
-    {CONTROL: 0.18, PAIR: 0.12}
+    {CONTROL: 0.18, PAIR: 0.10, TRIPLE: 0.04}
     | {cause.kind: 0.5 / len(SINGLES) for cause in SINGLES}
     | {cause.kind: share for cause, share in OTHERS.items()}
 )
@@ -75,7 +83,7 @@ class Truth:
     kind : str
         One of `KINDS`.
     causes : tuple of Cause
-        None for a control, two for a pair.
+        None for a control, two for a pair, three for a triple.
     anatomy : Anatomy
     constants : Constants
     loads : tuple of Load
@@ -187,10 +195,15 @@ def draw(
 def _classes(kind: str, rng: np.random.Generator) -> tuple[type[Cause], ...]:
     if kind == CONTROL:
         return ()
-    if kind == PAIR:
-        first, second = rng.choice(len(SINGLES), 2, replace=False)
-        return SINGLES[first], SINGLES[second]
-    return (BY_KIND[kind],)
+    return _different(TOGETHER[kind], rng) if kind in TOGETHER else (BY_KIND[kind],)
+
+
+def _different(count: int, rng: np.random.Generator) -> tuple[type[Cause], ...]:
+    """Draw causes of the catalogue that all have effects of their own."""
+    while True:
+        causes = tuple(SINGLES[n] for n in rng.choice(len(SINGLES), count, replace=False))
+        if len({cause.effect for cause in causes}) == count:
+            return causes
 
 
 def _anatomy(rng: np.random.Generator) -> Anatomy:

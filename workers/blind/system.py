@@ -105,6 +105,8 @@ class System:
         In multiples of that of the earth.
     sheet : Sheet, optional
         A skin.
+    tether : ndarray, shape (k, 6), optional
+        Springs that hold the points of the skin along all axes, in MPa/mm.
     """
 
     def __init__(
@@ -116,9 +118,10 @@ class System:
         friction: FloatArray,
         gravity_g: FloatArray,
         sheet: Sheet | None = None,
+        tether: FloatArray | None = None,
     ) -> None:
         self.topology = topology
-        self.materials = materials
+        self.materials = self._grown = materials
         self.plates = plates
         self.sheet = sheet
         self.skin = topology.skin._replace(friction=friction)
@@ -127,7 +130,10 @@ class System:
             contact.no_friction_yet(self.skin),
         )
         self.weight = _weight(topology, gravity_g)
-        self.springs = _spring_blocks(topology, wall)
+        self.springs = _spring_blocks(topology, topology.mesh.wall, wall.spring)
+        if tether is not None:
+            along_all = np.repeat(tether[..., None], 3, axis=2)
+            self.springs += _spring_blocks(topology, topology.mesh.skin, along_all)
         self.free = np.ones(topology.mesh.nodes.shape, np.bool_)
         if wall.held:
             self.free[np.unique(topology.mesh.wall), 2] = False
@@ -136,6 +142,11 @@ class System:
     def has_friction(self) -> bool:
         """Say whether there is any friction."""
         return bool(self.skin.friction.any())
+
+    def grow(self, part: float) -> None:
+        """Let the tissue have grown by a part of all its growth, from 0 to 1."""
+        growth = 1 + part * (self._grown.growth - 1)
+        self.materials = self._grown._replace(growth=growth)
 
     def energy(self, state: State, force_n: float) -> float:
         """Return the potential energy in mJ under the force that closes the plates."""
@@ -185,7 +196,7 @@ class System:
             contact.update_friction_origin(self.skin, plate, friction_state, state.u)
 
     def spring_forces(self, u: FloatArray) -> FloatArray:
-        """Return the force of the nodes on the springs of the wall, (n, 3) in N."""
+        """Return the force of the nodes on the springs of wall and skin, (n, 3) in N."""
         starts, columns = self.topology.pattern
         out = np.empty_like(u)
         block_product(starts, columns, self.springs, u, out)
@@ -208,15 +219,14 @@ def _weight(top: Topology, gravity_g: FloatArray) -> FloatArray:
     return np.outer(shares, DENSITY_T_PER_MM3 * GRAVITY_MM_PER_S2 * np.asarray(gravity_g))
 
 
-def _spring_blocks(top: Topology, wall: Wall) -> FloatArray:
-    """Return the springs per area of the wall, as blocks of the tangent."""
+def _spring_blocks(top: Topology, faces: IntArray, spring: FloatArray) -> FloatArray:
+    """Return springs (k, 6, 3) per area of faces (k, 6), as blocks of the tangent."""
     blocks = np.zeros((len(top.pattern.columns), 3, 3))
-    faces: IntArray = top.mesh.wall
     if not len(faces):
         return blocks
     shapes = face_shapes()
     areas = face_areas(top.mesh, faces)[:, None] * FACE_WEIGHTS
-    local = np.einsum("kq,kqi,qa,qb->kabi", areas, wall.spring, shapes, shapes, optimize=True)
+    local = np.einsum("kq,kqi,qa,qb->kabi", areas, spring, shapes, shapes, optimize=True)
     slots = slots_of(np.ascontiguousarray(faces), *top.pattern)
     for i in range(3):
         np.add.at(blocks[:, i, i], slots.ravel(), local[..., i].ravel())

@@ -92,7 +92,8 @@ def _scans(truth: Truth, body: Body, solutions: list[Solution]) -> dict[str, Vol
     scans = {"reference.nrrd": segmented(rest, reader, rngs[0])}
     segmenter = replace(reader, outline_mm=outline, glandular_mm=gland)
     for number, (solution, rng) in enumerate(zip(solutions, rngs[1:], strict=True)):
-        shown = off.posed(number, nodes + solution.displacement_mm) - nodes
+        drawn = truth.scene.drawn(nodes + solution.displacement_mm)
+        shown = off.posed(number, drawn) - nodes
         moved = deformed_labels(share, fine, shown)
         scans[scan_names(truth.loads)[number]] = segmented(moved, segmenter, rng)
     return scans

@@ -18,7 +18,8 @@ class Forward(Protocol):
         """Return derivatives of the displacement; see `workers.mechanics.fem.sensitivity`."""
 
     def loosened(self, problem: Any, tolerance_mm: float, friction_steps: int) -> Any:
-        """Return the problem with a coarser tolerance and fewer steps, where it has them."""
+        """Return the problem with a coarser tolerance and fewer steps, where it has them; what is
+        not found from the equilibrium nearby is given up."""
 
     def direction(self, problem: Any) -> Sequence[float]:
         """Return the direction in which the body is loaded, x, y, z."""
@@ -36,6 +37,7 @@ class Tetrahedra:
             problem,
             tolerance_mm=max(problem.tolerance_mm, tolerance_mm),
             friction_steps=min(problem.friction_steps, friction_steps),
+            restarts=False,
         )
 
     def direction(self, problem: Any) -> Sequence[float]:

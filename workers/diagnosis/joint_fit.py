@@ -12,7 +12,7 @@ from workers.diagnosis.inverse_problem import unknowns
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect, one_sided
-from workers.mechanics.effects.inclusion import INCLUSION, PLACE, RATIO
+from workers.mechanics.parameters import Parameter
 from workers.scan_threads import Each
 
 
@@ -83,7 +83,7 @@ def _compensation(
     moved = np.zeros(at.size)
     for effect in effects:
         columns = sensitivities[effect.name].places[0]
-        if effect is INCLUSION or columns.shape[1] != len(effect.names):
+        if columns.shape[1] != len(effect.names):
             continue
         away = [start[name] - effect.neutral[name] for name in effect.names]
         moved += columns @ np.array(away)
@@ -94,30 +94,41 @@ def _compensation(
 
 
 def _starts(analysis: NominalAnalysis, effects: Sequence[Effect]) -> list[dict[str, float]]:
-    """Return the parameters of the effects to begin with: several where a lump has places."""
+    """Return the parameters of the effects to begin with: several if one of them has places.
+
+    Where two have, each begins at its best place alone.
+    """
     screening, new = analysis.screening_by_name, _new(analysis, effects)
     common: dict[str, float] = {}
     if len(new) < len(effects):
         common |= analysis.begun[effects[0].name]
+    placed = [effect for effect in new if effect.place is not None]
     for effect in new:
-        if effect is not INCLUSION:
+        if effect.place is None:
             common |= _expected(effect, screening[effect.name].estimate)
-    if INCLUSION not in new:
-        return [common]
-    screened, settings = screening[INCLUSION.name], SETTINGS.joint_fits
-    ranked = np.argsort(-screened.place_log_bayes_factors)[: settings.inclusion_starts]
-    starts = []
-    for place in ranked:
-        offset = map(float, analysis.inclusion_grid.offsets[place])
-        expected = settings.start * screened.estimate[0]
-        ratio = float(
-            np.clip(expected, -settings.most_start_log_ratio, settings.most_start_log_ratio)
-        )
-        ratio = ratio or settings.least_start_log_ratio
-        starts.append(
-            common | INCLUSION.neutral | dict(zip(PLACE, offset, strict=True)) | {RATIO: ratio}
-        )
+    several = SETTINGS.joint_fits.place_starts if len(placed) == 1 else 1
+    starts = [common]
+    for effect in placed:
+        starts = [start | at for start in starts for at in _placed(analysis, effect, several)]
     return starts
+
+
+def _placed(analysis: NominalAnalysis, effect: Effect, several: int) -> list[dict[str, float]]:
+    """Return the parameters of an effect at its best places."""
+    if effect.place is None:
+        raise ValueError(f"{effect.name} acts everywhere")
+    screened, settings = analysis.screening_by_name[effect.name], SETTINGS.joint_fits
+    places = analysis.places(effect)
+    best = np.argsort(-screened.place_log_bayes_factors, kind="stable")[:several]
+    begun = dict(effect.neutral)
+    for p, sd, estimate in zip(effect.parameters, effect.prior_sd, screened.estimate, strict=False):
+        begun[p.name] = _begin(p, sd, float(estimate))
+        if not one_sided(p):
+            most = settings.most_place_start * sd
+            expected = float(np.clip(settings.start * estimate, -most, most))
+            begun[p.name] = expected or settings.least_place_start * sd
+    names = effect.place.names
+    return [begun | dict(zip(names, map(float, places[i]), strict=True)) for i in best]
 
 
 def _new(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Sequence[Effect]:
@@ -128,11 +139,14 @@ def _new(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Sequence[Effec
 def _expected(effect: Effect, estimate: FloatArray) -> dict[str, float]:
     if effect.if_present:
         return {n: mean for n, (mean, _) in zip(effect.names, effect.if_present, strict=True)}
-    start, settings = {}, SETTINGS.joint_fits
-    for p, sd, value in zip(effect.parameters, effect.prior_sd, estimate, strict=True):
-        neutral, most = effect.neutral[p.name], settings.most_start * sd
-        if one_sided(p):
-            start[p.name] = neutral + float(np.clip(value, settings.least_start * sd, most))
-        else:
-            start[p.name] = neutral + float(np.clip(settings.start * value, -most, most))
-    return start
+    each = zip(effect.parameters, effect.prior_sd, estimate, strict=True)
+    return {p.name: _begin(p, sd, float(value)) for p, sd, value in each}
+
+
+def _begin(parameter: Parameter, sd: float, expected: float) -> float:
+    """Return where the fit of a parameter begins, of which the screening expects a change."""
+    settings, neutral = SETTINGS.joint_fits, parameter.neutral or 0.0
+    most = settings.most_start * sd
+    if one_sided(parameter):
+        return neutral + float(np.clip(expected, settings.least_start * sd, most))
+    return neutral + float(np.clip(settings.start * expected, -most, most))

@@ -18,9 +18,10 @@ from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.noise_evidence import NoiseModel
 from workers.diagnosis.nuisances import smooth_columns
+from workers.diagnosis.places import places_of
 from workers.diagnosis.screening import ScreeningResult, screen
-from workers.diagnosis.sensitivity_analysis import InclusionGrid, inclusion_grid
 from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.base import Effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +61,9 @@ class NominalAnalysis:
         """Every effect on its own in the linear model, the largest Bayes factor first."""
         return screen(self.linear, self.sensitivities)
 
-    @cached_property
-    def inclusion_grid(self) -> InclusionGrid:
-        """Places at which a lump was looked for."""
-        return inclusion_grid(self.inverse)
+    def places(self, effect: Effect) -> FloatArray:
+        """Return the places at which an effect was looked for, offsets of shape (g, 3) in mm."""
+        return places_of(self.inverse, effect)
 
     @cached_property
     def noise(self) -> NoiseModel:

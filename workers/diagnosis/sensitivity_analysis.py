@@ -9,6 +9,7 @@ from storage.values import FloatArray
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.gauss_newton import SolvedFit
 from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.places import places_of
 from workers.diagnosis.scan_prediction import (
     PredictedScan,
     columns_of,
@@ -16,18 +17,11 @@ from workers.diagnosis.scan_prediction import (
     problem_of,
 )
 from workers.diagnosis.settings import SETTINGS
-from workers.mechanics.effects.base import Effect, one_sided
-from workers.mechanics.effects.inclusion import INCLUSION, PLACE, RATIO
+from workers.mechanics.effects.base import Effect, Place, one_sided
+from workers.mechanics.fem.external_forces import spring_stiffness
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.sensitivity import Change
 from workers.mechanics.fem.solve import Equilibrium
-
-
-@dataclass(frozen=True, eq=False)
-class InclusionGrid:
-    """Where a lump was looked for: offsets from the middle of the body, (g, 3) in mm."""
-
-    offsets: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +49,8 @@ def scan_sensitivity(
     Two-sided effects are tangents. One-sided ones, which set in with full force and
     then tire, are secants from neutral; their tangents at zero would mislead. One with a
     single parameter gets a secant to a small magnitude and one to a prior standard
-    deviation, as if they were places. A lump gets a column for each place of a grid.
+    deviation, as if they were places. An effect that acts at one place gets a column of its
+    size for each place of a grid.
 
     Parameters
     ----------
@@ -90,58 +85,65 @@ def joined_sensitivity(
         [nothing if one.columns is None else one.columns for one in scans], axis=-2
     )
     sided = np.array([one_sided(p) for p in effect.parameters])
-    if effect is INCLUSION:
-        sided = np.zeros(1, np.bool_)
     q = stacked.shape[-1]
     return EffectSensitivity(
         effect.name, effect.family, stacked, np.array(effect.prior_sd[:q]), sided[:q]
     )
 
 
-def inclusion_grid(inverse: InverseProblem) -> InclusionGrid:
-    """Return centres inside the body, `inclusion_grid_mm` of the settings apart."""
-    nodes = inverse.model.finest.nodes
-    low, high = nodes.min(axis=0), nodes.max(axis=0)
-    axes = [
-        np.arange(
-            a + SETTINGS.sensitivities.inclusion_grid_mm / 2,
-            b,
-            SETTINGS.sensitivities.inclusion_grid_mm,
-        )
-        for a, b in zip(low, high, strict=True)
-    ]
-    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    outline = inverse.points.points[inverse.points.interface == 0]
-    away = np.linalg.norm(centres[:, None] - outline[None], axis=2).min(axis=1)
-    near = np.linalg.norm(centres[:, None] - nodes[None], axis=2).min(axis=1)
-    inside = (away > SETTINGS.sensitivities.inclusion_depth_mm) & (
-        near < SETTINGS.sensitivities.inclusion_grid_mm / 2
-    )
-    return InclusionGrid(centres[inside] - np.asarray(inverse.frame.centre_mm))
-
-
 def _columns(
     inverse: InverseProblem, problem: Problem, prediction: PredictedScan, effect: Effect
 ) -> FloatArray | None:
-    """Return (k, q), or (g, k, 1) for a lump and for what is tried at several magnitudes."""
+    """Return (k, q), or (g, k, 1) for what is tried at several places or magnitudes."""
     if effect.observation is not None:
         return observed_columns(inverse, effect, prediction)
-    if effect is INCLUSION:
-        changes = [_lump(inverse, prediction, offset) for offset in inclusion_grid(inverse).offsets]
-        return columns_of(
-            inverse, prediction, changes, tolerance=SETTINGS.sensitivities.tangent_error
-        ).T[:, :, None]
+    if effect.place is not None:
+        return _at_places(inverse, prediction, effect, effect.place)
     if any(one_sided(p) for p in effect.parameters):
         return _secants(inverse, prediction, effect, problem)
     changes = list(effect.changes(problem, inverse.frame))
     return columns_of(inverse, prediction, changes, tolerance=SETTINGS.sensitivities.tangent_error)
 
 
-def _lump(inverse: InverseProblem, prediction: PredictedScan, offset: FloatArray) -> Change:
-    """Return what a lump changes; one-sided, for the forces without it are those at hand."""
-    step, without = INCLUSION.steps[0], prediction.at.problem
-    where = dict(zip(PLACE, map(float, offset), strict=True))
-    return Change(INCLUSION.apply(without, {RATIO: step} | where, inverse.frame), without, step)
+def _at_places(
+    inverse: InverseProblem, prediction: PredictedScan, effect: Effect, place: Place
+) -> FloatArray:
+    """Return (g, k, q) for q sizes; one-sided differences, for the forces without are at hand."""
+    without, sizes = prediction.at.problem, range(effect.sizes)
+    changes = []
+    for offset in places_of(inverse, effect):
+        where = dict(zip(place.names, map(float, offset), strict=True))
+        for q in sizes:
+            step = effect.steps[q]
+            there = effect.apply(without, {effect.names[q]: step} | where, inverse.frame)
+            changes.append(Change(there, without, step))
+    moved = inverse.forward.tangents(prediction.at, changes, SETTINGS.sensitivities.tangent_error)
+    columns = []
+    for number, (change, u) in enumerate(zip(changes, moved, strict=True)):
+        q = number % len(sizes)
+        column = ((inverse.at_points @ u) * prediction.normals).sum(axis=1)
+        if one_sided(effect.parameters[q]):
+            column /= 1 + effect.prior_sd[q] * _yielding(inverse, prediction, change, u)
+        columns.append(column)
+    stacked = np.reshape(columns, (-1, len(sizes), len(prediction.residual)))
+    return np.ascontiguousarray(stacked.transpose(0, 2, 1))
+
+
+def _yielding(
+    inverse: InverseProblem, prediction: PredictedScan, change: Change, moved: FloatArray
+) -> float:
+    """Return the compliance of the body under springs, over that of a unit of the springs.
+
+    Springs k D take off k D u of the load where they hold the body by u; once they hold it, u is
+    shorter by 1 + k c with c = -u'D du/dk / u'Du: exact for a spring at one point of a linear
+    body.
+    """
+    level = inverse.model.finest
+    ahead, behind = (spring_stiffness(level, p) for p in (change.plus, change.minus))
+    u = prediction.at.solution.displacement_mm
+    force = (ahead - behind) / change.step * u
+    work = float(np.vdot(force, u))
+    return max(0.0, -float(np.vdot(force, moved)) / work) if work > 0 else 0.0
 
 
 def _secants(

@@ -13,6 +13,14 @@ draws a page stands where it is drawn, in `workers.diagnosis.pictures`.
 
 from dataclasses import dataclass, field
 
+from workers.diagnosis.noise_settings import (
+    FormSettings,
+    NoiseSettings,
+    NumericalSettings,
+    PoseSettings,
+    UnmatchedSettings,
+)
+
 
 @dataclass(frozen=True, slots=True)
 class MeshSettings:
@@ -54,142 +62,6 @@ class PointSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class NoiseSettings:
-    """Of what segmentations err by beyond what is stated."""
-
-    # [null replicates, set 2] An interface as a whole may be drawn too large or too small by this,
-    # in standard deviations of the segmentation: points were chosen on one noisy scan. On bodies
-    # that lack nothing, means over an interface and all scans scatter by 0.08 to 0.15 of them in
-    # all.
-    common: float = 0.1
-    # [null replicates] A part of every scan's noise is smoother than its correlation length says:
-    # on scans segmented with a known noise, smooth sums of residuals scatter 1.25 times as much as
-    # they should. Its size in standard deviations, its length in correlation lengths.
-    smoother: float = 0.25
-    smoother_lengths: float = 3.0
-    # [prior] The true deviation of a segmentation over the stated one, its logarithm: a factor of
-    # 2 either way costs a nat and a half. And how far that of one interface lies from the others'.
-    scale_log_sd: float = 0.405
-    interface_log_sd: float = 0.2
-    # [prior] Correlation lengths over the stated one, and the deviation of their logarithm.
-    lengths: tuple[float, ...] = (0.7, 1.0, 1.4)
-    length_log_sd: float = 0.34
-    # [prior] Numerical error over what is believed; see `NumericalSettings`.
-    numerical_scales: tuple[float, ...] = (0.5, 1.0, 2.0)
-    numerical_log_sd: float = 0.5
-    # [numerics] Change of a scale's logarithm at which its fixed point has settled: some 1200
-    # residuals know it to 0.02 or 0.03. How often that is tried, and where scales stay.
-    scale_settled: float = 0.005
-    scale_iterations: int = 12
-    scale_bounds: tuple[float, float] = (0.2, 5.0)
-    # [cost] Points of the average this far behind the best one are left out, in nats.
-    hopeless_nats: float = 5.0
-    # [principle] Amplitude and length of the field that takes what may be a gap while scales are
-    # learnt: so large that it is all but free, or noise that it takes up would go missing.
-    learning_field: tuple[float, float] = (1.0, 20.0)
-    # [cost] A smooth field is weighed under as many of the likeliest points of the average.
-    field_states: int = 1
-    # [principle] The noise is read again where the best single effect puts the points, if that is
-    # as far from where it was read, root mean square, as the noise is high across the interfaces
-    # or long along them.
-    elsewhere: float = 1.0
-    # [prior] Stated or measured noise that differs from what is learnt by this factor is said.
-    misstated: float = 1.25
-
-
-@dataclass(frozen=True, slots=True)
-class UnmatchedSettings:
-    """Of points that a scan does not show; see `workers.diagnosis.unmatched_points`."""
-
-    # [principle] The displacement is that of something unlisted, larger by this: all but free.
-    freer: float = 4.0
-    # [principle] Of Huber and of Tukey, in deviations: 95 % efficient where noise is normal.
-    huber: float = 1.345
-    biweight: float = 4.685
-    # [numerics] Change of a deviation at which the fit has settled, and how often it is repeated.
-    settled: float = 0.01
-    iterations: int = 12
-    # [principle] Noise is no smaller than this part of what is stated: half of it is possible.
-    least_scale: float = 0.5
-    # [principle] In robust deviations of an interface: a point as far as the first has no
-    # counterpart, nor have points beside it that are as far as the second. Of a thousand points,
-    # six deviations of normal noise are reached once in a million bodies.
-    far: float = 6.0
-    beside: float = 3.0
-    # [by hand] What is beside a point, as a part of the middle length of something unlisted: 8 mm
-    # in a breast.
-    beside_lengths: float = 0.4
-    # [by hand] A connected piece of so few points follows any fit, so all others judge it.
-    small_piece: int = 12
-    # [by hand] Where more points than this part of all are far off, that is no error of drawing.
-    most: float = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class PoseSettings:
-    """Of where each scan lies [prior]: what a registration leaves."""
-
-    shift_sd_mm: float = 0.3
-    turn_sd_deg: float = 0.3
-    # Parts of these deviations, equally probable, that scans of one case have in truth: some lie
-    # where their headers say, and then what shifts a body as a pose does can be seen. Less than a
-    # tenth of a millimetre would be less than voxels and numerical errors leave.
-    scales: tuple[float, ...] = (0.3, 1.0)
-    # In standard deviations of the segmentation: an interface drawn too large in one scan, by a
-    # habit or by half a voxel.
-    drawing: float = 0.3
-    # [numerics] A scan is moved to where its residuals say that it lies until that changes by less
-    # than this, in the standard deviations above: 0.003 mm. How often at most; and what part of
-    # the step before a step is at most that is not halved.
-    settled: float = 0.01
-    registrations: int = 12
-    shorter: float = 0.7
-
-
-@dataclass(frozen=True, slots=True)
-class NumericalSettings:
-    """Of what another mesh, element and contact of the same physics would change."""
-
-    # [open cases] A part that every solver has, in mm; and as much of the nugget for voxels larger
-    # than theirs: where a face lies along voxels, what they cannot show is the same all over it.
-    least_mm: float = 0.03
-    of_nugget: float = 0.75
-    # [numerics] A part of what a finer mesh changes, root mean square of each scan: what is
-    # still unknown after that difference is taken off is as large as the difference itself.
-    of_difference: float = 1.0
-    # [open cases] A part of how far the load moves a point.
-    of_motion: float = 0.0
-    # [by hand] It is smooth over this length, and the same, but for its size, in all scans; of
-    # markers, whose states load the body in different ways, less so.
-    length_mm: float = 16.0
-    state_correlation: float = 1.0
-    state_correlation_markers: float = 0.8
-    # [numerics] Part of its variance that a low rank may miss.
-    rank_tolerance: float = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class FormSettings:
-    """Of how far a real effect's pattern differs from that of the catalogue [prior].
-
-    The pattern is what the effect changes of the residuals once constants and poses have followed.
-    The error is a smooth part of it. Lengths are those of the smooth field that stands for
-    something else, as its organ has it, times these.
-    """
-
-    relative_sd: float = 0.2
-    lengths: float = 1.5
-    # [open cases] Of effects that do not act but resemble a cause that is not listed, and how
-    # probable that is before data.
-    likeness_sd: float = 0.5
-    likeness: float = 0.03
-    # Over which the size of a pattern is averaged: an error need not vanish where it changes sign.
-    envelope_lengths: float = 0.6
-    state_correlation: float = 0.9
-    rank_tolerance: float = 2e-2
-
-
-@dataclass(frozen=True, slots=True)
 class FitSettings:
     """Of Gauss and Newton's method."""
 
@@ -218,10 +90,12 @@ class FitSettings:
 class SensitivitySettings:
     """Of what every effect would do to the residuals of the nominal fit."""
 
-    # [cost] Between centres at which a lump is looked for: a lump of 10 mm radius is met.
-    inclusion_grid_mm: float = 12.0
+    # [cost] Between places at which a lump is looked for: one of 10 mm radius is met.
+    inside_grid_mm: float = 12.0
     # [principle] How deep inside the body they lie at least: half a lump.
-    inclusion_depth_mm: float = 6.0
+    inside_depth_mm: float = 6.0
+    # [cost] Between places of the boundary at which an attachment is looked for.
+    boundary_grid_mm: float = 20.0
     # [by hand] Magnitudes at which a one-sided effect is tried, in prior standard deviations:
     # one that is plausible, and one near zero, where such effects are steepest.
     secant_magnitudes: tuple[float, ...] = (1.0, 0.25)
@@ -279,12 +153,12 @@ class JointFitSettings:
     # steepest, and no further out than that many of them.
     least_start: float = 0.1
     most_start: float = 1.5
-    # [cost] Best places from which the fit of a lump begins.
-    inclusion_starts: int = 2
-    # [numerics] Logarithm of a lump's ratio of stiffness at which its fit begins: at most, and
-    # where the screening expects none.
-    most_start_log_ratio: float = 1.0
-    least_start_log_ratio: float = 0.1
+    # [cost] Best places from which the fit of an effect begins that acts at one place.
+    place_starts: int = 2
+    # [numerics] Size of a two-sided one at which its fit begins, in prior standard deviations: at
+    # most, and where the screening expects none.
+    most_place_start: float = 0.67
+    least_place_start: float = 0.067
     # [numerics] Longest change of a constant that makes room for an effect, in prior sd.
     most_compensation: float = 2.0
 

@@ -29,7 +29,6 @@ from workers.diagnosis.summary import (
     Summary,
 )
 from workers.mechanics.effects.base import Effect, one_sided
-from workers.mechanics.effects.inclusion import INCLUSION
 
 
 def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Summary:
@@ -84,7 +83,7 @@ def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
     best = diagnosis.best
     names = best.names if best is not None and effect.name in best.names else (effect.name,)
     parameters = _parameters(diagnosis, effect, names)
-    lead = parameters[0] if effect is INCLUSION else max(parameters, key=_in_deviations)
+    lead = max(parameters[: effect.sizes], key=_in_deviations)
     return EffectSummary(
         name=effect.name,
         family=effect.family,

@@ -68,7 +68,7 @@ class Adhesion:
     """Let a scar hold a patch of the chest wall against sliding."""
 
     kind: ClassVar[str] = "adhesion"
-    effect: ClassVar[str | None] = None
+    effect: ClassVar[str | None] = "local_attachment"
     family: ClassVar[str | None] = "boundary"
     x_mm: float
     y_mm: float
@@ -93,3 +93,41 @@ class Adhesion:
             return np.where(far < self.radius_mm, self.grip_kpa_per_mm, 0.0)
 
         return replace(scene, wall_grip=at)
+
+
+@dataclass(frozen=True, slots=True)
+class Tether:
+    """Hold the skin towards the armpit by springs along all axes, up to a sharp straight edge."""
+
+    kind: ClassVar[str] = "tether"
+    effect: ClassVar[str | None] = "local_attachment"
+    family: ClassVar[str | None] = "boundary"
+    azimuth_deg: float
+    beyond_mm: float
+    grip_kpa_per_mm: float
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw 0.05 to 1 N/mm on a part of the skin, about the upper end of the body."""
+        azimuth = rng.uniform(-50.0, 50.0)
+        share, n_per_mm = rng.uniform(0.06, 0.2), log_uniform(rng, 0.05, 1.0)
+        points, areas = anatomy.skin()
+        along = points @ _towards(azimuth)
+        beyond = float(np.quantile(along, 1 - share))
+        area = float(areas[along > beyond].sum())
+        return cls(azimuth, beyond, 1e3 * n_per_mm / area)
+
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
+
+        def at(points: FloatArray) -> FloatArray:
+            beyond = points @ _towards(self.azimuth_deg) > self.beyond_mm
+            return np.where(beyond, self.grip_kpa_per_mm, 0.0)
+
+        return replace(scene, skin_grip=at)
+
+
+def _towards(azimuth_deg: float) -> FloatArray:
+    """Return the unit vector along the chest wall at an angle to x, shape (3,)."""
+    azimuth = math.radians(azimuth_deg)
+    return np.array([math.cos(azimuth), math.sin(azimuth), 0.0])

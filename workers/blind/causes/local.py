@@ -93,37 +93,3 @@ class Ligament:
             return math.log(self.ratio) * ((off < self.thickness_mm / 2) & (along < self.reach_mm))
 
         return replace(scene, ln_stiffness=(*scene.ln_stiffness, at))
-
-
-@dataclass(frozen=True, slots=True)
-class Swelling:
-    """Let glandular tissue, or what lies in a ball, take up water."""
-
-    kind: ClassVar[str] = "swelling"
-    effect: ClassVar[str | None] = None
-    family: ClassVar[str | None] = None
-    volume_fraction: float
-    whole_gland: bool
-    centre_mm: Triple
-    radius_mm: float
-
-    @classmethod
-    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw one at random, see `Cause.draw`."""
-        place = triple(rng.uniform(-0.4, 0.4, 3) * anatomy.half_mm + anatomy.centre_mm)
-        whole = bool(rng.random() < 0.5)
-        low, high = (0.01, 0.12) if whole else (0.05, 0.5)
-        return cls(log_uniform(rng, low, high), whole, place, rng.uniform(10.0, 20.0))
-
-    def apply_to(self, scene: Scene) -> Scene:
-        """Return the scene with it, see `Cause.apply_to`."""
-        centre = np.array(self.centre_mm)
-        stretch = (1 + self.volume_fraction) ** (1 / 3) - 1
-
-        def at(points: FloatArray, gland: FloatArray) -> FloatArray:
-            if self.whole_gland:
-                return np.asarray(stretch * gland)
-            far = np.linalg.norm(points - centre, axis=1) / self.radius_mm
-            return np.asarray(stretch * np.clip(3 - 3 * far, 0, 1))
-
-        return replace(scene, growth=(*scene.growth, at))

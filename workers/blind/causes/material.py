@@ -111,3 +111,29 @@ class SkinSheet:
     def apply_to(self, scene: Scene) -> Scene:
         """Return the scene with it, see `Cause.apply_to`."""
         return replace(scene, skin_n_per_m=self.stiffness_n_per_m)
+
+
+@dataclass(frozen=True, slots=True)
+class FibreContrast:
+    """Make fibres in glandular tissue stiffer or softer than in fat, unevenly along z."""
+
+    kind: ClassVar[str] = "fibre_contrast"
+    effect: ClassVar[str | None] = "fibre_contrast"
+    family: ClassVar[str | None] = "global material"
+    ratio: float
+    unevenness: float
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw a ratio of 1.5 to 6, or one over it."""
+        return cls(log_uniform(rng, 1.5, 15.0) ** sign(rng), rng.uniform(-0.25, 0.25))
+
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
+
+        def at(points: FloatArray) -> FloatArray:
+            s = scene.anatomy.normalised(points)[:, 2]
+            wave = np.sin(0.5 * np.pi * s)
+            return np.asarray(math.log(self.ratio) * (1 + self.unevenness * wave))
+
+        return replace(scene, ln_gland_fibres=at)

@@ -1,10 +1,13 @@
-"""Define labels that are drawn wrongly."""
+"""Define scans and labels that are drawn wrongly."""
 
 import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-from workers.blind.causes.base import Rng, log_uniform
+import numpy as np
+
+from storage.values import Triple
+from workers.blind.causes.base import Rng, log_uniform, sign, triple
 from workers.blind.scene import Anatomy, Scene
 
 
@@ -27,3 +30,25 @@ class Segmentation:
     def apply_to(self, scene: Scene) -> Scene:
         """Return the scene with it, see `Cause.apply_to`."""
         return replace(scene, segmentation_mm=(self.outline_mm, self.glandular_mm))
+
+
+@dataclass(frozen=True, slots=True)
+class ImageScale:
+    """Draw the loaded scans too large or too small along one axis, about the body's middle."""
+
+    kind: ClassVar[str] = "image_scale"
+    effect: ClassVar[str | None] = "image_scale"
+    family: ClassVar[str | None] = "observation"
+    scale: Triple
+    centre_mm: Triple
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw an axis and 0.3 to 2 %."""
+        axis = int(rng.integers(3))
+        part = sign(rng) * log_uniform(rng, 0.003, 0.02)
+        return cls(triple(part * np.eye(3)[axis]), anatomy.centre_mm)
+
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
+        return replace(scene, image_scale=self.scale)

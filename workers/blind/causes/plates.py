@@ -1,4 +1,4 @@
-"""Define plates that are not flat, or not parallel."""
+"""Define plates that are not flat, not parallel, or do not reach the chest wall."""
 
 import math
 from dataclasses import dataclass, replace
@@ -46,3 +46,22 @@ class BentPlate:
     def apply_to(self, scene: Scene) -> Scene:
         """Return the scene with it, see `Cause.apply_to`."""
         return replace(scene, sag_mm=self.sag_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class ShortPlate:
+    """Let both plates begin in front of the chest wall, so that skin behind their edge bulges."""
+
+    kind: ClassVar[str] = "short_plate"
+    effect: ClassVar[str | None] = None
+    family: ClassVar[str | None] = None
+    edge_mm: float
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
+        return cls(log_uniform(rng, 2.0, 8.0))
+
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
+        return replace(scene, plate_edge_mm=self.edge_mm)

@@ -77,7 +77,7 @@ def pictures_of_scans(
     summary = replace(summary, overlap=tuple(overlap))
     lump = analysis.sensitivity_by_name.get(INCLUSION.name)
     if lump is not None:
-        centres = analysis.inclusion_grid.offsets + np.asarray(analysis.inverse.frame.centre_mm)
+        centres = analysis.places(INCLUSION) + np.asarray(analysis.inverse.frame.centre_mm)
         maps = {when: cause_map(fit, lump, centres) for when, fit in fits.items()}
         arrays |= causes(maps, reference)
         loudest = {when: loudest_place(one) for when, one in maps.items()}

@@ -26,7 +26,6 @@ from workers.diagnosis.planning.load_sensitivity import LoadSensitivity
 from workers.diagnosis.planning.state_information import Detectability, detectability, separation
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect, one_sided
-from workers.mechanics.effects.inclusion import INCLUSION
 from workers.mechanics.fem.problem import Problem
 
 
@@ -215,7 +214,7 @@ def loose(load_sensitivities: Iterable[LoadSensitivity], effects: Sequence[Effec
 
 def plausible(effect: Effect) -> tuple[float, ...]:
     """Return prior standard deviations of the parameters that a sensitivity has."""
-    return effect.prior_sd[:1] if effect is INCLUSION else effect.prior_sd
+    return effect.prior_sd[: effect.sizes]
 
 
 def _scanned(unloaded: InverseProblem, design: Design) -> FloatArray:

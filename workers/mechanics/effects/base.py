@@ -22,7 +22,13 @@ from workers.mechanics.parameters import Parameter, Vocabulary
 from workers.units import Unit
 
 Family = Literal[
-    "loading", "plate geometry", "boundary", "global material", "local stiffness", "observation"
+    "loading",
+    "plate geometry",
+    "boundary",
+    "global material",
+    "local stiffness",
+    "growth",
+    "observation",
 ]
 """Effects of one family are near relatives: data often tell families apart and not members."""
 
@@ -31,6 +37,22 @@ Transform = Callable[[Problem, Values, Frame], Problem]
 Columns = Callable[[FloatArray, FloatArray, IntArray, Frame], FloatArray]
 
 ANY = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where an effect sits that acts at one place.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of its parameters that are offsets from the middle of the body along x, y and z.
+    on : {"inside", "boundary"}
+        Where it may sit.
+    """
+
+    names: tuple[str, str, str]
+    on: Literal["inside", "boundary"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +91,10 @@ class Effect:
     sees : {"points", "moves", "arms"}
         What such an effect is given as points: where they are now, how far they have
         moved, or how far the end of an arm of 1 mm on each has moved against its foot.
+    place : Place, optional
+        For an effect that acts at one place. Parameters before those of the place are then its
+        sizes; where they are neutral, the others change nothing, so the place is looked for on a
+        grid first.
 
     Raises
     ------
@@ -88,6 +114,7 @@ class Effect:
     observation: Columns | None = None
     if_present: tuple[tuple[float, float], ...] = ()
     sees: Literal["points", "moves", "arms"] = "points"
+    place: Place | None = None
 
     def __post_init__(self) -> None:
         for what, numbers in (("prior_sd", self.prior_sd), ("steps", self.steps)):
@@ -106,6 +133,11 @@ class Effect:
     def names(self) -> tuple[str, ...]:
         """Return the inside names of the parameters, in order."""
         return tuple(p.name for p in self.parameters)
+
+    @property
+    def sizes(self) -> int:
+        """Return how many of the parameters, from the first, do something on their own."""
+        return self.names.index(self.place.names[0]) if self.place else len(self.names)
 
     @property
     def neutral(self) -> dict[str, float]:

@@ -6,11 +6,15 @@ from storage.errors import InputError
 from workers.mechanics.effects.base import Effect, Values
 from workers.mechanics.effects.compressibility import COMPRESSIBILITY
 from workers.mechanics.effects.creep import CREEP
+from workers.mechanics.effects.fibre_contrast import FIBRE_CONTRAST
 from workers.mechanics.effects.fibre_fan import FIBRE_FAN
 from workers.mechanics.effects.fibre_rotation import FIBRE_ROTATION
 from workers.mechanics.effects.gravity_change import GRAVITY_CHANGE
 from workers.mechanics.effects.gravity_prestress import PRESTRESS
+from workers.mechanics.effects.growth import GROWTH
+from workers.mechanics.effects.image_scale import IMAGE_SCALE
 from workers.mechanics.effects.inclusion import INCLUSION
+from workers.mechanics.effects.local_attachment import LOCAL_ATTACHMENT
 from workers.mechanics.effects.plate_flex import PLATE_FLEX
 from workers.mechanics.effects.plate_force import PLATE_FORCE
 from workers.mechanics.effects.plate_friction import FRICTION
@@ -37,9 +41,11 @@ BREAST_EFFECTS: tuple[Effect, ...] = (
     FRICTION,
     WALL_COMPLIANCE,
     WALL_HOLD,
+    LOCAL_ATTACHMENT,
     STIFFNESS_GRADIENT,
     FIBRE_ROTATION,
     FIBRE_FAN,
+    FIBRE_CONTRAST,
     SECOND_FIBRES,
     COMPRESSIBILITY,
     STIFFENING,
@@ -47,8 +53,10 @@ BREAST_EFFECTS: tuple[Effect, ...] = (
     SKIN_SCALED,
     CREEP,
     INCLUSION,
+    GROWTH,
     SEGMENTATION_OFFSET,
     RIGID_MOTION,
+    IMAGE_SCALE,
 )
 
 # What is known to matter, or may, and cannot be named as a cause: it, or its nearest
@@ -59,9 +67,16 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
         "gland and fat share their nodes; interfaces seen along their normals show little of it",
     ),
     (
-        "swelling",
-        "a change of volume between the scans has no parameter; a smooth misfit is found "
-        "instead, or, of a gland that grew evenly, one that is drawn too large",
+        "oedema in one place",
+        "fat and glandular tissue grow evenly, each by a volume of its own",
+    ),
+    (
+        "tension of the skin at rest",
+        "skin that is added is free of stress in the scan at rest",
+    ),
+    (
+        "movement during the scan",
+        "a body that moves while it is scanned is drawn blurred, not displaced",
     ),
     (
         "uneven chest wall",

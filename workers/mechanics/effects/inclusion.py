@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, two_sided
+from workers.mechanics.effects.base import Effect, Place, Values, two_sided
 from workers.mechanics.effects.problem_changes import plus
 from workers.mechanics.fem.fields import Frame, Inclusion
 from workers.mechanics.fem.problem import Problem
@@ -22,8 +22,6 @@ def transform(problem: Problem, values: Values, frame: Frame) -> Problem:
     return replace(problem, variations=(*problem.variations, ball)) if values[RATIO] else problem
 
 
-# Where the ratio is neutral, place and radius change nothing and their derivatives
-# are zero: look for the place on a grid of centres first.
 INCLUSION = Effect(
     name="inclusion",
     family="local stiffness",
@@ -43,4 +41,5 @@ INCLUSION = Effect(
         "A. Samani, J. Zubovits, D. Plewes, Phys. Med. Biol. 52 (2007) 1565",
         "T. A. Krouskop et al., Ultrason. Imaging 20 (1998) 260",
     ),
+    place=Place(PLACE, "inside"),
 )

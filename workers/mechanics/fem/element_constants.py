@@ -1,4 +1,11 @@
-"""Constants of the elements of a mesh, from those of its tissues."""
+r"""Constants of the elements of a mesh, from those of its tissues.
+
+Tissue that has grown to g times its volume, with :math:`F = F_e F_g`, :math:`F_g = g^{1/3} 1`
+(E. K. Rodriguez, A. Hoger, A. D. McCulloch, J. Biomech. 27 (1994) 455), stores g times the
+energy of :math:`F_e`. Isochoric invariants do not change, so its moduli grow by g, its nodes are
+at rest at v / V = g with a bulk modulus of 1 / g, and fibres are shorter by :math:`g^{-1/3}` in
+the measure of F.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -37,13 +44,16 @@ class ElementConstants:
     laws : tuple of LawElements
         Elements whose matrix follows another law.
     density : ndarray, shape (m,)
-        In t/mm^3.
+        In t/mm^3 of the undeformed body.
+    nodal_growth : ndarray, shape (n,)
+        Volume ratio v_n / V_n at which each node has no pressure.
     """
 
     problem: Problem
     material: ElementMaterial
     laws: tuple[LawElements, ...]
     density: FloatArray
+    nodal_growth: FloatArray
 
 
 def element_constants(
@@ -73,11 +83,13 @@ def element_constants(
         fibre = similar.material.fibre
     else:
         fibre = _directions(model, problem)
+    growth = _growth(problem, part)
+    soft, stiff = stiff / growth, stiff * growth
     eta = [_column(problem, part, "fibre_mpa"), _column(problem, part, "second_fibre_mpa")]
     material = ElementMaterial(
         mu=stiff @ _column(problem, part, "mu_mpa", matrix=True),
         c2=stiff @ _yeoh(problem, part),
-        kappa=stiff @ _column(problem, part, "kappa_mpa"),
+        kappa=soft @ _column(problem, part, "kappa_mpa"),
         eta=np.stack([stiff @ e for e in eta[: 1 + two]], axis=1),
         fibre=fibre,
         tension_only=not problem.literal_fibre,
@@ -85,7 +97,8 @@ def element_constants(
         plain=problem.plain_elements,
     )
     density = part @ _column(problem, part, "density_t_per_mm3")
-    return ElementConstants(problem, material, tuple(_laws(problem, stiff)), density)
+    laws = tuple(_laws(problem, stiff))
+    return ElementConstants(problem, material, laws, density, _at_nodes(model, part @ (growth - 1)))
 
 
 def _material_parts(p: Problem) -> tuple[object, ...]:
@@ -96,7 +109,25 @@ def _material_parts(p: Problem) -> tuple[object, ...]:
 
 def _fibre_parts(p: Problem) -> tuple[object, ...]:
     """Return all that the fibre directions depend on."""
-    return p.fibres, _families(p)
+    growth = {tissue: c.growth for tissue, c in p.constants.items()}
+    return p.fibres, _families(p), p.isochoric_fibre, growth
+
+
+def _growth(problem: Problem, part: FloatArray) -> FloatArray:
+    """Return the growth of each tissue."""
+    values = np.ones(part.shape[1])
+    for tissue, c in _known(problem, part):
+        values[tissue] = c.growth
+    return values
+
+
+def _at_nodes(model: LevelModel, more: FloatArray) -> FloatArray:
+    """Return the volume ratio at rest of each node, of elements larger by the part `more`, (m,)."""
+    if not more.any():
+        return np.ones(len(model.nodes))
+    share = np.repeat(model.elements.volumes * more / 4, 4)
+    total = np.bincount(model.elements.tets.ravel(), share, len(model.nodes))
+    return np.asarray(1 + total / model.nodal_volumes)
 
 
 def _families(p: Problem) -> int:
@@ -105,12 +136,16 @@ def _families(p: Problem) -> int:
 
 
 def _directions(model: LevelModel, problem: Problem) -> FloatArray:
-    """Return unit vectors along the fibres, shape (m, families, 3)."""
+    """Return vectors along the fibres, of length 1 where nothing grows, (m, families, 3)."""
     centroids = model.nodes[model.elements.tets].mean(axis=1)
     directions = [problem.fibres.directions(centroids)]
     if _families(problem) == 2:
         directions.append(problem.fibres.second_directions(centroids))
-    return np.ascontiguousarray(np.stack(directions, axis=1))
+    along = np.ascontiguousarray(np.stack(directions, axis=1))
+    growth = _growth(problem, model.fractions)
+    if not problem.isochoric_fibre and (growth != 1).any():
+        along *= (1 + model.fractions @ (growth - 1))[:, None, None] ** (-1 / 3)
+    return along
 
 
 def _laws(problem: Problem, stiff: FloatArray) -> Iterator[LawElements]:

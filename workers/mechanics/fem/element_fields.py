@@ -89,7 +89,7 @@ def _mean_stress(level: Level, J: FloatArray) -> FloatArray:
     """Return p of each element, positive in tension, shape (m,) in MPa."""
     if level.problem.plain_elements:
         return np.asarray(level.constants.material.kappa * (J - 1))
-    node = level.nodal_bulk_mpa * (_at_nodes(level, J) - 1)
+    node = level.nodal_bulk_mpa * (_at_nodes(level, J) - level.constants.nodal_growth)
     return np.asarray(node[level.model.elements.tets].mean(axis=1))
 
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from storage.values import BoolArray, FloatArray
-from workers.mechanics.fem.loads import Load, NoPlates, Pressure, Wall
+from workers.mechanics.fem.contact import PENALTY_N_PER_MM3
+from workers.mechanics.fem.loads import Attachment, NoPlates, Pressure
 from workers.mechanics.fem.model import LevelModel
 from workers.mechanics.fem.problem import GRAVITY_MM_PER_S2, Problem
 from workers.mechanics.fem.regions import nodes_in
@@ -23,19 +24,30 @@ class DirichletConditions:
     displacement_mm: FloatArray
 
 
-def spring_stiffness(model: LevelModel, wall: Wall, load: Load) -> FloatArray:
+def spring_stiffness(model: LevelModel, problem: Problem) -> FloatArray:
     """Return the stiffness of the springs that hold each node, shape (n, 3) in N/mm.
 
     Along axes in which the chest wall holds the body there are none: they would carry
     a part of its weight.
     """
+    wall, load = problem.wall, problem.load
     loose = np.ones(3)
     if not isinstance(load, NoPlates):
         loose -= np.abs(load.device.axis) / np.linalg.norm(load.device.axis)
     if len(model.wall):
         loose[np.logical_or(wall.held, np.greater(wall.spring_mpa_per_mm, 0))] = 0.0
     drift = DRIFT_SPRING_N_PER_MM4 * model.nodal_volumes[:, None] * loose
-    return np.asarray(drift + model.wall_areas[:, None] * np.asarray(wall.spring_mpa_per_mm))
+    springs = drift + model.wall_areas[:, None] * np.asarray(wall.spring_mpa_per_mm)
+    for attachment in problem.attachments:
+        springs = springs + attachment_stiffness(model, attachment)
+    return np.asarray(springs)
+
+
+def attachment_stiffness(model: LevelModel, attachment: Attachment) -> FloatArray:
+    """Return the stiffness by which an attachment holds each node, shape (n, 3) in N/mm."""
+    areas = model.wall_areas.copy()
+    areas[model.contact_nodes.index] += model.contact_nodes.stiffness / PENALTY_N_PER_MM3
+    return np.outer(areas * attachment.weight(model.nodes), attachment.spring_mpa_per_mm)
 
 
 def dead_load(model: LevelModel, problem: Problem, density: FloatArray) -> FloatArray:

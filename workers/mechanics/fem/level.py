@@ -147,11 +147,11 @@ class Level:
             nodal_bulk_mpa=near.nodal_bulk_mpa
             if near is not None and shared
             else _nodal_bulk_mpa(model, problem, constants),
-            springs=spring_stiffness(model, problem.wall, problem.load),
+            springs=spring_stiffness(model, problem),
             dead_load=dead_load(model, problem, constants.density),
             free=(~conditions.held).astype(np.float32),
             prescribed_mm=conditions.displacement_mm,
-            rounding_mj=1e-14 * float(constants.material.mu @ model.elements.volumes),
+            rounding_mj=1e-14 * _stiffness_mj(model, constants),
         )
 
     @property
@@ -205,7 +205,7 @@ class Level:
         volumes = np.empty(len(m.nodes))
         elastic = element_energy.energy(x, m.elements, self.constants.material, volumes)
         elastic += sum(law_energy(x, m.elements, part) for part in self.constants.laws)
-        swelling = volumes / m.nodal_volumes - 1
+        swelling = volumes / m.nodal_volumes - self.constants.nodal_growth
         elastic += 0.5 * float(self.nodal_bulk_mpa @ (m.nodal_volumes * swelling**2))
         u = x - m.nodes
         elastic += 0.5 * float(np.vdot(self.springs, u * u))
@@ -291,7 +291,8 @@ class Level:
         """Return the force on every node, and add the tangent of body and skin to `packed`."""
         m, x, laws = self.model, state.x, self.constants.laws
         force = self.outer_force(state, at.contact, stage)
-        pressure = self.nodal_bulk_mpa * (at.nodal_volumes / m.nodal_volumes - 1)
+        swelling = at.nodal_volumes / m.nodal_volumes - self.constants.nodal_growth
+        pressure = self.nodal_bulk_mpa * swelling
         edge, root = m.graph.edge, np.sqrt(self.nodal_bulk_mpa / m.nodal_volumes)
         material = self.constants.material
         assemble(x, m.elements, material, pressure, root, edge, convex, force, packed)
@@ -319,6 +320,15 @@ def _nodal_bulk_mpa(model: LevelModel, problem: Problem, constants: ElementConst
     return np.asarray(
         model.nodal_volumes / np.bincount(elements.tets.ravel(), share, len(model.nodes))
     )
+
+
+def _stiffness_mj(model: LevelModel, constants: ElementConstants) -> float:
+    """Return the shear modulus of the whole body times its volume."""
+    total = float(constants.material.mu @ model.elements.volumes)
+    for part in constants.laws:
+        weighted = float(part.weight @ model.elements.volumes[part.elements])
+        total += part.law.shear_modulus_mpa * weighted
+    return total
 
 
 def without_laws(problem: Problem) -> Problem:

@@ -70,11 +70,12 @@ class LoadStepping:
     levels: tuple[Level, ...]
 
     def run(self, neighbour: Sequence[ConvergedStage] | None = None) -> LoadPath:
-        """Load the body, from a neighbour's stages where they lead to the end."""
+        """Load the body, from a neighbour's stages where they lead to the end; see
+        `Problem.restarts`."""
         histories = tuple(History() for _ in self.levels)
         if neighbour is not None:
             path = self.continue_from(neighbour)
-            if path is not None and not path.reason:
+            if path is not None and not (path.reason and self.problem.restarts):
                 return path
             if path is not None:
                 histories = (*histories[:-1], path.states[-1].history)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from storage.errors import InputError
-from storage.values import Triple
+from storage.values import FloatArray, Triple
 from workers.mechanics.fem.regions import EVERYWHERE, Region
 
 
@@ -158,6 +158,39 @@ class Wall:
 
 
 SLIDING_WALL = Wall()
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """Springs that hold a patch of the skin or of the chest wall to where it was.
+
+    Their stiffness falls off with the distance d from the centre as ``exp(-d^2 / 2 r^2)``.
+
+    Parameters
+    ----------
+    spring_mpa_per_mm : tuple of float
+        Traction per displacement along x, y and z, >= 0.
+    centre_mm : tuple of float
+        In the undeformed body.
+    radius_mm : float
+        r, > 0.
+    """
+
+    spring_mpa_per_mm: Triple
+    centre_mm: Triple
+    radius_mm: float
+
+    def __post_init__(self) -> None:
+        if not (min(self.spring_mpa_per_mm) >= 0 and self.radius_mm > 0):
+            raise InputError(
+                "An attachment needs springs >= 0 and a radius > 0, got "
+                f"{self.spring_mpa_per_mm} MPa/mm and {self.radius_mm:g} mm."
+            )
+
+    def weight(self, points: FloatArray) -> FloatArray:
+        """Return the part of the stiffness at `points`, shape (k, 3); shape (k,)."""
+        away = (points - np.asarray(self.centre_mm)) / self.radius_mm
+        return np.asarray(np.exp(-0.5 * (away * away).sum(axis=1)))
 
 
 def _check_plates(lower_mm: float, upper_mm: float) -> None:

@@ -6,7 +6,15 @@ from dataclasses import dataclass
 from storage.errors import InputError
 from storage.values import Tissue, Triple
 from workers.mechanics.fem.fields import WALL_TO_NIPPLE, FibreField, Variation
-from workers.mechanics.fem.loads import SLIDING_WALL, DeadForce, Hold, Load, Pressure, Wall
+from workers.mechanics.fem.loads import (
+    SLIDING_WALL,
+    Attachment,
+    DeadForce,
+    Hold,
+    Load,
+    Pressure,
+    Wall,
+)
 from workers.mechanics.materials.base import Isochoric
 
 # Gravity in mm/s^2.
@@ -34,6 +42,9 @@ class Constants:
     law : Isochoric, optional
         Another law for the matrix, in place of neo-Hooke's and Yeoh's. Young's
         modulus and Poisson's ratio then say the bulk modulus alone.
+    growth : float
+        Volume at which the tissue is free of stress over that in the undeformed body, > 0;
+        the same along all axes.
 
     Raises
     ------
@@ -48,6 +59,7 @@ class Constants:
     stiffening: float = 0.0
     density_t_per_mm3: float = 1e-9
     law: Isochoric | None = None
+    growth: float = 1.0
 
     def __post_init__(self) -> None:
         if not (self.young_mpa > 0 and 0 < self.poisson < 0.5):
@@ -61,6 +73,8 @@ class Constants:
                 f"eta = {self.fibre_mpa * 1e3:g} and {self.second_fibre_mpa * 1e3:g} kPa, "
                 f"c2/mu = {self.stiffening:g}, density {self.density_t_per_mm3 * 1e12:g} kg/m3."
             )
+        if not self.growth > 0:
+            raise InputError(f"A tissue needs a growth > 0, got {self.growth:g}.")
 
     @property
     def mu_mpa(self) -> float:
@@ -127,6 +141,8 @@ class Problem:
         Measure fibres by I4bar = J^(-2/3) I4, as FEBio does.
     wall : Wall
         How the chest wall holds the body.
+    attachments : tuple of Attachment
+        Springs on patches of the boundary.
     variations : tuple of Gradient or Inclusion
         Where the stiffness departs from that of the tissue.
     gravity_g : tuple of float
@@ -138,12 +154,19 @@ class Problem:
     forces : tuple of DeadForce
     holds : tuple of Hold
     plain_elements : bool
-        Textbook linear tetrahedra without the nodal average; they lock.
+        Textbook linear tetrahedra without the nodal average; they lock, and do not grow.
     tolerance_mm : float
         The last full Newton step on the finest mesh is shorter than this.
     friction_steps : int
         Steps of the load, each in equilibrium, in which friction is followed; >= 1. With four the
         plates' travel is that of eight within 0.3 %.
+    restarts : bool
+        Solve from rest what was not found from the equilibrium of a similar problem.
+
+    Raises
+    ------
+    InputError
+        If plain elements are to grow.
     """
 
     constants: Mapping[Tissue, Constants]
@@ -153,6 +176,7 @@ class Problem:
     literal_fibre: bool = False
     isochoric_fibre: bool = False
     wall: Wall = SLIDING_WALL
+    attachments: tuple[Attachment, ...] = ()
     variations: tuple[Variation, ...] = ()
     gravity_g: Triple = (0.0, 0.0, 0.0)
     imaged_gravity_g: Triple = (0.0, 0.0, 0.0)
@@ -162,3 +186,8 @@ class Problem:
     plain_elements: bool = False
     tolerance_mm: float = 2e-3
     friction_steps: int = 8
+    restarts: bool = True
+
+    def __post_init__(self) -> None:
+        if self.plain_elements and any(c.growth != 1 for c in self.constants.values()):
+            raise InputError("Plain elements do not grow; leave out plain_elements, or growth.")

@@ -1,6 +1,6 @@
 """What one file says of a bench experiment; see examples/beam.yaml.
 
-Every key carries its unit. InclusionGrid are in the frame of the body, directions too. A
+Every key carries its unit. Places are in the frame of the body, directions too. A
 block has one corner at the origin and its lowest face in z first.
 """
 

@@ -1,0 +1,39 @@
+"""Computes how far outside of a body its interfaces are drawn by labels or scans too large."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from service.blind.magnitudes import SCALES
+from storage.values import FloatArray, IntArray, Triple
+
+# Labels that are drawn too large, by the interface that they move.
+OFFSETS_MM = ("segmentation_fat_mm", "segmentation_glandular_mm")
+
+
+def drawn_mm(
+    points: FloatArray,
+    normals: FloatArray,
+    interface: IntArray,
+    centre_mm: Triple | None,
+    sizes: Mapping[str, float],
+) -> FloatArray:
+    """Return the distance along the normals, shape (scans, k).
+
+    Parameters
+    ----------
+    points, normals : ndarray, shape (scans, k, 3)
+        In the loaded scans, in mm, and unit normals of the interfaces there.
+    interface : ndarray of int, shape (k,)
+        0 for the outline, 1 for the boundary of the glandular tissue.
+    centre_mm : tuple of float or None
+        About which scans are too large; without it the scales are left out.
+    sizes : mapping of str to float
+        Parameters of the catalogue under their door names; 0 for those that are not named.
+    """
+    offsets = np.array([sizes.get(name, 0.0) for name in OFFSETS_MM])[interface]
+    out = np.broadcast_to(offsets, points.shape[:2])
+    if centre_mm is None:
+        return out
+    scales = np.array([sizes.get(name, 0.0) for name in SCALES])
+    return np.asarray(out + ((points - np.asarray(centre_mm)) * normals) @ scales)

@@ -1,0 +1,59 @@
+"""Where an effect that acts at one place is looked for."""
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.base import Effect
+
+
+def places_of(inverse: InverseProblem, effect: Effect) -> FloatArray:
+    """Return the places of a grid at which an effect is looked for.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+    effect : Effect
+
+    Returns
+    -------
+    ndarray, shape (g, 3)
+        Offsets from the middle of the body in mm; empty for an effect that acts everywhere.
+    """
+    if effect.place is None:
+        return np.empty((0, 3))
+    places = _inside(inverse) if effect.place.on == "inside" else _on_boundary(inverse)
+    return places - np.asarray(inverse.frame.centre_mm)
+
+
+def _inside(inverse: InverseProblem) -> FloatArray:
+    """Return points inside the body, as far apart as `inside_grid_mm` of the settings."""
+    settings = SETTINGS.sensitivities
+    nodes = inverse.model.finest.nodes
+    spacing = settings.inside_grid_mm
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    axes = [np.arange(a + spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    outline = inverse.points.points[inverse.points.interface == 0]
+    away = np.linalg.norm(centres[:, None] - outline[None], axis=2).min(axis=1)
+    near = np.linalg.norm(centres[:, None] - nodes[None], axis=2).min(axis=1)
+    return np.asarray(centres[(away > settings.inside_depth_mm) & (near < spacing / 2)])
+
+
+def _on_boundary(inverse: InverseProblem) -> FloatArray:
+    """Return nodes of skin and chest wall, one in each cube of `boundary_grid_mm`: the one that
+    is nearest to the middle of all that lie in it."""
+    level = inverse.model.finest
+    on = level.wall_areas > 0
+    on[level.contact_nodes.index] = True
+    nodes = level.nodes[on]
+    cell = ((nodes - nodes.min(axis=0)) // SETTINGS.sensitivities.boundary_grid_mm).astype(int)
+    _, of = np.unique(cell, axis=0, return_inverse=True)
+    of = of.ravel()
+    count = np.bincount(of)
+    middle = np.column_stack([np.bincount(of, x) / count for x in nodes.T])
+    away = np.linalg.norm(nodes - middle[of], axis=1)
+    order = np.lexsort((away, of))
+    first = np.unique(of[order], return_index=True)[1]
+    return np.asarray(nodes[order[first]])

@@ -1,0 +1,46 @@
+"""Let tissue swell or shrink between the scans."""
+
+import math
+from dataclasses import replace
+
+from storage.values import Tissue
+from workers.mechanics.effects.base import Effect, Values, two_sided
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.problem import Constants, Problem
+from workers.units import NUMBER
+
+NAMES = {Tissue.FAT: "ln_growth_fat", Tissue.GLANDULAR: "ln_growth_glandular"}
+
+
+def transform(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Multiply the volume at which fat and glandular tissue are free of stress."""
+
+    def grown(tissue: Tissue, c: Constants) -> Constants:
+        name = NAMES.get(tissue)
+        return replace(c, growth=c.growth * math.exp(values[name])) if name else c
+
+    return replace(problem, constants={t: grown(t, c) for t, c in problem.constants.items()})
+
+
+# The volume of a breast changes by some 10 % over a menstrual cycle.
+GROWTH = Effect(
+    name="growth",
+    family="growth",
+    summary="Tissue has swollen or shrunk between the scans.",
+    parameters=tuple(
+        two_sided(
+            name,
+            NUMBER,
+            0.3,
+            f"ln of the volume of {tissue.name.lower()} in the loaded scans over that at rest",
+        )
+        for tissue, name in NAMES.items()
+    ),
+    prior_sd=(0.05,) * len(NAMES),
+    steps=(1e-4,) * len(NAMES),
+    transform=transform,
+    references=(
+        "P. A. Fowler et al., Br. J. Obstet. Gynaecol. 97 (1990) 595",
+        "E. K. Rodriguez, A. Hoger, A. D. McCulloch, J. Biomech. 27 (1994) 455",
+    ),
+)

@@ -2,8 +2,9 @@ r"""How much of the gap an effect takes away: ``1 - G_with^2 / G_nominal^2``.
 
 The interval is a parametric bootstrap in the linearised model. Its truth is what the
 fits found: the systematic part of the residual with the effect, scaled to the size that
-its gap has, plus what the effect changed. Noise of covariance C is drawn around it, and the
-floor from its range; both models are fitted again, and the shares of all draws are ranked.
+its gap has, plus what the effect changed. Noise of covariance C is drawn around it, the floor
+from its range, and how much noise is to be taken off; both models are fitted again, and the
+shares of all draws are ranked.
 It is a little wide for the share of one image, which moves along with its estimate.
 
 Fitted to some states and judged by the others, the same number is the held-out share. With
@@ -174,6 +175,8 @@ def _compared(
     noise = nominal.covariance_factor @ rng.standard_normal((nominal.size, draws))
     noise += pairs[0][0].poses @ rng.standard_normal((pairs[0][0].poses.shape[1], draws))
     drawn = [_excess(fits, mean, noise) for fits, mean in zip((without, along), means, strict=True)]
+    wrong = SETTINGS.gap.noise_variance_sd * before.noise_mm**2 * rng.standard_normal(draws)
+    drawn = [excess + wrong for excess in drawn]
     lacking = np.maximum(0.0, -drawn[1])
     floors = floor_mm * _parts_of_floor(rng, draws)
     shares = _share(*(_squared(excess + lacking, floors) for excess in drawn))

@@ -22,7 +22,8 @@ def transform(problem: Problem, values: Values, frame: Frame) -> Problem:
     return replace(problem, constants={t: grown(t, c) for t, c in problem.constants.items()})
 
 
-# The volume of a breast changes by some 10 % over a menstrual cycle.
+# The volume of a breast changes by some 10 % over a menstrual cycle, but scans to be compared are
+# taken days apart at most. Even growth looks much like labels that are drawn too large.
 GROWTH = Effect(
     name="growth",
     family="growth",
@@ -36,7 +37,7 @@ GROWTH = Effect(
         )
         for tissue, name in NAMES.items()
     ),
-    prior_sd=(0.05,) * len(NAMES),
+    prior_sd=(0.03,) * len(NAMES),
     steps=(1e-4,) * len(NAMES),
     transform=transform,
     references=(

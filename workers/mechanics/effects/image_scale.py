@@ -19,7 +19,7 @@ def columns(points: FloatArray, normals: FloatArray, tissues: IntArray, frame: F
     return np.asarray((points - np.asarray(frame.centre_mm)) * normals)
 
 
-# Distortions of MR images that are left after correction reach 1 % at the edge of the field.
+# Distortions of MR images that are left after correction: 1 % is much.
 IMAGE_SCALE = Effect(
     name="image_scale",
     family="observation",
@@ -28,7 +28,7 @@ IMAGE_SCALE = Effect(
         two_sided(name, NUMBER, 0.05, f"how much larger they show the body along {name[-1]}")
         for name in NAMES
     ),
-    prior_sd=(0.01,) * len(NAMES),
+    prior_sd=(0.005,) * len(NAMES),
     steps=(1e-4,) * len(NAMES),
     transform=unchanged,
     references=("D. Wang et al., Magn. Reson. Imaging 22 (2004) 1211",),

@@ -105,7 +105,7 @@ def total_n_per_mm(inverse, values):
 
 
 def test_growth_is_found():
-    true = {"ln_growth_fat": 0.02, "ln_growth_glandular": -0.05}
+    true = {"ln_growth_fat": 0.02, "ln_growth_glandular": -0.03}
     inverse = problem_between_plates(GROWN, true)
     analysis = analysed(inverse, fitted(inverse), [GROWN, effect("plate_tilt")])
     assert analysis.screening[0].name == "growth"

@@ -38,7 +38,7 @@ GROWTH = Effect(
         for tissue, name in NAMES.items()
     ),
     prior_sd=(0.03,) * len(NAMES),
-    steps=(1e-4,) * len(NAMES),
+    steps=(1e-6,) * len(NAMES),  # fibres that hardly act fall slack on the way, or not
     transform=transform,
     references=(
         "P. A. Fowler et al., Br. J. Obstet. Gynaecol. 97 (1990) 595",

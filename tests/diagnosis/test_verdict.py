@@ -327,3 +327,19 @@ def test_the_set_of_90_per_cent_covers(drawn_cases):
         held.append(bool(truth & set(found.set90)))
     assert np.mean(held) > 0.9 - 3 * np.sqrt(0.09 / len(held))
     assert np.mean([len(v.set90) for _, _, v in drawn_cases]) < 2.5
+
+
+def test_a_rarer_effect_needs_more_evidence():
+    """By the logarithm of how rare it is."""
+    rare = PriorOdds(of_effect={"a": 0.2})
+    told = [Hypothesis((), 0.0), Hypothesis(("a",), 1.0), Hypothesis(("b",), 1.0 + np.log(0.2))]
+    found = probabilities(told, 5, rare)
+    assert found[("a",), False] == pytest.approx(found[("b",), False])
+    both = [Hypothesis((), 0.0), Hypothesis(("a", "b"), 2.0), Hypothesis(("b", "c"), 2.0)]
+    found = probabilities(both, 5, rare)
+    assert found[("a", "b"), False] == pytest.approx(0.2 * found[("b", "c"), False])
+
+
+def test_odds_are_positive():
+    with pytest.raises(InputError, match="odds must be > 0"):
+        PriorOdds(of_effect={"a": 0.0})

@@ -18,7 +18,7 @@ from itertools import combinations
 
 import numpy as np
 
-from workers.diagnosis.hypotheses import Hypothesis
+from workers.diagnosis.hypotheses import Hypothesis, PriorOdds
 from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.joint_fit import JointFit, fit_jointly
 from workers.diagnosis.noise_evidence import LinearHypothesis
@@ -97,7 +97,8 @@ def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
     joint_fits |= yield from _fitted(_triples(analysis, known, list(joint_fits.values())))
     hypotheses = weigh(analysis, joint_fits)
     families = {one.name: known[one.name].family for one in analysis.sensitivities}
-    reached = verdict(hypotheses, families, analysis.hidden)
+    odds = PriorOdds(of_effect={one.name: known[one.name].odds for one in analysis.sensitivities})
+    reached = verdict(hypotheses, families, analysis.hidden, odds)
     return Diagnosis(analysis, reached, joint_fits, hypotheses)
 
 

@@ -6,8 +6,9 @@ effect has just the form that is listed is in the evidence of each; see
 `workers.diagnosis.form_error`.
 """
 
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import comb
 
 import numpy as np
@@ -70,7 +71,9 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class PriorOdds:
-    """How probable each kind of hypothesis is before data; split evenly among its members.
+    """How probable each kind of hypothesis is before data; split among its members.
+
+    Evenly, but for `of_effect`, by how much each effect is more probable than others.
 
     Raises
     ------
@@ -88,10 +91,12 @@ class PriorOdds:
     triple_and_field: float = SETTINGS.prior_odds.triple_and_field
     beside_unlisted: float = SETTINGS.prior_odds.beside_unlisted
     unlisted_part: float = SETTINGS.prior_odds.unlisted_part
+    of_effect: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not min(astuple(self)) > 0:
-            raise InputError(f"Prior odds must be > 0, found {astuple(self)}.")
+        *kinds, of_effect = dataclasses.astuple(self)
+        if not min([*kinds, *of_effect.values()]) > 0:
+            raise InputError(f"Prior odds must be > 0, found {self}.")
 
     def trust(self, unlisted: float) -> float:
         """Return how probably effects act and are not a mere likeness of what is not listed.
@@ -115,7 +120,8 @@ class PriorOdds:
             (self.pair, self.pair_and_field),
             (self.triple, self.triple_and_field),
         )
-        return float(np.log(kinds[len(effects)][field] / comb(catalogue, len(effects))))
+        even = np.log(kinds[len(effects)][field] / comb(catalogue, len(effects)))
+        return float(even + sum(np.log(self.of_effect.get(name, 1.0)) for name in effects))
 
 
 def probabilities(

@@ -157,6 +157,8 @@ def test_an_effect_must_be_whole():
     friction = effect("plate_friction")
     with pytest.raises(InputError, match="prior_sd > 0 for each of its 1"):
         replace(friction, prior_sd=())
+    with pytest.raises(InputError, match="odds > 0"):
+        replace(friction, odds=0.0)
     with pytest.raises(InputError, match="steps > 0"):
         replace(friction, steps=(0.0,))
     loose = Parameter("E_x", MM, 1.0, 2.0, None, "follows", follows="E_fat")

@@ -95,12 +95,14 @@ class Effect:
         For an effect that acts at one place. Parameters before those of the place are then its
         sizes; where they are neutral, the others change nothing, so the place is looked for on a
         grid first.
+    odds : float
+        How much more probable than others of its catalogue it is before data, > 0.
 
     Raises
     ------
     InputError
-        If a parameter has no neutral value, or a scale or a step is missing or not
-        positive.
+        If a parameter has no neutral value, or a scale, a step or the odds are missing or
+        not positive.
     """
 
     name: str
@@ -115,8 +117,11 @@ class Effect:
     if_present: tuple[tuple[float, float], ...] = ()
     sees: Literal["points", "moves", "arms"] = "points"
     place: Place | None = None
+    odds: float = 1.0
 
     def __post_init__(self) -> None:
+        if not self.odds > 0:
+            raise InputError(f"The effect {self.name} needs odds > 0, found {self.odds}.")
         for what, numbers in (("prior_sd", self.prior_sd), ("steps", self.steps)):
             if len(numbers) != len(self.parameters) or not all(n > 0 for n in numbers):
                 raise InputError(

@@ -23,7 +23,8 @@ def transform(problem: Problem, values: Values, frame: Frame) -> Problem:
 
 
 # The volume of a breast changes by some 10 % over a menstrual cycle, but scans to be compared are
-# taken days apart at most. Even growth looks much like labels that are drawn too large.
+# taken days apart at most, so that swelling is rarer than what the plates do. Even growth looks
+# much like labels that are drawn too large.
 GROWTH = Effect(
     name="growth",
     family="growth",
@@ -44,4 +45,5 @@ GROWTH = Effect(
         "P. A. Fowler et al., Br. J. Obstet. Gynaecol. 97 (1990) 595",
         "E. K. Rodriguez, A. Hoger, A. D. McCulloch, J. Biomech. 27 (1994) 455",
     ),
+    odds=0.2,
 )

@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from service_process import ServiceProcess
+from service_process import ServiceProcess, running_service
 
 from service.client import Client
 
@@ -12,12 +12,8 @@ from service.client import Client
 @pytest.fixture(scope="session")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
     home = tmp_path_factory.mktemp("service") / "runs"
-    served = ServiceProcess(home, ["--workers", "2"]).start()
-    yield served
-    assert served.process is not None
-    assert served.process.poll() is None, "the service went down"
-    assert served.stop() == 0
-    assert "Traceback" not in served.log, served.log
+    with running_service(home, ["--workers", "2"]) as served:
+        yield served
 
 
 @pytest.fixture

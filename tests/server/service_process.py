@@ -4,7 +4,8 @@ import os
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from service.client import Client
@@ -63,6 +64,28 @@ class ServiceProcess:
         assert self.process is not None
         self.process.terminate()
         return self.process.wait(timeout=90)
+
+
+@contextmanager
+def running_service(
+    home: Path, where: list[str], *more: str, threads: int = 0
+) -> Iterator[ServiceProcess]:
+    """Start a service that has so many threads of workers, and see that it ends as it should."""
+    served = ServiceProcess(home, where, 0, *more).start()
+    until = time.monotonic() + 120
+    try:
+        with served.client() as client:
+            while threads and client.cluster().threads < threads:
+                assert time.monotonic() < until, client.cluster()
+                time.sleep(0.1)
+        yield served
+    except BaseException:
+        served.kill()
+        raise
+    assert served.process is not None
+    assert served.process.poll() is None, "the service went down"
+    assert served.stop() == 0
+    assert "Traceback" not in served.log, served.log
 
 
 def until_stopped(folder: Path, patience_s: float = 60.0) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import httpx
 import pytest
 from compressed_breast import PHANTOM, PRESSED, SCANS, described, write_case, write_scan
-from service_process import TOKEN, ServiceProcess
+from service_process import TOKEN, ServiceProcess, running_service
 
 import palpate
 from service.cli import main
@@ -49,10 +49,8 @@ seed: 3
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
     """A service with the real tasks."""
     home = tmp_path_factory.mktemp("real") / "runs"
-    service = ServiceProcess(home, ["--workers", "1"], 0, "--real").start()
-    yield service
-    assert service.stop() == 0
-    assert "Traceback" not in service.log, service.log
+    with running_service(home, ["--workers", "1"], "--real") as service:
+        yield service
 
 
 @pytest.fixture

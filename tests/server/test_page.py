@@ -5,12 +5,12 @@ import re
 import shutil
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
-from service_process import TOKEN, ServiceProcess, until_stopped
+from service_process import TOKEN, ServiceProcess, running_service, until_stopped
+from shown_page import PATIENCE_MS, Shown
 from stand_ins import SPEC, Inline, executed, run, set_manners, small_spec, told
 
 from service.client import Client
@@ -22,7 +22,6 @@ CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
 
 WIDE, NARROW = 1400, 480
-PATIENCE_MS = 60_000
 SLOW = SPEC.replace("population: 12", "population: 40\n  stall: null")
 SLOW = SLOW.replace("generations: 5", "generations: 100")
 REAL = """
@@ -43,71 +42,11 @@ seed: 3
 READ_S, DRAW_MS = 20.0, 250.0
 
 
-@dataclass
-class Shown:
-    """The page in a browser, and what it has complained of or asked for elsewhere."""
-
-    page: Any
-    url: str
-    problems: list[str] = field(default_factory=list)
-    elsewhere: list[str] = field(default_factory=list)
-
-    def open(self, job: str = "") -> None:
-        """Go to a job, or to the list."""
-        self.page.goto(f"{self.url}/#/{job}")
-        self.page.wait_for_selector(f"h1:has-text('{job or 'Studies and diagnoses'}')")
-
-    def state(self, state: str) -> None:
-        """Wait until the job is in that state."""
-        self.page.wait_for_selector(f"header .badge.{state}", timeout=PATIENCE_MS)
-
-    def drawn(self) -> int:
-        """Return how many evaluations the chart of the scores shows."""
-        return int(self.page.get_attribute("canvas[data-chart=convergence]", "data-drawn") or 0)
-
-    def wait_drawn(self, count: int) -> None:
-        """Wait until it shows so many."""
-        until = time.monotonic() + PATIENCE_MS / 1000
-        while self.drawn() < count:  # wait_for_function evaluates a text, which the page forbids
-            assert time.monotonic() < until, f"{self.drawn()} of {count} are drawn"
-            self.page.wait_for_timeout(50)
-
-    def act(self, action: str) -> None:
-        """Press a button of the job."""
-        self.page.click(f"[data-action={action}]")
-
-    def show_the_best(self) -> None:
-        """Wait until the viewers show the best candidate, asking for it where that is offered."""
-        best = self.page.inner_text("#convergence button").strip()
-        assert best == "open the best candidate"
-        offer = self.page.locator("#bodies button:has-text('which is better')")
-        until = time.monotonic() + 4 * PATIENCE_MS / 1000  # a process starts for it, maybe two
-        while not re.match(r"Candidate \d+", self.page.inner_text("#bodies .note")) or (
-            offer.is_visible()
-        ):
-            assert time.monotonic() < until
-            if offer.is_visible():
-                offer.click()
-            self.page.wait_for_timeout(100)
-        self.page.wait_for_selector('[data-viewer="body"] canvas.body')
-
-    def settled(self) -> None:
-        """Wait until what was asked for is drawn."""
-        self.page.evaluate("() => new Promise(r => requestAnimationFrame(() => setTimeout(r, 30)))")
-
-
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
     home = tmp_path_factory.mktemp("paged") / "runs"
-    running = ServiceProcess(home, ["--workers", "2"], 0, "--bodies").start()
-    until = time.monotonic() + 120
-    with running.client() as client:
-        while client.cluster().threads < 2:
-            assert time.monotonic() < until, client.cluster()
-            time.sleep(0.1)
-    yield running
-    assert running.stop() == 0
-    assert "Traceback" not in running.log, running.log
+    with running_service(home, ["--workers", "2"], "--bodies", threads=2) as running:
+        yield running
 
 
 @pytest.fixture(scope="module")
@@ -360,13 +299,8 @@ def test_a_stranger_watches_and_changes_nothing(browser: Any, served: ServicePro
 
 @pytest.mark.slow
 def test_a_real_study_shows_its_gap_and_its_report(browser: Any, tmp_path: Path) -> None:
-    served = ServiceProcess(tmp_path / "runs", ["--workers", "1"], 0, "--real").start()
-    try:
+    with running_service(tmp_path / "runs", ["--workers", "1"], "--real") as served:
         look_at_a_real_study(browser, served)
-    except BaseException:
-        served.kill()
-        raise
-    assert served.stop() == 0
 
 
 def look_at_a_real_study(browser: Any, served: ServiceProcess) -> None:

@@ -212,7 +212,7 @@ class GapSettings:
 
     # [principle] Of intervals.
     level: float = 0.9
-    # [sets 5, 6, 7, hard] The floor is not known exactly: what the right model missed of 60 blind
+    # [sets 5, 6, 7, hard] The floor is not known exactly: what the accused effects left of 56 blind
     # bodies lies between these parts of it in nine out of ten.
     floor_range: tuple[float, float] = (0.8, 2.2)
     # [set 4] By this part of it the variance of the noise is wrong from case to case, as one

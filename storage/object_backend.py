@@ -13,6 +13,7 @@ half written; `palpate store gc` removes it.
 
 import json
 import secrets
+import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +26,13 @@ from zarr.storage import MemoryStore, ObjectStore
 
 from storage.backend import ARRAYS_IN, DESCRIPTION, Entry, FillGroup, ZarrAddress
 from storage.errors import StoreError
-from storage.object_client import client_of, explained
+from storage.object_client import (
+    FIRST_PATIENCE_S,
+    FIRST_PAUSE_S,
+    client_of,
+    explained,
+    was_cut_off,
+)
 from storage.object_path import ObjectPath
 
 if TYPE_CHECKING:
@@ -54,18 +61,26 @@ def write(place: ObjectPath, data: bytes) -> None:
 
 
 def create(place: ObjectPath, data: bytes) -> bool:
-    """Put an object on condition that there is none of that name (If-None-Match)."""
-    import obstore
-    from obstore.exceptions import AlreadyExistsError, PreconditionError
+    """Put an object on condition that there is none of that name (If-None-Match).
 
-    client = client_of(place)
-    with explained(place):
+    The client does not repeat a condition whose answer is lost; what lies there tells.
+    """
+    import obstore
+    from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
+
+    client, until = client_of(place), time.monotonic() + FIRST_PATIENCE_S
+    while True:
         try:
             obstore.put(client, place.key, data, mode="create", use_multipart=False)
+            return True
         except (AlreadyExistsError, PreconditionError):
             # Perhaps our own, whose answer was lost and which was put again.
             return read(place) == data
-    return True
+        except (BaseError, FileNotFoundError) as error:
+            if not was_cut_off(error) or time.monotonic() > until:
+                with explained(place):
+                    raise
+        time.sleep(FIRST_PAUSE_S)
 
 
 def is_file(place: ObjectPath) -> bool:

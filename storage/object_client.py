@@ -165,12 +165,21 @@ def _explanation(place: ObjectPath, error: Exception) -> StoreError:
             "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY or the profile (AWS_PROFILE), and what they "
             "may do with this bucket."
         )
-    if "HTTP error" in text or "error sending request" in text:
+    if _is_unreached(text):
         return StoreError(
             f"{place} cannot be reached at {_server()}{_tried(text)}. Check AWS_ENDPOINT_URL and "
             "the network; what is stored is kept: run the command again to continue."
         )
     return StoreError(f"{place} cannot be used: {_first(text)}. Check the server and its log.")
+
+
+def was_cut_off(error: Exception) -> bool:
+    """Return whether a request has no answer and was not repeated."""
+    return _is_unreached(str(error)) and not _tried(str(error))
+
+
+def _is_unreached(text: str) -> bool:
+    return "HTTP error" in text or "error sending request" in text
 
 
 def _server() -> str:

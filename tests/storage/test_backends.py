@@ -9,6 +9,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Barrier
+from typing import Any
 
 import numpy as np
 import pytest
@@ -183,6 +184,29 @@ def test_of_many_that_create_one_name_one_does(store: Store) -> None:
     assert store.backend.read(store.layout.lock("one")) == b"%d" % won.index(True)
     assert store.backend.remove(store.layout.lock("one"))
     assert store.backend.create(store.layout.lock("one"), b"next")
+
+
+@pytest.mark.parametrize("arrives", [False, True], ids=["lost on the way", "answer lost"])
+def test_a_creation_that_is_cut_off_is_tried_again(
+    bucket: str, monkeypatch: pytest.MonkeyPatch, arrives: bool
+) -> None:
+    """The client repeats no request with a condition, for it cannot know what has become of it."""
+    obstore = pytest.importorskip("obstore")
+    store, put, tries = open_store(bucket + "/cut"), obstore.put, []
+
+    def cut_off(*given: Any, **how: Any) -> Any:
+        tries.append(given)
+        if len(tries) > 1:
+            return put(*given, **how)
+        if arrives:
+            put(*given, **how)
+        raise obstore.exceptions.GenericError("HTTP error: error sending request")
+
+    monkeypatch.setattr(obstore, "put", cut_off)
+    assert store.backend.create(store.layout.lock("one"), b"mine")
+    assert len(tries) == 2
+    assert store.backend.read(store.layout.lock("one")) == b"mine"
+    assert not store.backend.create(store.layout.lock("one"), b"another's")
 
 
 KILLED = """

@@ -158,7 +158,7 @@ def _springs(model: SolverModel, numbers: Iterator[int]) -> Iterator[str]:
     """Springs of one stiffness share a card, because each card counts as a material."""
     for axis in range(3):
         # Three digits: a node's share of the wall is known no better.
-        both = (model.wall_n_per_mm + model.drift_n_per_mm)[:, axis]
+        both = (model.stated_springs_n_per_mm + model.drift_n_per_mm)[:, axis]
         stiffness = np.array([float(f"{k:.3g}") for k in both])
         for group, n_per_mm in enumerate(np.unique(stiffness[stiffness > 0])):
             name = f"SPRING_{'XYZ'[axis]}{group}"

@@ -25,8 +25,12 @@ PRESSURE_MODEL = 2
 ALPHA = 1e-20
 
 
+# An attachment fades without an end: springs below this part of the firmest are left out.
+FELT = 1e-3
+
+
 def export_febio(path: Path, model: SolverModel) -> None:
-    """Write an input file. Springs of the chest wall become prescribed displacements.
+    """Write an input file. Springs of chest wall and skin become prescribed displacements.
 
     Raises
     ------
@@ -50,7 +54,8 @@ def export_febio(path: Path, model: SolverModel) -> None:
 
 def _without_springs(model: SolverModel) -> SolverModel:
     """Prescribe the displacement of sprung nodes, and of one where nothing stops a drift."""
-    given = model.prescribed | (model.wall_n_per_mm > 0)
+    springs = model.stated_springs_n_per_mm
+    given = model.prescribed | (springs > FELT * springs.max(axis=0))
     wall = np.flatnonzero(given[:, 2])
     nodes = model.nodes[wall]
     middle = wall[np.argmin(np.linalg.norm(nodes - nodes.mean(axis=0), axis=1))]
@@ -67,8 +72,8 @@ def _notes(model: SolverModel) -> Iterator[str]:
         yield "Strain stiffening (Yeoh's c2): left out."
     if any(m.fibres for m in model.materials) and not model.tension_only:
         yield "Fibres: in tension only; this body's push back under compression too."
-    if model.wall_n_per_mm.any():
-        yield "Chest wall: its springs are replaced by the displacements of its nodes."
+    if model.stated_springs_n_per_mm.any():
+        yield "Springs of chest wall and skin: replaced by the displacements of their nodes."
 
 
 def _add(parent: Xml.Element, tag: str, text: object = None, **attributes: object) -> Xml.Element:

@@ -17,7 +17,7 @@ import numpy as np
 from service.export.solved_body import SolvedBody
 from storage.values import BoolArray, FloatArray, IntArray, Tissue
 from workers.mechanics.fem.element_energy import deformation_gradients
-from workers.mechanics.fem.external_forces import attachment_stiffness
+from workers.mechanics.fem.external_forces import stated_springs
 from workers.mechanics.fem.problem import Problem
 
 # More materials than this are thinned out: their constants are rounded to fewer digits.
@@ -84,7 +84,7 @@ class SolverModel:
         Components that are given.
     displacement_mm : ndarray, shape (n, 3)
         What they are; elsewhere our solution.
-    wall_n_per_mm : ndarray, shape (n, 3)
+    stated_springs_n_per_mm : ndarray, shape (n, 3)
         Springs of the chest wall and of attachments to the ground, zero where there is none.
     drift_n_per_mm : ndarray, shape (n, 3)
         Springs too weak to be felt that keep a body between frictionless plates in its place.
@@ -106,7 +106,7 @@ class SolverModel:
     materials: tuple[Material, ...]
     prescribed: BoolArray
     displacement_mm: FloatArray
-    wall_n_per_mm: FloatArray
+    stated_springs_n_per_mm: FloatArray
     drift_n_per_mm: FloatArray
     force_n: FloatArray
     isochoric_fibre: bool
@@ -142,9 +142,7 @@ def solver_model(own: SolvedBody, told: SolvedBody) -> SolverModel:
         As it is, and with the `comparable` problem.
     """
     level = told.level
-    wall = level.model.wall_areas[:, None] * np.asarray(level.problem.wall.spring_mpa_per_mm)
-    for attachment in level.problem.attachments:
-        wall = wall + attachment_stiffness(level.model, attachment)
+    stated = stated_springs(level.model, level.problem)
     return SolverModel(
         title=told.title,
         nodes=level.model.nodes,
@@ -152,8 +150,8 @@ def solver_model(own: SolvedBody, told: SolvedBody) -> SolverModel:
         materials=tuple(_materials(told)),
         prescribed=_prescribed(told),
         displacement_mm=told.positions_mm - level.model.nodes,
-        wall_n_per_mm=wall,
-        drift_n_per_mm=level.springs - wall,
+        stated_springs_n_per_mm=stated,
+        drift_n_per_mm=level.springs - stated,
         force_n=level.dead_load,
         isochoric_fibre=level.problem.isochoric_fibre,
         tension_only=not level.problem.literal_fibre,

@@ -11,7 +11,7 @@ from workers.diagnosis.places import places_of
 from workers.diagnosis.scan_prediction import predict_scan
 from workers.diagnosis.sensitivity_analysis import scan_sensitivity
 from workers.mechanics.effects.breast_catalogue import effect
-from workers.mechanics.fem.external_forces import attachment_stiffness
+from workers.mechanics.fem.external_forces import stated_springs
 
 ATTACHED, LUMP, GROWN = effect("local_attachment"), effect("inclusion"), effect("growth")
 
@@ -101,7 +101,8 @@ def total_n_per_mm(inverse, values):
     chosen = {name: values[name] for name in ATTACHED.names if name in values}
     without = inverse.scans[0].problem({"E_fat": 0.01, "E_gl": 0.03})
     problem = ATTACHED.apply(without, chosen, inverse.frame)
-    return attachment_stiffness(level, problem.attachments[0]).sum(axis=0)
+    both = (stated_springs(level, one).sum(axis=0) for one in (problem, without))
+    return next(both) - next(both)
 
 
 def test_growth_is_found():

@@ -1,6 +1,7 @@
 """What is written for other programs is the body that was solved."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
@@ -14,7 +15,7 @@ from service.export.solved_body import SolvedBody, solve_body
 from service.export.solver_model import SolverModel, comparable, contact_nodes, solver_model
 from storage.errors import InputError
 from workers.body.images.read import read_volume
-from workers.mechanics.fem.external_forces import attachment_stiffness
+from workers.mechanics.fem.external_forces import stated_springs
 
 PHANTOM = {"preset": "445ml", "spacing_mm": 2.0, "seed": 1}
 CASE = {
@@ -158,14 +159,29 @@ def test_what_cannot_be_said_is_named(store: str, tmp_path: Path) -> None:
     assert "Skin: left out" in header
 
 
-def test_attachments_are_springs_and_growth_is_left_out(store: str) -> None:
+def test_attachments_are_springs_and_growth_is_left_out(store: str, tmp_path: Path) -> None:
     hidden = {"attachment_stiffness_x": 1e-4, "attachment_z": -20.0, "ln_growth_fat": 0.02}
     own = solve_body(CASE, CONSTANTS | hidden, store, "a body that is held")
     found = solver_model(own, own.under(comparable(own.solved.problem)))
-    patch = attachment_stiffness(own.level.model, own.level.problem.attachments[0])
-    assert patch[:, 0].sum() > 0.05
-    np.testing.assert_allclose(found.wall_n_per_mm[:, 0], patch[:, 0], rtol=1e-12)
+    problem, level = own.solved.problem, own.level
+    without = stated_springs(level.model, replace(problem, attachments=()))
+    patch = found.stated_springs_n_per_mm - without
+    (attachment,) = problem.attachments
+    face = level.model.wall_areas[level.model.wall]
+    on_wall = face * attachment.weight(level.model.nodes[level.model.wall]) * 1e-4
+    assert patch[level.model.wall, 0].sum() >= on_wall.sum() > 0.01
+    assert not patch[:, 1:].any()
+    np.testing.assert_allclose(found.stated_springs_n_per_mm + found.drift_n_per_mm, level.springs)
     assert "Growth: left out." in found.remarks
+    # FEBio is told of the middle of the patch, 3.7 radii wide, and of no skin far from it.
+    export_solved([tmp_path / "b.feb"], own)
+    root = Xml.parse(tmp_path / "b.feb").getroot()
+    sets = {s.get("name"): [int(n) - 1 for n in s.text.split(",")] for s in root.iter("NodeSet")}
+    along = {c.find("dof").text: sets[c.get("node_set")] for c in root.iter("bc")}
+    nodes = level.model.nodes[along["x"]]
+    away = np.linalg.norm(nodes - attachment.centre_mm, axis=1) / attachment.radius_mm
+    assert 1 < len(nodes) < np.count_nonzero(patch[:, 0])
+    assert away.max() < 4.2
 
 
 def test_a_diverged_body_is_not_written(store: str, tmp_path: Path) -> None:

@@ -27,8 +27,8 @@ class DirichletConditions:
 def spring_stiffness(model: LevelModel, problem: Problem) -> FloatArray:
     """Return the stiffness of the springs that hold each node, shape (n, 3) in N/mm.
 
-    Along axes in which the chest wall holds the body there are none: they would carry
-    a part of its weight.
+    Those that a problem states, and weak ones along axes in which nothing else holds the body.
+    Where the chest wall does there are none: they would carry a part of its weight.
     """
     wall, load = problem.wall, problem.load
     loose = np.ones(3)
@@ -37,14 +37,18 @@ def spring_stiffness(model: LevelModel, problem: Problem) -> FloatArray:
     if len(model.wall):
         loose[np.logical_or(wall.held, np.greater(wall.spring_mpa_per_mm, 0))] = 0.0
     drift = DRIFT_SPRING_N_PER_MM4 * model.nodal_volumes[:, None] * loose
-    springs = drift + model.wall_areas[:, None] * np.asarray(wall.spring_mpa_per_mm)
+    return np.asarray(drift + stated_springs(model, problem))
+
+
+def stated_springs(model: LevelModel, problem: Problem) -> FloatArray:
+    """Return the springs of the chest wall and of attachments, shape (n, 3) in N/mm."""
+    springs = model.wall_areas[:, None] * np.asarray(problem.wall.spring_mpa_per_mm)
     for attachment in problem.attachments:
-        springs = springs + attachment_stiffness(model, attachment)
+        springs = springs + _attachment_springs(model, attachment)
     return np.asarray(springs)
 
 
-def attachment_stiffness(model: LevelModel, attachment: Attachment) -> FloatArray:
-    """Return the stiffness by which an attachment holds each node, shape (n, 3) in N/mm."""
+def _attachment_springs(model: LevelModel, attachment: Attachment) -> FloatArray:
     areas = model.wall_areas.copy()
     areas[model.contact_nodes.index] += model.contact_nodes.stiffness / PENALTY_N_PER_MM3
     return np.outer(areas * attachment.weight(model.nodes), attachment.spring_mpa_per_mm)

@@ -82,11 +82,9 @@ def _compensation(
     k = len(analysis.inverse.free)
     moved = np.zeros(at.size)
     for effect in effects:
-        columns = sensitivities[effect.name].places[0]
-        if columns.shape[1] != len(effect.names):
-            continue
-        away = [start[name] - effect.neutral[name] for name in effect.names]
-        moved += columns @ np.array(away)
+        if effect.place is None:
+            away = [start[name] - effect.neutral[name] for name in effect.names]
+            moved += sensitivities[effect.name].places[0] @ np.array(away)
     A = at.scaled_nominal[:, :k]
     step = np.linalg.solve(np.eye(k) + A.T @ A, A.T @ at.whiten(moved))
     most = SETTINGS.joint_fits.most_compensation
@@ -106,27 +104,22 @@ def _starts(analysis: NominalAnalysis, effects: Sequence[Effect]) -> list[dict[s
     for effect in new:
         if effect.place is None:
             common |= _expected(effect, screening[effect.name].estimate)
-    several = SETTINGS.joint_fits.place_starts if len(placed) == 1 else 1
     starts = [common]
     for effect in placed:
-        starts = [start | at for start in starts for at in _placed(analysis, effect, several)]
+        at = _placed(analysis, effect, several=len(placed) == 1)
+        starts = [start | one for start in starts for one in at]
     return starts
 
 
-def _placed(analysis: NominalAnalysis, effect: Effect, several: int) -> list[dict[str, float]]:
-    """Return the parameters of an effect at its best places."""
+def _placed(analysis: NominalAnalysis, effect: Effect, several: bool) -> list[dict[str, float]]:
+    """Return the parameters of an effect at its best place, or at several of the best."""
     if effect.place is None:
         raise ValueError(f"{effect.name} acts everywhere")
-    screened, settings = analysis.screening_by_name[effect.name], SETTINGS.joint_fits
-    places = analysis.places(effect)
-    best = np.argsort(-screened.place_log_bayes_factors, kind="stable")[:several]
-    begun = dict(effect.neutral)
-    for p, sd, estimate in zip(effect.parameters, effect.prior_sd, screened.estimate, strict=False):
-        begun[p.name] = _begin(p, sd, float(estimate))
-        if not one_sided(p):
-            most = settings.most_place_start * sd
-            expected = float(np.clip(settings.start * estimate, -most, most))
-            begun[p.name] = expected or settings.least_place_start * sd
+    screened, places = analysis.screening_by_name[effect.name], analysis.places(effect)
+    count = SETTINGS.joint_fits.place_starts if several else 1
+    best = np.argsort(-screened.place_log_bayes_factors, kind="stable")[:count]
+    sized = zip(effect.parameters, effect.prior_sd, screened.estimate, strict=False)
+    begun = effect.neutral | {p.name: _begin_at_place(p, sd, float(v)) for p, sd, v in sized}
     names = effect.place.names
     return [begun | dict(zip(names, map(float, places[i]), strict=True)) for i in best]
 
@@ -150,3 +143,12 @@ def _begin(parameter: Parameter, sd: float, expected: float) -> float:
     if one_sided(parameter):
         return neutral + float(np.clip(expected, settings.least_start * sd, most))
     return neutral + float(np.clip(settings.start * expected, -most, most))
+
+
+def _begin_at_place(parameter: Parameter, sd: float, expected: float) -> float:
+    """Return the same for a size at one place: never neutral, for there the place does nothing."""
+    settings = SETTINGS.joint_fits
+    if one_sided(parameter):
+        return _begin(parameter, sd, expected)
+    most = settings.most_place_start * sd
+    return float(np.clip(settings.start * expected, -most, most)) or settings.least_place_start * sd

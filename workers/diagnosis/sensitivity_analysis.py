@@ -94,7 +94,7 @@ def joined_sensitivity(
 def _columns(
     inverse: InverseProblem, problem: Problem, prediction: PredictedScan, effect: Effect
 ) -> FloatArray | None:
-    """Return (k, q), or (g, k, 1) for what is tried at several places or magnitudes."""
+    """Return (k, q), or (g, k, q) for what is tried at several places or magnitudes."""
     if effect.observation is not None:
         return observed_columns(inverse, effect, prediction)
     if effect.place is not None:
@@ -109,7 +109,7 @@ def _at_places(
     inverse: InverseProblem, prediction: PredictedScan, effect: Effect, place: Place
 ) -> FloatArray:
     """Return (g, k, q) for q sizes; one-sided differences, for the forces without are at hand."""
-    without, sizes = prediction.at.problem, range(effect.sizes)
+    without, sizes = prediction.at.problem, range(effect.size_count)
     changes = []
     for offset in places_of(inverse, effect):
         where = dict(zip(place.names, map(float, offset), strict=True))
@@ -132,7 +132,7 @@ def _at_places(
 def _yielding(
     inverse: InverseProblem, prediction: PredictedScan, change: Change, moved: FloatArray
 ) -> float:
-    """Return the compliance of the body under springs, over that of a unit of the springs.
+    """Return by how much the body gives way to a unit of springs, as a part of where it is.
 
     Springs k D take off k D u of the load where they hold the body by u; once they hold it, u is
     shorter by 1 + k c with c = -u'D du/dk / u'Du: exact for a spring at one point of a linear

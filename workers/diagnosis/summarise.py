@@ -83,7 +83,7 @@ def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
     best = diagnosis.best
     names = best.names if best is not None and effect.name in best.names else (effect.name,)
     parameters = _parameters(diagnosis, effect, names)
-    lead = max(parameters[: effect.sizes], key=_in_deviations)
+    lead = max(parameters[: effect.size_count], key=_in_deviations)
     return EffectSummary(
         name=effect.name,
         family=effect.family,

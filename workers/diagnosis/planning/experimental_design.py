@@ -214,7 +214,7 @@ def loose(load_sensitivities: Iterable[LoadSensitivity], effects: Sequence[Effec
 
 def plausible(effect: Effect) -> tuple[float, ...]:
     """Return prior standard deviations of the parameters that a sensitivity has."""
-    return effect.prior_sd[: effect.sizes]
+    return effect.prior_sd[: effect.size_count]
 
 
 def _scanned(unloaded: InverseProblem, design: Design) -> FloatArray:

@@ -140,7 +140,7 @@ class Effect:
         return tuple(p.name for p in self.parameters)
 
     @property
-    def sizes(self) -> int:
+    def size_count(self) -> int:
         """Return how many of the parameters, from the first, do something on their own."""
         return self.names.index(self.place.names[0]) if self.place else len(self.names)
 

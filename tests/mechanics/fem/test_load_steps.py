@@ -107,3 +107,18 @@ def test_a_neighbour_saves_newton_iterations(model):
     continued, rested = equilibrium(model, near, start).solution, solve(model, near)
     np.testing.assert_allclose(continued.displacement_mm, rested.displacement_mm, atol=1e-5)
     assert sum(continued.outcome.newton_iterations) < sum(rested.outcome.newton_iterations)
+
+
+def test_what_a_neighbour_does_not_lead_to_is_given_up_without_restarts(model, monkeypatch):
+    """Continuing is cut short; from rest the same body is found."""
+    start = equilibrium(model, pressed())
+    tilted = pressed(tilt_deg=6.0)
+    direct = solve(model, tilted)
+    monkeypatch.setattr(load_stepping, "MAX_ITERATIONS_FROM_NEIGHBOUR", 1)
+    found = equilibrium(model, tilted, start).solution
+    assert found.outcome.converged
+    np.testing.assert_allclose(found.displacement_mm, direct.displacement_mm, atol=1e-5)
+    given_up = equilibrium(model, replace(tilted, restarts=False), start).solution.outcome
+    assert not given_up.converged
+    assert "1 Newton iterations" in given_up.reason
+    assert equilibrium(model, replace(tilted, restarts=False)).solution.outcome.converged

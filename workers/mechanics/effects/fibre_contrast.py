@@ -38,5 +38,5 @@ FIBRE_CONTRAST = Effect(
     prior_sd=(0.7,),
     steps=(1e-4,),
     transform=transform,
-    references=("M. A. Lago, PhD thesis, 2014, section 4.3",),
+    references=("M. A. Lago, PhD thesis, 2014, section 4.5.1",),
 )

@@ -106,7 +106,7 @@ def assemble(
 ) -> None:
     """Add the internal force, (n, 3) in N, and the tangent, packed rows (edges, 12).
 
-    `pressure` is ``kappa_n (v_n / V_n - 1)`` per node and `root` is
+    `pressure` is ``kappa_n (v_n / V_n - gamma_n)`` per node and `root` is
     ``sqrt(kappa_n / V_n)``; `edge`, (m, 4, 4), is the row of each pair of nodes.
     With `convex` the geometric stiffness of pressure and slack fibres, which may be
     negative, is left out. With empty rows the force alone is added.

@@ -8,9 +8,10 @@ families of fibres,
 
 and each node a volume ratio, averaged over the elements around it, that stores
 
-.. math:: W_n = \tfrac{\kappa_n}{2} (v_n / V_n - 1)^2 .
+.. math:: W_n = \tfrac{\kappa_n}{2} (v_n / V_n - \gamma_n)^2 .
 
-The nodal average (Bonet & Burton 1998) keeps linear tetrahedra from locking at
+:math:`\gamma_n` is 1 where nothing has grown, see `workers.mechanics.fem.element_constants`. The
+nodal average (Bonet & Burton 1998) keeps linear tetrahedra from locking at
 nu = 0.49. `workers.mechanics.fem.assembly` has the first and second derivatives. The second
 is the sum of 3 x 3 blocks over the edges of the mesh and of a rank-one term per
 node, ``sum_n (kappa_n / V_n) g_n g_n^T`` with ``g_n = d v_n / d u``, kept apart

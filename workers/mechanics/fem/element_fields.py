@@ -3,12 +3,13 @@ r"""Stress, strain and volume change of a solution, per element and per node.
 In the nodal-averaged element the first Piola-Kirchhoff stress is
 
 .. math:: P = \frac{\partial W_e}{\partial F} + p\, J F^{-T}, \qquad
-          p = \tfrac14 \sum_{a=1}^4 \kappa_a (v_a / V_a - 1) ,
+          p = \tfrac14 \sum_{a=1}^4 \kappa_a (v_a / V_a - \gamma_a) ,
 
-the mean of the pressures of its four nodes (Bonet & Burton, Comm. Numer. Meth. Engng 14
-(1998) 437-449): with it the force on a node is the sum of :math:`V P g_a` over the elements
-around. In a plain element :math:`p = \kappa (J - 1)`. Here p is positive in tension; the
-`pressure_mpa` that is reported has the sign of a fluid's, positive where it is squeezed.
+the mean of the pressures of its four nodes, with :math:`\gamma = 1` where nothing has grown
+(Bonet & Burton, Comm. Numer. Meth. Engng 14 (1998) 437-449): with it the force on a node is the
+sum of :math:`V P g_a` over the elements around. In a plain element
+:math:`p = \kappa (J - 1)`. Here p is positive in tension; the `pressure_mpa` that is reported has
+the sign of a fluid's, positive where it is squeezed.
 """
 
 from dataclasses import dataclass

@@ -8,7 +8,8 @@ from linear_world import catalogue, layout, mode, nominal_problem, observed
 
 from storage.errors import InputError
 from workers.diagnosis import shrinkage as shrinkages
-from workers.diagnosis.gap import LinearFit, gap, pooled
+from workers.diagnosis.gap import Gap, credited, gap, pooled
+from workers.diagnosis.linear_fit import LinearFit
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.shrinkage import shrinkage, unseen_shrinkage
 from workers.mechanics.effects.rigid_motion import rigid_columns
@@ -126,23 +127,47 @@ def test_subsets_add_up():
 
 
 def test_parts_are_pooled_into_the_whole():
-    """The mean square exactly; the interval is no narrower, for parts are taken to err alike."""
+    """The mean square exactly; it is known no better, for parts are taken to err alike."""
     fit = LinearFit(observed(nominal_problem(), np.random.default_rng(37), known_gap()))
-    whole, both = gap(fit, floor_mm=0.05), pooled([gap(fit, LOW), gap(fit, HIGH)], 0.05)
+    whole, both = gap(fit), pooled([gap(fit, LOW), gap(fit, HIGH)])
     assert both.gap_mm == pytest.approx(whole.gap_mm, rel=1e-10)
     assert both.noise_mm == pytest.approx(whole.noise_mm, rel=1e-10)
     assert both.points == whole.points
+    assert both.sd_mm2 >= whole.sd_mm2
     assert both.high_mm >= whole.high_mm
     assert both.low_mm <= whole.low_mm
 
 
-def test_floor_is_added_in_quadrature():
+@pytest.mark.parametrize(("deviations", "part"), [(-1.0, 0.0), (2.0, 0.5), (6.0, 0.9)])
+def test_an_excess_that_may_be_chance_is_credited_in_part(deviations, part):
+    """Worked by hand: of two deviations 4 / (4 + 4), of six 36 / (36 + 4)."""
+    some = Gap(0.0, 0.0, 0.0, 0.0, sd_mm2=0.003, noise_mm=0.0, points=9)
+    excess = deviations * some.sd_mm2
+    assert credited(excess, some, 0.1) == pytest.approx(part * max(excess, 0.0))
+    assert credited(excess, some, 0.0) == max(excess, 0.0)
+
+
+def test_the_floor_is_in_the_gap_and_in_its_interval():
     fit = LinearFit(observed(nominal_problem(), np.random.default_rng(38), known_gap()))
-    plain, raised = gap(fit), gap(fit, floor_mm=0.08)
-    assert raised.gap_mm == pytest.approx(np.hypot(plain.gap_mm, 0.08))
+    found = gap(fit, floor_mm=0.08)
+    noise = SETTINGS.gap.noise_variance_sd * found.noise_mm**2
+    square = found.excess_mm2**3 / (found.excess_mm2**2 + 4 * (found.sd_mm2**2 + noise**2))
+    assert found.gap_mm == pytest.approx(np.hypot(np.sqrt(square), 0.08))
+    reach = 1.6449 * np.hypot(found.sd_mm2, noise)
     least, most = SETTINGS.gap.floor_range
-    assert raised.low_mm == pytest.approx(np.hypot(plain.low_mm, least * 0.08))
-    assert raised.high_mm == pytest.approx(np.hypot(plain.high_mm, most * 0.08))
+    low, high = max(0.0, square - reach), found.excess_mm2 + reach
+    assert found.low_mm == pytest.approx(np.hypot(np.sqrt(low), least * 0.08), rel=1e-4)
+    assert found.high_mm == pytest.approx(np.hypot(np.sqrt(high), most * 0.08), rel=1e-4)
+
+
+def test_a_right_model_is_not_charged_with_chance():
+    """Nothing is missing but the floor: the gap is nearer to it than what noise alone leaves."""
+    rng = np.random.default_rng(46)
+    fits = [LinearFit(observed(nominal_problem(), rng)) for _ in range(60)]
+    floor_mm = 0.1
+    plain = [np.hypot(gap(fit).gap_mm, floor_mm) - floor_mm for fit in fits]
+    found = [gap(fit, floor_mm=floor_mm).gap_mm - floor_mm for fit in fits]
+    assert 0 < np.mean(found) < 0.4 * np.mean(plain)
 
 
 def both(rng, size=1.0):
@@ -220,11 +245,11 @@ def test_a_small_gap_and_its_share_are_found_although_too_much_noise_is_stated(s
 
 def test_unseen_shrinkage_pools_what_single_states_say():
     nominal, effect = both(np.random.default_rng(42))
-    whole = unseen_shrinkage(nominal, effect, STATE, 1)
+    whole = unseen_shrinkage(nominal, effect, STATE, 1, floor_mm=0.1)
     parts = [shrinkage(nominal, effect, 1, ~rows, rows) for rows in (LOW, HIGH)]
     less = np.mean([p.before.excess_mm2 - p.after.excess_mm2 for p in parts])
     assert whole.before.excess_mm2 - whole.after.excess_mm2 == pytest.approx(less, rel=1e-10)
-    assert whole.share == pytest.approx(less / whole.before.excess_mm2, rel=1e-10)
+    assert whole.share == pytest.approx(less / whole.before.gap_mm**2, rel=1e-10)
 
 
 def test_a_floor_that_is_not_known_exactly_widens_the_interval_of_the_share(monkeypatch):

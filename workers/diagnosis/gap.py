@@ -1,36 +1,32 @@
 r"""The gap in mm: how far model and image differ beyond the noise.
 
-With a residual r, noise of covariance C and a fit that moves residuals by ``r -> r + F r``,
-the mean square of what the fitted model misses of a noise-free image is estimated
-without bias by
+The mean square that a residual has beyond its noise,
 
-.. math:: G^2 = \overline{r_{fit}^2} - \overline{\mathrm{diag}\,C}
-                - 2\,\overline{\mathrm{diag}\,FC}.
+.. math:: E = \overline{r_{fit}^2} - \overline{\mathrm{noise}^2},
 
-The second term is the noise, the last one what the fit took of it and now hides (the
-covariance penalty of C. L. Mallows, Technometrics 15 (1973) 661, and B. Efron, J. Am. Stat.
-Assoc. 99 (2004) 619). Without a fit F is zero. The interval comes from
+is without bias (`workers.diagnosis.linear_fit`), and its standard deviation s follows from
 
 .. math:: \mathrm{Var}(r'r) = 2\,\mathrm{tr}\,D^2 + 4\,m'Dm
 
-for a residual with mean m and covariance D = (I + F) C (I + F)'.
+for a residual with mean m and covariance D. But noise alone makes E as large as s or minus s, and
+a gap of 0.1 mm is smaller than that. So where it is known how much even the right model misses,
+the floor, the squared gap is that of the floor and of what E has beyond chance,
 
-Where a scan lies is no fault of the model. Where scans are registered by another fit, by
-``r -> r + R r``, C is that of scans that may lie anywhere, and what is left of it the noise:
-``(I + R) C (I + R)'`` takes the place of C in the second term, ``F C (I + R)'`` that of FC.
+.. math:: G^2 = G_0^2 + \frac{E_+^3}{E^2 + (2 s)^2},
+
+half of E where it is twice s: a smooth form of the garrote of L. Breiman, Technometrics 37 (1995)
+373. Without a floor it is the positive part of E.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray
-from workers.diagnosis.linearisation import Linearised, factored
+from workers.diagnosis.linear_fit import LinearFit
 from workers.diagnosis.settings import SETTINGS
 
 
@@ -41,13 +37,13 @@ class Gap:
     Parameters
     ----------
     gap_mm : float
-        0 where the residual is no larger than noise.
+        The floor, if there is one, where the residual is no larger than noise.
     low_mm, high_mm : float
         Interval.
     excess_mm2 : float
-        Its square before it is cut at zero: may be negative, and averages rightly.
-    reach_mm2 : float
-        Half the interval of `excess_mm2`.
+        Mean square of the residual beyond its noise: may be negative, and averages rightly.
+    sd_mm2 : float
+        Of `excess_mm2`.
     noise_mm : float
         Root mean square of the noise of the observation.
     points : int
@@ -58,198 +54,12 @@ class Gap:
     low_mm: float
     high_mm: float
     excess_mm2: float
-    reach_mm2: float
+    sd_mm2: float
     noise_mm: float
     points: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Registration:
-    """Where the scans lie, as one fit has it; a step of ``-(gain r + shift)`` in prior sd.
-
-    Parameters
-    ----------
-    gain : ndarray, shape (q, m)
-        On the residuals of the model that is registered.
-    shift : ndarray, shape (q,)
-    """
-
-    gain: FloatArray
-    shift: FloatArray
-
-    @classmethod
-    def by(cls, best: Linearised, count: int, residual: FloatArray) -> "Registration":
-        """Return that of the best model there is, for another model of the same scans.
-
-        A model that lacks something moves the scans to make up for it, so it must not register
-        them itself.
-
-        Parameters
-        ----------
-        best : Linearised
-            Its last `count` parameters say where the scans lie.
-        count : int
-        residual : ndarray, shape (m,)
-            Of the other model.
-        """
-        fit, which = LinearFit(best), slice(len(best.nominal_sd) - count, None)
-        gain = fit.gain[which]
-        return cls(gain, fit.bias[which] + gain @ (best.residual - residual))
-
-
-class LinearFit:
-    """The residual after one linear step to the optimum, and the noise in it.
-
-    Parameters
-    ----------
-    problem : Linearised
-    train : ndarray of bool, shape (m,), optional
-        Residuals that the parameters are fitted to; all.
-    judge : ndarray of bool, shape (m,), optional
-        Residuals that the fit is judged by; all.
-    fitted : bool
-        False leaves the parameters where they are and takes the residual as not fitted.
-    registration : Registration, optional
-        Takes the place of the last parameters, which say where the scans lie.
-
-    Raises
-    ------
-    InputError
-        If no residual is left to fit or to judge.
-    """
-
-    def __init__(
-        self,
-        problem: Linearised,
-        train: BoolArray | None = None,
-        judge: BoolArray | None = None,
-        fitted: bool = True,
-        registration: Registration | None = None,
-    ) -> None:
-        every = np.ones(problem.size, dtype=bool)
-        train = every if train is None else train
-        judge = every if judge is None else judge
-        for name, rows in (("train", train), ("judge", judge)):
-            if rows.shape != (problem.size,) or not rows.any():
-                raise InputError(
-                    f"{name} must mark some of {problem.size} residuals, found "
-                    f"{int(np.sum(rows))} marks in shape {rows.shape}."
-                )
-        self.problem = problem
-        self.judge = judge
-        p = len(problem.nominal_sd) if fitted else 0
-        self._columns = (problem.nominal * problem.nominal_sd)[:, :p]
-        self.gain: FloatArray = np.zeros((p, problem.size))
-        self.bias: FloatArray = np.zeros(p)
-        if p:
-            self._fit_to(train)
-        self._registered = 0 if registration is None else len(registration.gain)
-        if registration is not None:
-            self.gain[p - self._registered :] = registration.gain
-            self.bias[p - self._registered :] = registration.shift
-
-    def _fit_to(self, train: BoolArray) -> None:
-        """Fit to some residuals; the step is ``-(gain r + bias)``, in prior standard deviations."""
-        problem = self.problem
-        L = problem.covariance_factor
-        if not train.all():
-            L = factored(problem.covariance[np.ix_(train, train)])
-        part = Linearised(
-            problem.residual[train],
-            problem.nominal[train],
-            problem.nominal_sd,
-            problem.nominal_offset,
-            L,
-        )
-        A = part.scaled_nominal
-        H = np.eye(A.shape[1]) + A.T @ A
-        weighted = solve_triangular(L, A, lower=True, trans="T", check_finite=False)
-        self.gain[:, train] = np.linalg.solve(H, weighted.T)
-        self.bias = np.asarray(np.linalg.solve(H, part.scaled_offset), dtype=np.float64)
-
-    @property
-    def step(self) -> FloatArray:
-        """Change of the parameters from the fit, shape (p,), in prior standard deviations."""
-        return -(self.gain @ self.problem.residual + self.bias)
-
-    @cached_property
-    def residual(self) -> FloatArray:
-        """After the step, of the residuals that are judged, in mm."""
-        return self.after(self.problem.residual[:, None])[:, 0]
-
-    def after(self, residuals: FloatArray) -> FloatArray:
-        """Return what the fit makes of other residuals: (m, n) in, (judged, n) out."""
-        steps = self.gain @ residuals + self.bias[:, None]
-        return np.asarray(residuals[self.judge] - self._columns[self.judge] @ steps)
-
-    @cached_property
-    def observation_mm2(self) -> FloatArray:
-        """Variance of the observation of each judged residual, registered if it was."""
-        N = self.poses[self.judge]
-        own = np.diag(self._noise)[self.judge]
-        taken = 2.0 * self._shared_poses[self.judge] - N @ (self._pose_gain @ self._shared_poses)
-        return np.asarray(own - (N * taken).sum(axis=1))
-
-    @cached_property
-    def noise_mm2(self) -> FloatArray:
-        """By how much the mean square of each residual exceeds that of the gap."""
-        fitted = slice(self._columns.shape[1] - self._registered)
-        J, N = self._columns[self.judge, fitted], self.poses[self.judge]
-        shared = self._shared[self.judge, fitted] - N @ (self.gain[fitted] @ self._shared_poses).T
-        return self.observation_mm2 - 2.0 * (J * shared).sum(axis=1)
-
-    @property
-    def excess_mm2(self) -> float:
-        """G^2 over all judged residuals, before it is cut at zero."""
-        return float((self.residual**2).mean() - self.noise_mm2.mean())
-
-    @cached_property
-    def covariance(self) -> FloatArray:
-        """D of the judged residuals."""
-        X, shared = self._columns[self.judge], self._shared[self.judge]
-        crossed = X @ shared.T
-        inner = X @ (self.gain @ self._shared) @ X.T
-        C = self._noise[np.ix_(self.judge, self.judge)]
-        return np.asarray(C - crossed - crossed.T + inner)
-
-    @cached_property
-    def floor_mm(self) -> float:
-        """Gap that fitting noise opens, even if the model is right: ``tr(F C F')``."""
-        X = self._columns[self.judge]
-        return float(np.sqrt(((X @ (self.gain @ self._shared)) * X).sum(axis=1).mean()))
-
-    @cached_property
-    def _shared(self) -> FloatArray:
-        """``C gain'``, shape (m, p)."""
-        L, N = self.problem.covariance_factor, self.poses
-        return np.asarray(L @ (L.T @ self.gain.T) + N @ (N.T @ self.gain.T))
-
-    @cached_property
-    def _noise(self) -> FloatArray:
-        """C: with where the scans may lie, if they were registered apart, shape (m, m)."""
-        C = self.problem.covariance
-        return C + self.poses @ self.poses.T if self._registered else C
-
-    @property
-    def poses(self) -> FloatArray:
-        """Columns of what was registered apart, shape (m, q)."""
-        return self._columns[:, self._columns.shape[1] - self._registered :]
-
-    @property
-    def _pose_gain(self) -> FloatArray:
-        return self.gain[len(self.gain) - self._registered :]
-
-    @property
-    def _shared_poses(self) -> FloatArray:
-        return self._shared[:, self._shared.shape[1] - self._registered :]
-
-
-def gap(
-    fit: LinearFit,
-    rows: BoolArray | None = None,
-    floor_mm: float = 0.0,
-    level: float = SETTINGS.gap.level,
-) -> Gap:
+def gap(fit: LinearFit, rows: BoolArray | None = None, floor_mm: float = 0.0) -> Gap:
     """Return the gap of a fit over some of its residuals.
 
     Parameters
@@ -261,28 +71,24 @@ def gap(
         Gap that the calibrated model shows on images of its own for reasons that are not in
         the linearised noise, such as another mesh; added in quadrature, and to the ends of
         the interval as much of it as `floor_range` of the settings says.
-    level : float
-        Of the interval, 0 to 1.
 
     Raises
     ------
     InputError
-        If no residual is chosen or a number is out of range.
+        If no residual is chosen or the floor is negative.
     """
     if rows is None:
         rows = np.ones(len(fit.residual), dtype=bool)
-    if not rows.any() or floor_mm < 0 or not 0 < level < 1:
+    if not rows.any() or floor_mm < 0:
         raise InputError(
-            "A gap needs some residuals, floor_mm >= 0 and a level between 0 and 1, found "
-            f"{int(rows.sum())} residuals, {floor_mm} mm and {level}."
+            "A gap needs some residuals and floor_mm >= 0, found "
+            f"{int(rows.sum())} residuals and {floor_mm} mm."
         )
-    r, n = fit.residual[rows], int(rows.sum())
+    r = fit.residual[rows]
     excess = float((r**2).mean() - fit.noise_mm2[rows].mean())
-    reach = float(ndtri(0.5 + level / 2)) * _sd_of_mean_square(
-        r, fit.covariance[np.ix_(rows, rows)]
-    )
-    noise = float(np.sqrt(fit.observation_mm2[rows].mean()))
-    return _gap(excess, reach, noise, n, floor_mm)
+    noise_mm = float(np.sqrt(fit.observation_mm2[rows].mean()))
+    sd = _sd_of_mean_square(r, fit.covariance[np.ix_(rows, rows)])
+    return _gap(excess, sd, noise_mm, len(r), floor_mm)
 
 
 def pooled(parts: Sequence[Gap], floor_mm: float = 0.0) -> Gap:
@@ -291,27 +97,64 @@ def pooled(parts: Sequence[Gap], floor_mm: float = 0.0) -> Gap:
     Their errors are taken for one and the same: all share the reference scan.
     """
     n = np.array([part.points for part in parts], dtype=np.float64)
-    excess, reach, noise2 = (
+    excess, sd, noise2 = (
         float(np.average(values, weights=n))
         for values in zip(
-            *((part.excess_mm2, part.reach_mm2, part.noise_mm**2) for part in parts), strict=True
+            *((part.excess_mm2, part.sd_mm2, part.noise_mm**2) for part in parts), strict=True
         )
     )
-    return _gap(excess, reach, float(np.sqrt(noise2)), int(n.sum()), floor_mm)
+    return _gap(excess, sd, float(np.sqrt(noise2)), int(n.sum()), floor_mm)
 
 
-def raised(found: Gap, by_mm2: float, floor_mm: float = 0.0) -> Gap:
-    """Return the same gap where less noise is taken off its square."""
-    return _gap(found.excess_mm2 + by_mm2, found.reach_mm2, found.noise_mm, found.points, floor_mm)
+def without_effect(before: Gap, after: Gap, floor_mm: float = 0.0) -> Gap:
+    """Return the gap of a model that lacks an effect, beside that of the model that has it.
+
+    Noise cancels in the difference of their squares, which is known far better than either.
+    """
+    beyond = credited(after.excess_mm2, after, floor_mm)
+    square = float(beyond) + before.excess_mm2 - after.excess_mm2
+    return _between(before, square, floor_mm)
 
 
-def _gap(excess: float, reach: float, noise_mm: float, points: int, floor_mm: float) -> Gap:
+def credited(excess_mm2: FloatArray | float, of: Gap, floor_mm: float) -> FloatArray:
+    """Return what the mean square of a residual has beyond its noise and beyond chance, in mm2.
+
+    Parameters
+    ----------
+    excess_mm2 : float or ndarray
+    of : Gap
+        Whose standard deviation and noise `excess_mm2` has.
+    floor_mm : float
+        Without one, the positive part of the excess is credited whole.
+    """
+    positive = np.maximum(excess_mm2, 0.0)
+    if not floor_mm:
+        return positive
+    chance = SETTINGS.gap.chance_deviations * _whole_sd(of, floor_mm)
+    return np.asarray(positive**3 / (positive**2 + chance**2))
+
+
+def _gap(excess: float, sd: float, noise_mm: float, points: int, floor_mm: float) -> Gap:
+    blank = Gap(0.0, 0.0, 0.0, excess, sd, noise_mm, points)
+    return _between(blank, float(credited(excess, blank, floor_mm)), floor_mm)
+
+
+def _between(of: Gap, square_mm2: float, floor_mm: float) -> Gap:
+    """Return the gap with a square beyond the floor, and the interval around it."""
     least, most = SETTINGS.gap.floor_range
-    ends = (excess, 1.0), (excess - reach, least), (excess + reach, most)
+    reach = float(ndtri(0.5 + SETTINGS.gap.level / 2)) * _whole_sd(of, floor_mm)
+    low, high = min(square_mm2, of.excess_mm2) - reach, max(square_mm2, of.excess_mm2) + reach
+    ends = (square_mm2, 1.0), (low, least), (high, most)
     middle, low, high = (
         float(np.sqrt(max(0.0, value) + (part * floor_mm) ** 2)) for value, part in ends
     )
-    return Gap(middle, low, high, excess, reach, noise_mm, points)
+    return replace(of, gap_mm=middle, low_mm=low, high_mm=high)
+
+
+def _whole_sd(of: Gap, floor_mm: float) -> float:
+    """Return that of the excess; where gaps have a floor, noise is not known exactly either."""
+    wrong = SETTINGS.gap.noise_variance_sd * of.noise_mm**2 if floor_mm else 0.0
+    return float(np.hypot(of.sd_mm2, wrong))
 
 
 def _sd_of_mean_square(r: FloatArray, D: FloatArray) -> float:

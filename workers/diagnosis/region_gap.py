@@ -3,7 +3,8 @@
 import numpy as np
 
 from storage.values import BoolArray
-from workers.diagnosis.gap import LinearFit, gap
+from workers.diagnosis.gap import gap
+from workers.diagnosis.linear_fit import LinearFit
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.summary import RegionGap
 

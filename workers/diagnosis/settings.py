@@ -212,12 +212,17 @@ class GapSettings:
 
     # [principle] Of intervals.
     level: float = 0.9
-    # [sets 5, 6, 7, hard] The floor is not known exactly: what the accused effects left of 56 blind
-    # bodies lies between these parts of it in nine out of ten.
-    floor_range: tuple[float, float] = (0.8, 2.2)
+    # [sets 5, 6, 7, hard] What accused effects left of 48 blind bodies and nominal models of 14
+    # that lack nothing is this many times the floor that is counted, in the median, and lies
+    # between these parts of the median in nine out of ten.
+    floor_factor: float = 1.3
+    floor_range: tuple[float, float] = (0.62, 1.7)
     # [set 4] By this part of it the variance of the noise is wrong from case to case, as one
     # standard deviation: the mean square of residuals scatters by 6 % where theory says 4 %.
     noise_variance_sd: float = 0.045
+    # [sets 5, 6, 7, hard] Of an excess that is this many of its standard deviations, half is
+    # credited.
+    chance_deviations: float = 2.0
     # [null replicates] Gap that a mesh from a noisy segmentation opens, in standard deviations of
     # the noise.
     drawn_noises: float = 0.17

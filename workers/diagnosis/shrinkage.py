@@ -24,7 +24,8 @@ from scipy.special import ndtri
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
-from workers.diagnosis.gap import Gap, LinearFit, Registration, gap, pooled, raised
+from workers.diagnosis.gap import Gap, credited, gap, pooled, without_effect
+from workers.diagnosis.linear_fit import LinearFit, Registration
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.settings import SETTINGS
 
@@ -59,7 +60,6 @@ def shrinkage(
     floor_mm: float = 0.0,
     registered: int = 0,
     draws: int = SETTINGS.gap.draws,
-    level: float = SETTINGS.gap.level,
 ) -> Shrinkage:
     """Compare the fit of the nominal parameters with one that has the effect too.
 
@@ -81,8 +81,6 @@ def shrinkage(
         effect to all residuals sets them in both.
     draws : int
         Of the bootstrap, >= 20.
-    level : float
-        Of the intervals.
 
     Raises
     ------
@@ -95,7 +93,7 @@ def shrinkage(
             f"{nominal.size} and {effect.size} residuals and {draws} draws."
         )
     pair = _pair(nominal, effect, train, judge, registered)
-    return _compared(nominal, effect, [pair], seed, floor_mm, draws, level)
+    return _compared(nominal, effect, [pair], seed, floor_mm, draws)
 
 
 def unseen_shrinkage(
@@ -106,7 +104,6 @@ def unseen_shrinkage(
     floor_mm: float = 0.0,
     registered: int = 0,
     draws: int = SETTINGS.gap.draws,
-    level: float = SETTINGS.gap.level,
 ) -> Shrinkage:
     """Compare fits that never saw what they are judged by; see `shrinkage`.
 
@@ -124,7 +121,7 @@ def unseen_shrinkage(
     if len(every) < 2:
         raise InputError("To leave a state out, there must be two or more; found one.")
     pairs = [_pair(nominal, effect, states != one, states == one, registered) for one in every]
-    return _compared(nominal, effect, pairs, seed, floor_mm, draws, level)
+    return _compared(nominal, effect, pairs, seed, floor_mm, draws)
 
 
 def _pair(
@@ -156,18 +153,12 @@ def _compared(
     seed: int,
     floor_mm: float,
     draws: int,
-    level: float,
 ) -> Shrinkage:
     """Compare fits without and with the effect, each judged by its part of the residuals."""
     without, along = zip(*pairs, strict=True)
-    before, after = (
-        pooled([gap(f, level=level) for f in fits], floor_mm) for fits in (without, along)
-    )
-    missing = max(0.0, -after.excess_mm2)
-    before, after = (raised(one, missing, floor_mm) for one in (before, after))
-    share = float(
-        _share(_squared(before.excess_mm2, floor_mm), _squared(after.excess_mm2, floor_mm))
-    )
+    before, after = (pooled([gap(f) for f in fits], floor_mm) for fits in (without, along))
+    before = without_effect(before, after, floor_mm)
+    share = float(_share(np.array(before.gap_mm**2), np.array(after.gap_mm**2)))
     if before.gap_mm == 0.0:
         return Shrinkage(float("nan"), float("nan"), float("nan"), before, after)
     means = _without_noise(nominal, effect)
@@ -177,9 +168,11 @@ def _compared(
     drawn = [_excess(fits, mean, noise) for fits, mean in zip((without, along), means, strict=True)]
     wrong = SETTINGS.gap.noise_variance_sd * before.noise_mm**2 * rng.standard_normal(draws)
     drawn = [excess + wrong for excess in drawn]
-    lacking = np.maximum(0.0, -drawn[1])
+    left = credited(drawn[1], after, floor_mm)
     floors = floor_mm * _parts_of_floor(rng, draws)
-    shares = _share(*(_squared(excess + lacking, floors) for excess in drawn))
+    squares = (left + drawn[0] - drawn[1], left)
+    shares = _share(*(np.maximum(square, 0.0) + floors**2 for square in squares))
+    level = SETTINGS.gap.level
     low, high = np.nanquantile(shares, [(1 - level) / 2, (1 + level) / 2])
     return Shrinkage(share, float(low), float(high), before, after)
 
@@ -208,10 +201,6 @@ def _parts_of_floor(rng: np.random.Generator, draws: int) -> FloatArray:
     """Draw parts of the floor: log-normal, nine in ten within their range."""
     ends = np.log(SETTINGS.gap.floor_range)
     return np.asarray(np.exp(rng.normal(ends.mean(), np.ptp(ends) / 2 / ndtri(0.95), draws)))
-
-
-def _squared(excess_mm2: FloatArray | float, floor_mm: FloatArray | float) -> FloatArray:
-    return np.maximum(excess_mm2, 0.0) + floor_mm**2
 
 
 def _share(before: FloatArray, after: FloatArray) -> FloatArray:

@@ -8,8 +8,9 @@ import numpy as np
 from storage.values import BoolArray
 from workers.diagnosis.acquisition import INTERFACES
 from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.gap import Gap, LinearFit, Registration, gap
+from workers.diagnosis.gap import Gap, gap
 from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.linear_fit import LinearFit, Registration
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.parameter_posterior import parameter_posterior
 from workers.diagnosis.region_gap import region_gap
@@ -200,11 +201,12 @@ def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
     """Return what even the right model misses; without it, gaps near zero come out too small.
 
     The noise that was fitted; what the mesh leaves, as large as what a finer one has taken
-    off; and that the body is meshed as it was segmented.
+    off; that the body is meshed as it was segmented; and some more, which nobody can count.
     """
     mesh = float(np.sqrt((inverse.bias**2).mean()))
     drawn = SETTINGS.gap.drawn_noises * inverse.noise.reference_sd_mm
-    return float(np.linalg.norm([LinearFit(nominal).floor_mm, mesh, drawn]))
+    counted = np.linalg.norm([LinearFit(nominal).floor_mm, mesh, drawn])
+    return SETTINGS.gap.floor_factor * float(counted)
 
 
 def _where(diagnosis: Diagnosis) -> Iterator[RegionGap]:

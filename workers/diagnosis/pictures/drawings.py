@@ -23,7 +23,7 @@ from storage.values import FloatArray, IntArray, Volume
 from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.similarity.score import Score
 from workers.diagnosis.acquisition import INTERFACES
-from workers.diagnosis.gap import LinearFit
+from workers.diagnosis.linear_fit import LinearFit
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.pictures.cause_map import CauseMap, voxels
 from workers.diagnosis.pictures.local_mean import local_mean

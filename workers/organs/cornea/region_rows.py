@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.gap import LinearFit
+from workers.diagnosis.linear_fit import LinearFit
 from workers.diagnosis.region_gap import region_gap
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.summary import RegionGap

@@ -16,9 +16,9 @@ def experiment_lines(summary: Summary) -> Iterator[str]:
     if summary.predictions is None:
         return
     for name, constant in summary.constants.items():
-        was = f"{constant.before:.0f} kPa"
-        after = "" if constant.after is None else f", with what was found {constant.after:.0f} kPa"
-        yield f"{name.removesuffix('_kpa')}: {was}{after}"
+        values = [v for v in (constant.before, constant.after) if v is not None]
+        said = [f"{v:.0f} kPa" if name.endswith("_kpa") else f"{v:.3g}" for v in values]
+        yield f"{name.removesuffix('_kpa')}: {', with what was found '.join(said)}"
     for effect in summary.hidden or ():
         for name, kpa in effect.constants_kpa.items():
             if abs(kpa["with"] / kpa["without"] - 1) < SMALL:

@@ -28,7 +28,13 @@ PROBLEM = Problem(
     forces=(DeadForce((0.0, -0.5, 0.1), TIP),),
 )
 EFFECTS = specimen_effects(
-    (0.0, -1.0, 0.0), (5.0, 5.0, 0.0), TIP, weightless=True, markers=True, clamped=True
+    (0.0, -1.0, 0.0),
+    (5.0, 5.0, 0.0),
+    TIP,
+    weightless=True,
+    markers=True,
+    clamped=True,
+    known_nu=True,
 )
 BY_NAME = {e.name: e for e in EFFECTS}
 every = pytest.mark.parametrize("e", EFFECTS, ids=lambda e: e.name)
@@ -61,7 +67,7 @@ def test_names_are_one_vocabulary():
 
 def test_only_what_can_act_is_suspected():
     few = specimen_effects(
-        (0, -1, 0), (0, 0, 0), None, weightless=False, markers=False, clamped=False
+        (0, -1, 0), (0, 0, 0), None, weightless=False, markers=False, clamped=False, known_nu=True
     )
     left_out = set(BY_NAME) - {e.name for e in few}
     assert left_out == {

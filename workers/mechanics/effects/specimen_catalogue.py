@@ -32,6 +32,7 @@ def specimen_effects(
     weightless: bool,
     markers: bool,
     clamped: bool,
+    known_nu: bool,
 ) -> tuple[Effect, ...]:
     """Return the catalogue of an experiment.
 
@@ -49,13 +50,15 @@ def specimen_effects(
         Whether markers were observed, and not points of the body itself.
     clamped : bool
         Whether the body is held by the plane in which it ends.
+    known_nu : bool
+        Whether Poisson's ratios are stated: one that is searched is a constant, no effect.
     """
     effects: list[Effect] = [self_weight(down)] if weightless else []
     if loaded is not None:
         effects += [LOAD_SCALE, added_mass(down, loaded)]
     if clamped:
         effects += [CLAMP_COMPLIANCE]
-    effects += [GRADIENT, COMPRESSIBILITY, STIFFENING, RELAXED]
+    effects += [GRADIENT, *([COMPRESSIBILITY] if known_nu else []), STIFFENING, RELAXED]
     if markers:
         effects += [MARKER_STANDOFF]
     return (*effects, base_motion(base_mm), FRAME_TURN)

@@ -82,10 +82,11 @@ def dirichlet_conditions(model: LevelModel, problem: Problem) -> DirichletCondit
             held[model.wall, axis] = True
     for hold in problem.holds:
         inside = nodes_in(hold.region, model.nodes, model.edge_mm)
+        prescribed = hold.at(model.nodes[inside])
         for axis, fixed in enumerate(hold.axes):
             if fixed:
                 held[inside, axis] = True
-                displacement[inside, axis] = hold.displacement_mm[axis]
+                displacement[inside, axis] = prescribed[:, axis]
     return DirichletConditions(held, displacement)
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import RBFInterpolator
 
 from storage.errors import InputError
 from storage.values import FloatArray, Triple
@@ -126,12 +127,44 @@ class DeadForce:
 
 
 @dataclass(frozen=True, slots=True)
+class DisplacementField:
+    """Displacements that are known at some points.
+
+    Between them they are an affine map, fitted by least squares, and what it leaves by
+    biharmonic functions, the linear kernel of M. D. Buhmann, Radial Basis Functions (2003):
+    points of one plane will do.
+    """
+
+    points_mm: tuple[Triple, ...]
+    displacement_mm: tuple[Triple, ...]
+
+    def at(self, points: FloatArray) -> FloatArray:
+        """Return the displacement at points, (k, 3) in and out, in mm."""
+        known, moved = np.array(self.points_mm), np.array(self.displacement_mm)
+        middle = known.mean(axis=0)
+        affine = np.linalg.lstsq(_with_one(known - middle), moved)[0]
+        rest = moved - _with_one(known - middle) @ affine
+        field = RBFInterpolator(known, rest, kernel="linear", degree=0)
+        return np.asarray(field(points) + _with_one(points - middle) @ affine)
+
+
+def _with_one(points: FloatArray) -> FloatArray:
+    return np.column_stack([points, np.ones(len(points))])
+
+
+@dataclass(frozen=True, slots=True)
 class Hold:
     """Displacement prescribed on the nodes of a region, along the axes that are held."""
 
     region: Region
-    displacement_mm: Triple = (0.0, 0.0, 0.0)
+    displacement_mm: Triple | DisplacementField = (0.0, 0.0, 0.0)
     axes: tuple[bool, bool, bool] = (True, True, True)
+
+    def at(self, points: FloatArray) -> FloatArray:
+        """Return what is prescribed at points of the region, (k, 3) in and out, in mm."""
+        if isinstance(self.displacement_mm, DisplacementField):
+            return self.displacement_mm.at(points)
+        return np.tile(np.asarray(self.displacement_mm, np.float64), (len(points), 1))
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,11 +65,12 @@ class Body:
 
     @property
     def base_mm(self) -> Triple:
-        """About the middle of what is held."""
+        """About the middle of what is held; where nothing is, of what is moved."""
         low, high = self.box_mm
         middles = []
-        for hold in self.spec.holds:
-            box = region_of(self.spec.regions[hold.region])
+        moved = (move.region for move in self.spec.states[0].moves)
+        for region in [hold.region for hold in self.spec.holds] or moved:
+            box = region_of(self.spec.regions[region])
             ends = [np.clip(corner, low, high) for corner in (box.lower_mm, box.upper_mm)]
             middles.append((ends[0] + ends[1]) / 2)
         x, y, z = np.mean(middles, axis=0)

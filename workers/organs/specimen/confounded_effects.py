@@ -1,4 +1,4 @@
-"""What hides in the constants: how far each effect that no data can show would move them."""
+"""What hides in the constants: how far each effect that no data can show would move stiffness."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,6 +10,7 @@ from workers.diagnosis.inverse_problem import unknowns
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.summary import ConfoundedEffect
 from workers.mechanics.effects.base import Effect
+from workers.units import KPA
 
 
 def confounded_effects(
@@ -28,7 +29,8 @@ def confounded_effects(
     """
     best = diagnosis.best
     base = best.fit if best is not None else diagnosis.analysis.nominal
-    before = constants_kpa(base)
+    free = [one for one in diagnosis.analysis.inverse.free if one.unit == KPA]
+    before = base.unknowns.constants(base.z)
     confounded = []
     for effect in effects:
         if effect.name not in diagnosis.verdict.hidden:
@@ -42,21 +44,22 @@ def confounded_effects(
             ConfoundedEffect(
                 effect.name,
                 {p.door_name: p.unit.to_door(size[p.name]) for p in effect.parameters},
-                {name: {"without": before[name], "with": after[name]} for name in before},
+                {
+                    one.name: {
+                        "without": KPA.to_door(before[one.name]),
+                        "with": KPA.to_door(after[one.name]),
+                    }
+                    for one in free
+                },
             )
         )
     return tuple(confounded)
 
 
-def constants_kpa(at: Fit) -> dict[str, float]:
-    """Return the free constants of a fit, in kPa."""
-    return {name: 1e3 * v for name, v in at.unknowns.constants(at.z).items()}
-
-
 def linear_change(
     diagnosis: Diagnosis, effect: Effect, before: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return constants in kPa that make good for an effect of its plausible size."""
+    """Return constants that make good for an effect of its plausible size."""
     analysis = diagnosis.analysis
     columns = analysis.sensitivity_by_name[effect.name].places[0]
     away = np.array([effect.plausible[n] - effect.neutral[n] for n in effect.names])
@@ -70,11 +73,11 @@ def linear_change(
 def fitted_with(
     diagnosis: Diagnosis, base: Fit, effect: Effect, near: Mapping[str, float]
 ) -> dict[str, float] | None:
-    """Return constants in kPa with the effect added to a fit; None if that was not solved."""
+    """Return constants with the effect added to a fit; None if that was not solved."""
     inverse = diagnosis.analysis.inverse
     free = unknowns(inverse.free, (*base.unknowns.effects, effect))
     z = free.mean.copy()
     z[: len(base.z)] = base.z
-    z[: len(near)] = np.log([1e-3 * v for v in near.values()])
+    z[: len(near)] = np.log(list(near.values()))
     again = fit(inverse, free, z, [None] * len(inverse.scans))
-    return None if again is None else constants_kpa(again)
+    return None if again is None else again.unknowns.constants(again.z)

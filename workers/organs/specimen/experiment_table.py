@@ -12,7 +12,7 @@ def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:
         ("experiment", spec.name),
         ("body", shape or f"{body.mesh}, {body.mm_per_unit:g} mm per unit"),
         *((name, _material(one)) for name, one in spec.materials.items()),
-        ("held", "; ".join(f"{h.region} along {', '.join(h.axes)}" for h in spec.holds)),
+        ("held", "; ".join(f"{h.region} along {', '.join(h.axes)}" for h in spec.holds) or "no"),
         ("gravity", spec.gravity),
     ]
     if markers is not None:
@@ -25,8 +25,10 @@ def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:
 
 def _material(material: MaterialSpec) -> str:
     low, high = material.E_kpa
+    nu = material.nu
+    nus = f"searched from {nu[0]:g} to {nu[1]:g}" if isinstance(nu, tuple) else f"{nu:g}"
     return (
-        f"{material.law}, E searched from {low:g} to {high:g} kPa, nu {material.nu:g}, "
+        f"{material.law}, E searched from {low:g} to {high:g} kPa, nu {nus}, "
         f"{material.density_kg_per_m3:g} kg/m3"
     )
 
@@ -39,7 +41,9 @@ def _loads(loads: LoadsSpec) -> str:
         for f in loads.forces
     ]
     texts += [
-        f"{m.region} moved by ({', '.join(f'{c:g}' for c in m.displacement_mm)}) mm"
+        f"{m.region} moved as measured"
+        if m.displacement_mm is None
+        else f"{m.region} moved by ({', '.join(f'{c:g}' for c in m.displacement_mm)}) mm"
         for m in loads.moves
     ]
     return "; ".join(texts) or "no load of its own"

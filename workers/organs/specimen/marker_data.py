@@ -1,6 +1,6 @@
 """What was observed of a specimen: points of its body, their displacements, and their noise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -8,14 +8,18 @@ from typing import Protocol
 import numpy as np
 
 from storage.errors import InputError
-from storage.values import FloatArray
+from storage.values import BoolArray, FloatArray, Triple
 from workers.comparison.observation.marker_noise import Scatter, component_covariance, scatter_of
 from workers.comparison.observation.marker_recording import Recording, read_recording, read_table
 from workers.comparison.observation.rigid_registration import misfit_mm, rotation_to
+from workers.mechanics.fem.loads import DisplacementField
+from workers.organs.specimen.problem import region_of
 from workers.organs.specimen.spec import FieldSpec, MarkersSpec, SpecimenSpec
 
 # Markers at rest this far off their places have been mixed up, or misread.
 FARTHEST_MM = 10.0
+# Points of a field that show how a region moves, at least: an affine motion of a plane.
+FEWEST = 4
 POINT = ("x_mm", "y_mm", "z_mm")
 MOVE = ("ux_mm", "uy_mm", "uz_mm")
 
@@ -39,6 +43,9 @@ class Observed:
         Of the markers at rest from the places they should have; 0 without a frame.
     repeats_mm : tuple of float
         Mean absolute difference between the first two repeats of each state; nan for one.
+    boundary_mm : ndarray, shape (b, 3)
+        Points of a field whose displacement is prescribed; none of the k points.
+    boundary_moved_mm : ndarray, shape (s, b, 3)
     """
 
     points_mm: FloatArray
@@ -48,6 +55,17 @@ class Observed:
     sd_mm: float
     misfit_mm: float
     repeats_mm: tuple[float, ...]
+    boundary_mm: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    boundary_moved_mm: FloatArray = field(default_factory=lambda: np.empty((0, 0, 3)))
+
+    def boundary_of(self, state: int, spec: SpecimenSpec) -> dict[str, DisplacementField]:
+        """Return how each region moves that moves as was measured, in one of the states."""
+        found = {}
+        for name in spec.measured_regions:
+            inside = region_of(spec.regions[name]).contains(self.boundary_mm)
+            points, moved = self.boundary_mm[inside], self.boundary_moved_mm[state, inside]
+            found[name] = DisplacementField(_triples(points), _triples(moved))
+        return found
 
 
 class _Noisy(Protocol):
@@ -110,8 +128,35 @@ def _of_field(spec: SpecimenSpec, field: FieldSpec, folder: Path) -> Observed:
         repeats.append(np.stack([np.column_stack([t[c] for c in MOVE]) for t in tables]))
     if points is None or not np.isfinite([*points.ravel(), *np.concatenate(repeats).ravel()]).all():
         raise InputError("Landmarks need places and displacements that are finite numbers, in mm.")
-    names = tuple(str(n) for n in range(len(points)))
-    return _observed(points, names, repeats, field, 0.0)
+    inside = _on_boundary(spec, points)
+    own = [r[:, ~inside] for r in repeats]
+    names = tuple(str(n) for n in np.flatnonzero(~inside))
+    return replace(
+        _observed(points[~inside], names, own, field, 0.0),
+        boundary_mm=points[inside],
+        boundary_moved_mm=np.stack([r[:, inside].mean(axis=0) for r in repeats]),
+    )
+
+
+def _on_boundary(spec: SpecimenSpec, points: FloatArray) -> BoolArray:
+    """Return which points of a field prescribe how a region moves, shape (k,)."""
+    inside = np.zeros(len(points), np.bool_)
+    for name in spec.measured_regions:
+        here = region_of(spec.regions[name]).contains(points)
+        if here.sum() < FEWEST:
+            raise InputError(
+                f"The region {name} moves as was measured, but {int(here.sum())} points of the "
+                f"field lie in it; at least {FEWEST} are needed. Give it as a box that holds "
+                "a layer of points."
+            )
+        inside |= here
+    if inside.all():
+        raise InputError("All points of the field prescribe what moves; none is left to compare.")
+    return inside
+
+
+def _triples(rows: FloatArray) -> tuple[Triple, ...]:
+    return tuple((float(x), float(y), float(z)) for x, y, z in rows)
 
 
 def _displacements(recording: Recording, markers: MarkersSpec) -> FloatArray:

@@ -1,11 +1,13 @@
 """A bench specimen: its materials, loads and holds as a problem for the solver."""
 
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
 from storage.values import Tissue, Triple
-from workers.mechanics.fem.loads import DeadForce, Hold, NoPlates, Wall
+from workers.diagnosis.inverse_problem import FreeConstant
+from workers.mechanics.fem.loads import DeadForce, DisplacementField, Hold, NoPlates, Wall
 from workers.mechanics.fem.problem import GRAVITY_MM_PER_S2, Constants, Problem
 from workers.mechanics.fem.regions import Box
 from workers.organs.specimen.spec import (
@@ -15,7 +17,7 @@ from workers.organs.specimen.spec import (
     RegionSpec,
     SpecimenSpec,
 )
-from workers.units import KPA
+from workers.units import KPA, NUMBER
 
 AXES = ("x", "y", "z")
 # A plane takes nodes this near to it.
@@ -27,6 +29,11 @@ T_PER_G = 1e-6
 def young_name(spec: SpecimenSpec, material: str) -> str:
     """Return the searched constant of a material: E, with its name where there are several."""
     return "E" if len(spec.materials) == 1 else f"E_{material}"
+
+
+def compressibility_name(spec: SpecimenSpec, material: str) -> str:
+    """Return the searched constant 1 - 2 nu of a material, with its name as E has it."""
+    return "one_minus_2nu" if len(spec.materials) == 1 else f"one_minus_2nu_{material}"
 
 
 def region_of(region: RegionSpec) -> Box:
@@ -48,7 +55,12 @@ def _moved(corner: Iterable[float], by_mm: float) -> Triple:
 
 
 def problem_of(
-    spec: SpecimenSpec, loads: LoadsSpec, values: Mapping[str, float], wall_mm: float
+    spec: SpecimenSpec,
+    loads: LoadsSpec,
+    values: Mapping[str, float],
+    wall_mm: float,
+    measured: Mapping[str, DisplacementField] = MappingProxyType({}),
+    softer: float = 1.0,
 ) -> Problem:
     """Return what the solver is asked in one state.
 
@@ -57,10 +69,15 @@ def problem_of(
     spec : SpecimenSpec
     loads : StateSpec or PredictSpec
     values : mapping of str to float
-        Young's modulus of each material in MPa, see `young_name`.
+        Young's modulus of each material in MPa, see `young_name`; 1 - 2 nu where it is searched,
+        see `compressibility_name`.
     wall_mm : float
         Lowest z of the body. A hold on all of that plane is the wall of the solver, which
         can be made to yield; other places are held by `Hold`.
+    measured : mapping of str to DisplacementField
+        Of the regions that move as was measured in this state.
+    softer : float
+        By which Young's moduli are multiplied.
     """
     places = {name: region_of(region) for name, region in spec.regions.items()}
     wall, holds = Wall((False, False, False)), []
@@ -71,11 +88,15 @@ def problem_of(
         else:
             holds.append(Hold(places[hold.region], axes=axes))
     holds += [
-        Hold(places[move.region], move.displacement_mm, held_axes(move.axes))
+        Hold(
+            places[move.region],
+            move.displacement_mm or measured[move.region],
+            held_axes(move.axes),
+        )
         for move in loads.moves
     ]
     return Problem(
-        constants=_constants(spec, values),
+        constants=_constants(spec, values, softer),
         load=NoPlates(),
         wall=wall,
         gravity_g=spec.unit_down if spec.gravity == "modelled" else (0.0, 0.0, 0.0),
@@ -99,11 +120,15 @@ def held_axes(axes: tuple[Axis, ...]) -> tuple[bool, bool, bool]:
     return "x" in axes, "y" in axes, "z" in axes
 
 
-def _constants(spec: SpecimenSpec, values: Mapping[str, float]) -> dict[Tissue, Constants]:
+def _constants(
+    spec: SpecimenSpec, values: Mapping[str, float], softer: float
+) -> dict[Tissue, Constants]:
     return {
         spec.tissue_of(name): Constants(
-            values[young_name(spec, name)],
-            material.nu,
+            softer * values[young_name(spec, name)],
+            material.nu
+            if isinstance(material.nu, float)
+            else (1.0 - values[compressibility_name(spec, name)]) / 2.0,
             density_t_per_mm3=material.density_kg_per_m3 * KG_PER_M3,
         )
         for name, material in spec.materials.items()
@@ -117,9 +142,19 @@ def _force_n(force: ForceSpec, down: Triple) -> Triple:
     return down[0] * weight, down[1] * weight, down[2] * weight
 
 
-def bounds_mpa(spec: SpecimenSpec) -> dict[str, tuple[float, float]]:
-    """Return plausible interval of each searched constant, in MPa."""
-    return {
-        young_name(spec, name): (KPA.to_inside(m.E_kpa[0]), KPA.to_inside(m.E_kpa[1]))
-        for name, m in spec.materials.items()
-    }
+def free_constants(spec: SpecimenSpec) -> list[FreeConstant]:
+    """Return the searched constants: E of each material, and 1 - 2 nu where nu is an interval.
+
+    Nu itself has no logarithm with a normal prior: it must stay below a half.
+    """
+    found = [
+        FreeConstant(
+            young_name(spec, name), KPA.to_inside(one.E_kpa[0]), KPA.to_inside(one.E_kpa[1])
+        )
+        for name, one in spec.materials.items()
+    ]
+    for name, one in spec.materials.items():
+        if isinstance(one.nu, tuple):
+            low, high = (1.0 - 2.0 * nu for nu in reversed(one.nu))
+            found.append(FreeConstant(compressibility_name(spec, name), low, high, NUMBER))
+    return found

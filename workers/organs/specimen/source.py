@@ -23,6 +23,7 @@ from workers.diagnosis.summary import PredictedState, Summary
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.specimen_catalogue import specimen_effects
 from workers.mechanics.fem.fields import frame_of
+from workers.mechanics.fem.loads import DisplacementField
 from workers.mechanics.fem.model import Model, prepare
 from workers.mechanics.fem.problem import Problem
 from workers.organs.specimen.body import FARTHEST_MM, Body, arms
@@ -30,8 +31,8 @@ from workers.organs.specimen.confounded_effects import confounded_effects
 from workers.organs.specimen.marker_data import Observed
 from workers.organs.specimen.mesh_error import part_of_compliance
 from workers.organs.specimen.prediction import predict
-from workers.organs.specimen.problem import bounds_mpa, is_wall, problem_of, region_of
-from workers.organs.specimen.spec import LoadsSpec, SpecimenSpec
+from workers.organs.specimen.problem import free_constants, is_wall, problem_of, region_of
+from workers.organs.specimen.spec import LoadsSpec, SpecimenSpec, StateSpec
 from workers.organs.specimen.summary_rows import marker_states, predicted_states
 from workers.scan_threads import Each
 from workers.spec import validated
@@ -92,6 +93,8 @@ class SpecimenSource:
             sd_mm=record["sd_mm"],
             misfit_mm=record["misfit_mm"],
             repeats_mm=tuple(arrays["repeats_mm"].tolist()),
+            boundary_mm=arrays["boundary_mm"],
+            boundary_moved_mm=arrays["boundary_moved_mm"],
         )
         spec = validated(SpecimenSpec, record["spec"], "The experiment")
         return cls(spec, observed, content.volumes.get(BODY))
@@ -111,6 +114,8 @@ class SpecimenSource:
             "moved_mm": observed.moved_mm,
             "covariance": observed.covariance,
             "repeats_mm": np.array(observed.repeats_mm, np.float64),
+            "boundary_mm": observed.boundary_mm,
+            "boundary_moved_mm": observed.boundary_moved_mm,
         }
         return SourceContent(self.kind, record, {} if voxels is None else {BODY: voxels}, arrays)
 
@@ -126,8 +131,8 @@ class SpecimenSource:
 
     @property
     def free(self) -> list[FreeConstant]:
-        """Young's modulus of each material."""
-        return [FreeConstant(name, *bounds) for name, bounds in bounds_mpa(self.spec).items()]
+        """Young's modulus of each material, and how compressible it is where that is searched."""
+        return free_constants(self.spec)
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
@@ -141,6 +146,7 @@ class SpecimenSource:
             weightless=spec.gravity == "not modelled",
             markers=spec.markers is not None,
             clamped=any(is_wall(spec, h.region, self.body.wall_mm) for h in spec.holds),
+            known_nu=all(isinstance(m.nu, float) for m in spec.materials.values()),
         )
 
     def check(self) -> None:
@@ -174,9 +180,9 @@ class SpecimenSource:
     def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> Model | None:
         """Return another mesh of the same body, to see what the mesh adds.
 
-        None for a block, whose mesh is known to be too stiff and made good for.
+        None where the mesh is known to be too stiff and made good for.
         """
-        return prepare(self.body.mesh(nodes)) if self.spec.body.box_mm is None else None
+        return None if self._is_made_good_for else prepare(self.body.mesh(nodes))
 
     def problem(
         self, loads: LoadsSpec, softer: float = 1.0
@@ -189,7 +195,10 @@ class SpecimenSource:
         softer : float
             By which the stiffness is multiplied; see `part_of_compliance`.
         """
-        return partial(_problem, self.spec, loads, self.body.wall_mm, softer)
+        measured = {}
+        if isinstance(loads, StateSpec):
+            measured = self.observed.boundary_of(self.scans.index(loads.name), self.spec)
+        return partial(_problem, self.spec, loads, self.body.wall_mm, measured, softer)
 
     def predictions(self, inverse: InverseProblem, fit: Fit) -> tuple[PredictedState, ...]:
         """Return what the fit expects of the states under ``predict``.
@@ -228,14 +237,22 @@ class SpecimenSource:
         )
 
     def part_of_compliance(self, nodes: int) -> float:
-        """See `workers.organs.specimen.mesh_error`; 1 for a body that comes from a file."""
+        """See `workers.organs.specimen.mesh_error`; 1 where displacements are no compliance.
+
+        A body from a file has no lattice, and one whose ends move as was measured does not move
+        by its stiffness alone.
+        """
         box = self.spec.body.box_mm
-        if box is None:
+        if box is None or not self._is_made_good_for:
             return 1.0
         if nodes not in self._softer:
             points = self.observed.points_mm
             self._softer[nodes] = part_of_compliance(box, nodes, points, self._heaviest())
         return self._softer[nodes]
+
+    @property
+    def _is_made_good_for(self) -> bool:
+        return self.spec.body.box_mm is not None and not self.spec.measured_regions
 
     def _arms(self, mesh: TetMesh) -> csr_matrix | None:
         """See `InverseProblem.arms`; None where no markers were observed."""
@@ -273,7 +290,8 @@ def _problem(
     spec: SpecimenSpec,
     loads: LoadsSpec,
     wall_mm: float,
+    measured: Mapping[str, DisplacementField],
     softer: float,
     values: Mapping[str, float],
 ) -> Problem:
-    return problem_of(spec, loads, {name: softer * E for name, E in values.items()}, wall_mm)
+    return problem_of(spec, loads, values, wall_mm, measured, softer)

@@ -18,6 +18,7 @@ from workers.mechanics.parameters import unknown_name
 from workers.spec import Door, Finite, Positive, validated
 
 FinitePoint = tuple[Finite, Finite, Finite]
+Poisson = Annotated[float, Field(gt=0, lt=0.5)]
 Sizes = tuple[Positive, Positive, Positive]
 Axis = Literal["x", "y", "z"]
 # A body has as many materials as voxels have labels.
@@ -84,18 +85,21 @@ class RegionSpec(Door):
 
 
 class MaterialSpec(Door):
-    """A material whose stiffness is searched in an interval."""
+    """A material whose stiffness is searched in an interval, and Poisson's ratio in one of two."""
 
     law: Literal["neo-hookean"] = "neo-hookean"
     E_kpa: tuple[Positive, Positive]
-    nu: Annotated[float, Field(gt=0, lt=0.5)]
+    nu: Poisson | tuple[Poisson, Poisson]
     density_kg_per_m3: Positive
 
     @model_validator(mode="after")
-    def _interval(self) -> Self:
-        low, high = self.E_kpa
-        if not low < high:
-            raise ValueError(f"E_kpa needs [lower, upper] with lower < upper, found {low}, {high}")
+    def _intervals(self) -> Self:
+        for name, interval in (("E_kpa", self.E_kpa), ("nu", self.nu)):
+            if isinstance(interval, tuple) and not interval[0] < interval[1]:
+                low, high = interval
+                raise ValueError(
+                    f"{name} needs [lower, upper] with lower < upper, found {low}, {high}"
+                )
         return self
 
 
@@ -121,11 +125,18 @@ class ForceSpec(Door):
 
 
 class MoveSpec(Door):
-    """A displacement prescribed on a region."""
+    """A displacement prescribed on a region: one for all of it, or what the field shows there."""
 
     region: str
-    displacement_mm: FinitePoint
+    displacement_mm: FinitePoint | None = None
+    measured: bool = False
     axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ("x", "y", "z")
+
+    @model_validator(mode="after")
+    def _one_displacement(self) -> Self:
+        if (self.displacement_mm is None) != self.measured:
+            raise ValueError("give exactly one of displacement_mm and measured: true")
+        return self
 
 
 class LoadsSpec(Door):
@@ -229,7 +240,7 @@ class SpecimenSpec(Door):
     materials: Annotated[dict[str, MaterialSpec], Field(min_length=1, max_length=len(MATERIALS))]
     down: FinitePoint
     gravity: Literal["not modelled", "modelled"] = "not modelled"
-    holds: Annotated[tuple[HoldSpec, ...], Field(min_length=1)]
+    holds: tuple[HoldSpec, ...] = ()
     markers: MarkersSpec | None = None
     field: FieldSpec | None = None
     states: Annotated[tuple[StateSpec, ...], Field(min_length=1)]
@@ -241,6 +252,7 @@ class SpecimenSpec(Door):
             raise ValueError("give exactly one of markers and field")
         if not np.linalg.norm(self.down) > 0:
             raise ValueError("down must not be zero: give the direction of gravity")
+        self._check_boundary()
         wanted = [h.region for h in self.holds]
         wanted += [name for load in (*self.states, *self.predict) for name in load.regions]
         _all_known("region", wanted, self.regions)
@@ -249,6 +261,21 @@ class SpecimenSpec(Door):
             raise ValueError("several materials need body.labels, which label carries which")
         _once("states", [one.name for one in self.states] + [one.name for one in self.predict])
         return self
+
+    def _check_boundary(self) -> None:
+        loads = (*self.states, *self.predict)
+        if not self.holds and not all(any(len(m.axes) == 3 for m in x.moves) for x in loads):
+            raise ValueError("holds is missing: nothing holds the body; or move a region in all")
+        if self.field is None and any(m.measured for x in loads for m in x.moves):
+            raise ValueError("measured: true needs a field; markers show no boundary")
+        if any(m.measured for one in self.predict for m in one.moves):
+            raise ValueError("a state under predict was not measured: give displacement_mm")
+
+    @property
+    def measured_regions(self) -> tuple[str, ...]:
+        """Names of the regions that move as the field shows in some state, each once."""
+        moves = (move for state in self.states for move in state.moves)
+        return tuple(dict.fromkeys(move.region for move in moves if move.measured))
 
     @property
     def unit_down(self) -> Triple:

@@ -1,0 +1,134 @@
+"""Regions that move as was measured, and Poisson's ratios that are searched."""
+
+import json
+
+import numpy as np
+import pytest
+from experiments import SIZE, described, write
+
+from storage.errors import InputError
+from workers.diagnosis.calibration import calibrate
+from workers.mechanics.fem.loads import DisplacementField, Hold
+from workers.mechanics.fem.regions import EVERYWHERE
+from workers.organs.specimen.experiment_files import read_experiment
+from workers.organs.specimen.source import SpecimenSource
+
+NODES = 700
+# Slender bodies under a small strain: u = (-nu e x, -nu e y, e z) and a force E e A, exactly.
+STRAIN, NU, YOUNG_KPA = -0.004, 0.35, 120.0
+FORCE_N = YOUNG_KPA * 1e-3 * STRAIN * SIZE[0] * SIZE[1]
+ENDS = {
+    "bottom": {"box_mm": {"lower": [0, 0, 0], "upper": [12, 12, 8]}},
+    "top": {"box_mm": {"lower": [0, 0, 40], "upper": [12, 12, 48]}},
+}
+MEASURED = [{"region": "bottom", "measured": True}, {"region": "top", "measured": True}]
+
+
+def grid(step=4.0):
+    """Points of the body, as image correlation has them: none on its faces."""
+    axes = [np.arange(step / 2, side, step) for side in SIZE]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def moved(points, size=1.0):
+    """What uniaxial compression does to them."""
+    x, y, z = (points - [SIZE[0] / 2, SIZE[1] / 2, 0]).T
+    return size * STRAIN * np.column_stack([-NU * x, -NU * y, z])
+
+
+def experiment(folder, moves=MEASURED, nu=(0.2, 0.45), forces=()):
+    """Two states of one field, the second with half of the strain."""
+    data = described(field={"sd_mm": 0.001}, regions=ENDS, predict=[])
+    del data["markers"], data["holds"]
+    data["materials"]["rubber"]["nu"] = list(nu) if isinstance(nu, tuple) else nu
+    for state, size in zip(data["states"], (1.0, 0.5), strict=True):
+        rows = np.hstack([grid(), moved(grid(), size)])
+        head = "x_mm,y_mm,z_mm,ux_mm,uy_mm,uz_mm"
+        np.savetxt(folder / state["files"][0], rows, delimiter=",", header=head, comments="")
+        state["moves"] = moves
+        state["forces"] = [{"region": f, "force_n": [0, 0, size * FORCE_N]} for f in forces]
+    return data
+
+
+@pytest.mark.parametrize("thickness", [0.0, 3.0], ids=["of a plane", "of a layer"])
+def test_an_affine_motion_is_continued_exactly(thickness):
+    rng = np.random.default_rng(4)
+    points = rng.uniform([0, 0, 0], [20, 20, thickness], (30, 3))
+    A, b = rng.normal(0, 0.1, (3, 3)), np.array([1.0, -2.0, 0.5])
+    field = DisplacementField(*(tuple(map(tuple, p)) for p in (points, points @ A.T + b)))
+    asked = rng.uniform([0, 0, 0], [20, 20, thickness], (50, 3))
+    np.testing.assert_allclose(field.at(asked), asked @ A.T + b, atol=1e-9)
+
+
+def test_the_field_goes_through_its_points_and_is_smooth_between():
+    points = grid(3.0)
+    waves = 0.2 * np.sin(points / 6.0)
+    hold = Hold(EVERYWHERE, DisplacementField(*(tuple(map(tuple, p)) for p in (points, waves))))
+    np.testing.assert_allclose(hold.at(points), waves, atol=1e-8)
+    between = points[np.all(points < np.array(SIZE) - 4, axis=1)] + 1.5
+    np.testing.assert_allclose(hold.at(between), 0.2 * np.sin(between / 6.0), atol=0.01)
+
+
+def test_how_compressible_a_material_is_follows_from_its_ends(tmp_path):
+    """Both ends move as measured: the sides between them tell Poisson's ratio, to 0.003."""
+    source = read_experiment(write(tmp_path, experiment(tmp_path)))
+    _, found = calibrate(source.inverse_problem(NODES), None)
+    assert (1 - found.values()["one_minus_2nu"]) / 2 == pytest.approx(NU, abs=0.003)
+    assert "compressibility" not in [e.name for e in source.effects]
+
+
+def test_a_force_at_an_end_tells_stiffness_too(tmp_path):
+    """One end moves as measured, the other carries a force that the frame has measured."""
+    data = experiment(tmp_path, MEASURED[:1], forces=["face"])
+    data["regions"] = ENDS | {"face": {"plane": {"axis": "z", "at_mm": SIZE[2]}}}
+    source = read_experiment(write(tmp_path, data))
+    _, found = calibrate(source.inverse_problem(NODES), None)
+    values = found.values()
+    assert values["E"] == pytest.approx(YOUNG_KPA * 1e-3, rel=0.02)
+    # Nodes of the face share the force alike, those at its edges too: points near it feel that.
+    assert (1 - values["one_minus_2nu"]) / 2 == pytest.approx(NU, abs=0.015)
+
+
+def test_points_that_prescribe_are_not_compared(tmp_path):
+    source = read_experiment(write(tmp_path, experiment(tmp_path)))
+    z = grid()[:, 2]
+    own = grid()[(z > 8) & (z < 40)]
+    np.testing.assert_array_equal(source.observed.points_mm, own)
+    assert len(source.observed.covariance) == 2 * 3 * len(own)
+    assert [int(n) for n in source.observed.names] == np.flatnonzero((z > 8) & (z < 40)).tolist()
+    assert source.observed.boundary_moved_mm.shape == (2, len(z) - len(own), 3)
+
+
+def test_the_store_holds_the_boundary_too(tmp_path):
+    source = read_experiment(write(tmp_path, experiment(tmp_path)))
+    content = source.content
+    json.dumps(content.record)
+    again = SpecimenSource.from_content(content)
+    constants = {f.name: np.exp(f.log_mean) for f in source.free}
+    for before, after in zip(source.spec.states, again.spec.states, strict=True):
+        assert again.problem(after)(constants) == source.problem(before)(constants)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"predict": [{"name": "more", "moves": MEASURED}]}, "under predict was not measured"),
+        ({"regions": ENDS | {"top": {"plane": {"axis": "z", "at_mm": 48}}}}, "0 points of the"),
+        ({"predict": [{"name": "free"}]}, "nothing holds the body"),
+    ],
+)
+def test_what_cannot_be_measured_there_is_refused(tmp_path, change, words):
+    with pytest.raises(InputError, match=words):
+        read_experiment(write(tmp_path, experiment(tmp_path) | change))
+
+
+def test_a_move_is_stated_or_measured(tmp_path):
+    both = [{"region": "top", "measured": True, "displacement_mm": [0, 0, 1]}]
+    with pytest.raises(InputError, match="exactly one of displacement_mm and measured"):
+        read_experiment(write(tmp_path, experiment(tmp_path, both)))
+    with pytest.raises(InputError, match="none is left to compare"):
+        data = experiment(tmp_path)
+        data["regions"] = {n: {"box_mm": {"lower": [0] * 3, "upper": list(SIZE)}} for n in ENDS}
+        read_experiment(write(tmp_path, data))
+    with pytest.raises(InputError, match="nu needs"):
+        read_experiment(write(tmp_path, experiment(tmp_path, nu=(0.4, 0.3))))

@@ -22,6 +22,8 @@ from workers.units import KPA, NUMBER
 AXES = ("x", "y", "z")
 # A plane takes nodes this near to it.
 NEAR_MM = 1e-3
+# A fit may try any 1 - 2 nu > 0; no material of ours widens when it is pulled.
+MOST_COMPRESSIBLE = 0.998
 KG_PER_M3 = 1e-12  # in t/mm^3
 T_PER_G = 1e-6
 
@@ -128,7 +130,7 @@ def _constants(
             softer * values[young_name(spec, name)],
             material.nu
             if isinstance(material.nu, float)
-            else (1.0 - values[compressibility_name(spec, name)]) / 2.0,
+            else (1.0 - min(values[compressibility_name(spec, name)], MOST_COMPRESSIBLE)) / 2.0,
             density_t_per_mm3=material.density_kg_per_m3 * KG_PER_M3,
         )
         for name, material in spec.materials.items()

@@ -27,6 +27,7 @@ from workers.mechanics.fem.loads import DisplacementField
 from workers.mechanics.fem.model import Model, prepare
 from workers.mechanics.fem.problem import Problem
 from workers.organs.specimen.body import FARTHEST_MM, Body, arms
+from workers.organs.specimen.boundary_noise import boundary_covariance
 from workers.organs.specimen.confounded_effects import confounded_effects
 from workers.organs.specimen.marker_data import Observed
 from workers.organs.specimen.mesh_error import part_of_compliance
@@ -171,7 +172,7 @@ class SpecimenSource:
                 for state, moved in zip(self.spec.states, observed.moved_mm, strict=True)
             ],
             noise=SegmentationNoise(observed.sd_mm, 1.0, 0.0, observed.sd_mm),
-            covariance=observed.covariance,
+            covariance=observed.covariance + self._boundary_covariance(model, at),
             bias=np.zeros(len(observed.covariance)),
             arms=self._arms(mesh),
             is_segmented=False,
@@ -264,9 +265,20 @@ class SpecimenSource:
 
     def _heaviest(self) -> Problem:
         """Return the last state with its weight, of a material in the middle of its interval."""
-        middle = {free.name: float(np.exp(free.log_mean)) for free in self.free}
-        found = self.problem(self.spec.states[-1])(middle)
+        found = self.problem(self.spec.states[-1])(self._middle)
         return replace(found, gravity_g=self.spec.unit_down)
+
+    @property
+    def _middle(self) -> dict[str, float]:
+        """Constants in the middle of their intervals."""
+        return {free.name: float(np.exp(free.log_mean)) for free in self.free}
+
+    def _boundary_covariance(self, model: Model, at: csr_matrix) -> FloatArray | float:
+        """See `workers.organs.specimen.boundary_noise`; 0 where no boundary was measured."""
+        if not self.spec.measured_regions:
+            return 0.0
+        problems = [self.problem(state)(self._middle) for state in self.spec.states]
+        return boundary_covariance(model, at, problems, self.observed.sd_mm)
 
 
 SOURCES = {SpecimenSource.kind: SpecimenSource.from_content}

@@ -1,0 +1,100 @@
+r"""What the noise of a measured boundary does to the points that are compared.
+
+A region that moves as b points of a field show follows their noise. The affine part of it reaches
+all of the body: with sd sigma of a point and rows ``(1, p - middle)`` in A, its coefficients have
+the covariance
+
+.. math:: \sigma^2 (A'A)^{-1}
+
+along each axis, and every point moves by them as the model says. What is left changes sign
+from point to point and fades within their distance; it is left out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import block_diag, cholesky
+from scipy.sparse import csr_matrix
+
+from storage.errors import InputError
+from storage.values import FloatArray
+from workers.mechanics.fem.loads import DisplacementField, Hold
+from workers.mechanics.fem.model import Model
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.fem.sensitivity import Change, tangents
+from workers.mechanics.fem.solve import equilibrium
+
+
+def boundary_covariance(
+    model: Model, at_points: csr_matrix, problems: Sequence[Problem], sd_mm: float
+) -> FloatArray:
+    """Return the covariance that measured boundaries add, shape (3 s k, 3 s k).
+
+    Parameters
+    ----------
+    model : Model
+        Of n nodes.
+    at_points : csr_matrix, shape (k, n)
+        From nodes to the points that are compared.
+    problems : sequence of Problem
+        Of the s states, with constants in the middle of what is plausible.
+    sd_mm : float
+        Of a component of a point of the field; states err apart.
+
+    Returns
+    -------
+    ndarray
+        Row ``3 (s k + i) + c`` is component c of point i in state s.
+
+    Raises
+    ------
+    InputError
+        If a state cannot be simulated with these constants.
+    """
+    blocks = []
+    for problem in problems:
+        at = equilibrium(model, problem)
+        if not at.solution.outcome.converged:
+            raise InputError(
+                "A state was not solved at the middle of the plausible constants: "
+                f"{at.solution.outcome.reason}. Check loads, units, E_kpa and nu."
+            )
+        changes = [
+            change
+            for number, hold in enumerate(problem.holds)
+            if isinstance(hold.displacement_mm, DisplacementField)
+            for change in _affine_changes(problem, number, hold.displacement_mm, sd_mm)
+        ]
+        columns = np.array([(at_points @ u).ravel() for u in tangents(at, changes)])
+        blocks.append(columns.T @ columns)
+    return np.asarray(block_diag(*blocks))
+
+
+def _affine_changes(
+    problem: Problem, number: int, field: DisplacementField, sd_mm: float
+) -> list[Change]:
+    """Return changes of one hold by each affine mode, one standard deviation each."""
+    points, moved = np.array(field.points_mm), np.array(field.displacement_mm)
+    A = np.column_stack([np.ones(len(points)), points - points.mean(axis=0)])
+    # Points of a plane do not tell how the motion changes across it, and neither do its nodes.
+    A = A[:, np.linalg.norm(A, axis=0) > 1e-9 * np.linalg.norm(A)]
+    spread = cholesky(np.linalg.pinv(A.T @ A), lower=True)
+    found = []
+    for mode in (sd_mm * A @ spread).T:
+        for axis in range(3):
+            step = np.outer(mode, np.eye(3)[axis])
+            ahead, behind = (
+                _with_hold(problem, number, field, moved + sign * step) for sign in (1, -1)
+            )
+            found.append(Change(ahead, behind, 2.0))
+    return found
+
+
+def _with_hold(
+    problem: Problem, number: int, field: DisplacementField, moved: FloatArray
+) -> Problem:
+    other = replace(field, displacement_mm=tuple(map(tuple, moved.tolist())))
+    holds: list[Hold] = list(problem.holds)
+    holds[number] = replace(holds[number], displacement_mm=other)
+    return replace(problem, holds=tuple(holds))

@@ -12,7 +12,7 @@ NONE = "\u2013"
 HUGE = 1e12
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_GREEK = {"eta": "η", "nu": "ν", "E": "E"}
+_GREEK = {"eta": "η", "nu": "ν", "E": "E", "compressibility": "1 − 2ν"}
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -119,6 +119,8 @@ def symbol(name: str, unit: str = "") -> Markup:
     --------
     >>> symbol("E_fat_kpa", "kPa")
     Markup('<i>E</i><sub>fat</sub>')
+    >>> symbol("compressibility_rubber")
+    Markup('<i>1 − 2ν</i><sub>rubber</sub>')
     """
     head, _, tail = bare(name, unit).partition("_")
     below = Markup("<sub>{}</sub>").format(tail.replace("_", " ")) if tail else Markup("")

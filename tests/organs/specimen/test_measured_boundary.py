@@ -78,7 +78,7 @@ def test_how_compressible_a_material_is_follows_from_its_ends(tmp_path):
     """Both ends move as measured: the sides between them tell Poisson's ratio, to 0.003."""
     source = read_experiment(write(tmp_path, experiment(tmp_path)))
     _, found = calibrate(source.inverse_problem(NODES), None)
-    assert (1 - found.values()["one_minus_2nu"]) / 2 == pytest.approx(NU, abs=0.003)
+    assert (1 - found.values()["compressibility"]) / 2 == pytest.approx(NU, abs=0.003)
     assert "compressibility" not in [e.name for e in source.effects]
 
 
@@ -91,13 +91,13 @@ def test_a_force_at_an_end_tells_stiffness_too(tmp_path):
     values = found.values()
     assert values["E"] == pytest.approx(YOUNG_KPA * 1e-3, rel=0.02)
     # Nodes of the face share the force alike, those at its edges too: points near it feel that.
-    assert (1 - values["one_minus_2nu"]) / 2 == pytest.approx(NU, abs=0.015)
+    assert (1 - values["compressibility"]) / 2 == pytest.approx(NU, abs=0.015)
 
 
 def test_a_fit_may_try_what_no_material_is(tmp_path):
     """A step that is too long must not end a diagnosis: nu stays positive."""
     source = read_experiment(write(tmp_path, experiment(tmp_path)))
-    tried = source.problem(source.spec.states[0])({"E": 0.1, "one_minus_2nu": 2.6})
+    tried = source.problem(source.spec.states[0])({"E": 0.1, "compressibility": 2.6})
     (constants,) = tried.constants.values()
     assert 0 < constants.poisson < 0.002
 
@@ -153,7 +153,7 @@ def test_noise_of_the_boundary_moves_all_points_as_is_said(tmp_path):
     source = read_experiment(write(tmp_path, experiment(tmp_path, MEASURED[:1])))
     mesh = source.body.mesh(NODES)
     model = prepare(mesh)
-    problem = source.problem(source.spec.states[0])({"E": 0.1, "one_minus_2nu": 0.3})
+    problem = source.problem(source.spec.states[0])({"E": 0.1, "compressibility": 0.3})
     points = grid()[grid()[:, 2] > 16]
     at = interpolation(mesh.finest.mesh, points)
     expected = boundary_covariance(model, at, [problem], sd_mm)

@@ -35,7 +35,7 @@ def young_name(spec: SpecimenSpec, material: str) -> str:
 
 def compressibility_name(spec: SpecimenSpec, material: str) -> str:
     """Return the searched constant 1 - 2 nu of a material, with its name as E has it."""
-    return "one_minus_2nu" if len(spec.materials) == 1 else f"one_minus_2nu_{material}"
+    return "compressibility" if len(spec.materials) == 1 else f"compressibility_{material}"
 
 
 def region_of(region: RegionSpec) -> Box:

@@ -11,9 +11,8 @@ Fitted to some states and judged by the others, the same number is the held-out 
 each state judged by a fit to the others, all of them are seen, and none by its own fit (the
 cross-validation of M. Stone, J. R. Stat. Soc. B 36 (1974) 111).
 
-The noise cancels in the difference of both squares, which is known far better than either.
-Where more noise is stated than the effect leaves of a residual, both are raised until
-nothing is left: else a small gap would vanish together with its cause.
+The noise cancels in the difference of both squares, which is known far better than either. So
+the square before is the one after, as `workers.diagnosis.gap` credits it, plus that difference.
 """
 
 from collections.abc import Sequence

@@ -10,11 +10,12 @@ from experiments import SIZE, described, write
 from storage.errors import InputError
 from workers.comparison.observation.point_interpolation import interpolation
 from workers.diagnosis.calibration import calibrate
-from workers.mechanics.fem.loads import DisplacementField, Hold
+from workers.mechanics.fem.loads import DisplacementField, Hold, NoPlates
 from workers.mechanics.fem.model import prepare
+from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.regions import EVERYWHERE
 from workers.mechanics.fem.solve import equilibrium
-from workers.organs.specimen.boundary_noise import boundary_covariance
+from workers.organs.specimen.boundary_noise import affine_changes, boundary_covariance
 from workers.organs.specimen.experiment_files import read_experiment
 from workers.organs.specimen.source import SpecimenSource
 
@@ -143,6 +144,12 @@ def test_a_move_is_stated_or_measured(tmp_path):
         data = experiment(tmp_path)
         data["regions"] = {n: {"box_mm": {"lower": [0] * 3, "upper": list(SIZE)}} for n in ENDS}
         read_experiment(write(tmp_path, data))
+    with pytest.raises(InputError, match="listed twice"):
+        data = experiment(tmp_path)
+        for state in data["states"]:
+            lines = (tmp_path / state["files"][0]).read_text().splitlines()
+            (tmp_path / state["files"][0]).write_text("\n".join([*lines, lines[1]]) + "\n")
+        read_experiment(write(tmp_path, data))
     with pytest.raises(InputError, match="nu needs"):
         read_experiment(write(tmp_path, experiment(tmp_path, nu=(0.4, 0.3))))
 
@@ -172,3 +179,34 @@ def test_noise_of_the_boundary_moves_all_points_as_is_said(tmp_path):
     assert np.sqrt(shown.mean(axis=0)) == pytest.approx(np.sqrt(said.mean(axis=0)), rel=0.25)
     assert np.sqrt(said[:, 0].max()) > 2 * sd_mm
     assert np.corrcoef(shown.ravel(), said.ravel())[0, 1] > 0.9
+
+
+def test_only_states_that_move_as_measured_have_its_noise(tmp_path):
+    data = experiment(tmp_path, MEASURED[:1])
+    stated = {"region": "bottom", "displacement_mm": [0, 0, 0]}
+    data["states"][1]["moves"] = [stated]
+    source = read_experiment(write(tmp_path, data))
+    added = source.inverse_problem(NODES).covariance - source.observed.covariance
+    size = len(added) // 2
+    assert added[:size, :size].diagonal().min() > 0
+    assert not added[size:].any()
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (1, 2, 3)], ids=["along z", "oblique"])
+def test_points_of_a_plane_have_three_modes_along_each_axis(normal):
+    """Their squares sum to the hat matrix of a plane: a trace of three for each axis."""
+    rng, sd_mm = np.random.default_rng(6), 0.02
+    across = np.linalg.svd(np.array([normal], float))[2][1:]
+    points = rng.uniform(-5, 5, (20, 2)) @ across
+    rows = tuple(map(tuple, points))
+    field = DisplacementField(rows, tuple((0.0, 0.0, 0.0) for _ in rows))
+    problem = Problem({}, NoPlates(), holds=(Hold(EVERYWHERE, field),))
+    changes = affine_changes(problem, 0, field, sd_mm)
+    steps = [
+        np.subtract(*(side.holds[0].displacement_mm.displacement_mm for side in (c.plus, c.minus)))
+        for c in changes
+    ]
+    modes = np.array(steps).reshape(len(steps), -1) / 2
+    A = np.column_stack([np.ones(20), points @ across.T])
+    hat = A @ np.linalg.inv(A.T @ A) @ A.T
+    np.testing.assert_allclose(modes.T @ modes, sd_mm**2 * np.kron(hat, np.eye(3)), atol=1e-12)

@@ -6,7 +6,8 @@ the covariance
 
 .. math:: \sigma^2 (A'A)^{-1}
 
-along each axis, and every point moves by them as the model says. What is left changes sign
+along each axis: with A = U S V', the region moves by the columns of U, sigma times each, and every
+point follows as the model says. What is left changes sign
 from point to point and fades within their distance; it is left out.
 """
 
@@ -14,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag, cholesky
+from scipy.linalg import block_diag
 from scipy.sparse import csr_matrix
 
 from storage.errors import InputError
@@ -24,6 +25,9 @@ from workers.mechanics.fem.model import Model
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.sensitivity import Change, tangents
 from workers.mechanics.fem.solve import equilibrium
+
+# Singular values below this part of the largest are those of points in a plane.
+FLAT = 1e-9
 
 
 def boundary_covariance(
@@ -64,24 +68,25 @@ def boundary_covariance(
             change
             for number, hold in enumerate(problem.holds)
             if isinstance(hold.displacement_mm, DisplacementField)
-            for change in _affine_changes(problem, number, hold.displacement_mm, sd_mm)
+            for change in affine_changes(problem, number, hold.displacement_mm, sd_mm)
         ]
-        columns = np.array([(at_points @ u).ravel() for u in tangents(at, changes)])
+        columns = np.zeros((len(changes), 3 * at_points.shape[0]))
+        for row, u in zip(columns, tangents(at, changes), strict=True):
+            row[:] = (at_points @ u).ravel()
         blocks.append(columns.T @ columns)
     return np.asarray(block_diag(*blocks))
 
 
-def _affine_changes(
+def affine_changes(
     problem: Problem, number: int, field: DisplacementField, sd_mm: float
 ) -> list[Change]:
     """Return changes of one hold by each affine mode, one standard deviation each."""
     points, moved = np.array(field.points_mm), np.array(field.displacement_mm)
     A = np.column_stack([np.ones(len(points)), points - points.mean(axis=0)])
-    # Points of a plane do not tell how the motion changes across it, and neither do its nodes.
-    A = A[:, np.linalg.norm(A, axis=0) > 1e-9 * np.linalg.norm(A)]
-    spread = cholesky(np.linalg.pinv(A.T @ A), lower=True)
+    U, sizes, _ = np.linalg.svd(A, full_matrices=False)
     found = []
-    for mode in (sd_mm * A @ spread).T:
+    # Points of a plane do not tell how the motion changes across it: three modes, not four.
+    for mode in sd_mm * U[:, sizes > FLAT * sizes[0]].T:
         for axis in range(3):
             step = np.outer(mode, np.eye(3)[axis])
             ahead, behind = (

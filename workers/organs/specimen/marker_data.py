@@ -149,6 +149,11 @@ def _on_boundary(spec: SpecimenSpec, points: FloatArray) -> BoolArray:
                 f"field lie in it; at least {FEWEST} are needed. Give it as a box that holds "
                 "a layer of points."
             )
+        if len(np.unique(points[here], axis=0)) < here.sum():
+            raise InputError(
+                f"The region {name} moves as was measured, but points of the field in it are "
+                "listed twice. List each point once, with one displacement."
+            )
         inside |= here
     if inside.all():
         raise InputError("All points of the field prescribe what moves; none is left to compare.")

@@ -15,6 +15,7 @@ stiffening                c2 / mu = b / 4: Fung's law mu / (2 b) (exp(b (I1 - 3)
                           second term mu b / 4 (I1 - 3)^2
 fibres of the gland       ln of the ratio in the middle of the body
 swelling                  ln of the volume of the gland; fat has not grown
+plates' edge              where half of the pressure is left: it fades over some mm behind the edge
 scar, tether              the springs per area; of a disc of radius R, which a scar has, the
                           radius R / sqrt(2) of the bell with as much stiffness in total
 ========================  ==============================================================
@@ -29,6 +30,7 @@ import numpy as np
 from service.blind.records import Magnitude
 from service.blind.truth import Truth
 from storage.values import Triple
+from workers.blind.contact import EDGE_FADE_MM
 from workers.diagnosis.summary import EffectSummary
 from workers.mechanics.effects.inclusion import INCLUSION, PLACE
 
@@ -67,6 +69,10 @@ def _attachment(given: Given) -> dict[str, float]:
     return springs | bell
 
 
+def _edge(given: Given) -> dict[str, float]:
+    return {"plate_edge_mm": given["edge_mm"] + 0.5 * EDGE_FADE_MM}
+
+
 def _scale(given: Given) -> dict[str, float]:
     return dict(zip(SCALES, given["scale"], strict=True))
 
@@ -74,6 +80,7 @@ def _scale(given: Given) -> dict[str, float]:
 IN_CATALOGUE: dict[str, Callable[[Given], dict[str, float]]] = {
     "gravity_change": _renamed(gravity_x_g="x_g", gravity_y_g="y_g", gravity_z_g="z_g"),
     "plate_tilt": _renamed(tilt_depth_deg="depth_deg", tilt_across_deg="across_deg"),
+    "plate_edge": _edge,
     "plate_friction": _renamed(friction="coefficient"),
     "wall_compliance": _renamed(wall_compliance_mm_per_kpa="compliance_mm_per_kpa"),
     "stiffness_gradient": _renamed(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from storage.values import Tissue
-from workers.blind.causes.boundary import Tether
+from workers.blind.causes.boundary import Tether, WallRise
 from workers.blind.causes.growth import Swelling
 from workers.blind.causes.material import FibreContrast
 from workers.blind.causes.plates import ShortPlate
@@ -62,6 +62,8 @@ def volume(mesh, displacement_mm):
     [
         (ShortPlate(2.0), 0.1, 2.0),
         (ShortPlate(8.0), 0.5, 6.0),
+        (WallRise(5.0, -3.0, 25.0, 3.0), 0.3, 3.0),
+        (WallRise(5.0, -3.0, 25.0, -3.0), 0.3, 3.0),
         (Tether(10.0, 60.0, 0.15), 0.1, 4.0),
         (FibreContrast(6.0, 0.0), 0.03, 1.0),
         (FibreContrast(1 / 6.0, 0.0), 0.03, 1.0),
@@ -84,6 +86,18 @@ def test_short_plates_press_what_lies_in_front_of_their_edge_alone(truth, body, 
     assert x[in_front, 1].max() < upper + 0.3
     assert x[~in_front, 1].max() > upper + 1.0
     assert (x[in_front, 1] > upper - 0.3).any()
+
+
+def test_a_wall_that_rises_is_where_it_is_said_and_pushes_the_body(truth, body, pressed, control):
+    """Tissue hardly loses volume: as much as the wall takes is pushed out in front."""
+    cause = WallRise(5.0, -3.0, 20.0, 2.0)
+    wall = np.unique(body.mesh.wall)
+    found = pressed(cause)
+    said = cause.apply_to(truth.scene).wall_rise_mm(body.mesh.nodes[wall])
+    assert found.displacement_mm[wall, 2] == pytest.approx(said, abs=1e-12)
+    assert np.abs(control.displacement_mm[wall, 2]).max() == 0
+    taken = volume(body.mesh, found.displacement_mm) - volume(body.mesh, control.displacement_mm)
+    assert abs(taken) < 0.1 * 2 * np.pi * 20.0**2 * 2.0
 
 
 def test_a_tether_holds_what_it_is_tied_to(truth, body, pressed, control):

@@ -35,7 +35,7 @@ def test_shares_are_those_of_the_protocol():
     others = [k for k, cause in BY_KIND.items() if cause.effect is None]
     assert sum(KINDS[k] for k in others) == pytest.approx(0.13)
     unlike = [k for k in others if BY_KIND[k].family is None]
-    assert unlike == ["short_plate"]
+    assert unlike == ["wall_rise"]
 
 
 def test_a_case_is_a_function_of_its_seed():
@@ -85,7 +85,8 @@ def test_fields_of_a_cause_are_finite_everywhere_in_the_box(kind):
         scene, body = truth.scene, truth.anatomy
         points = np.random.default_rng(0).uniform(-1, 1, (200, 3)) * body.half_mm + body.centre_mm
         at_least_zero = (*scene.friction, scene.wall_compliance, scene.wall_grip, scene.skin_grip)
-        for f in (*at_least_zero, *scene.ln_stiffness, scene.ln_gland_fibres):
+        either = (*scene.ln_stiffness, scene.ln_gland_fibres, scene.wall_rise_mm)
+        for f in (*at_least_zero, *either):
             if f is not None:
                 values = f(points)
                 assert values.shape == (200,)
@@ -115,10 +116,11 @@ def test_magnitudes_are_of_the_sizes_that_are_said():
         "swelling": ("volume_fraction", 0.01, 0.12),
         "oedema": ("volume_fraction", 0.05, 0.5),
         "short_plate": ("edge_mm", 2.0, 8.0),
+        "wall_rise": ("rise_mm", 0.8, 6.0),
         "adhesion": ("grip_kpa_per_mm", 0.3, 10.0),
     }
     for kind, (name, low, high) in ranges.items():
-        sizes = np.array([getattr(draw(seed, kind).causes[0], name) for seed in range(200)])
+        sizes = np.abs([getattr(draw(seed, kind).causes[0], name) for seed in range(200)])
         assert low <= sizes.min() < low * (high / low) ** 0.1
         assert high * (low / high) ** 0.1 < sizes.max() <= high
         assert np.median(np.log(sizes)) == pytest.approx(np.log(low * high) / 2, abs=0.3)

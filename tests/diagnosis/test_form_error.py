@@ -11,7 +11,7 @@ from linear_world import (
     observed,
 )
 
-from workers.diagnosis.form_error import FormError
+from workers.diagnosis.form_error import FormError, acting_or_alike
 from workers.diagnosis.settings import SETTINGS
 
 K = 150
@@ -23,13 +23,11 @@ def form():
     return FormError(points, normals, states, 20.0)
 
 
-def test_errors_are_a_fifth_of_the_pattern(form):
-    """Their deviation at a point over the pattern around it."""
+def test_errors_are_as_large_as_the_pattern_around_them(form):
+    """Columns are those of an error of size one; their deviation at a point."""
     pattern = mode(K, (0, 1, 1), 0, 1.0)
-    columns = form.columns(pattern)
-    deviation = np.sqrt((columns**2).sum(axis=1))
-    ratio = deviation / form.envelope(pattern)
-    assert ratio == pytest.approx(np.full(2 * K, SETTINGS.form.relative_sd), rel=0.02)
+    deviation = np.sqrt((form.columns(pattern) ** 2).sum(axis=1))
+    assert deviation / form.envelope(pattern) == pytest.approx(np.ones(2 * K), rel=0.02)
 
 
 def test_they_grow_with_the_effect_and_are_smooth(form):
@@ -61,11 +59,23 @@ def test_they_are_as_smooth_as_the_organ_is_large():
     assert found[0][0, 1] < 0.9 * found[0][0, 0]
 
 
-def evidence(columns, problem, errors=None):
+SIZES = SETTINGS.form.relative_sds
+
+
+def evidences(columns, problem, errors, *, field):
     at = hypothesis_of(problem.freed(columns[:, None], np.ones(1)))
-    at = at if errors is None else at.with_errors(errors)
-    noise = known_noise_model(K)
-    return noise.log_evidence(at), noise.field_gain(at)
+    return known_noise_model(K).log_evidences_with_errors(at, errors, SIZES, field=field)
+
+
+def test_evidence_of_every_size_is_that_of_columns_of_that_size(form):
+    listed = mode(K, (0, 1, 1), 0, 1.0)
+    problem = observed(nominal_problem(K), np.random.default_rng(70), -0.5 * listed)
+    errors, noise = form.columns(listed), known_noise_model(K)
+    at = hypothesis_of(problem.freed(listed[:, None], np.ones(1)))
+    for field in (False, True):
+        weigh = noise.log_evidence_with_field if field else noise.log_evidence
+        expected = [weigh(at.with_errors(size * errors)) for size in SIZES]
+        assert evidences(listed, problem, errors, field=field) == pytest.approx(expected)
 
 
 def test_a_strong_effect_of_another_form_hardly_needs_a_field(form):
@@ -74,16 +84,48 @@ def test_a_strong_effect_of_another_form_hardly_needs_a_field(form):
     listed = mode(K, (0, 1, 1), 0, 1.0)
     true = listed * (1 + 0.25 * np.sin(points[:, 0] / 30.0))
     problem = observed(nominal_problem(K), np.random.default_rng(71), -2.0 * true)
-    _, ignorant = evidence(listed, problem)
-    _, aware = evidence(listed, problem, form.columns(2.0 * listed))
-    assert ignorant > 40
-    assert aware < 0.25 * ignorant
+    errors = form.columns(2.0 * listed)
+    certain = known_noise_model(K).field_gain(
+        hypothesis_of(problem.freed(listed[:, None], np.ones(1)))
+    )
+    alone, acting = acting_or_alike(evidences(listed, problem, errors, field=False))
+    beside, _ = acting_or_alike(evidences(listed, problem, errors, field=True))
+    assert certain > 40
+    assert beside - alone < 0.25 * certain
+    assert acting > 0.95
 
 
 def test_a_weak_effect_is_hardly_hurt(form):
     """Of 0.1 mm, whose evidence is some 5 to 15 nats."""
     listed = mode(K, (0, 1, 1), 0, 1.0)
     problem = observed(nominal_problem(K), np.random.default_rng(72), -0.1 * listed)
-    certain, _ = evidence(listed, problem)
-    doubtful, _ = evidence(listed, problem, form.columns(0.1 * listed))
+    errors = form.columns(0.1 * listed)
+    certain = known_noise_model(K).log_evidence(
+        hypothesis_of(problem.freed(listed[:, None], np.ones(1)))
+    )
+    doubtful, acting = acting_or_alike(evidences(listed, problem, errors, field=False))
     assert abs(doubtful - certain) < 0.5
+    assert acting > 0.95
+
+
+@pytest.mark.parametrize("best", range(len(SIZES)))
+def test_the_larger_the_error_the_less_probably_the_effect_acts(best):
+    """Where only errors of one size explain the data; both beliefs are bells of the logarithm."""
+    logs = [0.0 if size == SIZES[best] else -1e3 for size in SIZES]
+    either, acting = acting_or_alike(logs)
+    form = SETTINGS.form
+    bells = {
+        middle: np.exp(-0.5 * (np.log(np.array(SIZES) / middle) / form.log_sd) ** 2)
+        for middle in (form.typical_sd, form.likeness_sd)
+    }
+    acts = (1 - form.likeness) * bells[form.typical_sd][best] / bells[form.typical_sd].sum()
+    alike = form.likeness * bells[form.likeness_sd][best] / bells[form.likeness_sd].sum()
+    assert either == pytest.approx(np.log(acts + alike))
+    assert acting == pytest.approx(acts / (acts + alike))
+    assert acting > 0.5
+
+
+def test_data_that_say_nothing_of_the_size_leave_the_belief(form):
+    either, acting = acting_or_alike([-7.0] * len(SIZES))
+    assert either == pytest.approx(-7.0)
+    assert acting == pytest.approx(1 - SETTINGS.form.likeness)

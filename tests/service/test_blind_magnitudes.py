@@ -17,7 +17,7 @@ GROUP_OF = {
     "pair": "pair",
     "triple": "triple",
     "plate_force": "absorbed",
-    "short_plate": "unlike",
+    "wall_rise": "unlike",
     "bent_plate": "relative",
     "ligament": "relative",
     "oedema": "relative",

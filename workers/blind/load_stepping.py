@@ -93,7 +93,10 @@ def wall_of(scene: Scene, mesh: QuadraticMesh) -> Wall:
     if scene.wall_compliance is not None:
         spring[:, 2] = 1 / scene.wall_compliance(places)
     by_face = spring.reshape(-1, len(FACE_WEIGHTS), 3) / 1e3
-    return Wall(by_face, held=scene.wall_compliance is None)
+    rise = None
+    if scene.wall_rise_mm is not None:
+        rise = scene.wall_rise_mm(mesh.nodes) * (1 - mesh.nodes[:, 2] / mesh.nodes[:, 2].max())
+    return Wall(by_face, held=scene.wall_compliance is None, rise_mm=rise)
 
 
 def plates_of(scene: Scene, axis: str) -> tuple[Plate, Plate]:
@@ -133,7 +136,8 @@ def _first_contact_travel(system: System) -> float:
 def _load(newton: Newton, state: State, before: float, force: float) -> State:
     """Step from one force to a larger one; with friction, or where one is too much, in more.
 
-    Tissue grows with the first force: from a tenth at once it may find no equilibrium.
+    Tissue grows and the chest wall rises with the first force: from all of it at once there may
+    be no equilibrium.
     """
     counts = (FRICTION_STEPS,) if newton.system.has_friction else STEPS
     for count in counts:
@@ -154,6 +158,7 @@ def _steps(newton: Newton, state: State, ends: tuple[float, float], count: int) 
             tolerance = FRICTION_TOLERANCE if part == 1 else FRICTION_TOLERANCE_BETWEEN
         if ends[0] == 0:
             system.grow(part)
+            state = system.raised(state, 1 / count)
         force = ends[0] + part * (ends[1] - ends[0])
         state, _ = newton.equilibrium(state, force, tolerance)
         system.end_step(state)

@@ -10,7 +10,13 @@ import numpy as np
 
 from storage.errors import InputError
 from workers.blind.causes.base import Cause, log_uniform
-from workers.blind.causes.boundary import Adhesion, Friction, Tether, WallCompliance
+from workers.blind.causes.boundary import (
+    Adhesion,
+    Friction,
+    Tether,
+    WallCompliance,
+    WallRise,
+)
 from workers.blind.causes.growth import Oedema, Swelling
 from workers.blind.causes.loading import Gravity, PlateForce
 from workers.blind.causes.local import Inclusion, Ligament
@@ -25,6 +31,7 @@ SINGLES: Final[tuple[type[Cause], ...]] = (
     Gravity,
     Friction,
     Tilt,
+    ShortPlate,
     WallCompliance,
     Adhesion,
     Tether,
@@ -41,7 +48,7 @@ SINGLES: Final[tuple[type[Cause], ...]] = (
 OTHERS: Final[Mapping[type[Cause], float]] = MappingProxyType(
     {
         PlateForce: 0.05,
-        ShortPlate: 0.06,
+        WallRise: 0.06,
         BentPlate: 0.03,
         Ligament: 0.02,
         Oedema: 0.02,

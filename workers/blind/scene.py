@@ -114,6 +114,8 @@ class Scene:
         Coulomb's coefficients; they add up.
     wall_compliance : Field or None
         Of the chest wall along z, in mm/kPa.
+    wall_rise_mm : Field or None
+        How far the chest wall moves forward before the plates press.
     wall_grip : Field or None
         Springs along the chest wall on top of the nominal ones, in kPa/mm.
     skin_grip : Field or None
@@ -151,6 +153,7 @@ class Scene:
     plate_edge_mm: float = -math.inf
     friction: tuple[Field, ...] = ()
     wall_compliance: Field | None = None
+    wall_rise_mm: Field | None = None
     wall_grip: Field | None = None
     skin_grip: Field | None = None
     ln_stiffness: tuple[Field, ...] = ()

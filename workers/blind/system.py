@@ -61,11 +61,14 @@ class Wall:
     spring : ndarray, shape (k, 6, 3)
         MPa/mm along x, y and z at the six points of every face of the wall.
     held : bool
-        Whether nothing of it moves along z.
+        Whether nothing of it moves along z but by what it rises.
+    rise_mm : ndarray, shape (n,), optional
+        How far it moves forward, and at other nodes a guess of what that moves.
     """
 
     spring: FloatArray
     held: bool = True
+    rise_mm: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +137,7 @@ class System:
         if tether is not None:
             along_all = np.repeat(tether[..., None], 3, axis=2)
             self.springs += _spring_blocks(topology, topology.mesh.skin, along_all)
+        self._rise_mm = wall.rise_mm
         self.free = np.ones(topology.mesh.nodes.shape, np.bool_)
         if wall.held:
             self.free[np.unique(topology.mesh.wall), 2] = False
@@ -147,6 +151,17 @@ class System:
         """Let the tissue have grown by a part of all its growth, from 0 to 1."""
         growth = 1 + part * (self._grown.growth - 1)
         self.materials = self._grown._replace(growth=growth)
+
+    def raised(self, state: State, part: float) -> State:
+        """Return the state with a part more of all that the chest wall rises.
+
+        What lies in front of it comes along as a start, the less the deeper it lies.
+        """
+        if self._rise_mm is None:
+            return state
+        moved = np.zeros_like(state.u)
+        moved[:, 2] = part * self._rise_mm
+        return State(state.u + moved, state.travel)
 
     def energy(self, state: State, force_n: float) -> float:
         """Return the potential energy in mJ under the force that closes the plates."""

@@ -16,8 +16,7 @@ from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-import numpy as np
-
+from workers.diagnosis.form_error import acting_or_alike
 from workers.diagnosis.hypotheses import Hypothesis, PriorOdds
 from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.joint_fit import JointFit, fit_jointly
@@ -185,25 +184,17 @@ def _weighed(
 ) -> Hypothesis:
     at = fitted.fit.hypothesis(analysis.inverse)
     pattern = analysis.registered(nominal.residual - at.residual)
-    settings, noise = SETTINGS.form, analysis.noise
-    formed = at.with_errors(analysis.form.columns(pattern))
-    likened = at.with_errors(analysis.form.columns(pattern, settings.likeness_sd))
-    alone, acting = _either(noise.log_evidence(formed), noise.log_evidence(likened))
+    errors, noise = analysis.form.columns(pattern), analysis.noise
+
+    def either(field: bool) -> tuple[float, float]:
+        sizes = SETTINGS.form.relative_sds
+        return acting_or_alike(noise.log_evidences_with_errors(at, errors, sizes, field=field))
+
+    alone, acting = either(field=False)
     if not noise.has_field:
         return Hypothesis(names, alone, acting=acting)
-    beside, acting_beside = _either(
-        noise.log_evidence_with_field(formed), noise.log_evidence_with_field(likened)
-    )
+    beside, acting_beside = either(field=True)
     return Hypothesis(names, alone, beside - alone, acting, acting_beside)
-
-
-def _either(formed: float, likened: float) -> tuple[float, float]:
-    """Return the log evidence of effects that act or only resemble a cause that is not listed,
-    and how probably they act."""
-    likeness = SETTINGS.form.likeness
-    acts = float(np.log1p(-likeness)) + formed
-    either = float(np.logaddexp(acts, np.log(likeness) + likened))
-    return either, float(np.exp(acts - either))
 
 
 def _fitted(

@@ -6,14 +6,17 @@ that is smoothly a fifth larger here and smaller there. The error is that of a d
 moves both sides of a layer alike, so that one residual grows and the other one shrinks. As columns
 with a prior these errors enter the evidence of the hypothesis: a strong effect then does not lose
 to a field that mends its form, and does not beat a relative by some nats of hundreds; a weak one is
-hardly touched.
+hardly touched. How large the error is, is not known: the evidence is averaged over that.
 
 A cause that is not listed may resemble one that is. Its pattern then differs by more: the same
-hypothesis with a larger error of form, in which the effects do not act.
+hypothesis with errors of form that are larger on the whole, in which the effects do not act.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.distance import cdist
+from scipy.special import logsumexp
 
 from storage.values import FloatArray, IntArray
 from workers.diagnosis.low_rank import pivoted
@@ -46,21 +49,46 @@ class FormError:
         near = np.exp(-0.5 * squares / envelope_mm**2) * same
         self._average = near / near.sum(axis=1)[:, None]
 
-    def columns(
-        self, pattern: FloatArray, relative_sd: float = SETTINGS.form.relative_sd
-    ) -> FloatArray:
-        """Return columns of unit deviation, shape (m, k).
+    def columns(self, pattern: FloatArray) -> FloatArray:
+        """Return columns of unit deviation, for an error as large as the pattern, shape (m, k).
 
         Parameters
         ----------
         pattern : ndarray, shape (m,)
             What the effects of a hypothesis change of the residuals, once constants and poses
             have followed, in mm.
-        relative_sd : float
-            Standard deviation of the error, over the size of the pattern.
         """
-        return relative_sd * self.envelope(pattern)[:, None] * self._modes
+        return self.envelope(pattern)[:, None] * self._modes
 
     def envelope(self, pattern: FloatArray) -> FloatArray:
         """Return the root mean square of a pattern around each point, shape (m,)."""
         return np.asarray(np.sqrt(self._average @ pattern**2))
+
+
+def acting_or_alike(log_evidences: Sequence[float]) -> tuple[float, float]:
+    """Return the log evidence of effects, whatever their error of form, and whether they act.
+
+    Parameters
+    ----------
+    log_evidences : sequence of float
+        With errors of each of ``SETTINGS.form.relative_sds``.
+
+    Returns
+    -------
+    tuple of float
+        Log evidence of effects that act or only resemble a cause that is not listed; and how
+        probably they act.
+    """
+    settings = SETTINGS.form
+    acts = np.log1p(-settings.likeness) + _averaged(log_evidences, settings.typical_sd)
+    resemble = np.log(settings.likeness) + _averaged(log_evidences, settings.likeness_sd)
+    either = np.logaddexp(acts, resemble)
+    return float(either), float(np.exp(acts - either))
+
+
+def _averaged(log_evidences: Sequence[float], typical_sd: float) -> float:
+    """Average over the size of the error, whose logarithm is normal about that of `typical_sd`."""
+    settings = SETTINGS.form
+    away = np.log(np.array(settings.relative_sds) / typical_sd) / settings.log_sd
+    weights = np.exp(-0.5 * away**2)
+    return float(logsumexp(log_evidences, b=weights / weights.sum()))

@@ -203,6 +203,29 @@ class NoiseModel:
         """Return the log evidence of a hypothesis, averaged over the states of the noise."""
         return _joined(self.plain(at.columns, at.residual[:, None], states), at)
 
+    def log_evidences_with_errors(
+        self, at: LinearHypothesis, errors: FloatArray, sizes: Sequence[float], *, field: bool
+    ) -> list[float]:
+        """Return the log evidence of a hypothesis with errors of several sizes.
+
+        Parameters
+        ----------
+        at : LinearHypothesis
+        errors : ndarray, shape (m, q)
+            Columns of unit deviation for an error of size one.
+        sizes : sequence of float
+        field : bool
+            Whether there is a smooth field in the noise.
+        """
+        wide = at.with_errors(errors)
+        misfits = self.with_field if field else self.plain
+        quadratics = misfits(wide.columns, wide.residual[:, None])
+        is_error = np.arange(wide.columns.shape[1]) >= at.columns.shape[1]
+        return [
+            _joined([q.scaled(np.where(is_error, size, 1.0)) for q in quadratics], wide)
+            for size in sizes
+        ]
+
     def field_gain(self, at: LinearHypothesis) -> float | None:
         """Return by how much a smooth field raises it; None without one."""
         if not self.has_field:

@@ -130,12 +130,15 @@ class FormSettings:
     something else, as its organ has it, times these.
     """
 
-    relative_sd: float = 0.2
-    lengths: float = 1.5
+    # Deviation of the error over the size of the pattern: a fifth, give or take a factor of two.
+    relative_sds: tuple[float, ...] = (0.1, 0.2, 0.4, 0.8)
+    typical_sd: float = 0.2
+    log_sd: float = 0.7
     # [open cases] Of effects that do not act but resemble a cause that is not listed, and how
     # probable that is before data.
-    likeness_sd: float = 0.5
+    likeness_sd: float = 0.8
     likeness: float = 0.03
+    lengths: float = 1.5
     # Over which the size of a pattern is averaged: an error need not vanish where it changes sign.
     envelope_lengths: float = 0.6
     state_correlation: float = 0.9

@@ -40,8 +40,13 @@ def test_plates():
     tilted = effect("plate_tilt").apply(busy(), {"tilt_depth": 3.0, "tilt_across": 1.0}, FRAME)
     assert tilted.load.device.upper.tilt_deg == (4.0, -1.0)
     assert tilted.load.device.lower == busy().load.device.lower
+    shorter = effect("plate_edge").apply(plain(), {"plate_edge": 7.0}, FRAME)
+    wall_mm = 20.0 - HALF_MM[2]
+    assert shorter.load.device.edge_mm == pytest.approx(wall_mm + 7.0)
+    further = effect("plate_edge").apply(shorter, {"plate_edge": 1.0}, FRAME)
+    assert further.load.device.edge_mm == pytest.approx(wall_mm + 8.0)
     loose = replace(plain(), load=NoPlates())
-    for name in ("plate_force", "plate_tilt", "plate_flex", "plate_friction"):
+    for name in ("plate_edge", "plate_force", "plate_tilt", "plate_flex", "plate_friction"):
         assert not effect(name).acts_on(loose, FRAME)
 
 

@@ -5,7 +5,15 @@ import pytest
 from solids import FAR, Shape, body, box, rotation, turned
 
 from storage.values import FloatArray, Tissue
-from workers.mechanics.fem.contact import PENALTY_N_PER_MM3, Gap
+from workers.mechanics.fem.contact import (
+    EDGE_RADIUS_MM,
+    PENALTY_N_PER_MM3,
+    ContactPotential,
+    Gap,
+    penalty_potential,
+    plate_contact,
+    plate_surfaces,
+)
 from workers.mechanics.fem.fields import FibreField
 from workers.mechanics.fem.level import Level
 from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Hold, Plate, Wall
@@ -79,8 +87,9 @@ def test_two_plates_tilted_alike_are_a_turned_device(about):
     np.testing.assert_allclose(found[0].states[-1].x, found[1].states[-1].x, atol=1e-5)
 
 
-def test_plates_and_wall_leave_neither_force_nor_moment():
-    device = Device(lower=Plate((2.0, -3.0)), upper=Plate((-4.0, 6.0), (0.01, 0.02)))
+@pytest.mark.parametrize("edge", [None, 4.0])
+def test_plates_and_wall_leave_neither_force_nor_moment(edge):
+    device = Device(lower=Plate((2.0, -3.0)), upper=Plate((-4.0, 6.0), (0.01, 0.02)), edge_mm=edge)
     model = body([(4, 4, 4)], box(12.0, 10.0, 10.0, origin=(-6.0, 0.0, 0.0)), jitter=0.2)
     problem = Problem(SOFT, ForceControl(0.3, -1, 11, device), wall=CLAMPED, tolerance_mm=1e-7)
     found = equilibrium(model, problem)
@@ -152,6 +161,41 @@ def test_bowed_plate_presses_by_the_volume_of_its_cap():
     exact = PENALTY_N_PER_MM3 * np.pi * d**2 / np.sqrt(c1 * c2)
     assert at.plate_forces[1] == pytest.approx(exact, rel=0.01)
     assert at.plate_contacts[1].penetration.max() == pytest.approx(d, abs=1e-12)
+
+
+def test_edge_through_the_pivot_makes_one_half_of_the_cap_steeper():
+    """Behind it the curvature along z is larger by that of the rounding: half of each volume."""
+    c1, c2, d = 0.02, 0.03, 0.5
+    model = body([(40, 1, 40)], box(20.0, 5.0, 20.0, origin=(-10.0, 0.0, 0.0))).finest
+    device = Device(pivot_mm=(0.0, 0.0, 10.0), upper=Plate(bow_per_mm=(c1, c2)), edge_mm=10.0)
+    stage = Stage(Gap(0.0, 5.0 - d), None, 1.0, device)
+    load = DistanceControl(0.0, 5.0 - d, device)
+    at = Level.build(model, Problem(SOFT, load)).energy(State(model.nodes, 0.0), stage)
+    behind = c2 + 1 / EDGE_RADIUS_MM
+    exact = PENALTY_N_PER_MM3 * np.pi * d**2 * (1 / np.sqrt(c1 * c2) + 1 / np.sqrt(c1 * behind)) / 2
+    assert at.plate_forces[1] == pytest.approx(exact, rel=0.01)
+
+
+def test_force_of_a_rounded_edge_is_the_slope_of_its_energy():
+    device = Device(upper=Plate((2.0, -3.0)), edge_mm=4.0)
+    model = body([(3, 3, 6)], box(12.0, 10.0, 10.0, origin=(-6.0, 0.0, 0.0)), jitter=0.2).finest
+    rng = np.random.default_rng(5)
+    x = model.nodes + 0.3 * rng.standard_normal(model.nodes.shape)
+    step, way, h = rng.standard_normal(x.shape), 0.7, 1e-5
+
+    def potential(by: float) -> ContactPotential:
+        gap = Gap(0.5, 9.0).closed_by(by * way)
+        plates = plate_surfaces(device, gap)
+        contacts = [plate_contact(model.contact_nodes, x + by * step, p) for p in plates]
+        assert all((c.behind & (c.gap < 0)).any() for c in contacts)
+        return penalty_potential(contacts[0]) + penalty_potential(contacts[1])
+
+    here, more, less = potential(0.0), potential(h), potential(-h)
+    moved = step[model.contact_nodes.index]
+    slope = (here.force * moved).sum() + here.travel_force * way
+    assert (more.energy - less.energy) / (2 * h) == pytest.approx(slope, rel=1e-6)
+    expected = np.einsum("cij,cj->ci", here.stiffness, moved) + here.coupling * way
+    assert (more.force - less.force) / (2 * h) == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
 def bowed_top(bow: tuple[float, float], size: tuple[float, float, float]) -> Shape:

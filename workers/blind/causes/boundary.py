@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from storage.values import FloatArray
-from workers.blind.causes.base import Rng, log_uniform
+from workers.blind.causes.base import Rng, log_uniform, sign
 from workers.blind.scene import Anatomy, Scene
 
 
@@ -61,6 +61,36 @@ class WallCompliance:
             return np.asarray(self.compliance_mm_per_kpa * (1 + self.unevenness * wave))
 
         return replace(scene, wall_compliance=at)
+
+
+@dataclass(frozen=True, slots=True)
+class WallRise:
+    """Let a part of the chest wall be further forward, or back, in the loaded scans: breath."""
+
+    kind: ClassVar[str] = "wall_rise"
+    effect: ClassVar[str | None] = None
+    family: ClassVar[str | None] = None
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+    rise_mm: float
+
+    @classmethod
+    def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
+        """Draw one at random, see `Cause.draw`."""
+        x, y = rng.uniform(-0.5, 0.5, 2) * (anatomy.half_mm[0], anatomy.half_mm[1])
+        x += anatomy.centre_mm[0]
+        size = sign(rng) * log_uniform(rng, 0.8, 6.0)
+        return cls(float(x), float(y), rng.uniform(15.0, 35.0), size)
+
+    def apply_to(self, scene: Scene) -> Scene:
+        """Return the scene with it, see `Cause.apply_to`."""
+
+        def at(points: FloatArray) -> FloatArray:
+            far = np.hypot(points[:, 0] - self.x_mm, points[:, 1] - self.y_mm) / self.radius_mm
+            return np.asarray(self.rise_mm * np.exp(-0.5 * far**2))
+
+        return replace(scene, wall_rise_mm=at)
 
 
 @dataclass(frozen=True, slots=True)

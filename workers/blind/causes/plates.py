@@ -53,8 +53,8 @@ class ShortPlate:
     """Let both plates begin in front of the chest wall, so that skin behind their edge bulges."""
 
     kind: ClassVar[str] = "short_plate"
-    effect: ClassVar[str | None] = None
-    family: ClassVar[str | None] = None
+    effect: ClassVar[str | None] = "plate_edge"
+    family: ClassVar[str | None] = "plate geometry"
     edge_mm: float
 
     @classmethod

@@ -15,6 +15,7 @@ from workers.mechanics.effects.growth import GROWTH
 from workers.mechanics.effects.image_scale import IMAGE_SCALE
 from workers.mechanics.effects.inclusion import INCLUSION
 from workers.mechanics.effects.local_attachment import LOCAL_ATTACHMENT
+from workers.mechanics.effects.plate_edge import PLATE_EDGE
 from workers.mechanics.effects.plate_flex import PLATE_FLEX
 from workers.mechanics.effects.plate_force import PLATE_FORCE
 from workers.mechanics.effects.plate_friction import FRICTION
@@ -38,6 +39,7 @@ BREAST_EFFECTS: tuple[Effect, ...] = (
     PLATE_FORCE,
     PLATE_TILT,
     PLATE_FLEX,
+    PLATE_EDGE,
     FRICTION,
     WALL_COMPLIANCE,
     WALL_HOLD,
@@ -95,8 +97,8 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
         "tilt and sag are those of the final state and do not follow the force",
     ),
     (
-        "pressure of the plate's edge",
-        "plates are unlimited; the edge at the chest wall and the corners do not press in",
+        "corners and ends of the plates",
+        "plates end at the chest wall alone, along a straight edge; elsewhere they are unlimited",
     ),
 )
 

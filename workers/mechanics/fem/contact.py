@@ -6,18 +6,20 @@ the gap of a node is
 .. math:: g(x) = n \cdot r - \tfrac12 r^T C r , \quad r = x - p - t v ,
 
 with the normal n into the body, a point p, the velocity v per travel t and the
-curvature C. The penalty lets the body into the plate by pressure / 0.5 N/mm^3,
-which is 0.04 mm at a mean pressure of 20 kPa.
+curvature C. A plate with an edge leaves the body behind it as a parabola of the radius R of
+its rounding: at a distance s behind the edge the gap is larger by s^2 / 2R. The penalty lets
+the body into the plate by pressure / 0.5 N/mm^3, which is 0.04 mm at a mean pressure of 20 kPa.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from storage.values import FloatArray, IntArray
+from storage.values import BoolArray, FloatArray, IntArray
 from workers.mechanics.fem.loads import Device, Plate
 
 PENALTY_N_PER_MM3 = 0.5
+EDGE_RADIUS_MM = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +61,18 @@ class Gap:
 
 
 @dataclass(frozen=True, eq=False)
+class Edge:
+    """Where a plate begins: the direction into the plate, (3,), and how far along it, in mm."""
+
+    direction: FloatArray
+    start_mm: float
+
+    def behind(self, x: FloatArray) -> FloatArray:
+        """Return how far points, shape (c, 3), lie behind the edge, (c,) in mm; zero before it."""
+        return np.maximum(self.start_mm - x @ self.direction, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
 class PlateSurface:
     """One plate where it stands: point, normal into the body, velocity, curvature (3, 3)."""
 
@@ -66,6 +80,7 @@ class PlateSurface:
     normal: FloatArray
     velocity: FloatArray
     curvature: FloatArray
+    edge: Edge | None = None
 
 
 def plate_surfaces(device: Device, gap: Gap) -> tuple[PlateSurface, PlateSurface]:
@@ -78,14 +93,20 @@ def plate_surfaces(device: Device, gap: Gap) -> tuple[PlateSurface, PlateSurface
     pivot = np.asarray(device.pivot_mm)
     pivot = pivot - (pivot @ axis) * axis
     share = device.lower_share
+    edge = None if device.edge_mm is None else Edge(second, device.edge_mm)
     return (
-        _surface(device.lower, pivot + gap.lower_mm * axis, axis, share * axis, plane),
-        _surface(device.upper, pivot + gap.upper_mm * axis, -axis, (share - 1) * axis, plane),
+        _surface(device.lower, pivot + gap.lower_mm * axis, axis, share * axis, plane, edge),
+        _surface(device.upper, pivot + gap.upper_mm * axis, -axis, (share - 1) * axis, plane, edge),
     )
 
 
 def _surface(
-    plate: Plate, point: FloatArray, normal: FloatArray, velocity: FloatArray, plane: FloatArray
+    plate: Plate,
+    point: FloatArray,
+    normal: FloatArray,
+    velocity: FloatArray,
+    plane: FloatArray,
+    edge: Edge | None,
 ) -> PlateSurface:
     """Tilt and bend a plane through `point`; `plane`, (2, 3), are its in-plane axes."""
     rotation = np.eye(3)
@@ -94,7 +115,7 @@ def _surface(
     in_plane = plane @ rotation.T
     # A plate that bends away leaves room: the gap grows with the distance from the pivot.
     curvature = -sum(b * np.outer(a, a) for a, b in zip(in_plane, plate.bow_per_mm, strict=True))
-    return PlateSurface(point, rotation @ normal, velocity, np.asarray(curvature))
+    return PlateSurface(point, rotation @ normal, velocity, np.asarray(curvature), edge)
 
 
 def _rotation(axis: FloatArray, angle: float) -> FloatArray:
@@ -106,12 +127,16 @@ def _rotation(axis: FloatArray, angle: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class PlateContact:
-    """Gap between each contact node and one plate, (c,) in mm, and its gradient, (c, 3)."""
+    """Gap between each contact node and one plate, (c,) in mm, and its gradient, (c, 3).
+
+    Of a plate with an edge, `behind` are the nodes that lie behind it, shape (c,).
+    """
 
     nodes: ContactNodes
     surface: PlateSurface
     gap: FloatArray
     gradient: FloatArray
+    behind: BoolArray | None = None
 
     @property
     def penetration(self) -> FloatArray:
@@ -172,7 +197,18 @@ def plate_contact(nodes: ContactNodes, x: FloatArray, plate: PlateSurface) -> Pl
     r = x[nodes.index] - plate.point
     bent = r @ plate.curvature
     gap = r @ plate.normal - 0.5 * (r * bent).sum(axis=1)
-    return PlateContact(nodes, plate, gap, plate.normal - bent)
+    contact = PlateContact(nodes, plate, gap, plate.normal - bent)
+    return contact if plate.edge is None else _with_edge(contact, x, plate.edge)
+
+
+def _with_edge(contact: PlateContact, x: FloatArray, edge: Edge) -> PlateContact:
+    behind = edge.behind(x[contact.nodes.index])
+    return replace(
+        contact,
+        gap=contact.gap + 0.5 * behind**2 / EDGE_RADIUS_MM,
+        gradient=contact.gradient - (behind / EDGE_RADIUS_MM)[:, None] * edge.direction,
+        behind=behind > 0,
+    )
 
 
 def penalty_potential(contact: PlateContact) -> ContactPotential:
@@ -181,11 +217,16 @@ def penalty_potential(contact: PlateContact) -> ContactPotential:
     k = contact.nodes.stiffness * (contact.gap < 0)
     moving = g @ s.velocity
     bend = s.curvature @ s.velocity
+    stiffness = k[:, None, None] * g[:, :, None] * g[:, None, :]
+    stiffness += load[:, None, None] * s.curvature
+    if s.edge is not None and contact.behind is not None:
+        # The plates move along their axis, so the edge stays where it is.
+        rounding = load * contact.behind / EDGE_RADIUS_MM
+        stiffness -= rounding[:, None, None] * np.outer(s.edge.direction, s.edge.direction)
     return ContactPotential(
         energy=0.5 * float(load @ contact.penetration),
         force=-load[:, None] * g,
-        stiffness=k[:, None, None] * g[:, :, None] * g[:, None, :]
-        + load[:, None, None] * s.curvature,
+        stiffness=stiffness,
         travel_force=float(load @ moving),
         coupling=-(k * moving)[:, None] * g - load[:, None] * bend,
         travel_stiffness=float(k @ moving**2 + load.sum() * (bend @ s.velocity)),

@@ -46,6 +46,9 @@ class Device:
         Part of the travel that the lower plate makes, 0 to 1.
     friction : float
         Coulomb's coefficient between skin and both plates.
+    edge_mm : float, optional
+        Where both plates begin along the second in-plane axis: behind that place their
+        rounded edge leaves the body. None for plates without an end.
     """
 
     axis: Triple = (0.0, 1.0, 0.0)
@@ -54,6 +57,7 @@ class Device:
     upper: Plate = Plate()
     lower_share: float = 0.0
     friction: float = 0.0
+    edge_mm: float | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.lower_share <= 1:

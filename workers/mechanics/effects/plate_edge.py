@@ -1,0 +1,45 @@
+"""Let both plates begin in front of the chest wall."""
+
+from dataclasses import replace
+
+from workers.mechanics.effects.base import Effect, Values, from_zero
+from workers.mechanics.effects.problem_changes import with_device
+from workers.mechanics.fem.contact import EDGE_RADIUS_MM
+from workers.mechanics.fem.fields import Frame
+from workers.mechanics.fem.loads import Device
+from workers.mechanics.fem.problem import Problem
+from workers.units import MM
+
+NAME = "plate_edge"
+
+
+def transform(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Move the edge of both plates away from the wall, or further than it is."""
+    if not values[NAME]:
+        return problem
+    wall_mm = frame.centre_mm[2] - frame.half_mm[2]
+
+    def shorter(device: Device) -> Device:
+        begun = wall_mm if device.edge_mm is None else device.edge_mm
+        return replace(device, edge_mm=begun + values[NAME])
+
+    return with_device(problem, shorter)
+
+
+PLATE_EDGE = Effect(
+    name="plate_edge",
+    family="plate geometry",
+    summary="The plates begin in front of the chest wall, and tissue bulges behind their edge.",
+    parameters=(
+        from_zero(
+            NAME,
+            MM,
+            20.0,
+            f"distance from the chest wall to the plates' edge, rounded by {EDGE_RADIUS_MM:g} mm",
+        ),
+    ),
+    prior_sd=(5.0,),
+    steps=(1e-3,),
+    transform=transform,
+    references=("M. Dustler et al., Acta Radiol. 53 (2012) 973",),
+)

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 
 from storage.values import Tissue, Volume
+from workers.blind.body_shape import reshaped
 from workers.blind.deviations import Deviations
+from workers.blind.material_points import points_on
+from workers.blind.meshed_body import body_of
 from workers.blind.random_case import KINDS, draw
 from workers.blind.scene import NU
 from workers.blind.segmented_scan import Segmenter, segmented
 from workers.blind.world import World
+from workers.comparison.observation.interface import GLANDULAR
+from workers.comparison.observation.signed_distance import signed_distance
 
 HARD = [draw(seed, "control", world=World.hard) for seed in range(200)]
 
@@ -40,8 +45,47 @@ def test_everything_is_a_little_off_by_what_is_said():
     poses = np.array([pose for one in off for pose in one.poses])
     assert poses.shape == (800, 6)
     assert poses.std(axis=0) == pytest.approx(np.full(6, 0.3), rel=0.12)
+    shapes = [one.shape for one in off if one.shape is not None]
+    assert len(shapes) == len(set(shapes)) == 200
+    assert all(0.05 <= one.amplitude <= 0.12 for one in shapes)
     tilts = np.array([one.fibre_tilt_deg for one in off])
     assert tilts.std() == pytest.approx(0.3, rel=0.15)
+
+
+def test_bodies_of_any_shape_fill_the_same_box_and_are_whole():
+    """No point passes another one: the map keeps its orientation everywhere."""
+    inside = np.random.default_rng(3).uniform(-1, 1, (4000, 3)) * [1.0, 1.0, 0.5] + [0, 0, 0.5]
+    for truth in HARD[:30]:
+        body = truth.anatomy
+        points = inside * body.half_mm * [1, 1, 2] + [body.centre_mm[0], 0, 0]
+        shape = truth.deviations.shape
+        # Differences along the axes, of all points at once: the box is that of the points.
+        moved = np.array([shape.moved(points + h) - shape.moved(points) for h in 1e-4 * np.eye(3)])
+        assert np.linalg.det(moved.transpose(1, 2, 0) / 1e-4).min() > 0.3
+        there = shape.moved(points)
+        assert there.max(axis=0) == pytest.approx(points.max(axis=0))
+        assert there[:, :2].min(axis=0) == pytest.approx(points[:, :2].min(axis=0))
+        wall = points * [1, 1, 0]
+        assert not shape.moved(np.vstack([points, wall]))[len(points) :, 2].any()
+        assert np.abs(there - points).max() > 2.0
+
+
+def test_labels_of_a_reshaped_body_are_those_of_its_mesh():
+    truth = HARD[0]
+    body = body_of(truth.anatomy, 800, 1.2)
+    other = reshaped(body, truth.deviations.shape)
+    corners = other.mesh.nodes[other.mesh.cells[:, :4]]
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    assert volumes.min() > 0
+    assert len(other.mesh.wall) == len(body.mesh.wall)
+    voxel = 1.2**3
+    drawn = other.labels.values != Tissue.AIR
+    assert drawn.sum() * voxel == pytest.approx(volumes.sum(), rel=5e-3)
+    points = points_on(body.mesh, body.labels, 400, 1)
+    gland = points.points[points.interface == 1]
+    moved = truth.deviations.shape.moved(np.vstack([gland, body.mesh.nodes]))[: len(gland)]
+    away, _ = signed_distance(other.labels, GLANDULAR.inside).at(moved)
+    assert np.median(np.abs(away)) < 0.5
 
 
 def test_a_pose_is_a_rigid_motion():

@@ -2,7 +2,8 @@
 
 In the plain world nothing does. In the hard one, as in a clinic, everything is a little off:
 the law's constants that a diagnosis holds, the springs of the chest wall, the axis of the fibres,
-where a scan lies, how well it is segmented and what is missed or added by who segments it.
+where a scan lies, how well it is segmented and what is missed or added by who segments it; and
+bodies are no ellipsoids.
 """
 
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from storage.values import FloatArray
+from workers.blind.body_shape import BodyShape, draw_shape
 from workers.blind.causes.base import Rng, log_uniform
 from workers.blind.scene import NU, Scene
 from workers.blind.world import World
@@ -44,6 +46,8 @@ class Deviations:
         Of each loaded scan; none where scans lie as their headers say.
     pieces : int
         Pieces of gland that are missed, and as many that are added, in every scan.
+    shape : BodyShape or None
+        That is no ellipsoid.
     """
 
     nu: float = NU
@@ -53,6 +57,7 @@ class Deviations:
     ln_noise_at_wall: float = 0.0
     poses: tuple[Pose, ...] = ()
     pieces: int = 0
+    shape: BodyShape | None = None
 
     def apply_to(self, scene: Scene) -> Scene:
         """Return a scene, its causes included, with these deviations."""
@@ -85,6 +90,7 @@ def draw_deviations(world: World, rng: Rng, scans: int) -> Deviations:
         ln_noise_at_wall=round(rng.uniform(-0.5, 0.5), 3),
         poses=tuple(_pose(sd * rng.standard_normal(6)) for _ in range(scans)),
         pieces=1,
+        shape=draw_shape(rng),
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from storage.values import Volume
+from workers.blind.body_shape import reshaped
 from workers.blind.fine_mesh import fine_mesh_of
 from workers.blind.load_stepping import Solution, plate_starts, solve_scene
 from workers.blind.material_points import points_on
@@ -56,6 +57,8 @@ def write_case(
         If the body cannot be made or meshed.
     """
     body = body_of(truth.anatomy, corners, spacing_mm)
+    if truth.deviations.shape is not None:
+        body = reshaped(body, truth.deviations.shape)
     solutions = solve_scene(truth.scene, topology_of(body.mesh), body.labels, truth.loads)
     scans = _scans(truth, body, solutions)
     case_folder.mkdir(parents=True, exist_ok=True)

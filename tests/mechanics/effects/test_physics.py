@@ -25,7 +25,7 @@ PRESTRESS = effect("gravity_prestress")
 ON_BODY = [e for e in BREAST_EFFECTS if e.observation is None]
 # Away from neutral, where a place and a size matter.
 AT = {
-    "plate_edge": {"plate_edge": 10.0},
+    "plate_edge": {"plate_edge": 5.0},
     "inclusion": {"inclusion_ln_ratio": 1.0, "inclusion_x": 3.0, "inclusion_y": 8.0},
     "local_attachment": {
         "attachment_stiffness_x": 2e-4,

@@ -141,6 +141,8 @@ def _run(typed: list[str]) -> int:
     except PalpateError as error:
         return _explain(str(error))
     except SystemExit as ended:  # typer leaves so, with 2 for a wrong option and 130 for Ctrl-C
+        if isinstance(getattr(ended.__context__, "__cause__", None), KeyboardInterrupt):
+            typer.echo("Interrupted.", err=True)  # before a command could say how to go on
         # It leaves with 1 where nobody reads what is printed.
         return NO_READER if ended.code == 1 else int(ended.code or 0)
     except MemoryError:

@@ -109,7 +109,7 @@ def test_a_weak_effect_is_hardly_hurt(form):
 
 
 @pytest.mark.parametrize("best", range(len(SIZES)))
-def test_the_larger_the_error_the_less_probably_the_effect_acts(best):
+def test_errors_of_one_size_are_weighed_by_both_beliefs(best):
     """Where only errors of one size explain the data; both beliefs are bells of the logarithm."""
     logs = [0.0 if size == SIZES[best] else -1e3 for size in SIZES]
     either, acting = acting_or_alike(logs)
@@ -123,6 +123,17 @@ def test_the_larger_the_error_the_less_probably_the_effect_acts(best):
     assert either == pytest.approx(np.log(acts + alike))
     assert acting == pytest.approx(acts / (acts + alike))
     assert acting > 0.5
+
+
+def test_log_odds_of_acting_fall_evenly_with_the_logarithm_of_the_error():
+    """Two bells of one width s about a and b: by ln(b / a) / s^2 for each unit of ln size."""
+    form, odds = SETTINGS.form, []
+    for size in SIZES:
+        _, acting = acting_or_alike([0.0 if one == size else -1e3 for one in SIZES])
+        odds.append(np.log(acting / (1 - acting)))
+    fall = np.log(form.likeness_sd / form.typical_sd) / form.log_sd**2
+    assert fall > 0
+    assert np.diff(odds) == pytest.approx(-fall * np.diff(np.log(SIZES)))
 
 
 def test_data_that_say_nothing_of_the_size_leave_the_belief(form):

@@ -130,12 +130,13 @@ class FormSettings:
     something else, as its organ has it, times these.
     """
 
-    # Deviation of the error over the size of the pattern: a fifth, give or take a factor of two.
+    # [set 8, hard set 5] Deviation of the error over the size of the pattern: a fifth, give or
+    # take a factor of two.
     relative_sds: tuple[float, ...] = (0.1, 0.2, 0.4, 0.8)
     typical_sd: float = 0.2
     log_sd: float = 0.7
-    # [open cases] Of effects that do not act but resemble a cause that is not listed, and how
-    # probable that is before data.
+    # [set 8, hard set 5] Of effects that do not act but resemble a cause that is not listed;
+    # [open cases] how probable that is before data.
     likeness_sd: float = 0.8
     likeness: float = 0.03
     lengths: float = 1.5

@@ -97,6 +97,10 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
         "tilt and sag are those of the final state and do not follow the force",
     ),
     (
+        "movement of the chest wall",
+        "a breath that brings a part of the wall forward looks like a scan that lies elsewhere",
+    ),
+    (
         "corners and ends of the plates",
         "plates end at the chest wall alone, along a straight edge; elsewhere they are unlimited",
     ),

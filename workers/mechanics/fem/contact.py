@@ -19,6 +19,7 @@ from storage.values import BoolArray, FloatArray, IntArray
 from workers.mechanics.fem.loads import Device, Plate
 
 PENALTY_N_PER_MM3 = 0.5
+# An opened blind body between such plates has 8 nats less with 10 mm.
 EDGE_RADIUS_MM = 5.0
 
 

@@ -153,6 +153,14 @@ def test_one_sided_effects_set_in_gently(name, small):
     assert np.abs(full).max() > 1e-3
 
 
+@pytest.mark.parametrize("edge_mm", [8.0, 15.0])
+def test_body_is_pressed_between_plates_that_begin_far_from_the_wall(edge_mm):
+    """Nodes slide off the edge on the way; Newton's method is not to stray among them."""
+    edge = effect("plate_edge")
+    here = solved(edge.apply(base(edge), {"plate_edge": edge_mm}, frame()))
+    assert max(here.solution.outcome.newton_iterations) < 40
+
+
 def test_creep_is_a_larger_force():
     """In one state nobody can tell them apart: only stiffness over force counts.
 

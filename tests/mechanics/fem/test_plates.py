@@ -10,6 +10,7 @@ from workers.mechanics.fem.contact import (
     PENALTY_N_PER_MM3,
     ContactPotential,
     Gap,
+    edge_stiffness,
     penalty_potential,
     plate_contact,
     plate_surfaces,
@@ -196,6 +197,21 @@ def test_force_of_a_rounded_edge_is_the_slope_of_its_energy():
     assert (more.energy - less.energy) / (2 * h) == pytest.approx(slope, rel=1e-6)
     expected = np.einsum("cij,cj->ci", here.stiffness, moved) + here.coupling * way
     assert (more.force - less.force) / (2 * h) == pytest.approx(expected, rel=1e-5, abs=1e-5)
+
+
+def test_all_but_what_the_edge_adds_is_convex():
+    """What Newton's method leaves out far from equilibrium is all that may turn a plate's
+    tangent indefinite."""
+    device = Device(edge_mm=4.0)
+    model = body([(3, 3, 6)], box(12.0, 10.0, 10.0, origin=(-6.0, 0.0, 0.0)), jitter=0.2).finest
+    x = model.nodes + 0.3 * np.random.default_rng(6).standard_normal(model.nodes.shape)
+    lower, _ = plate_surfaces(device, Gap(0.5, 9.0))
+    contact = plate_contact(model.contact_nodes, x, lower)
+    whole = penalty_potential(contact).stiffness
+    lowest = np.linalg.eigvalsh(whole)[:, 0]
+    rest = np.linalg.eigvalsh(whole - edge_stiffness(contact))[:, 0]
+    assert lowest.min() < -1e-3
+    assert rest.min() > -1e-9 * np.abs(whole).max()
 
 
 def bowed_top(bow: tuple[float, float], size: tuple[float, float, float]) -> Shape:

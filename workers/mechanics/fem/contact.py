@@ -220,10 +220,8 @@ def penalty_potential(contact: PlateContact) -> ContactPotential:
     bend = s.curvature @ s.velocity
     stiffness = k[:, None, None] * g[:, :, None] * g[:, None, :]
     stiffness += load[:, None, None] * s.curvature
-    if s.edge is not None and contact.behind is not None:
-        # The plates move along their axis, so the edge stays where it is.
-        rounding = load * contact.behind / EDGE_RADIUS_MM
-        stiffness -= rounding[:, None, None] * np.outer(s.edge.direction, s.edge.direction)
+    if s.edge is not None:
+        stiffness += edge_stiffness(contact)
     return ContactPotential(
         energy=0.5 * float(load @ contact.penetration),
         force=-load[:, None] * g,
@@ -232,3 +230,16 @@ def penalty_potential(contact: PlateContact) -> ContactPotential:
         coupling=-(k * moving)[:, None] * g - load[:, None] * bend,
         travel_stiffness=float(k @ moving**2 + load.sum() * (bend @ s.velocity)),
     )
+
+
+def edge_stiffness(contact: PlateContact) -> FloatArray:
+    """Return what the rounding of an edge adds to the stiffness, shape (c, 3, 3) in N/mm.
+
+    It is negative: a node that slides off the edge is pushed on. The plates move along their
+    axis, so the edge stays where it is.
+    """
+    edge = contact.surface.edge
+    if edge is None or contact.behind is None:
+        raise ValueError("the plate has no edge")
+    rounding = contact.normal_force * contact.behind / EDGE_RADIUS_MM
+    return -rounding[:, None, None] * np.outer(edge.direction, edge.direction)

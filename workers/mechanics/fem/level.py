@@ -15,6 +15,7 @@ from workers.mechanics.fem.assembly import assemble
 from workers.mechanics.fem.contact import (
     ContactPotential,
     PlateContact,
+    edge_stiffness,
     no_contact,
     penalty_potential,
     plate_contact,
@@ -258,6 +259,9 @@ class Level:
             blocks[g.diagonal, axis, axis] += self.springs[:, axis]
         index = m.contact_nodes.index
         blocks[g.diagonal[index], :, :3] += at.contact.stiffness
+        for contact in at.plate_contacts:
+            if convex and contact.surface.edge is not None:
+                blocks[g.diagonal[index], :, :3] -= edge_stiffness(contact)
         sparse_products.clear_held_rows(g.start, free, packed)
         stiffness = at.contact.travel_stiffness if stage.force_n is not None else 0.0
         coupling = at.contact.coupling * free[index]

@@ -103,6 +103,21 @@ def test_all_that_python_has_loaded_is_among_what_was_reached() -> None:
     assert set(ran.stdout.split()) <= set(REACHED)
 
 
+def test_an_import_counts_wherever_it_stands(tmp_path: Path) -> None:
+    blocks = (
+        "import json as a",
+        "if x:\n    import json as b\nelif y:\n    import json as c\nelse:\n    import json as d",
+        "try:\n    import json as e\nexcept E:\n    import json as f\nelse:\n    import json as g\n"
+        "finally:\n    import json as h",
+        "for x in y:\n    while x:\n        with x:\n            import json as i",
+        "class C:\n    async def m(self):\n        def n():\n            import json as j",
+        "match x:\n    case 1:\n        import json as k",
+    )
+    file = tmp_path / "every_block.py"
+    file.write_text("\n".join(blocks))
+    assert _imported(file, "every_block") == ("json",) * 11
+
+
 def test_a_module_that_is_missing_is_named() -> None:
     with pytest.raises(ModuleNotFoundError, match=r"workers\.nowhere"):
         code_version("workers.nowhere")

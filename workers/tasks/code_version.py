@@ -18,6 +18,8 @@ PACKAGES = ("workers", "storage")
 # Python 3.11 cannot parse in several threads at once (cpython issue 106905), and studies of one
 # process run in threads.
 _PARSING = threading.Lock()
+# Where a statement, a handler of exceptions or a case of a match has statements of its own.
+_BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
 
 
 @cache
@@ -105,7 +107,7 @@ def _imported(file: Path, module: str) -> tuple[str, ...]:
     names: list[str] = []
     with _PARSING:
         tree = ast.parse(file.read_bytes())
-    for node in ast.walk(tree):
+    for node in _statements(tree):
         if isinstance(node, ast.Import):
             names.extend(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -115,6 +117,16 @@ def _imported(file: Path, module: str) -> tuple[str, ...]:
             names.append(base)
             names.extend(_submodules(base, node))
     return tuple(names)
+
+
+def _statements(tree: ast.AST) -> Iterator[ast.AST]:
+    """Return all statements of a file; most of what `ast.walk` returns are expressions."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        for block in _BLOCKS:
+            waiting.extend(getattr(node, block, ()))
 
 
 def _submodules(base: str, node: ast.ImportFrom) -> Iterator[str]:

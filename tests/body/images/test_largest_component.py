@@ -1,6 +1,7 @@
 """Specks and holes of a segmentation."""
 
 import numpy as np
+from scipy.ndimage import binary_fill_holes, label
 
 from storage.values import Tissue, Volume
 from workers.body.images.largest_component import AIR_VOXELS, in_air, one_body
@@ -29,6 +30,18 @@ def test_a_dent_and_a_hole_at_the_wall_stay() -> None:
     values[8, 5, 5] = Tissue.AIR
     values[0, 6, 7] = Tissue.AIR
     np.testing.assert_array_equal(one_body(volume(values)).values, values)
+
+
+def test_what_is_filled_is_what_the_outside_does_not_reach() -> None:
+    """Crumbs of every shape, among them holes that only an edge or a corner opens."""
+    values = block()
+    values[np.random.default_rng(7).random(values.shape) < 0.3] = Tissue.AIR
+    after = one_body(volume(values)).values != Tissue.AIR
+    np.testing.assert_array_equal(after, binary_fill_holes(after))
+    pieces, _ = label(values != Tissue.AIR)
+    largest = pieces == 1 + np.argmax(np.bincount(pieces.ravel())[1:])
+    np.testing.assert_array_equal(after, binary_fill_holes(largest))
+    assert np.count_nonzero(after) > np.count_nonzero(largest)
 
 
 def test_a_clean_body_is_not_copied() -> None:

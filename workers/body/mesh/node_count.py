@@ -48,11 +48,14 @@ def check_node_count_of(nodes: int, labels: Volume) -> None:
     InputError
         See `check_node_count`.
     """
-    inside = np.nonzero(labels.values)
-    if not len(inside[0]):
+    inside = labels.values != 0
+    count = np.count_nonzero(inside)
+    if not count:
         return
-    spacing_zyx = labels.spacing_mm[::-1]
+    flat = inside.any(axis=0)
+    lines = inside.any(axis=(1, 2)), flat.any(axis=1), flat.any(axis=0)
     sides = [
-        (float(np.ptp(index)) + 1) * step for index, step in zip(inside, spacing_zyx, strict=True)
+        (float(np.ptp(np.flatnonzero(line))) + 1) * step
+        for line, step in zip(lines, labels.spacing_mm[::-1], strict=True)
     ]
-    check_node_count(nodes, len(inside[0]) * labels.voxel_mm3, min(sides))
+    check_node_count(nodes, count * labels.voxel_mm3, min(sides))

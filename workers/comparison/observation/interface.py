@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray, Tissue, Volume
 from workers.comparison.observation.isosurface import SMOOTH_VOXELS, Surface, surface
-from workers.comparison.observation.signed_distance import SignedDistance, signed_distance
+from workers.comparison.observation.signed_distance import SignedDistance, distance_to
 
 SMALLEST_VOXELS = 30  # a ball of so many voxels is the smallest part that counts
 # Points put down at random, no two nearer than r, end up with one for 1.44 r^2 (Renyi's
@@ -140,7 +140,7 @@ def interface_points(
         parts = _parts(drawn, smallest)
         parts[drawn.vertices[:, 2] < lowest] = -1
         if clear_mm > 0:
-            distance = signed_distance(labels, interface.inside, smooth_voxels, 2 * clear_mm)
+            distance = distance_to(drawn, labels, 2 * clear_mm)
             parts[~_has_clearance(drawn, distance, clear_mm)] = -1
         spread.append(_points_on_surface(drawn, parts, spacing_mm))
     count = [len(points) for points, _, _, _ in spread]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from storage.errors import InputError
 from storage.values import FloatArray, Tissue, Triple, Volume
 from workers.comparison.observation.cubic_interpolation import at_points
-from workers.comparison.observation.isosurface import LEVEL, SMOOTH_VOXELS, surface
+from workers.comparison.observation.isosurface import LEVEL, SMOOTH_VOXELS, Surface, surface
 from workers.comparison.observation.triangle_distance import distances
 
 
@@ -93,7 +93,21 @@ def signed_distance(
     """
     if not band_mm > 0:
         raise InputError(f"The band of distances must be > 0 mm, found {band_mm}.")
-    interface = surface(labels, inside, smooth_voxels)
+    return distance_to(surface(labels, inside, smooth_voxels), labels, band_mm)
+
+
+def distance_to(interface: Surface, labels: Volume, band_mm: float) -> SignedDistance:
+    """Return the signed distance of every voxel centre to an interface that is drawn already.
+
+    Parameters
+    ----------
+    interface : Surface
+        Of a tissue of the labels.
+    labels : Volume
+        On whose lattice the distance is wanted.
+    band_mm : float
+        Distances are cut off here; > 0.
+    """
     step = np.asarray(labels.spacing_mm)
     vertices = interface.vertices - np.asarray(labels.origin_mm)
     values = distances(vertices, interface.triangles, labels.values.shape, step, band_mm)

@@ -45,11 +45,14 @@ def smooth_outline(labels: Volume, length_mm: float) -> Volume:
     once, twice = (
         ndimage.gaussian_filter(body, s, mode="nearest", truncate=3.0) for s in (sigma, 2 * sigma)
     )
-    inside = 2 * once - twice > LEVEL
-    kept = np.where(values == Tissue.AIR, Tissue.FAT, values)
+    once *= 2
+    once -= twice
+    inside = once > LEVEL
+    values[inside & (values == Tissue.AIR)] = Tissue.FAT
+    values[~inside] = Tissue.AIR
     x0, y0, z0 = labels.origin_mm
     return Volume(
-        np.where(inside, kept, Tissue.AIR).astype(labels.values.dtype),
+        values,
         labels.spacing_mm,
         (x0 - margin * dx, y0 - margin * dy, z0),
     )

@@ -20,8 +20,11 @@ from storage.values import FloatArray, IntArray
 from workers.body.mesh.incidence import elements_of_nodes
 from workers.compile_flags import CONTRACTED
 
+BLOCK = 16  # voxels of a line that are asked together whether a neighbour has anything nearer
 NEAR = 6.0  # voxels within which the triangles are asked
 FAR = np.float32(1e30)
+
+Place = tuple[float, float, float]
 
 
 def distances(
@@ -51,10 +54,14 @@ def distances(
         In mm, not negative.
     """
     step = np.asarray(step, np.float64)
-    nearest = np.full(shape, -1, np.int32)
     squared = np.full(shape, FAR, np.float32)
     points = np.ascontiguousarray(vertices, dtype=np.float64)
-    rough, rough_step = points.astype(np.float32), step.astype(np.float32)
+    # Axis by axis, so that eight coordinates are fetched at once; the last vertex is nobody's.
+    rough = np.full((3, len(points) + 1), FAR, np.float32)
+    rough[:, :-1] = points.T
+    nobody = np.uint32(len(points))
+    nearest = np.full(shape, nobody)
+    rough_step = step.astype(np.float32)
     _seed(rough, rough_step, nearest, squared)
     reach = band + float(step.max())
     for z_step in (1, -1):
@@ -73,14 +80,18 @@ def _seed(
 ) -> None:
     """Offer each vertex to the voxels around it."""
     nz, ny, nx = nearest.shape
-    for v in range(len(points)):
-        x0 = int(points[v, 0] / step[0] + 0.5)
-        y0 = int(points[v, 1] / step[1] + 0.5)
-        z0 = int(points[v, 2] / step[2] + 0.5)
+    for v in range(points.shape[1] - 1):
+        x0 = int(points[0, v] / step[0] + 0.5)
+        y0 = int(points[1, v] / step[1] + 0.5)
+        z0 = int(points[2, v] / step[2] + 0.5)
         for z in range(max(z0 - 1, 0), min(z0 + 2, nz)):
             for y in range(max(y0 - 1, 0), min(y0 + 2, ny)):
                 for x in range(max(x0 - 1, 0), min(x0 + 2, nx)):
-                    _offer(v, points, step, z, y, x, nearest[z, y], squared[z, y])
+                    # No `_offer`: to count who refers to a line takes longer than the rest.
+                    d = _squared(v, points, step, z, y, x)
+                    if d < squared[z, y, x]:
+                        squared[z, y, x] = d
+                        nearest[z, y, x] = v
 
 
 @njit(**CONTRACTED)
@@ -151,9 +162,13 @@ def _across(
     squared: NDArray[np.float32],
 ) -> None:
     """Offer the vertices of a neighbouring line."""
-    for x in range(len(line)):
-        if source_squared[x] < reach2 and source[x] != line[x]:
-            _offer(source[x], points, step, z, y, x, line, squared)
+    n = len(line)
+    for first in range(0, n, BLOCK):
+        end = min(first + BLOCK, n)
+        if _is_welcome(points, step, reach2, z, y, first, end, 0, source, source_squared, squared):
+            for x in range(first, end):
+                if source_squared[x] < reach2 and source[x] != line[x]:
+                    _offer(source[x], points, step, z, y, x, line, squared)
 
 
 @njit(**CONTRACTED)
@@ -168,12 +183,55 @@ def _along(
 ) -> None:
     """Offer each voxel's vertex to the next one, forwards and backwards."""
     n = len(line)
-    for x in range(1, n):
-        if squared[x - 1] < reach2 and line[x - 1] != line[x]:
-            _offer(line[x - 1], points, step, z, y, x, line, squared)
-    for x in range(n - 2, -1, -1):
-        if squared[x + 1] < reach2 and line[x + 1] != line[x]:
-            _offer(line[x + 1], points, step, z, y, x, line, squared)
+    changed = False
+    for first in range(1, n, BLOCK):
+        end = min(first + BLOCK, n)
+        if not changed and not _is_welcome(
+            points, step, reach2, z, y, first, end, -1, line, squared, squared
+        ):
+            continue
+        for x in range(first, end):
+            before = line[x]
+            if squared[x - 1] < reach2 and line[x - 1] != before:
+                _offer(line[x - 1], points, step, z, y, x, line, squared)
+            changed = line[x] != before
+    changed = False
+    for end in range(n - 1, 0, -BLOCK):
+        first = max(end - BLOCK, 0)
+        if not changed and not _is_welcome(
+            points, step, reach2, z, y, first, end, 1, line, squared, squared
+        ):
+            continue
+        for x in range(end - 1, first - 1, -1):
+            before = line[x]
+            if squared[x + 1] < reach2 and line[x + 1] != before:
+                _offer(line[x + 1], points, step, z, y, x, line, squared)
+            changed = line[x] != before
+
+
+@njit(**CONTRACTED)
+def _is_welcome(
+    points: NDArray[np.float32],
+    step: NDArray[np.float32],
+    reach2: np.float32,
+    z: int,
+    y: int,
+    first: int,
+    end: int,
+    side: int,
+    source: IntArray,
+    source_squared: NDArray[np.float32],
+    squared: NDArray[np.float32],
+) -> bool:
+    """Say whether any voxel of a block would take the vertex that its neighbour has now.
+
+    Most offers are in vain. As nothing is written here, eight are looked at together.
+    """
+    welcome = 0
+    for x in range(first, end):
+        d = _squared(source[x + side], points, step, z, y, x)
+        welcome |= (d < squared[x]) & (source_squared[x + side] < reach2)
+    return welcome != 0
 
 
 @njit(**CONTRACTED)
@@ -188,13 +246,25 @@ def _offer(
     squared: NDArray[np.float32],
 ) -> None:
     """Let a voxel have a vertex if none nearer is known."""
-    dx = points[vertex, 0] - np.float32(x) * step[0]
-    dy = points[vertex, 1] - np.float32(y) * step[1]
-    dz = points[vertex, 2] - np.float32(z) * step[2]
-    d = dx * dx + dy * dy + dz * dz
+    d = _squared(vertex, points, step, z, y, x)
     if d < squared[x]:
         squared[x] = d
         line[x] = vertex
+
+
+@njit(**CONTRACTED)
+def _squared(
+    vertex: int,
+    points: NDArray[np.float32],
+    step: NDArray[np.float32],
+    z: int,
+    y: int,
+    x: int,
+) -> np.float32:
+    dx = points[0, vertex] - np.float32(x) * step[0]
+    dy = points[1, vertex] - np.float32(y) * step[1]
+    dz = points[2, vertex] - np.float32(z) * step[2]
+    return dx * dx + dy * dy + dz * dz
 
 
 @njit(**CONTRACTED)
@@ -209,43 +279,53 @@ def _refine(
     squared: NDArray[np.float32],
 ) -> None:
     nz, ny, nx = nearest.shape
-    at = np.empty(3)
     for z in range(nz):
         for y in range(ny):
             for x in range(nx):
                 if squared[z, y, x] > near * near:
                     continue
-                at[0], at[1], at[2] = x * step[0], y * step[1], z * step[2]
-                vertex = nearest[z, y, x]
-                least = _from_vertex(at, points[vertex])
-                for n in range(26):
-                    n += n >= 13
-                    i = min(max(x + n % 3 - 1, 0), nx - 1)
-                    j = min(max(y + n // 3 % 3 - 1, 0), ny - 1)
-                    k = min(max(z + n // 9 - 1, 0), nz - 1)
-                    other = nearest[k, j, i]
-                    if other != vertex and other >= 0:
-                        d = _from_vertex(at, points[other])
-                        if d < least:
-                            least = d
-                            vertex = other
+                at = x * step[0], y * step[1], z * step[2]
+                vertex = _nearest_around(at, points, z, y, x, nearest)
+                least = _from_vertex(at, points, vertex)
                 for a in range(start[vertex], start[vertex + 1]):
-                    p, q, r = triangles[content[a]]
-                    least = min(least, _to_triangle(at, points[p], points[q], points[r]))
+                    least = min(least, _to_triangle(at, points, triangles, content[a]))
                 squared[z, y, x] = least
 
 
 @njit(**CONTRACTED)
-def _from_vertex(x: FloatArray, p: FloatArray) -> float:
-    return (x[0] - p[0]) ** 2 + (x[1] - p[1]) ** 2 + (x[2] - p[2]) ** 2
+def _nearest_around(
+    at: Place, points: FloatArray, z: int, y: int, x: int, nearest: IntArray
+) -> np.uint32:
+    """Return the nearest of the vertices of a voxel and its 26 neighbours."""
+    nz, ny, nx = nearest.shape
+    vertex = seen = nearest[z, y, x]
+    least = _from_vertex(at, points, vertex)
+    for k in range(max(z - 1, 0), min(z + 2, nz)):
+        for j in range(max(y - 1, 0), min(y + 2, ny)):
+            for i in range(max(x - 1, 0), min(x + 2, nx)):
+                other = nearest[k, j, i]
+                if other != vertex and other != seen and other < len(points):
+                    seen = other
+                    d = _from_vertex(at, points, other)
+                    if d < least:
+                        least = d
+                        vertex = other
+    return vertex
 
 
 @njit(**CONTRACTED)
-def _to_triangle(x: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+def _from_vertex(at: Place, points: FloatArray, v: int) -> float:
+    return (at[0] - points[v, 0]) ** 2 + (at[1] - points[v, 1]) ** 2 + (at[2] - points[v, 2]) ** 2
+
+
+@njit(**CONTRACTED)
+def _to_triangle(at: Place, points: FloatArray, triangles: IntArray, number: int) -> float:
     """Return the squared distance of a point to a triangle: its plane, or the nearest edge."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    wx, wy, wz = x[0] - a[0], x[1] - a[1], x[2] - a[2]
+    a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
+    ax, ay, az = points[a, 0], points[a, 1], points[a, 2]
+    ux, uy, uz = points[b, 0] - ax, points[b, 1] - ay, points[b, 2] - az
+    vx, vy, vz = points[c, 0] - ax, points[c, 1] - ay, points[c, 2] - az
+    wx, wy, wz = at[0] - ax, at[1] - ay, at[2] - az
     uu, uv, vv = (
         ux * ux + uy * uy + uz * uz,
         ux * vx + uy * vy + uz * vz,

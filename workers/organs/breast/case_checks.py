@@ -8,10 +8,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
 from storage.errors import InputError
-from storage.values import FloatArray, Tissue, Triple, Volume
+from storage.values import BoolArray, FloatArray, Tissue, Triple, Volume
 from workers.body.images.labels import resample_labels
 from workers.comparison.similarity.overlap import jaccard
 from workers.organs.breast.case_spec import ALONG_Y
@@ -211,14 +212,20 @@ def _lopsided(labels: Volume, across: int) -> FloatArray:
     Columns are counted across it: along x (0) or y (1), and along z. Cells follow the box of
     the body, which may become longer and wider; nan where one of the two is outside.
     """
-    z, *yx = np.nonzero(labels.values != Tissue.AIR)
-    gland = labels.values[z, yx[0], yx[1]] == Tissue.GLANDULAR
-    columns = _cell(yx[1 - across], CELLS[0]) + CELLS[0] * _cell(z, CELLS[1])
+    body = _sums(labels.values != Tissue.AIR, across)
+    gland = _sums(labels.values == Tissue.GLANDULAR, across)
+    z, line = np.nonzero(body)
+    cells = _cell(line, CELLS[0]) + CELLS[0] * _cell(z, CELLS[1])
     size = CELLS[0] * CELLS[1]
-    count = np.bincount(columns, minlength=size).astype(np.float64)
+    count = np.bincount(cells, body[z, line], minlength=size)
     count[count == 0] = np.nan
-    share = (np.bincount(columns, gland, minlength=size) / count).reshape(CELLS[::-1])
+    share = (np.bincount(cells, gland[z, line], minlength=size) / count).reshape(CELLS[::-1])
     return np.asarray(share - share[:, ::-1], np.float64)
+
+
+def _sums(there: BoolArray, across: int) -> NDArray[np.int32]:
+    """Count voxels along the compression, for each slice and each line across it."""
+    return np.asarray(there.sum(axis=1 + across, dtype=np.int32))
 
 
 def _cell(index: np.ndarray, cells: int) -> np.ndarray:

@@ -164,7 +164,7 @@ def above_wall(labels: Volume, wall_mm: float) -> Volume:
 def extent_mm(labels: Volume, axis: Triple) -> tuple[float, float]:
     """Return from where to where the body reaches along an axis across z: faces of its voxels."""
     along = np.asarray(axis[:2]) / np.linalg.norm(axis)
-    _, y, x = np.nonzero(labels.values != Tissue.AIR)
+    y, x = np.nonzero((labels.values != Tissue.AIR).any(axis=0))
     spacing = np.asarray(labels.spacing_mm[:2])
     places = np.asarray(labels.origin_mm[:2]) + spacing * np.column_stack([x, y])
     heights = places @ along

@@ -204,7 +204,9 @@ def weigh_hypotheses(request: DiagnosisRequest, threads: int = 1) -> WeighingRec
     summary = summarise(reached, store.effects, store.source.name)
     with scan_threads(threads) as each:
         displacements = _displacements(reached, each)
-        drawn, summary = store.source.describe(reached, displacements, summary, each)
+        drawn, summary = store.source.describe(
+            reached, displacements, summary, store.read_prepared, each
+        )
     part.save(Outcome(summary, tuple(store.source.scans)), residual_maps(reached) | drawn)
     return WeighingRecord()
 

@@ -270,7 +270,7 @@ def residual_maps(diagnosis: Diagnosis) -> Arrays:
     }
     if diagnosis.best is not None:
         fit = diagnosis.best.fit
-        maps["after"] = fit.linearised(inverse).residual.reshape(shape)
+        maps["after"] = fit.residual(inverse).reshape(shape)
         maps["moved_after"] = np.stack([one.points for one in fit.predictions])
         maps["normals_after"] = np.stack([one.normals for one in fit.predictions])
     return maps

@@ -8,7 +8,7 @@ from linear_world import dense_log_density, effect, mode, nominal_problem, obser
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from workers.diagnosis.evidence import log_evidence
+from workers.diagnosis.evidence import Quadratic, log_evidence, log_marginal, posterior
 from workers.diagnosis.gaussian_orthant import log_orthant
 
 
@@ -76,18 +76,36 @@ def test_orthant_of_two_and_three(rho):
     """Sheppard: 1/4 + asin(rho) / 2 pi; with three equal ones 1/8 + 3 asin(rho) / 4 pi."""
     two = np.array([[1.0, rho], [rho, 1.0]])
     expected = np.log(0.25 + np.arcsin(rho) / (2 * np.pi))
-    assert log_orthant(np.zeros((2, 1)), two)[0] == pytest.approx(expected, abs=2e-3)
+    assert log_orthant(np.zeros(2), two) == pytest.approx(expected, abs=2e-3)
     if rho > -0.5:
         three = np.full((3, 3), rho) + (1 - rho) * np.eye(3)
         expected = np.log(0.125 + 3 * np.arcsin(rho) / (4 * np.pi))
-        assert log_orthant(np.zeros((3, 1)), three)[0] == pytest.approx(expected, abs=1e-2)
+        assert log_orthant(np.zeros(3), three) == pytest.approx(expected, abs=1e-2)
 
 
 def test_orthant_keeps_far_tails():
     """Independent variables: the product, for several means at once."""
     mean = np.array([[-12.0, 1.0], [-9.0, -20.0]])
     expected = norm.logcdf(mean).sum(axis=0)
-    assert log_orthant(mean, np.eye(2)) == pytest.approx(expected, rel=1e-9)
+    assert log_orthant(mean.T, np.eye(2)) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("sided", [(), (1,), (0, 3)])
+def test_a_stack_is_weighed_as_each_of_it(sided):
+    """Twelve misfits of five parameters, with one-sided ones in any place."""
+    rng = np.random.default_rng(8)
+    A, rho = rng.standard_normal((3, 4, 9, 5)), rng.standard_normal((3, 4, 9))
+    offset, one_sided = rng.standard_normal(5), np.isin(np.arange(5), sided)
+    each = [
+        Quadratic(np.array(r @ r), B.T @ r, B.T @ B, np.array(0.3))
+        for B, r in zip(A.reshape(12, 9, 5), rho.reshape(12, 9), strict=True)
+    ]
+    stack = Quadratic.stacked([Quadratic.stacked(each[i : i + 4]) for i in (0, 4, 8)])
+    found = log_marginal(stack, offset, one_sided)
+    assert found.shape == (3, 4)
+    alone = [float(log_marginal(one, offset, one_sided)) for one in each]
+    assert found.ravel() == pytest.approx(alone, rel=1e-10)
+    assert posterior(stack, offset).mean[1, 2] == pytest.approx(posterior(each[6], offset).mean)
 
 
 def test_hypotheses_of_different_size_compare():

@@ -64,7 +64,7 @@ SIZES = SETTINGS.form.relative_sds
 
 def evidences(columns, problem, errors, *, field):
     at = hypothesis_of(problem.freed(columns[:, None], np.ones(1)))
-    return known_noise_model(K).log_evidences_with_errors(at, errors, SIZES, field=field)
+    return known_noise_model(K).log_evidences_with_errors(at, errors, SIZES)[field]
 
 
 def test_evidence_of_every_size_is_that_of_columns_of_that_size(form):
@@ -72,10 +72,11 @@ def test_evidence_of_every_size_is_that_of_columns_of_that_size(form):
     problem = observed(nominal_problem(K), np.random.default_rng(70), -0.5 * listed)
     errors, noise = form.columns(listed), known_noise_model(K)
     at = hypothesis_of(problem.freed(listed[:, None], np.ones(1)))
-    for field in (False, True):
-        weigh = noise.log_evidence_with_field if field else noise.log_evidence
-        expected = [weigh(at.with_errors(size * errors)) for size in SIZES]
-        assert evidences(listed, problem, errors, field=field) == pytest.approx(expected)
+    wide = [at.with_errors(size * errors) for size in SIZES]
+    expected = np.array([noise.log_evidence(one) for one in wide])
+    assert evidences(listed, problem, errors, field=False) == pytest.approx(expected)
+    expected += [noise.field_gain(one) for one in wide]
+    assert evidences(listed, problem, errors, field=True) == pytest.approx(expected)
 
 
 def test_a_strong_effect_of_another_form_hardly_needs_a_field(form):

@@ -11,7 +11,7 @@ from workers.diagnosis import shrinkage as shrinkages
 from workers.diagnosis.gap import Gap, credited, gap, pooled
 from workers.diagnosis.linear_fit import LinearFit
 from workers.diagnosis.settings import SETTINGS
-from workers.diagnosis.shrinkage import shrinkage, unseen_shrinkage
+from workers.diagnosis.shrinkage import Comparison
 from workers.mechanics.effects.rigid_motion import rigid_columns
 
 STATE = layout(60)[2]
@@ -185,7 +185,7 @@ def test_shrinkage_and_its_interval(train, judge):
         noise = nominal_problem().covariance_factor @ rng.standard_normal(120)
         nominal = replace(nominal_problem(), residual=truth + noise)
         effect = nominal.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
-        found = shrinkage(nominal, effect, seed, train, judge, draws=200)
+        found = Comparison(nominal, effect, seed, draws=200).shrinkage(train, judge)
         rows = slice(None) if judge is None else judge
         squares = []
         for problem in (nominal, effect):
@@ -208,7 +208,7 @@ def test_unseen_shrinkage_is_that_of_fits_that_never_saw_their_judge():
         noise = nominal_problem().covariance_factor @ rng.standard_normal(120)
         nominal = replace(nominal_problem(), residual=truth + noise)
         effect = nominal.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
-        found = unseen_shrinkage(nominal, effect, STATE, seed, draws=200)
+        found = Comparison(nominal, effect, seed, draws=200).unseen(STATE)[0]
         squares = []
         for problem in (nominal, effect):
             left = [
@@ -234,7 +234,7 @@ def test_a_small_gap_and_its_share_are_found_although_too_much_noise_is_stated(s
         problem = replace(nominal_problem(), covariance_factor=stated * true)
         nominal = replace(problem, residual=truth + true @ rng.standard_normal(120))
         effect = nominal.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
-        found = shrinkage(nominal, effect, seed, floor_mm=0.03, draws=20)
+        found = Comparison(nominal, effect, seed, floor_mm=0.03, draws=20).shrinkage()
         shares.append(found.share)
         gaps_mm.append(found.before.gap_mm)
         clean = LinearFit(replace(nominal, residual=truth)).residual
@@ -245,8 +245,10 @@ def test_a_small_gap_and_its_share_are_found_although_too_much_noise_is_stated(s
 
 def test_unseen_shrinkage_pools_what_single_states_say():
     nominal, effect = both(np.random.default_rng(42))
-    whole = unseen_shrinkage(nominal, effect, STATE, 1, floor_mm=0.1)
-    parts = [shrinkage(nominal, effect, 1, ~rows, rows) for rows in (LOW, HIGH)]
+    whole = Comparison(nominal, effect, 1, floor_mm=0.1).unseen(STATE)[0]
+    compared = Comparison(nominal, effect, 1)
+    parts = [compared.shrinkage(~rows, rows) for rows in (LOW, HIGH)]
+    assert compared.unseen(STATE)[1] == parts
     less = np.mean([p.before.excess_mm2 - p.after.excess_mm2 for p in parts])
     assert whole.before.excess_mm2 - whole.after.excess_mm2 == pytest.approx(less, rel=1e-10)
     assert whole.share == pytest.approx(less / whole.before.gap_mm**2, rel=1e-10)
@@ -254,10 +256,10 @@ def test_unseen_shrinkage_pools_what_single_states_say():
 
 def test_a_floor_that_is_not_known_exactly_widens_the_interval_of_the_share(monkeypatch):
     nominal, effect = both(np.random.default_rng(44))
-    loose = shrinkage(nominal, effect, 7, floor_mm=0.15)
+    loose = Comparison(nominal, effect, 7, floor_mm=0.15).shrinkage()
     exact = replace(SETTINGS, gap=replace(SETTINGS.gap, floor_range=(1.0, 1.0)))
     monkeypatch.setattr(shrinkages, "SETTINGS", exact)
-    firm = shrinkage(nominal, effect, 7, floor_mm=0.15)
+    firm = Comparison(nominal, effect, 7, floor_mm=0.15).shrinkage()
     assert loose.share == firm.share
     assert loose.low < firm.low
     assert loose.high - loose.low > 1.2 * (firm.high - firm.low)
@@ -265,14 +267,17 @@ def test_a_floor_that_is_not_known_exactly_widens_the_interval_of_the_share(monk
 
 def test_shrinkage_is_the_same_for_the_same_seed():
     nominal, effect = both(np.random.default_rng(40))
-    assert shrinkage(nominal, effect, 7) == shrinkage(nominal, effect, 7)
-    assert shrinkage(nominal, effect, 7).low != shrinkage(nominal, effect, 8).low
+    assert Comparison(nominal, effect, 7).shrinkage() == Comparison(nominal, effect, 7).shrinkage()
+    assert (
+        Comparison(nominal, effect, 7).shrinkage().low
+        != Comparison(nominal, effect, 8).shrinkage().low
+    )
 
 
 def test_without_a_gap_there_is_nothing_to_shrink():
     nominal = nominal_problem()
     effect = nominal.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
-    found = shrinkage(nominal, effect, 1)
+    found = Comparison(nominal, effect, 1).shrinkage()
     assert found.before.gap_mm == 0.0
     assert np.isnan([found.share, found.low, found.high]).all()
 
@@ -306,9 +311,9 @@ def test_scans_lie_where_the_best_fit_puts_them():
         step = (own.step * nominal.nominal_sd)[:3]
         true.append(((truth + nominal.nominal[:, :3] @ step) ** 2).mean())
         by_itself.append(own.excess_mm2)
-        compared = shrinkage(nominal, effect, seed, draws=20, registered=12)
+        compared = Comparison(nominal, effect, seed, draws=20, registered=12).shrinkage()
         found.append(compared.before.excess_mm2)
-        unseen = unseen_shrinkage(nominal, effect, STATE, seed, draws=20, registered=12)
+        unseen = Comparison(nominal, effect, seed, draws=20, registered=12).unseen(STATE)[0]
         kept_out.append(unseen.share)
     assert np.mean(by_itself) < 0.7 * np.mean(true)
     assert np.mean(found) == pytest.approx(np.mean(true), rel=0.1)
@@ -322,6 +327,6 @@ def test_wrong_input_is_named():
     with pytest.raises(InputError, match="some residuals"):
         gap(LinearFit(problem), np.zeros(120, dtype=bool))
     with pytest.raises(InputError, match="120 and 40 residuals"):
-        shrinkage(problem, nominal_problem(20), 1)
+        Comparison(problem, nominal_problem(20), 1)
     with pytest.raises(InputError, match="two or more; found one"):
-        unseen_shrinkage(problem, problem, np.zeros(120, dtype=np.int64), 1)
+        Comparison(problem, problem, 1).unseen(np.zeros(120, dtype=np.int64))

@@ -222,7 +222,7 @@ def test_joint_evidence_is_that_of_each_fit():
     expected = log_evidence(pair, sided) - log_evidence(problem)
     assert found == pytest.approx(expected, abs=1e-8)
     gain = noise.field_gain(hypothesis_of(pair, sided))
-    assert joint.field_gain(names) == pytest.approx(gain, abs=1e-8)
+    assert joint.hypothesis(names).discrepancy_gain == pytest.approx(gain, abs=1e-8)
     for result in screen(problem, catalogue()):
         gain = joint.log_evidence((result.name,)) - joint.log_evidence(())
         assert gain == pytest.approx(result.log_bayes_factor, abs=1e-8)

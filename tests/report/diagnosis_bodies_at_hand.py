@@ -9,8 +9,10 @@ from service.diagnosis.run import FinishedDiagnosis
 from storage.typed_json import to_json
 from storage.values import FloatArray, Volume
 from workers.comparison.observation.interface import GLANDULAR, OUTLINE, interface_points
+from workers.comparison.observation.residual import observe
 from workers.diagnosis.pictures.cause_map import CauseMap
 from workers.diagnosis.pictures.drawings import bodies, causes, loudest_place, overlap_rows
+from workers.diagnosis.pictures.shapes import shapes
 
 SCANS = ("40 N", "40 N along x")
 HALF_AXES_MM = np.array([24.0, 16.0, 14.0])
@@ -67,8 +69,13 @@ def found(accused: bool = True, **changes: Any) -> FinishedDiagnosis:
     )
     told = summary(**changes) if accused else summary(primary=[], **changes)
     residuals = {when: maps[when] for when in predicted}
-    rows = overlap_rows(SCANS, observed, predicted, residuals, maps["noise"], points.interface)
+    seen = [observe(one, (OUTLINE, GLANDULAR)).distances for one in observed]
+    areas = [[one.interface_mm2 for one in distances] for distances in seen]
+    rows = overlap_rows(
+        SCANS, areas, observed, predicted, residuals, maps["noise"], points.interface
+    )
     told["overlap"] = to_json(rows)
     told["cause_map"] = {"before": to_json(loudest_place(cause))}
-    maps |= bodies(reference, observed, predicted) | causes({"before": cause}, reference)
+    maps |= bodies(reference, observed, predicted) | shapes(reference, (OUTLINE, GLANDULAR))
+    maps |= causes({"before": cause}, reference)
     return FinishedDiagnosis(typed(told), maps, SCANS)

@@ -217,7 +217,7 @@ def test_scans_are_prepared_once_for_all_processes(tilted: Path, tmp_path: Path)
         with pytest.raises(Interrupted):
             run(request, workers, until_effects)
     scans = len(read_case(tilted).deformed)
-    prepared = ["prepare_scan"] * (2 + scans)
+    prepared = ["prepare_scan"] * (3 + scans)
     assert workers.asked == [*prepared, "calibrate_nominal", "calibrate_nominal"]
 
 
@@ -236,6 +236,7 @@ def test_what_was_prepared_is_what_a_process_alone_makes(tilted: Path, tmp_path:
     assert np.array_equal(again.model.finest.nodes, own.model.finest.nodes)
     moved = own.points.points + 0.3
     for mine, theirs in zip(own.scans, again.scans, strict=True):
+        assert mine.interface_mm2 == theirs.interface_mm2
         for a, b in zip(
             mine.compare(moved, own.points), theirs.compare(moved, again.points), strict=True
         ):

@@ -15,11 +15,13 @@ from workers.body.mesh.hierarchy import Hierarchy
 from workers.comparison.observation.interface import GLANDULAR, OUTLINE, Interface, interface_points
 from workers.comparison.observation.noise import SegmentationNoise, covariance
 from workers.comparison.observation.point_interpolation import interpolation
-from workers.comparison.observation.residual import observe, residual
+from workers.comparison.observation.residual import Observed, observe, residual
 from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan, Values
+from workers.diagnosis.pictures.shapes import shapes
 from workers.diagnosis.preparation import (
     BODY,
     POINTS,
+    SHAPES,
     Prepared,
     ReadPrepared,
     arrays_of_distances,
@@ -100,6 +102,8 @@ def prepare_scan(
         reference = acquisition.reference
         points = interface_points(reference, INTERFACES, spacing_mm, margin_mm, clear_mm)
         return arrays_of_points(points)
+    if name == SHAPES:
+        return shapes(acquisition.reference, INTERFACES)
     number = [scan_preparation(n) for n in range(len(loaded))].index(name)
     return arrays_of_distances(observe(loaded[number], INTERFACES))
 
@@ -152,15 +156,20 @@ def inverse_problem_of(
         at_points=interpolation(hierarchy.finest.mesh, points.points),
         free=acquisition.free,
         scans=[
-            Scan(
-                acquisition.loads[number],
-                acquisition.problem(number, frame),
-                partial(residual, observed=distances_of(read(scan_preparation(number)))),
-            )
+            _scan(acquisition, number, frame, distances_of(read(scan_preparation(number))))
             for number in range(len(loaded))
         ],
         noise=noise,
         covariance=covariance(points, noise, states),
         bias=np.zeros(len(points) * states),
         pose_sd=acquisition.pose_sd,
+    )
+
+
+def _scan(acquisition: Acquisition, number: int, frame: Frame, observed: Observed) -> Scan:
+    return Scan(
+        acquisition.loads[number],
+        acquisition.problem(number, frame),
+        partial(residual, observed=observed),
+        interface_mm2=[one.interface_mm2 for one in observed.distances],
     )

@@ -184,17 +184,13 @@ def _weighed(
 ) -> Hypothesis:
     at = fitted.fit.hypothesis(analysis.inverse)
     pattern = analysis.registered(nominal.residual - at.residual)
-    errors, noise = analysis.form.columns(pattern), analysis.noise
-
-    def either(field: bool) -> tuple[float, float]:
-        sizes = SETTINGS.form.relative_sds
-        return acting_or_alike(noise.log_evidences_with_errors(at, errors, sizes, field=field))
-
-    alone, acting = either(field=False)
-    if not noise.has_field:
+    errors, sizes = analysis.form.columns(pattern), SETTINGS.form.relative_sds
+    without, beside = analysis.noise.log_evidences_with_errors(at, errors, sizes)
+    alone, acting = acting_or_alike(without)
+    if beside is None:
         return Hypothesis(names, alone, acting=acting)
-    beside, acting_beside = either(field=True)
-    return Hypothesis(names, alone, beside - alone, acting, acting_beside)
+    together, acting_beside = acting_or_alike(beside)
+    return Hypothesis(names, alone, together - alone, acting, acting_beside)
 
 
 def _fitted(

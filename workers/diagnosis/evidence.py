@@ -12,10 +12,10 @@ left out: hypotheses with different numbers of parameters compare, other data do
 Exact for a linear model; D. J. C. MacKay, Neural Computation 4 (1992) 415, for others.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from storage.values import BoolArray, FloatArray, IntArray
 from workers.diagnosis.gaussian_orthant import log_orthant
@@ -23,43 +23,51 @@ from workers.diagnosis.linearisation import Linearised
 
 
 class Quadratic(NamedTuple):
-    """The misfit around a fit, for n vectors of residuals at once.
+    """The misfit around a fit, or a stack of them of any shape, written as dots.
 
     Parameters are counted in prior standard deviations.
 
     Parameters
     ----------
-    misfit : ndarray, shape (n,)
+    misfit : ndarray, shape (...)
         ``rho' M rho`` with M the precision of the noise in whitened space.
-    gradient : ndarray, shape (p, n)
+    gradient : ndarray, shape (..., p)
         ``A' M rho``.
-    curvature : ndarray, shape (p, p)
+    curvature : ndarray, shape (..., p, p)
         ``A' M A``.
-    log_determinant : float
+    log_determinant : ndarray, shape (...)
         ``-ln|M|``.
     """
 
     misfit: FloatArray
     gradient: FloatArray
     curvature: FloatArray
-    log_determinant: float = 0.0
+    log_determinant: FloatArray
+
+    @classmethod
+    def stacked(cls, several: Sequence["Quadratic"]) -> "Quadratic":
+        """Return some of one shape as one, along a new first axis."""
+        return cls(*(np.stack(parts) for parts in zip(*several, strict=True)))
 
     def of(self, which: IntArray) -> "Quadratic":
-        """Return the same with only some of the parameters free."""
-        return self._replace(
-            gradient=self.gradient[which], curvature=self.curvature[np.ix_(which, which)]
+        """Return the same with only some parameters free, for each row of which, (g, k)."""
+        return Quadratic(
+            self.misfit[..., None],
+            self.gradient[..., which],
+            self.curvature[..., which[:, :, None], which[:, None, :]],
+            self.log_determinant[..., None],
         )
 
     def scaled(self, factors: FloatArray) -> "Quadratic":
         """Return the same for prior standard deviations that are larger by factors, (p,)."""
         return self._replace(
-            gradient=self.gradient * factors[:, None],
-            curvature=self.curvature * factors[:, None] * factors,
+            gradient=self.gradient * factors,
+            curvature=self.curvature * np.outer(factors, factors),
         )
 
 
 class Posterior(NamedTuple):
-    """Of the parameters, in prior standard deviations: mean (p, n), covariance (p, p)."""
+    """Of the parameters, in prior standard deviations: mean (..., p), covariance (..., p, p)."""
 
     mean: FloatArray
     covariance: FloatArray
@@ -67,8 +75,8 @@ class Posterior(NamedTuple):
 
 def quadratic(at: Linearised) -> Quadratic:
     """Return the misfit of one fit with the noise as it is."""
-    A, rho = at.scaled_nominal, at.whitened_residual[:, None]
-    return Quadratic((rho**2).sum(axis=0), A.T @ rho, A.T @ A)
+    A, rho = at.scaled_nominal, at.whitened_residual
+    return Quadratic(np.array(rho @ rho), A.T @ rho, A.T @ A, np.zeros(()))
 
 
 def posterior(q: Quadratic, offset: FloatArray) -> Posterior:
@@ -80,14 +88,13 @@ def posterior(q: Quadratic, offset: FloatArray) -> Posterior:
     offset : ndarray, shape (p,)
         Where the fit lies from there.
     """
-    p = len(offset)
-    covariance = np.asarray(np.linalg.inv(np.eye(p) + q.curvature), dtype=np.float64)
-    step = covariance @ (q.gradient + offset[:, None])
-    return Posterior(offset[:, None] - step, covariance)
+    covariance = np.asarray(np.linalg.inv(np.eye(len(offset)) + q.curvature), dtype=np.float64)
+    step = (covariance @ (q.gradient + offset)[..., None])[..., 0]
+    return Posterior(offset - step, covariance)
 
 
 def log_marginal(q: Quadratic, offset: FloatArray, one_sided: BoolArray) -> FloatArray:
-    """Return the log evidence of n vectors of residuals.
+    """Return the log evidence of each misfit of a stack, shape (...).
 
     Parameters
     ----------
@@ -96,22 +103,33 @@ def log_marginal(q: Quadratic, offset: FloatArray, one_sided: BoolArray) -> Floa
         Fit minus prior mean, in prior standard deviations.
     one_sided : ndarray of bool, shape (p,)
         Parameters with a half-normal prior, from their prior mean upwards.
-
-    Returns
-    -------
-    ndarray, shape (n,)
     """
-    p = len(offset)
-    H = cho_factor(np.eye(p) + q.curvature, lower=True)
-    gradient = q.gradient + offset[:, None]
-    decrement = (gradient * cho_solve(H, gradient)).sum(axis=0)
-    log_H = 2.0 * np.log(np.diag(H[0])).sum()
-    found = 0.5 * (decrement - q.misfit - offset @ offset - log_H - q.log_determinant)
+    # One-sided parameters come last: the last corner of the factor then has their covariance.
+    order = np.argsort(one_sided, kind="stable")
+    curvature = q.curvature[..., order[:, None], order]
+    L, y = _factored(curvature, (q.gradient + offset)[..., order])
+    log_H = 2.0 * np.log(np.diagonal(L, axis1=-2, axis2=-1)).sum(axis=-1)
+    found = 0.5 * ((y**2).sum(axis=-1) - q.misfit - offset @ offset - log_H - q.log_determinant)
     if one_sided.any():
-        mean, covariance = posterior(q, offset)
-        side = covariance[np.ix_(one_sided, one_sided)]
-        found = found + one_sided.sum() * np.log(2.0) + log_orthant(mean[one_sided], side)
+        count = int(one_sided.sum())
+        inverse = np.linalg.inv(L[..., -count:, -count:]).swapaxes(-1, -2)
+        step = (inverse @ y[..., -count:, None])[..., 0]
+        side = inverse @ inverse.swapaxes(-1, -2)
+        found = found + count * np.log(2.0) + log_orthant(offset[one_sided] - step, side)
     return np.asarray(found)
+
+
+def _factored(curvature: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the Cholesky factor L of H, and ``L^-1 g``: the last row where g borders H."""
+    p = gradient.shape[-1]
+    bordered = np.empty((*gradient.shape[:-1], p + 1, p + 1))
+    bordered[..., :p, :p], bordered[..., p, :p] = curvature, gradient
+    # H is no smaller than the identity, so that this corner keeps the whole positive definite.
+    bordered[..., p, p] = (gradient**2).sum(axis=-1)
+    every = np.arange(p + 1)
+    bordered[..., every, every] += 1.0
+    factor = np.linalg.cholesky(bordered)
+    return factor[..., :p, :p], factor[..., p, :p]
 
 
 def log_evidence(at: Linearised, one_sided: BoolArray | None = None) -> float:
@@ -126,4 +144,4 @@ def log_evidence(at: Linearised, one_sided: BoolArray | None = None) -> float:
     """
     if one_sided is None:
         one_sided = np.zeros(len(at.nominal_sd), dtype=bool)
-    return float(log_marginal(quadratic(at), at.scaled_offset, one_sided)[0])
+    return float(log_marginal(quadratic(at), at.scaled_offset, one_sided))

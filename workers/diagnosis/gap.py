@@ -87,7 +87,8 @@ def gap(fit: LinearFit, rows: BoolArray | None = None, floor_mm: float = 0.0) ->
     r = fit.residual[rows]
     excess = float((r**2).mean() - fit.noise_mm2[rows].mean())
     noise_mm = float(np.sqrt(fit.observation_mm2[rows].mean()))
-    sd = _sd_of_mean_square(r, fit.covariance[np.ix_(rows, rows)])
+    D = fit.covariance if rows.all() else fit.covariance[np.ix_(rows, rows)]
+    sd = _sd_of_mean_square(r, D)
     return _gap(excess, sd, noise_mm, len(r), floor_mm)
 
 
@@ -159,6 +160,6 @@ def _whole_sd(of: Gap, floor_mm: float) -> float:
 
 def _sd_of_mean_square(r: FloatArray, D: FloatArray) -> float:
     """Return that of ``r'r / n``; unknown ``m'Dm`` follows from ``E r'Dr = m'Dm + tr D^2``."""
-    spread = float((D**2).sum())
+    spread = float(np.vdot(D, D))
     systematic = max(0.0, float(r @ D @ r) - spread)
     return float(np.sqrt(2.0 * spread + 4.0 * systematic)) / len(r)

@@ -56,12 +56,16 @@ class Fit:
         rest = zip(self.unknowns.names[k:], self.z[k:], strict=True)
         return values | {n: float(v) for n, v in rest}
 
+    def residual(self, inverse: InverseProblem) -> FloatArray:
+        """Return the residuals of all scans, one after another, shape (s k,), in mm."""
+        return residuals(inverse, self.predictions)
+
     def linearised(self, inverse: InverseProblem) -> Linearised:
         """Return residuals, derivatives and noise around the optimum; poses are in the noise."""
         u, poses = self.unknowns, self.pose_columns(inverse)
         factor = inverse.covariance_factor
         return Linearised(
-            residuals(inverse, self.predictions),
+            self.residual(inverse),
             self.jacobian,
             u.sd,
             self.z - u.mean,
@@ -76,7 +80,7 @@ class Fit:
         u, q = self.unknowns, inverse.nuisance_count
         nuisances = np.hstack([self.pose_columns(inverse), inverse.drawing])
         return Linearised(
-            residuals(inverse, self.predictions),
+            self.residual(inverse),
             np.hstack([self.jacobian, nuisances]),
             np.append(u.sd, np.ones(q)),
             np.append(self.z - u.mean, np.zeros(q)),
@@ -87,7 +91,7 @@ class Fit:
         """Return the same for `workers.diagnosis.noise_evidence.NoiseModel`."""
         u = self.unknowns
         found = LinearHypothesis(
-            residuals(inverse, self.predictions),
+            self.residual(inverse),
             self.jacobian * u.sd,
             (self.z - u.mean) / u.sd,
             u.one_sided,

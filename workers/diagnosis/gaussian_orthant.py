@@ -6,8 +6,7 @@ over a fixed lattice of points, so the same input gives the same number.
 """
 
 import numpy as np
-from scipy.linalg import cholesky
-from scipy.special import log_ndtr, logsumexp, ndtri_exp
+from scipy.special import log_ndtr, ndtri_exp
 
 from storage.values import FloatArray
 
@@ -15,38 +14,47 @@ POINTS = 1021
 ROOTS = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0])  # generators of Richtmyer's lattice
 
 
+def _log_uniform() -> FloatArray:
+    lattice = ROOTS[:, None] * np.arange(1, POINTS + 1) + 0.5
+    uniform = np.abs(2.0 * (lattice % 1.0) - 1.0)  # folded: the integrand becomes periodic
+    return np.asarray(np.log(np.maximum(uniform, np.finfo(float).tiny)))
+
+
+LOG_UNIFORM = _log_uniform()  # of each root's points
+
+
 def log_orthant(mean: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return log probability that all variables are positive.
 
     Parameters
     ----------
-    mean : ndarray, shape (d, n)
-        A column for each of n distributions, d <= 9.
-    covariance : ndarray, shape (d, d)
-        Common to them, positive definite.
+    mean : ndarray, shape (..., d)
+        Of each of a stack of distributions, d <= 9.
+    covariance : ndarray, shape (..., d, d)
+        Positive definite; of each of them, or common to all.
 
     Returns
     -------
-    ndarray, shape (n,)
+    ndarray, shape (...)
 
     Examples
     --------
     >>> log_orthant(np.zeros((1, 1)), np.eye(1))
     array([-0.69314718])
     """
-    d, n = mean.shape
-    if d == 0:
-        return np.zeros(n)
-    factor = cholesky(covariance, lower=True)
-    lattice = np.arange(1, POINTS + 1)[:, None] * ROOTS[: d - 1] + 0.5
-    uniform = np.abs(2.0 * (lattice % 1.0) - 1.0)  # folded: the integrand becomes periodic
-    log_uniform = np.log(np.maximum(uniform, np.finfo(float).tiny))
-    total = np.zeros((n, POINTS if d > 1 else 1))
+    d = mean.shape[-1]
+    factor = np.linalg.cholesky(covariance)
+    if d < 2:
+        return np.asarray(log_ndtr(mean / factor[..., 0]).sum(axis=-1))
+    total: FloatArray = np.zeros(())
     drawn: list[FloatArray] = []
     for i in range(d):
-        bound = -mean[i][:, None] - sum((factor[i, j] * drawn[j] for j in range(i)), np.zeros(()))
-        log_above = log_ndtr(-bound / factor[i, i])
+        bound = -mean[..., i, None]
+        for j, one in enumerate(drawn):
+            bound = bound - factor[..., i, j, None] * one
+        log_above = log_ndtr(-bound / factor[..., i, i, None])
         total = total + log_above
         if i < d - 1:
-            drawn.append(-ndtri_exp(log_uniform[:, i] + log_above))
-    return np.asarray(logsumexp(total, axis=1) - np.log(total.shape[1]))
+            drawn.append(-ndtri_exp(LOG_UNIFORM[i] + log_above))
+    top = total.max(axis=-1)
+    return np.asarray(top + np.log(np.exp(total - top[..., None]).mean(axis=-1)))

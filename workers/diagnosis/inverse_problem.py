@@ -78,12 +78,15 @@ class Scan:
     drawn : callable, optional
         The same for interfaces as they were drawn, where `compare` has their noise from
         elsewhere; see `workers.diagnosis.anchored_scan`.
+    interface_mm2 : sequence of float
+        Area of each interface that the scan shows; none where it shows markers.
     """
 
     name: str
     problem: Callable[[Values], Problem]
     compare: Compare
     drawn: Compare | None = None
+    interface_mm2: Sequence[float] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,11 @@ from scipy.special import logsumexp
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
-from workers.diagnosis.evidence import Quadratic
+from workers.diagnosis.evidence import Quadratic, log_marginal
 from workers.diagnosis.hypotheses import Hypothesis
-from workers.diagnosis.noise_evidence import LinearHypothesis, NoiseModel, joined
+from workers.diagnosis.noise_evidence import LinearHypothesis, NoiseModel, with_pose_scales
+
+AT_ONCE = 512  # places: a few megabytes of their curvatures
 
 
 class JointEvidence:
@@ -69,9 +71,9 @@ class JointEvidence:
         self._offset[:p] = nominal.offset
         self._is_pose = np.zeros(len(self._sided), np.bool_)
         self._is_pose[:p] = nominal.is_pose
-        A, residual = np.hstack(blocks), nominal.residual[:, None]
-        self._plain = noise.plain(A, residual)
-        self._field = noise.with_field(A, residual) if noise.has_field else []
+        products = noise.products(np.hstack(blocks), nominal.residual)
+        self._plain = noise.plain(products)
+        self._field = noise.with_field(products) if noise.has_field else None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -82,22 +84,22 @@ class JointEvidence:
         """Return that of some effects together, averaged over places and noise."""
         return self._average(self._plain, effects)
 
-    def field_gain(self, effects: tuple[str, ...]) -> float | None:
-        """Return by how much the smooth field raises it; None without a field."""
-        if not self._field:
-            return None
-        return self._average(self._field, effects) - self._average(self._plain, effects)
-
     def hypothesis(self, effects: tuple[str, ...]) -> Hypothesis:
         """Return the evidence of some effects together, with and without the smooth field."""
-        return Hypothesis(effects, self.log_evidence(effects), self.field_gain(effects))
+        alone = self.log_evidence(effects)
+        if self._field is None:
+            return Hypothesis(effects, alone)
+        return Hypothesis(effects, alone, self._average(self._field, effects) - alone)
 
-    def _average(self, quadratics: Sequence[Quadratic], effects: tuple[str, ...]) -> float:
-        found, places = [], list(product(*(self._columns[name] for name in effects)))
-        for place in places:
-            which = np.concatenate([self._nominal, *place])
-            freed = [q.of(which) for q in quadratics]
-            found.append(
-                joined(freed, self._offset[which], self._sided[which], self._is_pose[which])
-            )
+    def _average(self, q: Quadratic, effects: tuple[str, ...]) -> float:
+        places = list(product(*(self._columns[name] for name in effects)))
+        found = [self._at(q, places[i : i + AT_ONCE]) for i in range(0, len(places), AT_ONCE)]
         return float(logsumexp(found) - np.log(len(places)))
+
+    def _at(self, q: Quadratic, places: Sequence[tuple[IntArray, ...]]) -> float:
+        """Return the sum of evidence over some places, the noise and where scans may lie."""
+        which = np.array([np.concatenate([self._nominal, *place]) for place in places])
+        any_place = which[0]
+        freed = with_pose_scales(q.of(which), self._is_pose[any_place])
+        found = log_marginal(freed, self._offset[any_place], self._sided[any_place])
+        return float(logsumexp(found))

@@ -41,7 +41,7 @@ class Registration:
     shift: FloatArray
 
     @classmethod
-    def by(cls, best: Linearised, count: int, residual: FloatArray) -> "Registration":
+    def by(cls, best: "LinearFit", count: int, residual: FloatArray) -> "Registration":
         """Return that of the best model there is, for another model of the same scans.
 
         A model that lacks something moves the scans to make up for it, so it must not register
@@ -49,15 +49,15 @@ class Registration:
 
         Parameters
         ----------
-        best : Linearised
-            Its last `count` parameters say where the scans lie.
+        best : LinearFit
+            To all residuals. Its last `count` parameters say where the scans lie.
         count : int
         residual : ndarray, shape (m,)
             Of the other model.
         """
-        fit, which = LinearFit(best), slice(len(best.nominal_sd) - count, None)
-        gain = fit.gain[which]
-        return cls(gain, fit.bias[which] + gain @ (best.residual - residual))
+        which = slice(len(best.bias) - count, None)
+        gain = best.gain[which]
+        return cls(gain, best.bias[which] + gain @ (best.problem.residual - residual))
 
 
 class LinearFit:
@@ -149,7 +149,7 @@ class LinearFit:
     def observation_mm2(self) -> FloatArray:
         """Variance of the observation of each judged residual, registered if it was."""
         N = self.poses[self.judge]
-        own = np.diag(self._noise)[self.judge]
+        own = (self.problem.covariance_factor**2).sum(axis=1)[self.judge] + (N**2).sum(axis=1)
         taken = 2.0 * self._shared_poses[self.judge] - N @ (self._pose_gain @ self._shared_poses)
         return np.asarray(own - (N * taken).sum(axis=1))
 
@@ -169,11 +169,19 @@ class LinearFit:
     @cached_property
     def covariance(self) -> FloatArray:
         """D of the judged residuals."""
-        X, shared = self._columns[self.judge], self._shared[self.judge]
-        crossed = X @ shared.T
-        inner = X @ (self.gain @ self._shared) @ X.T
-        C = self._noise[np.ix_(self.judge, self.judge)]
-        return np.asarray(C - crossed - crossed.T + inner)
+        return self.covariance_of(self.judge)
+
+    def covariance_of(self, rows: BoolArray) -> FloatArray:
+        """Return D of some residuals, whether they are judged or not: rows of shape (m,)."""
+        X = self._columns[rows]
+        # C - X S' - S X' + X T X' with a symmetric T: both halves at once.
+        half = self._shared[rows] - 0.5 * X @ (self.gain @ self._shared)
+        left, right = [X, half], [half, X]
+        if self._registered:
+            left.append(-self.poses[rows])
+            right.append(self.poses[rows])
+        C = self.problem.covariance if rows.all() else self.problem.covariance[np.ix_(rows, rows)]
+        return np.asarray(C - np.hstack(left) @ np.hstack(right).T)
 
     @cached_property
     def floor_mm(self) -> float:
@@ -187,15 +195,9 @@ class LinearFit:
         L, N = self.problem.covariance_factor, self.poses
         return np.asarray(L @ (L.T @ self.gain.T) + N @ (N.T @ self.gain.T))
 
-    @cached_property
-    def _noise(self) -> FloatArray:
-        """C: with where the scans may lie, if they were registered apart, shape (m, m)."""
-        C = self.problem.covariance
-        return C + self.poses @ self.poses.T if self._registered else C
-
     @property
     def poses(self) -> FloatArray:
-        """Columns of what was registered apart, shape (m, q)."""
+        """Columns of what was registered apart, shape (m, q); its C lets scans lie anywhere."""
         return self._columns[:, self._columns.shape[1] - self._registered :]
 
     @property

@@ -65,7 +65,7 @@ class LinearHypothesis:
         )
 
 
-def with_pose_scales(quadratics: Sequence[Quadratic], is_pose: BoolArray) -> list[Quadratic]:
+def with_pose_scales(q: Quadratic, is_pose: BoolArray) -> Quadratic:
     """Return misfits for scans that lie off as far as is stated, and for such as lie nearer.
 
     Poses that are known far better from the residuals than before them cost each hypothesis the
@@ -73,26 +73,16 @@ def with_pose_scales(quadratics: Sequence[Quadratic], is_pose: BoolArray) -> lis
     as poses do would be lost by that; see `workers.diagnosis.settings.PoseSettings.scales`.
     """
     if not is_pose.any():
-        return list(quadratics)
+        return q
     scales = SETTINGS.pose.scales
-    each = 2.0 * np.log(len(scales))
-    return [
-        q.scaled(np.where(is_pose, scale, 1.0))._replace(log_determinant=q.log_determinant + each)
-        for q in quadratics
-        for scale in scales
-    ]
+    either = Quadratic.stacked([q.scaled(np.where(is_pose, scale, 1.0)) for scale in scales])
+    share = 2.0 * np.log(len(scales))
+    return either._replace(log_determinant=either.log_determinant + share)
 
 
-def joined(
-    quadratics: Sequence[Quadratic], offset: FloatArray, one_sided: BoolArray, is_pose: BoolArray
-) -> float:
+def _joined(q: Quadratic, at: LinearHypothesis) -> float:
     """Return the log evidence, averaged over the noise and over how far scans may lie off."""
-    each = with_pose_scales(quadratics, is_pose)
-    return float(logsumexp([log_marginal(q, offset, one_sided)[0] for q in each]))
-
-
-def _joined(quadratics: Sequence[Quadratic], at: LinearHypothesis) -> float:
-    return joined(quadratics, at.offset, at.one_sided, at.is_pose)
+    return float(logsumexp(log_marginal(with_pose_scales(q, at.is_pose), at.offset, at.one_sided)))
 
 
 class NoiseModel:
@@ -124,11 +114,11 @@ class NoiseModel:
             n: np.asarray(cholesky(parts.stated[n], lower=True, check_finite=False))
             for n in {state.length for state in states}
         }
-        nuisances = np.hstack([parts.fixed, parts.numerical])
-        self._nuisances = {n: self._white(n, nuisances) for n in self._factors}
-        self._own = {n: white.gram(white) for n, white in self._nuisances.items()}
+        both = np.hstack([parts.fixed, parts.numerical])
+        self.nuisances = {n: self.white(n, both) for n in self._factors}
+        self._own = {n: white.gram(white) for n, white in self.nuisances.items()}
         self._fields = {
-            n: [self._white(n, f) for f in fields] for n in {s.length for s in self.likeliest}
+            n: [self.white(n, f) for f in fields] for n in {s.length for s in self.likeliest}
         }
         self._n_fields = len(fields)
         self._systems: dict[int, FloatArray] = {}
@@ -139,73 +129,70 @@ class NoiseModel:
         """The states under which a smooth field is weighed."""
         return self.states[: SETTINGS.noise.field_states]
 
-    def plain(
-        self,
-        columns: FloatArray,
-        residuals: FloatArray,
-        states: Sequence[NoiseState] | None = None,
-    ) -> list[Quadratic]:
-        """Return the misfit under every state of the noise.
+    def products(self, columns: FloatArray, residual: FloatArray) -> "Products":
+        """Return what `plain` and `with_field` need of a hypothesis.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (m, p)
+            Derivatives of the residuals per prior standard deviation, in mm.
+        residual : ndarray, shape (m,)
+            In mm.
+        """
+        return Products(self, np.column_stack([columns, residual]))
+
+    def plain(self, products: "Products", states: Sequence[NoiseState] | None = None) -> Quadratic:
+        """Return the misfit under every state of the noise, as a stack.
 
         Weights of the states are in the determinants, so log evidences of a hypothesis are
         joined by the logarithm of the sum of their exponentials.
 
         Parameters
         ----------
-        columns : ndarray, shape (m, p)
-            Derivatives of the residuals per prior standard deviation, in mm.
-        residuals : ndarray, shape (m, n)
-            In mm.
+        products : Products
         states : sequence of NoiseState, optional
             Some of them; all.
         """
-        p = columns.shape[1]
         found = []
-        for length, some in self._by_length(self.states if states is None else states):
-            white = self._white(length, np.hstack([columns, residuals]))
-            own, cross = white.gram(white), self._nuisances[length].gram(white)
-            for state in some:
-                weights = 1.0 / state.scales**2
-                factor = self._system(state)
-                X = self._scale(state)[:, None] * weighted_sum(weights, cross)
-                found.append(self._quadratic(state, p, weighted_sum(weights, own), factor, X))
-        return found
+        for state in self.states if states is None else states:
+            _, own, cross = products.under(state.length)
+            weights = 1.0 / state.scales**2
+            X = self._scale(state)[:, None] * weighted_sum(weights, cross)
+            factor = self._system(state)
+            found.append(self._quadratic(state, weighted_sum(weights, own), factor, X))
+        return Quadratic.stacked(found)
 
-    def with_field(self, columns: FloatArray, residuals: FloatArray) -> list[Quadratic]:
+    def with_field(self, products: "Products") -> Quadratic:
         """Return the same with a smooth field in the noise, under the likeliest states.
 
         See `plain`. The states that are left out are made good for by the share that they had
         when the noise was learnt, with a smooth field then too.
         """
-        p = columns.shape[1]
         share = np.log(max(1, self._n_fields) * len(self.amplitudes_mm))
         share += np.log(sum(state.share for state in self.likeliest))
         found = []
-        for length, states in self._by_length(self.likeliest):
-            white = self._white(length, np.hstack([columns, residuals]))
-            own, cross = white.gram(white), self._nuisances[length].gram(white)
-            for f, field in enumerate(self._fields[length]):
-                across = field.gram(white)
-                for state in states:
-                    weights = 1.0 / state.scales**2
-                    X = self._scale(state)[:, None] * weighted_sum(weights, cross)
-                    F = weighted_sum(weights, across)
-                    for amplitude in self.amplitudes_mm:
-                        factor = self._field_system(state, f, amplitude)
-                        both = np.vstack([X, amplitude * F])
-                        q = self._quadratic(state, p, weighted_sum(weights, own), factor, both)
-                        found.append(q._replace(log_determinant=q.log_determinant + 2.0 * share))
-        return found
+        for state in self.likeliest:
+            white, own, cross = products.under(state.length)
+            weights = 1.0 / state.scales**2
+            inner = weighted_sum(weights, own)
+            X = self._scale(state)[:, None] * weighted_sum(weights, cross)
+            for f, field in enumerate(self._fields[state.length]):
+                F = weighted_sum(weights, field.gram(white))
+                for amplitude in self.amplitudes_mm:
+                    factor = self._field_system(state, f, amplitude)
+                    q = self._quadratic(state, inner, factor, np.vstack([X, amplitude * F]))
+                    found.append(q._replace(log_determinant=q.log_determinant + 2.0 * share))
+        return Quadratic.stacked(found)
 
     def log_evidence(
         self, at: LinearHypothesis, states: Sequence[NoiseState] | None = None
     ) -> float:
         """Return the log evidence of a hypothesis, averaged over the states of the noise."""
-        return _joined(self.plain(at.columns, at.residual[:, None], states), at)
+        return _joined(self.plain(self.products(at.columns, at.residual), states), at)
 
     def log_evidences_with_errors(
-        self, at: LinearHypothesis, errors: FloatArray, sizes: Sequence[float], *, field: bool
-    ) -> list[float]:
+        self, at: LinearHypothesis, errors: FloatArray, sizes: Sequence[float]
+    ) -> tuple[list[float], list[float] | None]:
         """Return the log evidence of a hypothesis with errors of several sizes.
 
         Parameters
@@ -214,27 +201,28 @@ class NoiseModel:
         errors : ndarray, shape (m, q)
             Columns of unit deviation for an error of size one.
         sizes : sequence of float
-        field : bool
-            Whether there is a smooth field in the noise.
+
+        Returns
+        -------
+        list of float, list of float or None
+            Without and with a smooth field in the noise; None where none can be tried.
         """
         wide = at.with_errors(errors)
-        misfits = self.with_field if field else self.plain
-        quadratics = misfits(wide.columns, wide.residual[:, None])
+        products = self.products(wide.columns, wide.residual)
         is_error = np.arange(wide.columns.shape[1]) >= at.columns.shape[1]
-        return [
-            _joined([q.scaled(np.where(is_error, size, 1.0)) for q in quadratics], wide)
-            for size in sizes
-        ]
+
+        def each(q: Quadratic) -> list[float]:
+            return [_joined(q.scaled(np.where(is_error, size, 1.0)), wide) for size in sizes]
+
+        beside = each(self.with_field(products)) if self.has_field else None
+        return each(self.plain(products)), beside
 
     def field_gain(self, at: LinearHypothesis) -> float | None:
         """Return by how much a smooth field raises it; None without one."""
         if not self.has_field:
             return None
-        return self.log_evidence_with_field(at) - self.log_evidence(at)
-
-    def log_evidence_with_field(self, at: LinearHypothesis) -> float:
-        """Return the log evidence with a smooth field in the noise."""
-        return _joined(self.with_field(at.columns, at.residual[:, None]), at)
+        products = self.products(at.columns, at.residual)
+        return _joined(self.with_field(products), at) - _joined(self.plain(products), at)
 
     @property
     def has_field(self) -> bool:
@@ -242,15 +230,16 @@ class NoiseModel:
         return self._n_fields > 0
 
     def _quadratic(
-        self, state: NoiseState, p: int, own: FloatArray, factor: FloatArray, X: FloatArray
+        self, state: NoiseState, own: FloatArray, factor: FloatArray, X: FloatArray
     ) -> Quadratic:
+        """Return the misfit from products of all columns, of which the last is the residual."""
         Y = solve_triangular(factor, X, lower=True, check_finite=False)
-        A, rho = Y[:, :p], Y[:, p:]
+        left = own - Y.T @ Y
         return Quadratic(
-            np.diag(own)[p:] - (rho**2).sum(axis=0),
-            own[:p, p:] - A.T @ rho,
-            own[:p, :p] - A.T @ A,
-            self._log_determinant(state, factor) - 2.0 * state.log_weight,
+            left[-1, -1],
+            left[:-1, -1],
+            left[:-1, :-1],
+            np.array(self._log_determinant(state, factor) - 2.0 * state.log_weight),
         )
 
     def _log_determinant(self, state: NoiseState, factor: FloatArray) -> float:
@@ -261,14 +250,8 @@ class NoiseModel:
             + float(np.log(np.diag(factor)).sum())
         )
 
-    @staticmethod
-    def _by_length(states: Sequence[NoiseState]) -> list[tuple[int, list[NoiseState]]]:
-        return [
-            (length, [state for state in states if state.length == length])
-            for length in sorted({state.length for state in states})
-        ]
-
-    def _white(self, length: int, columns: FloatArray) -> _Whitened:
+    def white(self, length: int, columns: FloatArray) -> _Whitened:
+        """Return columns in the space where noise of one correlation length is white."""
         return _Whitened(self._factors[length], self._masks, columns)
 
     def _scale(self, state: NoiseState) -> FloatArray:
@@ -289,7 +272,7 @@ class NoiseModel:
         found = self._field_systems.get(key)
         if found is None:
             weights, d = 1.0 / state.scales**2, self._scale(state)
-            field, nuisances = self._fields[state.length][f], self._nuisances[state.length]
+            field, nuisances = self._fields[state.length][f], self.nuisances[state.length]
             top = self._system(state)
             cross = d[:, None] * weighted_sum(weights, nuisances.gram(field)) * amplitude
             below = np.asarray(weighted_sum(weights, field.gram(field))) * amplitude**2
@@ -299,4 +282,28 @@ class NoiseModel:
             found = np.zeros((n + r, n + r))
             found[:n, :n], found[n:, :n], found[n:, n:] = top, side.T, corner
             self._field_systems[key] = found
+        return found
+
+
+class Products:
+    """Inner products of the columns of a hypothesis under each correlation length, made once.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+    columns : ndarray, shape (m, p + 1)
+        The last one is the residual.
+    """
+
+    def __init__(self, noise: NoiseModel, columns: FloatArray) -> None:
+        self._noise, self._columns = noise, columns
+        self._found: dict[int, tuple[_Whitened, list[FloatArray], list[FloatArray]]] = {}
+
+    def under(self, length: int) -> tuple[_Whitened, list[FloatArray], list[FloatArray]]:
+        """Return whitened columns; products of each group with each other and with nuisances."""
+        found = self._found.get(length)
+        if found is None:
+            white = self._noise.white(length, self._columns)
+            found = white, white.gram(white), self._noise.nuisances[length].gram(white)
+            self._found[length] = found
         return found

@@ -29,11 +29,11 @@ def parameter_posterior(inverse: InverseProblem, noise: NoiseModel, fit: Fit) ->
     """Return where the unknowns of a fit lie; one-sided ones not beyond their bound."""
     at, u = fit.hypothesis(inverse), fit.unknowns
     p = len(u.sd)
-    quadratics = with_pose_scales(noise.plain(at.columns, at.residual[:, None]), at.is_pose)
-    weights = softmax([log_marginal(q, at.offset, at.one_sided)[0] for q in quadratics])
-    each = [posterior(q, at.offset) for q in quadratics]
-    means = np.stack([one.mean[:p, 0] for one in each])
-    variances = np.stack([np.diag(one.covariance)[:p] for one in each])
+    q = with_pose_scales(noise.plain(noise.products(at.columns, at.residual)), at.is_pose)
+    weights = softmax(log_marginal(q, at.offset, at.one_sided)).ravel()
+    means, covariances = posterior(q, at.offset)
+    means = means[..., :p].reshape(-1, p)
+    variances = np.diagonal(covariances, axis1=-2, axis2=-1)[..., :p].reshape(-1, p)
     mean = weights @ means
     sd = np.sqrt(weights @ (variances + (means - mean) ** 2)) * u.sd
     z = np.clip(u.mean + mean * u.sd, u.lower, u.upper)

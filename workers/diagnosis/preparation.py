@@ -4,7 +4,8 @@
 
     points    on the interfaces of the scan at rest
     body      what is meshed
-    scan N    distances to the interfaces of a loaded scan
+    scan N    distances to the interfaces of a loaded scan, and their areas
+    shapes    interfaces of the scan at rest, as a page shows them
 """
 
 from collections.abc import Callable, Sequence
@@ -22,8 +23,8 @@ Prepared = dict[str, NDArray[Any]]
 ReadPrepared = Callable[[str], Prepared]
 """From the name of a preparation to its arrays."""
 
-POINTS, BODY = "points", "body"
-_PLACE = "place"
+POINTS, BODY, SHAPES = "points", "body", "shapes"
+_PLACE, _AREAS = "place", "interface_mm2"
 
 
 def scan_preparation(number: int) -> str:
@@ -33,7 +34,7 @@ def scan_preparation(number: int) -> str:
 
 def preparations_of(scans: int) -> tuple[str, ...]:
     """Return the names of all for a body with so many loaded scans, the longest first."""
-    return (POINTS, *map(scan_preparation, range(scans)), BODY)
+    return (POINTS, *map(scan_preparation, range(scans)), BODY, SHAPES)
 
 
 def arrays_of_volume(volume: Volume) -> Prepared:
@@ -65,14 +66,19 @@ def points_of(arrays: Prepared) -> InterfacePoints:
 def arrays_of_distances(observed: Observed) -> Prepared:
     """Return the distances to all interfaces of a scan as arrays."""
     values = {f"distance_{n}": one.values for n, one in enumerate(observed.distances)}
-    return {**values, _PLACE: _place(observed.distances[0])}
+    areas = np.array([one.interface_mm2 for one in observed.distances])
+    return {**values, _AREAS: areas, _PLACE: _place(observed.distances[0])}
 
 
 def distances_of(arrays: Prepared) -> Observed:
     """Return the distances that `arrays_of_distances` was given."""
     spacing, origin = _spacing_and_origin(arrays)
-    maps = (arrays[f"distance_{n}"] for n in range(len(arrays) - 1))
-    return Observed(tuple(SignedDistance(values, spacing, origin) for values in maps))
+    return Observed(
+        tuple(
+            SignedDistance(arrays[f"distance_{n}"], spacing, origin, float(area))
+            for n, area in enumerate(arrays[_AREAS])
+        )
+    )
 
 
 def _place(lattice: Volume | SignedDistance) -> NDArray[np.float64]:

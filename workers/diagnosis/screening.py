@@ -92,17 +92,15 @@ def screen(
 def _look_at(problem: Linearised, sensitivity: EffectSensitivity) -> ScreeningResult:
     whitened = sensitivity.whitened(problem)
     nowhere = np.zeros(len(sensitivity.prior_sd))
-    quadratics = [_efficient(problem, B) for B in whitened]
-    factors = np.array(
-        [log_marginal(q, nowhere, sensitivity.one_sided)[0] for q in quadratics], dtype=np.float64
-    )
+    q = Quadratic.stacked([_efficient(problem, B) for B in whitened])
+    factors = log_marginal(q, nowhere, sensitivity.one_sided)
     best = int(factors.argmax())
-    q = quadratics[best]
-    mean, covariance = posterior(q, nowhere)
+    means, covariances = posterior(q, nowhere)
+    mean, covariance = means[best], covariances[best]
     return ScreeningResult(
         name=sensitivity.name,
-        score=float(-q.gradient[:, 0] @ mean[:, 0]),
-        estimate=mean[:, 0] * sensitivity.prior_sd,
+        score=float(-q.gradient[best] @ mean),
+        estimate=mean * sensitivity.prior_sd,
         estimate_sd=np.sqrt(np.diag(covariance)) * sensitivity.prior_sd,
         log_bayes_factor=float(logsumexp(factors) - np.log(len(factors))),
         absorbed=absorbed_share(problem, whitened[best]),
@@ -118,4 +116,4 @@ def _efficient(problem: Linearised, B: FloatArray) -> Quadratic:
     Its constant part belongs to both hypotheses and is left out.
     """
     gradient = B.T @ problem.efficient_residual
-    return Quadratic(np.zeros(1), gradient[:, None], B.T @ problem.project(B))
+    return Quadratic(np.zeros(()), gradient, B.T @ problem.project(B), np.zeros(()))

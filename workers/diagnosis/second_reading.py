@@ -37,7 +37,7 @@ def is_elsewhere(analysis: NominalAnalysis, best: Fit) -> bool:
     inverse, nominal = analysis.inverse, analysis.nominal
     if not inverse.is_segmented:
         return False
-    at = nominal.linearised(inverse).residual - best.linearised(inverse).residual
+    at = nominal.residual(inverse) - best.residual(inverse)
     across = analysis.registered(at) / inverse.noise.sd_mm
     before, after = (np.concatenate([v.points for v in f.predictions]) for f in (nominal, best))
     normals, moves = np.concatenate([v.normals for v in nominal.predictions]), after - before

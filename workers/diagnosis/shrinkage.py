@@ -17,6 +17,8 @@ the square before is the one after, as `workers.diagnosis.gap` credits it, plus 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
@@ -27,6 +29,9 @@ from workers.diagnosis.gap import Gap, credited, gap, pooled, without_effect
 from workers.diagnosis.linear_fit import LinearFit, Registration
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.settings import SETTINGS
+
+Pair = tuple[LinearFit, LinearFit]
+"""Without and with the effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +55,18 @@ class Shrinkage:
     after: Gap
 
 
-def shrinkage(
-    nominal: Linearised,
-    effect: Linearised,
-    seed: int,
-    train: BoolArray | None = None,
-    judge: BoolArray | None = None,
-    floor_mm: float = 0.0,
-    registered: int = 0,
-    draws: int = SETTINGS.gap.draws,
-) -> Shrinkage:
-    """Compare the fit of the nominal parameters with one that has the effect too.
+class _Draws(NamedTuple):
+    """Noise of the residuals (m, n); errors of its variance and parts of the floor, (n,)."""
+
+    noise: FloatArray
+    wrong: FloatArray
+    floors: FloatArray
+
+
+class Comparison:
+    """The fit of the nominal parameters beside one that has the effect too.
+
+    What all comparisons of them share, above all the draws of the noise, is made once.
 
     Parameters
     ----------
@@ -71,8 +77,6 @@ def shrinkage(
         points, states and noise.
     seed : int
         The same seed gives the same interval.
-    train, judge : ndarray of bool, shape (m,), optional
-        Residuals to fit to and to judge by; all, which is the in-sample share.
     floor_mm : float
         As for `workers.diagnosis.gap.gap`.
     registered : int
@@ -86,106 +90,114 @@ def shrinkage(
     InputError
         If the fits have not the same residuals, or `draws` is too small.
     """
-    if nominal.size != effect.size or draws < 20:
-        raise InputError(
-            "A shrinkage needs two fits of the same residuals and at least 20 draws, found "
-            f"{nominal.size} and {effect.size} residuals and {draws} draws."
+
+    def __init__(
+        self,
+        nominal: Linearised,
+        effect: Linearised,
+        seed: int,
+        floor_mm: float = 0.0,
+        registered: int = 0,
+        draws: int = SETTINGS.gap.draws,
+    ) -> None:
+        if nominal.size != effect.size or draws < 20:
+            raise InputError(
+                "A shrinkage needs two fits of the same residuals and at least 20 draws, found "
+                f"{nominal.size} and {effect.size} residuals and {draws} draws."
+            )
+        self.nominal, self.effect, self.seed = nominal, effect, seed
+        self.floor_mm, self.registered, self.draws = floor_mm, registered, draws
+
+    def shrinkage(
+        self, train: BoolArray | None = None, judge: BoolArray | None = None
+    ) -> Shrinkage:
+        """Return the share of the gap that the effect removes.
+
+        Parameters
+        ----------
+        train, judge : ndarray of bool, shape (m,), optional
+            Residuals to fit to and to judge by; all, which is the in-sample share.
+        """
+        return self._compared([self._pair(train, judge)])
+
+    def unseen(self, states: IntArray) -> tuple[Shrinkage, list[Shrinkage]]:
+        """Return the share of fits that never saw what they are judged by, and of each of them.
+
+        Parameters
+        ----------
+        states : ndarray of int, shape (m,)
+            Two or more; each is judged by a fit to the others, and all are taken together.
+
+        Raises
+        ------
+        InputError
+            If there is one state only.
+        """
+        every = np.unique(states)
+        if len(every) < 2:
+            raise InputError("To leave a state out, there must be two or more; found one.")
+        pairs = [self._pair(states != one, states == one) for one in every]
+        return self._compared(pairs), [self._compared([pair]) for pair in pairs]
+
+    def _pair(self, train: BoolArray | None, judge: BoolArray | None) -> Pair:
+        """Return the fits of both, with the scans where the whole fit with the effect puts them."""
+        both, count = (self.nominal, self.effect), self.registered
+        where = [
+            Registration.by(self._whole, count, fit.residual) if count else None for fit in both
+        ]
+        without, along = (
+            LinearFit(fit, train, judge, registration=registration)
+            for fit, registration in zip(both, where, strict=True)
         )
-    pair = _pair(nominal, effect, train, judge, registered)
-    return _compared(nominal, effect, [pair], seed, floor_mm, draws)
+        return without, along
 
+    def _compared(self, pairs: Sequence[Pair]) -> Shrinkage:
+        """Compare fits without and with the effect, each judged by its part of the residuals."""
+        without, along = zip(*pairs, strict=True)
+        before, after = (pooled([gap(f) for f in fits], self.floor_mm) for fits in (without, along))
+        before = without_effect(before, after, self.floor_mm)
+        share = float(_share(np.array(before.gap_mm**2), np.array(after.gap_mm**2)))
+        if before.gap_mm == 0.0:
+            return Shrinkage(float("nan"), float("nan"), float("nan"), before, after)
+        draws, means = self._drawn, self._without_noise
+        wrong = SETTINGS.gap.noise_variance_sd * before.noise_mm**2 * draws.wrong
+        drawn = [
+            _excess(fits, mean, draws.noise) + wrong
+            for fits, mean in zip((without, along), means, strict=True)
+        ]
+        left = credited(drawn[1], after, self.floor_mm)
+        squares = (left + drawn[0] - drawn[1], left)
+        floors = self.floor_mm * draws.floors
+        shares = _share(*(np.maximum(square, 0.0) + floors**2 for square in squares))
+        level = SETTINGS.gap.level
+        low, high = np.nanquantile(shares, [(1 - level) / 2, (1 + level) / 2])
+        return Shrinkage(share, float(low), float(high), before, after)
 
-def unseen_shrinkage(
-    nominal: Linearised,
-    effect: Linearised,
-    states: IntArray,
-    seed: int,
-    floor_mm: float = 0.0,
-    registered: int = 0,
-    draws: int = SETTINGS.gap.draws,
-) -> Shrinkage:
-    """Compare fits that never saw what they are judged by; see `shrinkage`.
+    @cached_property
+    def _whole(self) -> LinearFit:
+        return LinearFit(self.effect)
 
-    Parameters
-    ----------
-    states : ndarray of int, shape (m,)
-        Two or more; each is judged by a fit to the others, and all are taken together.
+    @cached_property
+    def _drawn(self) -> _Draws:
+        nominal, count = self.nominal, self.registered
+        rng = np.random.default_rng(self.seed)
+        noise = nominal.covariance_factor @ rng.standard_normal((nominal.size, self.draws))
+        first = len(nominal.nominal_sd) - count
+        poses = (nominal.nominal * nominal.nominal_sd)[:, first:]
+        noise += poses @ rng.standard_normal((count, self.draws))
+        return _Draws(noise, rng.standard_normal(self.draws), _parts_of_floor(rng, self.draws))
 
-    Raises
-    ------
-    InputError
-        As `shrinkage`, or if there is one state only.
-    """
-    every = np.unique(states)
-    if len(every) < 2:
-        raise InputError("To leave a state out, there must be two or more; found one.")
-    pairs = [_pair(nominal, effect, states != one, states == one, registered) for one in every]
-    return _compared(nominal, effect, pairs, seed, floor_mm, draws)
+    @cached_property
+    def _without_noise(self) -> tuple[FloatArray, FloatArray]:
+        """Residuals of both models on an image without noise, as far as the data know.
 
-
-def _pair(
-    nominal: Linearised,
-    effect: Linearised,
-    train: BoolArray | None,
-    judge: BoolArray | None,
-    registered: int,
-) -> tuple[LinearFit, LinearFit]:
-    """Return the fits of both, with the scans where the whole fit with the effect puts them."""
-    if not registered:
-        return LinearFit(nominal, train, judge), LinearFit(effect, train, judge)
-    without, along = (
-        LinearFit(
-            fit,
-            train,
-            judge,
-            registration=Registration.by(effect, registered, fit.residual),
-        )
-        for fit in (nominal, effect)
-    )
-    return without, along
-
-
-def _compared(
-    nominal: Linearised,
-    effect: Linearised,
-    pairs: Sequence[tuple[LinearFit, LinearFit]],
-    seed: int,
-    floor_mm: float,
-    draws: int,
-) -> Shrinkage:
-    """Compare fits without and with the effect, each judged by its part of the residuals."""
-    without, along = zip(*pairs, strict=True)
-    before, after = (pooled([gap(f) for f in fits], floor_mm) for fits in (without, along))
-    before = without_effect(before, after, floor_mm)
-    share = float(_share(np.array(before.gap_mm**2), np.array(after.gap_mm**2)))
-    if before.gap_mm == 0.0:
-        return Shrinkage(float("nan"), float("nan"), float("nan"), before, after)
-    means = _without_noise(nominal, effect)
-    rng = np.random.default_rng(seed)
-    noise = nominal.covariance_factor @ rng.standard_normal((nominal.size, draws))
-    noise += pairs[0][0].poses @ rng.standard_normal((pairs[0][0].poses.shape[1], draws))
-    drawn = [_excess(fits, mean, noise) for fits, mean in zip((without, along), means, strict=True)]
-    wrong = SETTINGS.gap.noise_variance_sd * before.noise_mm**2 * rng.standard_normal(draws)
-    drawn = [excess + wrong for excess in drawn]
-    left = credited(drawn[1], after, floor_mm)
-    floors = floor_mm * _parts_of_floor(rng, draws)
-    squares = (left + drawn[0] - drawn[1], left)
-    shares = _share(*(np.maximum(square, 0.0) + floors**2 for square in squares))
-    level = SETTINGS.gap.level
-    low, high = np.nanquantile(shares, [(1 - level) / 2, (1 + level) / 2])
-    return Shrinkage(share, float(low), float(high), before, after)
-
-
-def _without_noise(nominal: Linearised, effect: Linearised) -> tuple[FloatArray, FloatArray]:
-    """Return residuals of both models on an image without noise, as far as the data know.
-
-    What the effect leaves is noise but for a part of the size of the gap that is left.
-    """
-    fit = LinearFit(effect)
-    left = fit.residual
-    square = max(float((left**2).mean()), np.finfo(float).tiny)
-    noise = left * (1.0 - min(1.0, np.sqrt(max(0.0, fit.excess_mm2) / square)))
-    return nominal.residual - noise, effect.residual - noise
+        What the effect leaves is noise but for a part of the size of the gap that is left.
+        """
+        left = self._whole.residual
+        square = max(float((left**2).mean()), np.finfo(float).tiny)
+        excess = max(0.0, self._whole.excess_mm2)
+        noise = left * (1.0 - min(1.0, np.sqrt(excess / square)))
+        return self.nominal.residual - noise, self.effect.residual - noise
 
 
 def _excess(fits: Sequence[LinearFit], mean: FloatArray, noise: FloatArray) -> FloatArray:

@@ -161,6 +161,7 @@ class Source(HasContent, Protocol):
         diagnosis: Diagnosis,
         displacements: Displacements,
         summary: Summary,
+        prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Return what the report draws of the bodies, and the summary with the source's rows.
@@ -172,6 +173,8 @@ class Source(HasContent, Protocol):
             See `workers.diagnosis.pictures.scan_pictures`.
         summary : Summary
             Of the diagnosis, without these rows.
+        prepared : callable
+            Gives what `PreparedSource.prepare` has made.
         each : callable
             Calls a function with every item; see `workers.scan_threads`.
         """

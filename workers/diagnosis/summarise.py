@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from storage.values import BoolArray
 from workers.diagnosis.acquisition import INTERFACES
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.gap import Gap, gap
@@ -15,7 +14,7 @@ from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.parameter_posterior import parameter_posterior
 from workers.diagnosis.region_gap import region_gap
 from workers.diagnosis.settings import SETTINGS
-from workers.diagnosis.shrinkage import Shrinkage, shrinkage, unseen_shrinkage
+from workers.diagnosis.shrinkage import Comparison, Shrinkage
 from workers.diagnosis.summary import (
     ConstantEstimate,
     EffectSummary,
@@ -44,7 +43,7 @@ def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Sum
         Its name.
     """
     reached, analysis = diagnosis.verdict, diagnosis.analysis
-    acting = analysis.sensitivity_by_name
+    acting, registered = analysis.sensitivity_by_name, _registered(diagnosis)
     return Summary(
         case=case,
         verdict=reached.kind,
@@ -58,8 +57,8 @@ def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Sum
         alarm=reached.alarm,
         threshold=reached.threshold,
         explained_share=reached.explained_share,
-        gap_mm=_gap_mm(diagnosis),
-        where=tuple(_where(diagnosis)),
+        gap_mm=_gap_mm(diagnosis, registered),
+        where=tuple(_where(diagnosis.analysis.inverse, registered)),
         constants=_constants(diagnosis),
         refits=tuple(_joint_fit(diagnosis, names) for names in diagnosis.joint_fits),
         points=len(analysis.inverse.points),
@@ -131,19 +130,20 @@ def _in_deviations(parameter: ParameterEstimate) -> float:
     return abs(float(parameter.magnitude)) / max(float(parameter.sd), 1e-12)
 
 
-def _gap_mm(diagnosis: Diagnosis) -> GapSummary:
+def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
     inverse = diagnosis.analysis.inverse
     floor_mm = _floor_mm(inverse, diagnosis.analysis.linear)
-    before = gap(_registered(diagnosis), floor_mm=floor_mm)
+    before = gap(registered, floor_mm=floor_mm)
     alone = GapSummary(_estimate(before), before.noise_mm, floor_mm, None, None, None)
     best = diagnosis.best
     if best is None:
         return alone
     fits = diagnosis.analysis.linear_with_poses, best.fit.linearised_with_poses(inverse)
-    poses = inverse.nuisance_count
-    fitted = _compared(shrinkage(*fits, SETTINGS.gap.seed, floor_mm=floor_mm, registered=poses))
+    seed, poses = SETTINGS.gap.seed, inverse.nuisance_count
+    comparison = Comparison(*fits, seed, floor_mm=floor_mm, registered=poses)
+    fitted = _compared(comparison.shrinkage())
     inside = replace(alone, before=fitted.before, after=fitted.after, share=fitted.share)
-    return _with_held_out(inside, inverse, *fits)
+    return _with_held_out(inside, inverse, comparison)
 
 
 def _registered(diagnosis: Diagnosis) -> LinearFit:
@@ -169,29 +169,24 @@ def _registered(diagnosis: Diagnosis) -> LinearFit:
             np.append(np.zeros(field.shape[1]), nominal.nominal_offset),
             nominal.covariance_factor,
         )
-    return LinearFit(nominal, registration=Registration.by(causes, poses, nominal.residual))
+    where = Registration.by(LinearFit(causes), poses, nominal.residual)
+    return LinearFit(nominal, registration=where)
 
 
 def _with_held_out(
-    inside: GapSummary, inverse: InverseProblem, nominal: Linearised, with_effect: Linearised
+    inside: GapSummary, inverse: InverseProblem, comparison: Comparison
 ) -> GapSummary:
     """Add the gap of each scan as judged by a fit to the others."""
     if len(inverse.scans) < 2:
         return replace(inside, held_out="one scan only")
-    floor_mm, poses = inside.calibration_floor, inverse.nuisance_count
-    seed = SETTINGS.gap.seed
-    whole = _compared(unseen_shrinkage(nominal, with_effect, inverse.rows, seed, floor_mm, poses))
-    each = {}
-    for number, scan in enumerate(inverse.scans):
-        judge: BoolArray = inverse.rows == number
-        each[scan.name] = _compared(
-            shrinkage(nominal, with_effect, seed, ~judge, judge, floor_mm, poses)
-        )
+    whole, parts = comparison.unseen(inverse.rows)
+    judged = _compared(whole)
+    each = {scan.name: _compared(part) for scan, part in zip(inverse.scans, parts, strict=True)}
     return replace(
         inside,
-        held_out_before=whole.before,
-        held_out_after=whole.after,
-        held_out_share=whole.share,
+        held_out_before=judged.before,
+        held_out_after=judged.after,
+        held_out_share=judged.share,
         held_out="each scan judged by a fit to the others",
         held_out_each=each,
     )
@@ -209,9 +204,7 @@ def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
     return SETTINGS.gap.floor_factor * float(counted)
 
 
-def _where(diagnosis: Diagnosis) -> Iterator[RegionGap]:
-    inverse = diagnosis.analysis.inverse
-    fit = _registered(diagnosis)
+def _where(inverse: InverseProblem, fit: LinearFit) -> Iterator[RegionGap]:
     own = np.tile(inverse.points.interface, len(inverse.scans))
     z = np.tile(inverse.frame.normalised(inverse.points.points)[:, 2], len(inverse.scans))
     depths = {

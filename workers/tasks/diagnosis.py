@@ -204,7 +204,9 @@ def weigh_hypotheses(request: DiagnosisRequest, threads: int = 1) -> WeighingRec
     summary = summarise(reached, store.effects, store.source.name)
     with scan_threads(threads) as each:
         displacements = _displacements(reached, each)
-        drawn, summary = store.source.describe(reached, displacements, summary, each)
+        drawn, summary = store.source.describe(
+            reached, displacements, summary, store.read_prepared, each
+        )
     part.save(Outcome(summary, tuple(store.source.scans)), residual_maps(reached) | drawn)
     return WeighingRecord()
 
@@ -268,7 +270,7 @@ def residual_maps(diagnosis: Diagnosis) -> Arrays:
     }
     if diagnosis.best is not None:
         fit = diagnosis.best.fit
-        maps["after"] = fit.linearised(inverse).residual.reshape(shape)
+        maps["after"] = fit.residual(inverse).reshape(shape)
         maps["moved_after"] = np.stack([one.points for one in fit.predictions])
         maps["normals_after"] = np.stack([one.normals for one in fit.predictions])
     return maps

@@ -199,13 +199,13 @@ class DiagnosisStore:
         nodes, spacing_mm = self.request.nodes, self.request.spacing_mm
         return self._cached(
             "uncalibrated",
-            lambda: self.source.inverse_problem(nodes, spacing_mm, self._read_prepared),
+            lambda: self.source.inverse_problem(nodes, spacing_mm, self.read_prepared),
         )
 
     def finer(self) -> Model | None:
         """Return a finer mesh of the same body; None where it would tell nothing new."""
         nodes = round(SETTINGS.mesh.finer_ratio * self.request.nodes)
-        return self.source.finer(nodes, self._read_prepared)
+        return self.source.finer(nodes, self.read_prepared)
 
     @property
     def preparations(self) -> Sequence[str]:
@@ -220,7 +220,8 @@ class DiagnosisStore:
             raise KeyError(name)
         return source.prepare(name, self.request.spacing_mm)
 
-    def _read_prepared(self, name: str) -> Prepared:
+    def read_prepared(self, name: str) -> Prepared:
+        """Return what has this name, from the store or made now."""
         part = self.preparation(name)
         return part.load(PreparationRecord)[1] if part.is_finished else self.prepare(name)
 

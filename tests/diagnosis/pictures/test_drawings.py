@@ -6,6 +6,7 @@ import pytest
 from storage.arrays import load_arrays, save_arrays
 from storage.values import Volume
 from workers.comparison.observation.interface import GLANDULAR, OUTLINE, interface_points
+from workers.comparison.observation.residual import observe
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.pictures.cause_map import CauseMap
 from workers.diagnosis.pictures.drawings import (
@@ -17,6 +18,7 @@ from workers.diagnosis.pictures.drawings import (
     overlap_rows,
 )
 from workers.diagnosis.pictures.local_mean import local_mean
+from workers.diagnosis.pictures.shapes import shapes
 
 
 def egg(shift_mm=0.0, half_axis_x_mm=24.0):
@@ -41,6 +43,10 @@ def test_labels_of_a_scan_share_a_box_and_a_frame():
     np.testing.assert_array_equal(after, observed.values)
     np.testing.assert_array_equal(before[:, :, 5:], reference.values[:, :, 5:])
     np.testing.assert_array_equal(found["labels_0_frame"], frame(observed))
+
+
+def test_shapes_are_those_of_the_interfaces():
+    found = shapes(egg(), (OUTLINE, GLANDULAR))
     for name, half in (("outline", 24.0), ("glandular", 14.4)):
         vertices = found[f"shape_{name}_vertices"]
         assert np.ptp(vertices[:, 0]) == pytest.approx(2 * half, abs=2.0)
@@ -50,10 +56,13 @@ def test_labels_of_a_scan_share_a_box_and_a_frame():
 def test_rows_of_overlap_have_both_models_and_leave_out_what_has_no_points(points):
     observed = egg(3.0)
     predicted = {"before": [egg()], "after": [observed]}
+    areas = [one.interface_mm2 for one in observe(observed, (OUTLINE, GLANDULAR)).distances]
     k = len(points)
     residuals = {"before": np.full((1, k), 0.5), "after": np.zeros((1, k))}
     noise = np.full((1, k), 0.2)
-    rows = overlap_rows(["40 N"], [observed], predicted, residuals, noise, points.interface)
+    rows = overlap_rows(
+        ["40 N"], [areas], [observed], predicted, residuals, noise, points.interface
+    )
     assert [(row.scan, row.interface) for row in rows] == [
         ("40 N", "outline"),
         ("40 N", "glandular"),
@@ -64,6 +73,7 @@ def test_rows_of_overlap_have_both_models_and_leave_out_what_has_no_points(point
         assert row.before.p95_mm == row.before.signed_mean_mm == 0.5
     outline_only = overlap_rows(
         ["40 N"],
+        [areas],
         [observed],
         {"before": [egg()]},
         {"before": residuals["before"]},

@@ -8,6 +8,7 @@ from storage.errors import InputError
 from storage.values import TetMesh, Volume
 from workers.comparison.observation.interface import GLANDULAR, OUTLINE
 from workers.comparison.observation.noise import SegmentationNoise
+from workers.comparison.observation.residual import observe
 from workers.diagnosis.pictures.overlap import (
     distances,
     on_one_box,
@@ -72,11 +73,13 @@ def test_the_jc_that_noise_leaves():
     found = overlaps(first, second)
     # A voxel grid rounds each drawing by another 1 / sqrt(12) of an edge, averaged over ways
     # to cross it; two drawings share much of that, so it is left out.
-    for interface in (OUTLINE, GLANDULAR):
-        expected = reachable_jc(second, interface, np.full(9, 0.5 * np.sqrt(2.0)))
+    seen = observe(second, (OUTLINE, GLANDULAR)).distances
+    outline, gland = (one.interface_mm2 for one in seen)
+    for interface, area in ((OUTLINE, outline), (GLANDULAR, gland)):
+        expected = reachable_jc(second, interface, area, np.full(9, 0.5 * np.sqrt(2.0)))
         assert 1 - found[interface.name].jc == pytest.approx(1 - expected, rel=0.15)
-    assert reachable_jc(second, OUTLINE, np.full(3, 1e-9)) == pytest.approx(1.0)
-    assert reachable_jc(second, GLANDULAR, np.full(3, 100.0)) == 0.0
+    assert reachable_jc(second, OUTLINE, outline, np.full(3, 1e-9)) == pytest.approx(1.0)
+    assert reachable_jc(second, GLANDULAR, gland, np.full(3, 100.0)) == 0.0
 
 
 def test_percentiles_are_those_of_one_interface():
@@ -109,6 +112,6 @@ def test_what_makes_no_sense_is_refused():
     with pytest.raises(InputError, match="one lattice"):
         on_one_box([observed, cuboid(shift=(0.3, 0, 0))])
     with pytest.raises(InputError, match="at least one point"):
-        reachable_jc(observed, GLANDULAR, np.empty(0))
+        reachable_jc(observed, GLANDULAR, 1.0, np.empty(0))
     with pytest.raises(InputError, match="none of the 2 points"):
         distances(np.zeros(2), np.zeros(2, np.int32), 1)

@@ -22,11 +22,14 @@ class SignedDistance:
         In mm, negative inside the tissue.
     spacing_mm, origin_mm : tuple of float
         As in `storage.values.Volume`.
+    interface_mm2 : float
+        Area of the interface.
     """
 
     values: NDArray[np.float32]
     spacing_mm: Triple
     origin_mm: Triple
+    interface_mm2: float
 
     def at(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the signed distance of points and its gradient.
@@ -115,4 +118,5 @@ def distance_to(interface: Surface, labels: Volume, band_mm: float) -> SignedDis
         slice(a, a + n) for a, n in zip(interface.start, interface.field.shape, strict=True)
     )
     values[box] = np.where(interface.field > LEVEL, -values[box], values[box])
-    return SignedDistance(values, labels.spacing_mm, labels.origin_mm)
+    area_mm2 = float(interface.triangle_areas_mm2().sum())
+    return SignedDistance(values, labels.spacing_mm, labels.origin_mm, area_mm2)

@@ -3,7 +3,7 @@
 ::
 
     local_<when>, local_<when>_sd              residuals averaged around each point
-    shape_<interface>_vertices, _triangles     interfaces of the body at rest
+    shape_<interface>_vertices, _triangles     interfaces of the body at rest; see `shapes`
     labels_rest, labels_rest_frame             the body at rest
     labels_<scan>, labels_<scan>_frame         observed, before and after, in one box
     cause_<when>, cause_frame                  scores between the places, nan where unknown
@@ -34,7 +34,6 @@ from workers.diagnosis.pictures.overlap import (
     overlaps,
     reachable_jc,
 )
-from workers.diagnosis.pictures.shapes import shape
 from workers.diagnosis.summary import LoudestPlace, OverlapFigures, OverlapRow
 from workers.scan_threads import Each
 
@@ -45,9 +44,8 @@ def bodies(
     reference: Volume,
     observed: Sequence[Volume],
     predicted: Mapping[str, Sequence[Volume]],
-    each: Each = map,
 ) -> Arrays:
-    """Return shapes of the body at rest, and the labels of every scan.
+    """Return the labels of the body at rest and of every scan.
 
     Parameters
     ----------
@@ -58,8 +56,6 @@ def bodies(
     predicted : mapping of str to sequence of Volume
         For "before", and "after" if an effect is accused: see
         `workers.diagnosis.pictures.overlap.predict`. Cut where the scans were cut.
-    each : callable
-        Calls a function with every item; see `workers.scan_threads`.
 
     Raises
     ------
@@ -70,10 +66,6 @@ def bodies(
         "labels_rest": np.asarray(reference.values, np.uint8),
         "labels_rest_frame": frame(reference),
     }
-    shapes = each(lambda interface: shape(reference, interface.inside), INTERFACES)
-    for interface, drawn in zip(INTERFACES, shapes, strict=True):
-        arrays[f"shape_{interface.name}_vertices"] = drawn.vertices.astype(np.float32)
-        arrays[f"shape_{interface.name}_triangles"] = drawn.triangles
     for scan, body in enumerate(observed):
         shown = [
             body,
@@ -110,6 +102,7 @@ def local_means(fits: Mapping[str, Linearised], points: InterfacePoints) -> Arra
 
 def overlap_rows(
     names: Sequence[str],
+    areas_mm2: Sequence[Sequence[float]],
     observed: Sequence[Volume],
     predicted: Mapping[str, Sequence[Volume]],
     residuals: Mapping[str, FloatArray],
@@ -123,6 +116,8 @@ def overlap_rows(
     ----------
     names : sequence of str
         Of the scans.
+    areas_mm2 : sequence of sequence of float
+        Of the interfaces that each scan shows.
     observed, predicted
         As for `bodies`.
     residuals : mapping of str to ndarray, shape (scans, k)
@@ -152,7 +147,7 @@ def overlap_rows(
                 when: _figures(found[one.name], distances(residuals[when][scan], interface, number))
                 for when, found in scores.items()
             }
-            reachable = reachable_jc(body, one, noise[scan, own])
+            reachable = reachable_jc(body, one, areas_mm2[scan][number], noise[scan, own])
             after = figures.get("after")
             rows.append(OverlapRow(names[scan], one.name, reachable, figures["before"], after))
         return rows

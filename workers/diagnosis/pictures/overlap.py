@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from storage.errors import InputError
 from storage.values import FloatArray, IntArray, TetMesh, Tissue, Triple, Volume
 from workers.comparison.observation.interface import Interface
-from workers.comparison.observation.isosurface import surface
 from workers.comparison.similarity.score import Score, Scorer
 from workers.comparison.warp.warp_volume import warp_labels
 from workers.diagnosis.acquisition import INTERFACES
@@ -93,7 +92,9 @@ def overlaps(
     return {i.name: Scorer(observed, i.inside).score(predicted) for i in interfaces}
 
 
-def reachable_jc(observed: Volume, interface: Interface, noise_mm: FloatArray) -> float:
+def reachable_jc(
+    observed: Volume, interface: Interface, area_mm2: float, noise_mm: FloatArray
+) -> float:
     """Return Jaccard coefficient that a perfect model would reach in spite of the noise.
 
     Parameters
@@ -101,6 +102,8 @@ def reachable_jc(observed: Volume, interface: Interface, noise_mm: FloatArray) -
     observed : Volume
         `Tissue` labels.
     interface : Interface
+    area_mm2 : float
+        Of the interface in the scan.
     noise_mm : ndarray, shape (k,)
         Standard deviations of the residuals of points on the interface, small against
         the thickness of the tissue.
@@ -108,14 +111,13 @@ def reachable_jc(observed: Volume, interface: Interface, noise_mm: FloatArray) -
     Raises
     ------
     InputError
-        If there is no point, or no such tissue.
+        If there is no point.
     """
     if not len(noise_mm):
         raise InputError(f"The noise of the {interface.name} needs at least one point, found none.")
     inside = np.isin(observed.values, [int(tissue) for tissue in interface.inside])
     volume = float(inside.sum()) * observed.voxel_mm3
-    area = float(surface(observed, interface.inside).triangle_areas_mm2().sum())
-    differing = area * float(np.sqrt(2.0 / np.pi) * noise_mm.mean())
+    differing = area_mm2 * float(np.sqrt(2.0 / np.pi) * noise_mm.mean())
     return max(0.0, (volume - differing / 2) / (volume + differing / 2))
 
 

@@ -17,6 +17,7 @@ from workers.diagnosis.pictures.drawings import (
     overlap_rows,
 )
 from workers.diagnosis.pictures.overlap import predict
+from workers.diagnosis.preparation import SHAPES, ReadPrepared
 from workers.diagnosis.summary import CauseMapSummary, Summary
 from workers.mechanics.effects.inclusion import INCLUSION
 from workers.scan_threads import Each
@@ -33,6 +34,7 @@ def pictures_of_scans(
     reference: Volume,
     observed: Sequence[Volume],
     cut: Callable[[Volume], Volume],
+    prepared: ReadPrepared,
     each: Each = map,
 ) -> tuple[Arrays, Summary]:
     """Draw bodies, maps and overlaps before and after.
@@ -47,6 +49,8 @@ def pictures_of_scans(
         `Tissue` labels.
     cut : callable
         Takes off what the scans do not show below the chest wall.
+    prepared : callable
+        See `workers.diagnosis.preparation`.
     each : callable
         Calls a function with every item; see `workers.scan_threads`.
 
@@ -72,8 +76,11 @@ def pictures_of_scans(
     noise = np.sqrt((analysis.linear.covariance_factor**2).sum(axis=1)).reshape(shape)
     residuals = {when: fit.residual.reshape(shape) for when, fit in fits.items()}
     names = [scan.name for scan in analysis.inverse.scans]
-    arrays = bodies(reference, observed, predicted, each) | local_means(fits, points)
-    overlap = overlap_rows(names, observed, predicted, residuals, noise, points.interface, each)
+    areas_mm2 = [scan.interface_mm2 for scan in analysis.inverse.scans]
+    arrays = prepared(SHAPES) | bodies(reference, observed, predicted) | local_means(fits, points)
+    overlap = overlap_rows(
+        names, areas_mm2, observed, predicted, residuals, noise, points.interface, each
+    )
     summary = replace(summary, overlap=tuple(overlap))
     lump = analysis.sensitivity_by_name.get(INCLUSION.name)
     if lump is not None:

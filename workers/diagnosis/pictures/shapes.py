@@ -5,13 +5,15 @@ mean; triangles that lose a corner vanish (J. Rossignac and P. Borrel, Multi-res
 3D approximations for rendering complex scenes, 1993).
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from storage.errors import InputError
 from storage.values import FloatArray, IntArray, Tissue, Volume
+from workers.comparison.observation.interface import Interface
 from workers.comparison.observation.isosurface import surface
 
 EDGE_MM = 3.0
@@ -30,6 +32,16 @@ class Shape(NamedTuple):
 
     vertices: FloatArray
     triangles: IntArray
+
+
+def shapes(labels: Volume, interfaces: Sequence[Interface]) -> dict[str, NDArray[Any]]:
+    """Return ``shape_<interface>_vertices`` and ``_triangles`` of some interfaces."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for interface in interfaces:
+        drawn = shape(labels, interface.inside)
+        arrays[f"shape_{interface.name}_vertices"] = drawn.vertices.astype(np.float32)
+        arrays[f"shape_{interface.name}_triangles"] = drawn.triangles
+    return arrays
 
 
 def shape(labels: Volume, inside: tuple[Tissue, ...], edge_mm: float = EDGE_MM) -> Shape:

@@ -115,6 +115,7 @@ class ScannedCaseSource:
         diagnosis: Diagnosis,
         displacements: Displacements,
         summary: Summary,
+        prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Draw bodies, maps and overlaps."""
@@ -126,6 +127,7 @@ class ScannedCaseSource:
             case.reference,
             case.deformed,
             lambda volume: above_wall(volume, case.wall_mm),
+            prepared,
             each,
         )
 

@@ -206,12 +206,20 @@ class StudySource:
         diagnosis: Diagnosis,
         displacements: Displacements,
         summary: Summary,
+        prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Draw bodies, maps and overlaps."""
         pieces = self.pieces
         return pictures_of_scans(
-            diagnosis, displacements, summary, pieces.reference, [pieces.target], lambda v: v, each
+            diagnosis,
+            displacements,
+            summary,
+            pieces.reference,
+            [pieces.target],
+            lambda v: v,
+            prepared,
+            each,
         )
 
     @property

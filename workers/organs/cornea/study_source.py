@@ -207,6 +207,7 @@ class CorneaStudySource:
         diagnosis: Diagnosis,
         displacements: Displacements,
         summary: Summary,
+        prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Name surfaces and regions as those of a cornea."""

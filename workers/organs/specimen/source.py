@@ -225,6 +225,7 @@ class SpecimenSource:
         diagnosis: Diagnosis,
         displacements: Displacements,
         summary: Summary,
+        prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
         """Add rows of the markers, of what hides, and of states to come; there are no pictures."""

@@ -108,3 +108,18 @@ def test_sides_that_are_alike_are_no_mirror_image(copied: Path) -> None:
     check_case(read_case(copied))
     mirrored(copied)
     check_case(read_case(copied))
+
+
+def test_a_body_may_bulge_behind_the_edge_of_the_plates(copied: Path) -> None:
+    """Its first slices are then thicker under the larger force than all others ever were."""
+    for file, extra in zip(SCANS[1:], (4, 12), strict=False):
+        labels = scan(copied, file)
+        values = np.pad(labels.values, ((0, 0), (extra, 0), (0, 0)))
+        for slice_ in values[: labels.shape_xyz[2] // 8]:
+            columns = slice_.any(axis=0)
+            first = int(slice_.any(axis=1).argmax())
+            slice_[first - extra : first, columns] = 1
+        x, y, z = labels.origin_mm
+        place = (x, y - extra * labels.spacing_mm[1], z)
+        write_scan(copied / file, Volume(values, labels.spacing_mm, place))
+    check_case(read_case(copied))

@@ -4,6 +4,7 @@ What is refused would be fitted well or badly, and explained by a wrong cause ei
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -186,10 +187,10 @@ def _check_loads(scans: list[Scan]) -> None:
             slack = THICKNESS_VOXELS * max(*less.labels.spacing_mm[:2], *more.labels.spacing_mm[:2])
             if thin > thick + slack and less_n < more_n:
                 raise InputError(
-                    f"The body is {thick:.1f} mm thick under {less_n:g} N ({less.file}), but "
-                    f"{thin:.1f} mm under {more_n:g} N ({more.file}); the larger force was "
-                    "expected to press it thinner. Exchange the two files, or their "
-                    "forces, in the case."
+                    f"The body is {thick:.1f} mm thick in its median slice under {less_n:g} N "
+                    f"({less.file}), but {thin:.1f} mm under {more_n:g} N ({more.file}); the "
+                    "larger force was expected to press it thinner. Exchange the two files, or "
+                    "their forces, in the case."
                 )
 
 
@@ -202,8 +203,13 @@ def _gland_share(labels: Volume) -> float:
 
 
 def _thickness_mm(labels: Volume, axis: Triple) -> float:
-    low, high = extent_mm(labels, axis)
-    return high - low
+    """Return the median of all slices: behind the edge of a plate a body bulges as it is pressed.
+
+    The wall's slices may be thicker under the larger force there, most are not.
+    """
+    body = np.flatnonzero((labels.values != Tissue.AIR).any(axis=(1, 2)))
+    slices = (replace(labels, values=labels.values[z : z + 1]) for z in body)
+    return float(np.median([high - low for low, high in (extent_mm(s, axis) for s in slices)]))
 
 
 def _lopsided(labels: Volume, across: int) -> FloatArray:

@@ -16,13 +16,15 @@ from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
+import numpy as np
+
 from workers.diagnosis.form_error import acting_or_alike
 from workers.diagnosis.hypotheses import Hypothesis, PriorOdds
 from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.joint_fit import JointFit, fit_jointly
 from workers.diagnosis.noise_evidence import LinearHypothesis
 from workers.diagnosis.nominal_analysis import NominalAnalysis
-from workers.diagnosis.screening import screen
+from workers.diagnosis.screening import ScreeningResult, screen
 from workers.diagnosis.second_reading import is_elsewhere, read_again
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.verdict import Verdict, verdict
@@ -134,17 +136,36 @@ def diagnose_here(
 
 
 def suspects(analysis: NominalAnalysis, known: dict[str, Effect]) -> list[Effect]:
-    """Return the effects that are worth a joint fit, the most suspicious first."""
+    """Return the effects that are worth a joint fit, the most suspicious first.
+
+    Where the nominal model is far off, one follows that the linear model underrates.
+    """
+    settings = SETTINGS.joint_fits
     visible = [one for one in analysis.screening if not one.hides]
     if not visible:
         return []
     best = visible[0].log_bayes_factor
-    least = max(
-        min(best - SETTINGS.joint_fits.far_behind, SETTINGS.joint_fits.nearly * best),
-        SETTINGS.joint_fits.least_gain,
-    )
-    near = [one for one in visible if one.log_bayes_factor > least]
-    return [known[one.name] for one in near[: SETTINGS.joint_fits.singles]]
+    least = max(min(best - settings.far_behind, settings.nearly * best), settings.least_gain)
+    near = [one for one in visible if one.log_bayes_factor > least][: settings.singles]
+    if best > settings.far_behind:
+        loud = [one for one in visible if one.log_bayes_factor > settings.second_gain]
+        steep = (one for one in loud if one not in near and _is_steep(analysis, known, one))
+        near += [*steep][:1]
+    return [known[one.name] for one in near]
+
+
+def _is_steep(
+    analysis: NominalAnalysis, known: dict[str, Effect], screened: ScreeningResult
+) -> bool:
+    """Return whether an effect grows faster than its magnitude, and seems larger than was tried.
+
+    The linear model then has little of what a large one does.
+    """
+    columns = analysis.sensitivity_by_name[screened.name]
+    if known[screened.name].place is not None or columns.columns.ndim < 3:
+        return False
+    large, *_, small = np.linalg.norm(columns.places[:, :, 0], axis=1)
+    return bool(large > small and screened.estimate[0] > columns.prior_sd[0])
 
 
 def partners(analysis: NominalAnalysis, known: dict[str, Effect], best: JointFit) -> list[Effect]:

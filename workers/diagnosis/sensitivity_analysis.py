@@ -117,7 +117,7 @@ def _at_places(
             step = effect.steps[q]
             there = effect.apply(without, {effect.names[q]: step} | where, inverse.frame)
             changes.append(Change(there, without, step))
-    moved = inverse.forward.tangents(prediction.at, changes, SETTINGS.sensitivities.tangent_error)
+    moved = inverse.forward.tangents(prediction.at, changes, SETTINGS.sensitivities.place_error)
     free = spring_stiffness(inverse.model.finest, without)
     columns = []
     for number, (change, u) in enumerate(zip(changes, moved, strict=True)):

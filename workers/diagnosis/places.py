@@ -1,6 +1,7 @@
 """Where an effect that acts at one place is looked for."""
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from storage.values import FloatArray
 from workers.diagnosis.inverse_problem import InverseProblem
@@ -36,8 +37,7 @@ def _inside(inverse: InverseProblem) -> FloatArray:
     axes = [np.arange(a + spacing / 2, b, spacing) for a, b in zip(low, high, strict=True)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     outline = inverse.points.points[inverse.points.interface == 0]
-    away = np.linalg.norm(centres[:, None] - outline[None], axis=2).min(axis=1)
-    near = np.linalg.norm(centres[:, None] - nodes[None], axis=2).min(axis=1)
+    away, near = (KDTree(points).query(centres)[0] for points in (outline, nodes))
     return np.asarray(centres[(away > settings.inside_depth_mm) & (near < spacing / 2)])
 
 

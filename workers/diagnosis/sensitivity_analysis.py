@@ -117,31 +117,34 @@ def _at_places(
             step = effect.steps[q]
             there = effect.apply(without, {effect.names[q]: step} | where, inverse.frame)
             changes.append(Change(there, without, step))
-    moved = inverse.forward.tangents(prediction.at, changes, SETTINGS.sensitivities.tangent_error)
+    moved = inverse.forward.tangents(prediction.at, changes, SETTINGS.sensitivities.place_error)
+    free = spring_stiffness(inverse.model.finest, without)
     columns = []
     for number, (change, u) in enumerate(zip(changes, moved, strict=True)):
         q = number % len(sizes)
         column = ((inverse.at_points @ u) * prediction.normals).sum(axis=1)
         if one_sided(effect.parameters[q]):
-            column /= 1 + effect.prior_sd[q] * _yielding(inverse, prediction, change, u)
+            column /= 1 + effect.prior_sd[q] * _yielding(inverse, prediction, change, free, u)
         columns.append(column)
     stacked = np.reshape(columns, (-1, len(sizes), len(prediction.residual)))
     return np.ascontiguousarray(stacked.transpose(0, 2, 1))
 
 
 def _yielding(
-    inverse: InverseProblem, prediction: PredictedScan, change: Change, moved: FloatArray
+    inverse: InverseProblem,
+    prediction: PredictedScan,
+    change: Change,
+    free: FloatArray,
+    moved: FloatArray,
 ) -> float:
     """Return by how much the body gives way to a unit of springs, as a part of where it is.
 
     Springs k D take off k D u of the load where they hold the body by u; once they hold it, u is
     shorter by 1 + k c with c = -u'D du/dk / u'Du: exact for a spring at one point of a linear
-    body.
+    body. `free` are the springs without the change, (n, 3).
     """
-    level = inverse.model.finest
-    ahead, behind = (spring_stiffness(level, p) for p in (change.plus, change.minus))
     u = prediction.at.solution.displacement_mm
-    force = (ahead - behind) / change.step * u
+    force = (spring_stiffness(inverse.model.finest, change.plus) - free) / change.step * u
     work = float(np.vdot(force, u))
     return max(0.0, -float(np.vdot(force, moved)) / work) if work > 0 else 0.0
 

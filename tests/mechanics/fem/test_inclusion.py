@@ -6,6 +6,7 @@ from blocks import OPEN, holding
 from solids import ball, body, symmetric
 
 from storage.values import FloatArray, Tissue
+from workers.mechanics.fem.element_constants import element_constants
 from workers.mechanics.fem.element_energy import deformation_gradients
 from workers.mechanics.fem.fields import Inclusion
 from workers.mechanics.fem.level import Level
@@ -82,3 +83,23 @@ def test_even_swelling_inside():
     volume, _ = concentration(10.0)
     found = strain_inside(10.0, np.full(3, e))
     np.testing.assert_allclose(np.diagonal(found), volume * e, rtol=0.05)
+
+
+@pytest.mark.parametrize("element_mm", [3.0, 200.0])
+def test_constants_of_a_similar_body_change_around_lumps_alone(element_mm):
+    """Many elements in a lump, or one whose corners are all out of reach."""
+    model = body([(20, 20, 20)], lambda unit: 20 * element_mm * unit).finest
+    tissue = {Tissue.FAT: Constants(E, NU, fibre_mpa=2e-3, growth=1.2)}
+    centres = model.centroids[[100, 20000, 40000]]
+    lumps = tuple(Inclusion(0.5, tuple(map(float, centre)), 4.0) for centre in centres)
+    before = element_constants(model, Problem(tissue, NoPlates(), variations=lumps[:2]))
+    problem = Problem(tissue, NoPlates(), variations=lumps[1:])
+    near = element_constants(model, problem, before)
+    alone = element_constants(model, problem)
+    assert near.problem is problem
+    assert near.density is before.density
+    for one, other in zip(near.material, alone.material, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-14)
+    changed = np.flatnonzero(near.material.mu != before.material.mu)
+    assert {100, 40000} <= set(changed)
+    assert len(changed) < len(model.elements.tets) / 2

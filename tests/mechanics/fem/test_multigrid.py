@@ -5,7 +5,7 @@ import pytest
 from blocks import cube, model_of
 
 from storage.values import Tissue
-from workers.mechanics.fem import conjugate_gradients
+from workers.mechanics.fem import block_conjugate_gradients, conjugate_gradients
 from workers.mechanics.fem.contact import Gap
 from workers.mechanics.fem.dense_tangent import dense_matrix
 from workers.mechanics.fem.level import Level, Tangent
@@ -176,6 +176,26 @@ def test_together_is_as_alone(levels):
         np.testing.assert_allclose(many.u[k], alone.u, rtol=0, atol=1e-6 * np.abs(alone.u).max())
 
 
+def test_a_block_needs_fewer_iterations_than_each_alone(levels):
+    solver, b = multigrid_of(levels), loads_on(levels[-1], LANES)
+    together = block_conjugate_gradients.solve_many(solver, b, 1e-6)
+    alone = conjugate_gradients.solve_many(solver, b, 1e-6)
+    assert together.iterations.max() < alone.iterations.max()
+    for one, other in zip(together.u, alone.u, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-4 * np.abs(other).max())
+
+
+def test_a_block_of_like_right_hand_sides_is_solved(levels):
+    solver, b = multigrid_of(levels), loads_on(levels[-1], 2)
+    alike = np.concatenate([b, b, b, -2 * b])
+    many = block_conjugate_gradients.solve_many(solver, alike, 1e-6)
+    alone = conjugate_gradients.solve_many(solver, b, 1e-6)
+    assert (many.error < 1e-6).all()
+    for k, share in enumerate((1, 1, 1, -2)):
+        near = np.abs(alone.u).max() * 1e-4
+        np.testing.assert_allclose(many.u[2 * k : 2 * k + 2], share * alone.u, rtol=0, atol=near)
+
+
 def test_no_right_hand_side_is_no_work(levels):
     for solver in (multigrid_of(levels), CholeskySolver(levels[0], tangent_of(levels[0]))):
         n = len(levels[-1].free) if isinstance(solver, Multigrid) else len(levels[0].free)
@@ -202,3 +222,4 @@ def test_negative_curvature_is_told(levels):
     b = loads_on(level, 2)
     assert solver.solve(b[0], 1e-6).negative
     assert solver.solve_many(b, 1e-6).negative
+    assert solver.solve_many(loads_on(level, LANES), 1e-6).negative

@@ -7,8 +7,9 @@ at rest at v / V = g with a bulk modulus of 1 / g, and fibres are shorter by :ma
 the measure of F.
 """
 
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from storage.values import FloatArray, IntArray, Tissue
 from workers.mechanics.fem.element_energy import (
     ElementMaterial,
 )
-from workers.mechanics.fem.fields import stiffness_factors
+from workers.mechanics.fem.fields import Inclusion, elements_reached, stiffness_factors
 from workers.mechanics.fem.model import LevelModel
 from workers.mechanics.fem.problem import Constants, Problem
 from workers.mechanics.materials.base import Isochoric
@@ -71,34 +72,80 @@ def element_constants(
     if similar is not None and _material_parts(problem) == _material_parts(similar.problem):
         return similar
     _check(model, problem)
+    if similar is not None and _differ_in_places(problem, similar.problem):
+        return _changed_in_places(model, problem, similar)
     part = model.fractions
-    nodes, tets = model.nodes, model.elements.tets
-    if problem.variations:
-        factors = stiffness_factors(problem.variations, nodes, tets, part.shape[1])
-        stiff = np.asarray(part * factors)
-    else:
-        stiff = part
-    two = _families(problem) == 2
     if similar is not None and _fibre_parts(problem) == _fibre_parts(similar.problem):
         fibre = similar.material.fibre
     else:
         fibre = _directions(model, problem)
+    stiff = _stiffnesses(model, problem)
     growth = _growth(problem, part)
-    soft, stiff = stiff / growth, stiff * growth
-    eta = [_column(problem, part, "fibre_mpa"), _column(problem, part, "second_fibre_mpa")]
     material = ElementMaterial(
-        mu=stiff @ _column(problem, part, "mu_mpa", matrix=True),
-        c2=stiff @ _yeoh(problem, part),
-        kappa=soft @ _column(problem, part, "kappa_mpa"),
-        eta=np.stack([stiff @ e for e in eta[: 1 + two]], axis=1),
+        **_moduli(problem, stiff, growth),
         fibre=fibre,
         tension_only=not problem.literal_fibre,
         isochoric_fibre=problem.isochoric_fibre,
         plain=problem.plain_elements,
     )
     density = part @ _column(problem, part, "density_t_per_mm3")
-    laws = tuple(_laws(problem, stiff))
+    laws = tuple(_laws(problem, stiff * growth))
     return ElementConstants(problem, material, laws, density, _at_nodes(model, part @ (growth - 1)))
+
+
+def _changed_in_places(
+    model: LevelModel, problem: Problem, similar: ElementConstants
+) -> ElementConstants:
+    """Return `similar` with other variations of the stiffness, where those act that differ."""
+    now, before = _inclusions(problem), _inclusions(similar.problem)
+    differ = (now - before) + (before - now)
+    reached = elements_reached(differ, model.nodes, model.elements.tets, model.centroids)
+    there = np.flatnonzero(reached).astype(np.int32)
+    stiff = _stiffnesses(model, problem, there)
+    growth = _growth(problem, model.fractions)
+    moduli = {}
+    for name, values in _moduli(problem, stiff, growth).items():
+        moduli[name] = getattr(similar.material, name).copy()
+        moduli[name][there] = values
+    return replace(similar, problem=problem, material=similar.material._replace(**moduli))
+
+
+def _stiffnesses(
+    model: LevelModel, problem: Problem, elements: IntArray | None = None
+) -> FloatArray:
+    """Return the share of each tissue in each element, or in some of them, by its stiffness."""
+    part, tets = model.fractions, model.elements.tets
+    if elements is not None:
+        part, tets = part[elements], tets[elements]
+    if not problem.variations:
+        return part
+    factors = stiffness_factors(problem.variations, model.nodes, tets, part.shape[1])
+    return np.asarray(part * factors)
+
+
+def _moduli(problem: Problem, part: FloatArray, growth: FloatArray) -> dict[str, FloatArray]:
+    """Return the moduli of elements with these shares of tissues, shape (m, tissues)."""
+    soft, stiff = part / growth, part * growth
+    eta = [_column(problem, part, "fibre_mpa"), _column(problem, part, "second_fibre_mpa")]
+    return {
+        "mu": stiff @ _column(problem, part, "mu_mpa", matrix=True),
+        "c2": stiff @ _yeoh(problem, part),
+        "kappa": soft @ _column(problem, part, "kappa_mpa"),
+        "eta": np.stack([stiff @ e for e in eta[: _families(problem)]], axis=1),
+    }
+
+
+def _differ_in_places(p: Problem, q: Problem) -> bool:
+    """Return whether all that differs are inclusions, and no law keeps its own weights."""
+    balls = all(_inclusions(x).total() == len(x.variations) for x in (p, q))
+    laws = any(c.law is not None for c in p.constants.values())
+    alike = _material_parts(replace(p, variations=())) == _material_parts(replace(q, variations=()))
+    return balls and alike and not laws
+
+
+def _inclusions(p: Problem) -> Counter[Inclusion]:
+    """Return the inclusions among the variations of the stiffness."""
+    return Counter(v for v in p.variations if isinstance(v, Inclusion))
 
 
 def _material_parts(p: Problem) -> tuple[object, ...]:
@@ -137,7 +184,7 @@ def _families(p: Problem) -> int:
 
 def _directions(model: LevelModel, problem: Problem) -> FloatArray:
     """Return vectors along the fibres, of length 1 where nothing grows, (m, families, 3)."""
-    centroids = model.nodes[model.elements.tets].mean(axis=1)
+    centroids = model.centroids
     directions = [problem.fibres.directions(centroids)]
     if _families(problem) == 2:
         directions.append(problem.fibres.second_directions(centroids))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from storage.errors import InputError
-from storage.values import FloatArray, IntArray, Tissue, Triple
+from storage.values import BoolArray, FloatArray, IntArray, Tissue, Triple
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +112,8 @@ class Gradient:
 
 # An inclusion fades over this length, so that its place and size have derivatives.
 EDGE_MM = 1.0
+# So many of these lengths from its surface nothing is left of it: tanh is 1 to the last digit.
+GONE_AFTER = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +134,12 @@ class Inclusion:
         away = np.linalg.norm(points - np.asarray(self.centre_mm), axis=1) - self.radius_mm
         return np.asarray(self.log_ratio * 0.5 * (1 - np.tanh(away / EDGE_MM)))
 
+    def reaches(self, nodes: FloatArray) -> BoolArray:
+        """Return whether its factor at `nodes`, shape (n, 3), may be another one than 1."""
+        away = nodes - np.asarray(self.centre_mm)
+        reach = self.radius_mm + GONE_AFTER * EDGE_MM
+        return np.asarray(np.einsum("ij,ij->i", away, away) < reach**2)
+
 
 Variation = Gradient | Inclusion
 
@@ -150,6 +158,19 @@ def stiffness_factors(
         at_corners = _mean_of_corners(variation.log_factor(nodes), tets)
         log[:, of] += (0.8 * at_corners + 0.2 * variation.log_factor(centroids))[:, None]
     return np.exp(log)
+
+
+def elements_reached(
+    inclusions: Iterable[Inclusion], nodes: FloatArray, tets: IntArray, centroids: FloatArray
+) -> BoolArray:
+    """Return in which elements inclusions may change the stiffness, shape (m,)."""
+    corners, middles = np.zeros(len(nodes), np.bool_), np.zeros(len(tets), np.bool_)
+    for ball in inclusions:
+        corners |= ball.reaches(nodes)
+        middles |= ball.reaches(centroids)  # of elements larger than the ball
+    for corner in tets.T:
+        middles |= corners[corner]
+    return middles
 
 
 def _mean_of_corners(values: FloatArray, tets: IntArray) -> FloatArray:

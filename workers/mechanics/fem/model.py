@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypedDict
 
 import numpy as np
@@ -71,6 +72,11 @@ class LevelModel:
     sheet: Sheet
     sheet_edge: IntArray
     transfer: Transfer | None
+
+    @cached_property
+    def centroids(self) -> FloatArray:
+        """Centroids of the elements, shape (m, 3)."""
+        return np.asarray(self.nodes[self.elements.tets].mean(axis=1))
 
 
 @dataclass(frozen=True, eq=False)

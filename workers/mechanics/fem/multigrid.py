@@ -12,7 +12,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from storage.values import FloatArray
-from workers.mechanics.fem import conjugate_gradients
+from workers.mechanics.fem import block_conjugate_gradients, conjugate_gradients
 from workers.mechanics.fem.array_types import Float32Array
 from workers.mechanics.fem.conjugate_gradients import Correction, Corrections
 from workers.mechanics.fem.dense_tangent import dense_matrix
@@ -171,7 +171,7 @@ class Multigrid:
 
     def solve_many(self, b: FloatArray, tolerance: float) -> Corrections:
         """Solve for several right-hand sides, shape (k, n, 3), that travel together."""
-        return conjugate_gradients.solve_many(self, b, tolerance)
+        return block_conjugate_gradients.solve_many(self, b, tolerance)
 
     def multiply(self, x: FloatArray, y: FloatArray) -> None:
         """Set y = tangent times x, of one right-hand side or a block."""

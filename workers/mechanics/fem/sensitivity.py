@@ -144,7 +144,9 @@ class _Linearisation:
         return self._forces_of(self.level, self.state, self.stage)
 
     def _forces_of(self, level: Level, state: State, stage: Stage) -> tuple[FloatArray, float]:
-        if level.model is self.level.model:  # the same place: its volumes are known
+        if self._is_touched_alike(level, state, stage):
+            energy = self.energy
+        elif level.model is self.level.model:  # the same place: its volumes are known
             contacts, contact = level.contact(state, stage)
             energy = replace(self.energy, plate_contacts=contacts, contact=contact)
         else:
@@ -157,6 +159,11 @@ class _Linearisation:
             inner = self._inner_force()
             return inner + level.outer_force(state, energy.contact, stage), plate
         return level.force(state, energy, stage), plate
+
+    def _is_touched_alike(self, level: Level, state: State, stage: Stage) -> bool:
+        """Return whether volumes and plates are those of here, as of a change inside the body."""
+        friction = state.history.friction or self.state.history.friction
+        return level.model is self.level.model and stage == self.stage and not friction
 
     def _inner_force(self) -> FloatArray:
         """Return the force of body and skin as they are, shape (n, 3)."""

@@ -1,0 +1,68 @@
+"""Which effects are worth a joint fit."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from workers.diagnosis.diagnosis import suspects
+from workers.diagnosis.effect_sensitivity import EffectSensitivity
+from workers.diagnosis.screening import ScreeningResult
+from workers.mechanics.effects.breast_catalogue import effect
+
+EDGE_SD_MM = 5.0
+RNG = np.random.default_rng(3)
+PATTERN = RNG.standard_normal(30)
+
+
+def screened(name: str, nats: float, estimate: float = 1.0) -> ScreeningResult:
+    one = np.array([estimate])
+    return ScreeningResult(name, nats, one, one, nats, 0.0, False, 0, one)
+
+
+def sensitivity(name: str, large: float, small: float) -> EffectSensitivity:
+    """Of an effect that does so much a unit at a large and at a small magnitude."""
+    columns = np.stack([large * PATTERN, small * PATTERN])[:, :, None]
+    return EffectSensitivity(
+        name, "plate geometry", columns, np.array([EDGE_SD_MM]), np.ones(1, np.bool_)
+    )
+
+
+def named(louder: dict[str, float], edge: ScreeningResult, large: float, small: float) -> list[str]:
+    """Return the suspects among louder effects, a quiet friction that tires, and an edge."""
+    friction = screened("plate_friction", 9.0, 40.0)
+    others = [screened(name, nats) for name, nats in louder.items()]
+    analysis: Any = SimpleNamespace(
+        screening=[*others, friction, edge],
+        sensitivity_by_name={
+            "plate_friction": sensitivity("plate_friction", 1.0, 2.0),
+            "plate_edge": sensitivity("plate_edge", large, small),
+        }
+        | {name: sensitivity(name, 1.0, 1.0) for name in louder},
+    )
+    known = {one.name: effect(one.name) for one in analysis.screening}
+    return [one.name for one in suspects(analysis, known)]
+
+
+def test_an_edge_that_grows_with_its_square_is_fitted_beside_louder_effects() -> None:
+    found = named({"plate_flex": 119.0}, screened("plate_edge", 8.0, 9.0), 2.0, 1.0)
+    assert found == ["plate_flex", "plate_edge"]
+
+
+@pytest.mark.parametrize(
+    ("loudest", "nats", "estimate_mm", "large"),
+    [
+        (50.0, 8.0, 9.0, 2.0),  # the nominal model is near enough for a linear one
+        (119.0, 2.0, 9.0, 2.0),  # hardly anything speaks for it
+        (119.0, 8.0, 4.0, 2.0),  # no larger than was tried
+        (119.0, 8.0, 9.0, 0.9),  # it tires
+    ],
+)
+def test_else_the_five_loudest_are(
+    loudest: float, nats: float, estimate_mm: float, large: float
+) -> None:
+    loud = ["plate_flex", "plate_tilt", "skin_added", "creep", "wall_hold", "growth"]
+    louder = {name: loudest - n for n, name in enumerate(loud)}
+    edge = screened("plate_edge", nats, estimate_mm)
+    assert named(louder, edge, large, 1.0) == loud[:5]

@@ -2,7 +2,7 @@
 
 ::
 
-    prepare_scan       a case               > points, body or distances in the store
+    prepare_scan       a case               > points, body, shapes or distances in the store
     calibrate_nominal  a case               > constants, points and noise in the store
     analyse_effect     one effect, one scan > what it would do to the residuals
     fit_effects        up to three effects  > the most probable constants and magnitudes

@@ -152,27 +152,28 @@ def fit(
         return None
     cost = _cost(inverse, unknowns, z, predictions)
     jacobians: list[ScanJacobian] | None = None
-    fall = np.inf
+    length = 1.0
     for iteration in range(1, SETTINGS.fit.max_iterations + 1):
         jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
         J = np.vstack([jacobian.columns for jacobian in jacobians])
         step, expected = _step(inverse, unknowns, z, predictions, J)
         if expected < SETTINGS.fit.tolerance:
             return SolvedFit(unknowns, z, predictions, J, cost, True, iteration)
-        found = _descend(inverse, unknowns, z, predictions, cost, step, each)
+        found = _descend(inverse, unknowns, z, predictions, cost, step, length, each)
         if found is None and not all(jacobian.fresh for jacobian in jacobians):
             jacobians = None  # columns taken over from elsewhere may point uphill
             continue
+        at_rest = expected < SETTINGS.fit.at_rest
         if found is None:
-            at_rest = expected < SETTINGS.fit.at_rest
             return SolvedFit(unknowns, z, predictions, J, cost, at_rest, iteration)
-        fall = cost - found[2]
-        z, predictions, cost = found
-        if fall < SETTINGS.fit.tolerance:
+        settled = cost - found.cost < SETTINGS.fit.tolerance
+        z, predictions, cost = found.z, found.predictions, found.cost
+        length = min(1.0, found.length / SETTINGS.fit.shortening)
+        if settled:
             break
     jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
     J = np.vstack([jacobian.columns for jacobian in jacobians])
-    return SolvedFit(unknowns, z, predictions, J, cost, fall < SETTINGS.fit.tolerance, iteration)
+    return SolvedFit(unknowns, z, predictions, J, cost, settled and at_rest, iteration)
 
 
 def _predict_scans(
@@ -257,6 +258,16 @@ def _places(
     return [v.at for v in predictions], [v.pose for v in predictions]
 
 
+@dataclass(frozen=True, eq=False)
+class _Descent:
+    """A step that lowers the cost, and what part of the Gauss-Newton step it is."""
+
+    z: FloatArray
+    predictions: tuple[PredictedScan, ...]
+    cost: float
+    length: float
+
+
 def _descend(
     inverse: InverseProblem,
     u: Unknowns,
@@ -264,15 +275,16 @@ def _descend(
     predictions: Sequence[PredictedScan],
     cost: float,
     step: FloatArray,
+    length: float,
     each: Each,
-) -> tuple[FloatArray, tuple[PredictedScan, ...], float] | None:
-    length = 1.0
+) -> _Descent | None:
+    """Try shorter and shorter parts of a step, from `length` of it, until the cost falls."""
     for _ in range(SETTINGS.fit.max_halvings):
         trial = np.clip(z + length * step, u.lower, u.upper)
         found = _predict_scans(inverse, u, trial, *_places(predictions), each)
         if found is not None:
             cost_there = _cost(inverse, u, trial, found)
             if cost_there < cost:
-                return trial, found, cost_there
+                return _Descent(trial, found, cost_there, length)
         length *= SETTINGS.fit.shortening
     return None

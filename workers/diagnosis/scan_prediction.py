@@ -1,7 +1,7 @@
 """The scans as a hypothesis predicts them: residuals, and their derivatives."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,9 @@ def problem_of(
 ) -> Problem:
     """Return the problem of a scan with all effects of a hypothesis but one."""
     problem = scan.problem(unknowns.constants(z))
+    if FRICTION in unknowns.effects:
+        steps = min(problem.friction_steps, SETTINGS.fit.friction_steps)
+        problem = replace(problem, friction_steps=steps)
     for effect in unknowns.effects:
         if effect is not leave_out:
             problem = effect.apply(problem, unknowns.of_effect(effect, z), frame)
@@ -153,16 +156,7 @@ def derivatives(
     good enough for other parameters, but that of friction comes from another simulation,
     unless `before` was taken at about the same friction.
     """
-    changes = [_log_change(inverse, scan, unknowns, z, i) for i in range(len(unknowns.free))]
-    for effect in unknowns.effects:
-        if effect.observation is None:
-            base = problem_of(scan, unknowns, z, inverse.frame, leave_out=effect)
-            values = unknowns.of_effect(effect, z)
-            changes.extend(effect.changes(base, inverse.frame, values))
-    observed = [e for e in unknowns.effects if e.observation is not None]
-    moved = columns_of(
-        inverse, prediction, changes, [(e, unknowns.of_effect(e, z)) for e in observed]
-    )
+    moved = _moved_columns(inverse, scan, unknowns, z, prediction)
     found = _with_observed(inverse, unknowns, prediction, moved)
     if FRICTION in unknowns.effects:
         at = unknowns.names.index(FRICTION.names[0])
@@ -176,6 +170,31 @@ def derivatives(
             return ScanJacobian(z, found, fresh=False)
         found[:, at] = _by_solving(inverse, scan, unknowns, z, prediction, at)
     return ScanJacobian(z, found)
+
+
+def _moved_columns(
+    inverse: InverseProblem,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    prediction: PredictedScan,
+) -> FloatArray:
+    """Return derivatives by all parameters that move the body, zero for friction."""
+    changes = [_log_change(inverse, scan, unknowns, z, i) for i in range(len(unknowns.free))]
+    friction = None
+    for effect in unknowns.effects:
+        if effect is FRICTION:
+            friction = len(changes)
+        elif effect.observation is None:
+            base = problem_of(scan, unknowns, z, inverse.frame, leave_out=effect)
+            values = unknowns.of_effect(effect, z)
+            changes.extend(effect.changes(base, inverse.frame, values))
+    observed = [
+        (e, unknowns.of_effect(e, z)) for e in unknowns.effects if e.observation is not None
+    ]
+    error = SETTINGS.fit.tangent_error
+    moved = columns_of(inverse, prediction, changes, observed, error)
+    return moved if friction is None else np.insert(moved, friction, 0.0, axis=1)
 
 
 def _by_solving(

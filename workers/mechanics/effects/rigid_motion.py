@@ -37,6 +37,8 @@ def columns(points: FloatArray, normals: FloatArray, tissues: IntArray, frame: F
     return rigid_columns(points, normals, frame.centre_mm)
 
 
+# Every scan lies elsewhere by what a registration leaves, whatever the hypothesis; that all loaded
+# scans share another motion beyond that is as rare as a scanner with a wrong scale.
 RIGID_MOTION = Effect(
     name="rigid_motion",
     family="observation",
@@ -50,4 +52,5 @@ RIGID_MOTION = Effect(
     transform=unchanged,
     references=("J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE TMI 17 (1998) 694",),
     observation=columns,
+    odds=0.1,
 )

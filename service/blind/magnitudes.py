@@ -18,6 +18,7 @@ swelling                  ln of the volume of the gland; fat has not grown
 plates' edge              where half of the pressure is left: it fades over some mm behind the edge
 scar, tether              the springs per area; of a disc of radius R, which a scar has, the
                           radius R / sqrt(2) of the bell with as much stiffness in total
+force                     ln of the force that the body carries over the stated one
 ========================  ==============================================================
 """
 
@@ -77,7 +78,15 @@ def _scale(given: Given) -> dict[str, float]:
     return dict(zip(SCALES, given["scale"], strict=True))
 
 
+def _force(given: Given) -> dict[str, float]:
+    return {"ln_plate_force": math.log(given["factor"])}
+
+
+# How wide an effect is says nothing of how much it does.
+EXTENTS = ("inclusion_radius_mm", "attachment_radius_mm")
+
 IN_CATALOGUE: dict[str, Callable[[Given], dict[str, float]]] = {
+    "plate_force": _force,
     "gravity_change": _renamed(gravity_x_g="x_g", gravity_y_g="y_g", gravity_z_g="z_g"),
     "plate_tilt": _renamed(tilt_depth_deg="depth_deg", tilt_across_deg="across_deg"),
     "plate_edge": _edge,
@@ -132,6 +141,28 @@ def magnitudes(truth: Truth, by_name: Mapping[str, EffectSummary]) -> list[Magni
         for p in found.parameters
         if p.parameter in true
     ]
+
+
+def strength(truth: Truth, by_name: Mapping[str, EffectSummary]) -> float | None:
+    """Return the true size of a single effect in the standard deviations of its estimate.
+
+    What the scans could tell of it at most, to someone who knows its form: s^2 / 2 nats against
+    no gap. None where the catalogue has no parameter of the same meaning.
+
+    Parameters
+    ----------
+    by_name : mapping of str to EffectSummary
+    """
+    found = by_name.get(truth.effects[0]) if len(truth.causes) == len(truth.effects) == 1 else None
+    if found is None:
+        return None
+    true = true_values(truth)
+    sizes = [
+        true[p.parameter] / p.sd
+        for p in found.parameters
+        if p.parameter in true and p.parameter not in EXTENTS and p.sd > 0
+    ]
+    return math.hypot(*sizes) if sizes else None
 
 
 def lump_apart_mm(

@@ -27,6 +27,9 @@ from workers.mechanics.effects.inclusion import INCLUSION
 Unit = Literal["share", "mm", "number"]
 VISIBLE = 1.5
 CLEAR = 3.0
+# Standard deviations: 8 nats, of which some 5 pay for having looked at two dozen effects of any
+# size, and 3 are twenty to one.
+STRONG = 4.0
 # A gap may be wrong by so much, or by this part of it.
 GAP_MM, GAP_PART = 0.05, 0.25
 
@@ -144,6 +147,9 @@ def _singles(records: Records, floor: float | None) -> Iterable[Metric]:
     for key, stratum, chosen in strata(singles, floor):
         title = f"One effect, {stratum}: it comes first"
         yield _metric(f"first_{key}", title, _right_first(chosen))
+    for key, stratum, chosen in by_strength(singles):
+        title = f"One effect, {stratum}: it comes first"
+        yield _metric(f"first_{key}", title, _right_first(chosen))
     covered = share([r.covered for r in singles])
     yield _metric("covered", "One effect: it is in the 90 % set", covered, _at_least(0.90))
     covered = share([r.covered for r in in_sight])
@@ -162,6 +168,18 @@ def strata(records: Records, floor: float | None) -> list[tuple[str, str, list[C
         ("faint", f"gap up to {VISIBLE:g} floors", faint),
         ("middling", f"gap of {VISIBLE:g} to {CLEAR:g} floors", middling),
         ("clear", f"gap above {CLEAR:g} floors", clear),
+    ]
+
+
+def by_strength(records: Records) -> list[tuple[str, str, list[CaseRecord]]]:
+    """Sort cases by how many standard deviations of its estimate their effect has."""
+    known = [(r, r.strength) for r in records if r.strength is not None]
+    weak = [r for r, s in known if s < STRONG]
+    strong = [r for r, s in known if s >= STRONG]
+    deviations = f"{STRONG:g} standard deviations of its estimate"
+    return [
+        ("weak", f"below {deviations}", weak),
+        ("strong", f"of {deviations} or more", strong),
     ]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from service.blind.answers import Answer
 from service.blind.baselines import closest, improvement, largest
 from service.blind.drawn_interfaces import drawn_mm
-from service.blind.magnitudes import lump_apart_mm, magnitudes, true_values
+from service.blind.magnitudes import lump_apart_mm, magnitudes, strength, true_values
 from service.blind.records import FAILED, CaseRecord
 from service.blind.seal import read_json
 from service.blind.sets import BlindSet, Directions, Truths
@@ -115,6 +115,7 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
         claimed_share=_known(gap.share),
         held_out_share=_known(gap.held_out_share),
         magnitudes=tuple(magnitudes(truth, effects)),
+        strength=strength(truth, effects),
         lump_apart_mm=lump_apart_mm(truth, effects, answer.centre_mm),
         accused_by={
             "raw_correlation": largest(answer.baselines.raw_correlation),

@@ -56,6 +56,9 @@ class CaseRecord:
         were fitted to, and with every scan judged by a fit to the others.
     magnitudes : tuple of Magnitude
         Of the true effect, where it was refitted and the truth has the same parameters.
+    strength : float or None
+        True size of a single effect in standard deviations of its estimate; see
+        `service.blind.magnitudes.strength`.
     lump_apart_mm : float or None
         From the found centre of a lump to the true one.
     accused_by : mapping of str to (str or None)
@@ -89,6 +92,7 @@ class CaseRecord:
     claimed_share: float | None = None
     held_out_share: float | None = None
     magnitudes: tuple[Magnitude, ...] = ()
+    strength: float | None = None
     lump_apart_mm: float | None = None
     accused_by: Mapping[str, str | None] = field(default_factory=dict)
     loudness: Mapping[str, float] = field(default_factory=dict)

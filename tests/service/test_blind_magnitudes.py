@@ -6,7 +6,13 @@ from typing import Any
 
 import pytest
 
-from service.blind.magnitudes import IN_CATALOGUE, lump_apart_mm, magnitudes, true_values
+from service.blind.magnitudes import (
+    IN_CATALOGUE,
+    lump_apart_mm,
+    magnitudes,
+    strength,
+    true_values,
+)
 from service.blind.truth import Truth
 from workers.blind.random_case import KINDS, draw
 from workers.diagnosis.summary import EffectSummary, ParameterEstimate
@@ -36,7 +42,7 @@ def test_every_kind_speaks_the_words_of_the_catalogue(kind: str) -> None:
     for cause in truth.causes:
         if cause.effect is not None:
             assert cause.family == known[cause.effect].family
-            assert (cause.effect in IN_CATALOGUE) == (cause.effect != "plate_force")
+            assert cause.effect in IN_CATALOGUE
 
 
 def said(name: str, **sizes: float) -> dict[str, EffectSummary]:
@@ -70,6 +76,24 @@ def test_fibres_are_compared_as_turns() -> None:
     assert [m.true for m in found] == pytest.approx([-10 * sqrt(3), 10])
     assert [m.found for m in found] == [-17.0, 9.0]
     assert magnitudes(truth, {}) == []
+
+
+def test_the_strength_of_an_effect_is_its_true_size_in_standard_deviations() -> None:
+    truth = Truth.model_validate(draw(7, "fibres").record())
+    true = true_values(truth)
+    # Every parameter is said to be known to 0.1: found sizes are no part of it.
+    found = said("fibre_rotation", fibre_turn_x_deg=40.0, fibre_turn_y_deg=-3.0)
+    turned = math.hypot(true["fibre_turn_x_deg"], true["fibre_turn_y_deg"])
+    assert turned == pytest.approx(truth.causes[0].parameters["turn_deg"])
+    assert strength(truth, found) == pytest.approx(10 * turned)
+    assert strength(truth, {}) is None
+    lump = Truth.model_validate(draw(5, "inclusion").record())
+    wide = said("inclusion", inclusion_ln_ratio=1.0, inclusion_radius_mm=9.0)
+    by_ratio = abs(math.log(lump.causes[0].parameters["ratio"])) / 0.1
+    assert strength(lump, wide) == pytest.approx(by_ratio)
+    assert strength(made_before("adhesion", "boundary", {}), {}) is None
+    pair = draw(2, "pair").record()
+    assert strength(Truth.model_validate(pair), said(pair["causes"][0]["effect"], any=1.0)) is None
 
 
 def made_before(kind: str, family: str | None, parameters: dict[str, Any]) -> Truth:

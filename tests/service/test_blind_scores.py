@@ -135,6 +135,17 @@ def test_faint_cases_are_judged_apart() -> None:
     assert value(found, "covered") == (4 / 6, 6)
     assert value(found, "covered_visible") == (0.75, 4)
     assert [len(chosen) for _, _, chosen in strata([record()], None)] == []
+
+
+def test_weak_effects_are_judged_apart() -> None:
+    weak = [record(strength=0.5, **MISSED), record(strength=3.9)]
+    strong = [record(strength=s) for s in (4.0, 7.0)]
+    found = scored(nothing(true_before_mm=0.1), *weak, *strong, record(**MISSED))
+    assert value(found, "first_weak") == (0.5, 2)
+    assert value(found, "first_strong") == (1.0, 2)
+
+
+def test_without_a_floor_all_are_visible() -> None:
     assert visible(record(true_before_mm=0.001), None)
 
 

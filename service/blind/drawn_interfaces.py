@@ -1,4 +1,5 @@
-"""Computes how far outside of a body its interfaces are drawn by labels or scans too large."""
+"""Computes how far outside of a body its interfaces are drawn: labels or scans that are too large,
+and scans that lie elsewhere."""
 
 from collections.abc import Mapping
 
@@ -6,9 +7,12 @@ import numpy as np
 
 from service.blind.magnitudes import SCALES
 from storage.values import FloatArray, IntArray, Triple
+from workers.mechanics.effects.rigid_motion import RIGID_MOTION, rigid_columns
 
 # Labels that are drawn too large, by the interface that they move.
 OFFSETS_MM = ("segmentation_fat_mm", "segmentation_glandular_mm")
+# How tissue has moved between the scans, in mm and degrees: the interface lies where it has gone.
+MOTIONS = tuple(p.door_name for p in RIGID_MOTION.parameters)
 
 
 def drawn_mm(
@@ -27,7 +31,7 @@ def drawn_mm(
     interface : ndarray of int, shape (k,)
         0 for the outline, 1 for the boundary of the glandular tissue.
     centre_mm : tuple of float or None
-        About which scans are too large; without it the scales are left out.
+        About which scans are too large or turned; without it scales and motions are left out.
     sizes : mapping of str to float
         Parameters of the catalogue under their door names; 0 for those that are not named.
     """
@@ -36,4 +40,6 @@ def drawn_mm(
     if centre_mm is None:
         return out
     scales = np.array([sizes.get(name, 0.0) for name in SCALES])
-    return np.asarray(out + ((points - np.asarray(centre_mm)) * normals) @ scales)
+    motion = np.array([sizes.get(name, 0.0) for name in MOTIONS])
+    moved = [rigid_columns(p, n, centre_mm) @ motion for p, n in zip(points, normals, strict=True)]
+    return np.asarray(out + ((points - np.asarray(centre_mm)) * normals) @ scales + moved)

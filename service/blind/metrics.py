@@ -215,6 +215,10 @@ def _gaps(records: Records) -> Iterable[Metric]:
     title = "Error of the gap before, or at most 25 % of it"
     yield Metric("gap_error", title, error, "mm", _at_most(GAP_MM), met)
     yield _metric("gap_error_part", "The same as a part of the gap", part)
+    slid = _both(records, lambda r: r.claimed_before_mm, lambda r: r.true_material_mm)
+    error = mean([abs(c - t) for c, t in slid])
+    title = "Error of the gap before, against points that go with the tissue"
+    yield _metric("gap_error_material", title, error, unit="mm")
     within = _within(records, lambda r: r.gap_interval_mm, lambda r: r.true_before_mm)
     yield _metric("gap_within", "True gap before within its interval of 90 %", within)
     after = _both(records, lambda r: r.claimed_after_mm, lambda r: r.true_after_mm)

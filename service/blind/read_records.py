@@ -12,7 +12,7 @@ from service.blind.magnitudes import lump_apart_mm, magnitudes, strength, true_v
 from service.blind.records import FAILED, CaseRecord
 from service.blind.seal import read_json
 from service.blind.sets import BlindSet, Directions, Truths
-from service.blind.true_gap import true_gap
+from service.blind.true_gap import TrueGap, true_gap
 from service.blind.truth import Moved, Truth, read_moved, read_truth
 from storage.errors import InputError
 from storage.typed_json import from_json
@@ -20,10 +20,13 @@ from storage.values import FloatArray, Triple
 from workers.diagnosis.summary import ShareEstimate, Summary
 from workers.diagnosis.verdict import NO_GAP, NONE_OF_THESE
 from workers.mechanics.effects.image_scale import IMAGE_SCALE
+from workers.mechanics.effects.rigid_motion import RIGID_MOTION
 from workers.mechanics.effects.segmentation_offset import SEGMENTATION_OFFSET
 
 Arrays = Mapping[str, FloatArray]
 Y_AXIS = [0, 1, 0]
+# Effects that move interfaces in the images and no tissue.
+OF_IMAGES = (SEGMENTATION_OFFSET, IMAGE_SCALE, RIGID_MOTION)
 
 
 def read_records(
@@ -86,6 +89,8 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
     """
     summary, gap = answer.summary, answer.summary.gap_mm
     effects = {e.name: e for e in summary.effects}
+    before = _true_gap("before", truth, moved, maps, answer.centre_mm, {})
+    after = _true_gap("after", truth, moved, maps, answer.centre_mm, _said_of_images(summary))
     visible = {n: e.probability for n, e in effects.items() if n not in summary.absorbed}
     ends = {
         NO_GAP: summary.no_gap_probability,
@@ -106,10 +111,9 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
         alarm=summary.alarm,
         claimed_before_mm=gap.before.gap_mm,
         claimed_after_mm=gap.after.gap_mm if gap.after else None,
-        true_before_mm=_true_mm("before", truth, moved, maps, answer.centre_mm, {}),
-        true_after_mm=_true_mm(
-            "after", truth, moved, maps, answer.centre_mm, _said_of_images(summary)
-        ),
+        true_before_mm=before.gap_mm if before else None,
+        true_after_mm=after.gap_mm if after else None,
+        true_material_mm=before.material_mm if before else None,
         gap_interval_mm=(gap.before.low_mm, gap.before.high_mm),
         share_interval=_interval(gap.share),
         claimed_share=_known(gap.share),
@@ -138,31 +142,32 @@ def _diagnosed(moved: Moved, case: Path, directions: Directions) -> Moved:
     return Moved(moved.points, moved.interface, moved.displacement[chosen])
 
 
-def _true_mm(
+def _true_gap(
     when: str,
     truth: Truth,
     moved: Moved,
     maps: Arrays,
     centre_mm: Triple | None,
     found: Mapping[str, float],
-) -> float | None:
+) -> TrueGap | None:
     """Return the true gap, of the interfaces as they are drawn; None where nobody is accused.
 
-    Labels or scans that are drawn too large are a gap of the images and none of the body.
-    What the diagnosis says of it, `found`, closes that gap.
+    Labels or scans that are too large, or lie elsewhere, are a gap of the images and none of the
+    body. What the diagnosis says of it, `found`, closes that gap.
     """
     if f"moved_{when}" not in maps:
         return None
     at, normals = maps[f"moved_{when}"], maps[f"normals_{when}"]
     true = true_values(truth)
     amiss = {n: true.get(n, 0.0) - found.get(n, 0.0) for n in {*true, *found}}
-    drawn = drawn_mm(at, normals, maps["interface"].astype(np.int32), centre_mm, amiss)
-    return true_gap(maps["points"], at, normals, moved, maps["bias"] + drawn).gap_mm
+    interface = maps["interface"].astype(np.int32)
+    known = maps["bias"] + drawn_mm(at, normals, interface, centre_mm, amiss)
+    return true_gap(maps["points"], interface, at, normals, moved, known)
 
 
 def _said_of_images(summary: Summary) -> dict[str, float]:
-    """Return what is said of labels and scans that are drawn too large, if they are accused."""
-    accused = {SEGMENTATION_OFFSET.name, IMAGE_SCALE.name}.intersection(summary.primary)
+    """Return what is said of labels and scans that are too large or lie elsewhere, if accused."""
+    accused = {e.name for e in OF_IMAGES}.intersection(summary.primary)
     return {p.parameter: p.magnitude for n in accused for p in summary.effect(n).parameters}
 
 

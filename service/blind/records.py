@@ -48,7 +48,9 @@ class CaseRecord:
     claimed_before_mm, claimed_after_mm : float or None
         Gap beyond noise with the nominal model, and with the effects accused.
     true_before_mm, true_after_mm : float or None
-        The same without noise, from the truth.
+        The same without noise, from the truth; see `service.blind.true_gap`.
+    true_material_mm : float or None
+        The first of them, of points that go with the tissue.
     gap_interval_mm, share_interval : tuple of float or None
         In which the gap before and the shrinkage are said to lie with 90 %.
     claimed_share, held_out_share : float or None
@@ -87,6 +89,7 @@ class CaseRecord:
     claimed_after_mm: float | None = None
     true_before_mm: float | None = None
     true_after_mm: float | None = None
+    true_material_mm: float | None = None
     gap_interval_mm: tuple[float, float] | None = None
     share_interval: tuple[float, float] | None = None
     claimed_share: float | None = None

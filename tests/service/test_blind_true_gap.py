@@ -105,11 +105,39 @@ def test_a_model_that_is_off_by_a_known_field_has_that_gap(
         ]
     )
     known = np.stack([np.zeros(len(points)), np.full(len(points), 0.2)])
-    found = true_gap(points, moved, np.stack([after, normals]), truth, known)
+    of_gland = np.ones(len(points), np.int32)
+    found = true_gap(points, of_gland, moved, np.stack([after, normals]), truth, known)
     expected = np.sqrt(np.mean(amiss**2))
     assert found.scans_mm == pytest.approx((expected, 0.5), abs=0.003)
     both = np.sqrt((expected**2 + 0.25) / 2)
     assert found.gap_mm == pytest.approx(both, abs=0.003)
+    assert found.material_mm == found.gap_mm
+
+
+def test_skin_that_slides_along_itself_opens_no_gap(
+    truth: Moved, noisy: tuple[FloatArray, FloatArray]
+) -> None:
+    """By 8 mm, about the middle of the body: from the plane of a normal that is a millimetre."""
+    points, normals = noisy
+    feet = noisy_feet(points)
+    angle = 8.0 / 35.0
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0]])
+    turn = np.vstack([turn, [0, 0, 1]])
+    slid = (feet / AXES) @ turn.T * AXES  # still on the ellipsoid
+    off = np.einsum("kc,kc->k", points - feet, normals)
+    there = slid / AXES**2
+    there /= np.linalg.norm(there, axis=1, keepdims=True)
+    amiss = 0.2 * np.cos(points[:, 1] / 12)
+    after = normals_after(slid, there)
+    # A point that the scan has put off the outline is so in the model, too.
+    moved = pressed(slid) + (pressed(points) - pressed(feet)) + amiss[:, None] * after
+    on = np.zeros(len(points), np.int32)
+    nothing = np.zeros((1, len(points)))
+    still = Moved(truth.points, truth.interface, truth.displacement[:1])
+    found = true_gap(points, on, moved[None], after[None], still, nothing)
+    assert found.gap_mm == pytest.approx(np.sqrt(np.mean(amiss**2)), abs=0.015)
+    assert found.material_mm > 0.5
+    assert np.abs(off).max() > 0.5
 
 
 def test_an_answer_to_other_scans_is_refused(
@@ -118,7 +146,7 @@ def test_an_answer_to_other_scans_is_refused(
     points, normals = noisy
     none = np.zeros((1, len(points)))
     with pytest.raises(InputError, match="The answer has 1 scans"):
-        true_gap(points, points[None], normals[None], truth, none)
+        true_gap(points, none[0].astype(np.int32), points[None], normals[None], truth, none)
     few = Moved(truth.points[:9], truth.interface[:9], truth.displacement[:, :9])
     with pytest.raises(InputError, match=f"has 9 points, expected at least {NEIGHBOURS}"):
         material_points(points, few)
@@ -137,5 +165,9 @@ def test_scans_and_labels_too_large_draw_interfaces_outside_of_the_body() -> Non
     assert drawn_mm(points, normals, interface, centre, scales) == pytest.approx(scaled)
     both = drawn_mm(points, normals, interface, centre, scales | labels | {"growth": 1.0})
     assert both == pytest.approx(scaled + np.array([0.3, 0.3, -0.1, -0.1]))
-    without = drawn_mm(points, normals, interface, None, scales | labels)
+    # 0.5 mm along x, and a turn by 1 degree about z: -y, x times 0.01745.
+    motion = {"motion_x_mm": 0.5, "motion_turn_z_deg": 1.0}
+    elsewhere = drawn_mm(points, normals, interface, centre, motion)
+    assert elsewhere == pytest.approx(np.array([[0.5, 0.0, 0.0, -0.1745]]), abs=1e-4)
+    without = drawn_mm(points, normals, interface, None, scales | labels | motion)
     assert without == pytest.approx(np.array([[0.3, 0.3, -0.1, -0.1]]))

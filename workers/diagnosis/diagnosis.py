@@ -126,13 +126,24 @@ def diagnose_here(
     """Return the diagnosis, with all that it wants computed in this process, without a store."""
     course = diagnose(analysis, effects)
     reached = advance(course)
+    known: dict[tuple[str, ...], JointFit] = {}
     while not isinstance(reached, Diagnosis):
         if isinstance(reached, SecondReading):
             analysis = read_again(analysis, reached.singles, reached.best, each)
-            reached = advance(course, analysis)
-        else:
-            reached = advance(course, [fit_jointly(analysis, one, each) for one in reached])
+            reached, known = advance(course, analysis), {}
+            continue
+        found = [fit_jointly(analysis, one, each, known.get(base_of(one))) for one in reached]
+        known |= {one.names: one for one in found if one is not None}
+        reached = advance(course, found)
     return reached
+
+
+def base_of(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Return the names of the effects whose joint fit these begin from: all but the last one.
+
+    Combinations are wanted after those that they add an effect to.
+    """
+    return tuple(effect.name for effect in effects[:-1])
 
 
 def suspects(analysis: NominalAnalysis, known: dict[str, Effect]) -> list[Effect]:

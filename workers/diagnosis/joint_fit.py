@@ -9,7 +9,10 @@ from storage.values import FloatArray
 from workers.diagnosis.evidence import log_evidence
 from workers.diagnosis.gauss_newton import Fit, fit
 from workers.diagnosis.inverse_problem import unknowns
+from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.nominal_analysis import NominalAnalysis
+from workers.diagnosis.places import starting_places
+from workers.diagnosis.screening import ScreeningResult, screen
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect, one_sided
 from workers.mechanics.parameters import Parameter
@@ -31,41 +34,54 @@ class JointFit:
 
 
 def fit_jointly(
-    analysis: NominalAnalysis, effects: Sequence[Effect], each: Each = map
+    analysis: NominalAnalysis,
+    effects: Sequence[Effect],
+    each: Each = map,
+    base: JointFit | None = None,
 ) -> JointFit | None:
     """Fit constants and effects, from the best places where an effect has one.
 
     Parameters
     ----------
     analysis : NominalAnalysis
-        Whose screening says where the fit begins.
     effects : sequence of Effect
     each : callable
         Calls a function with every scan; see `workers.diagnosis.gauss_newton.fit`.
+    base : JointFit, optional
+        Of the first of the effects: the fit begins there, and the others where a screening of
+        what it leaves expects them. None to begin at the nominal fit.
 
     Returns
     -------
     JointFit or None
         None if no start could be simulated.
     """
+    begun = analysis.begun.get(effects[0].name, {}) if base is None else base.fit.values()
+    at = analysis.linear if base is None else base.fit.linearised(analysis.inverse)
+    new = [effect for effect in effects if effect.names[0] not in begun]
     best: JointFit | None = None
-    for start in _starts(analysis, effects):
-        fitted = _fitted_from(analysis, effects, start, each)
+    for start in _starts(analysis, at, new):
+        values = analysis.nominal.values() | dict(begun) | start
+        change = _compensation(analysis, at, new, start)
+        fitted = _fitted_from(analysis, effects, values, change, each)
         if fitted is not None and (best is None or fitted.log_evidence > best.log_evidence):
             best = fitted
     return best
 
 
 def _fitted_from(
-    analysis: NominalAnalysis, effects: Sequence[Effect], start: Mapping[str, float], each: Each
+    analysis: NominalAnalysis,
+    effects: Sequence[Effect],
+    values: Mapping[str, float],
+    change: FloatArray,
+    each: Each,
 ) -> JointFit | None:
+    """Fit from values of all parameters and a change of the constants' logarithms."""
     inverse, nominal = analysis.inverse, analysis.nominal
     free = unknowns(inverse.free, effects)
-    known = nominal.values() | dict(start)
-    z = np.array([known[name] for name in free.names])
+    z = np.array([values[name] for name in free.names])
     k = len(inverse.free)
-    z[:k] = np.log(z[:k])
-    z[:k] += _compensation(analysis, _new(analysis, effects), start)
+    z[:k] = np.log(z[:k]) + change
     fitted = fit(inverse, free, z, nominal.starts(), nominal.poses(), each)
     if fitted is None:
         return None
@@ -75,10 +91,13 @@ def _fitted_from(
 
 
 def _compensation(
-    analysis: NominalAnalysis, effects: Sequence[Effect], start: Mapping[str, float]
+    analysis: NominalAnalysis,
+    at: Linearised,
+    effects: Sequence[Effect],
+    start: Mapping[str, float],
 ) -> FloatArray:
     """Return the change of the constants' logarithms that takes up most of what effects do."""
-    at, sensitivities = analysis.linear, analysis.sensitivity_by_name
+    sensitivities = analysis.sensitivity_by_name
     k = len(analysis.inverse.free)
     moved = np.zeros(at.size)
     for effect in effects:
@@ -91,42 +110,45 @@ def _compensation(
     return np.asarray(-np.clip(step, -most, most) * at.nominal_sd[:k])
 
 
-def _starts(analysis: NominalAnalysis, effects: Sequence[Effect]) -> list[dict[str, float]]:
+def _starts(
+    analysis: NominalAnalysis, at: Linearised, effects: Sequence[Effect]
+) -> list[dict[str, float]]:
     """Return the parameters of the effects to begin with: several if one of them has places.
 
-    Where two have, each begins at its best place alone.
+    Where two have, each begins at its best place alone. A screening of what `at` leaves says what
+    to expect.
     """
-    screening, new = analysis.screening_by_name, _new(analysis, effects)
+    screened = {
+        effect.name: analysis.screening_by_name[effect.name]
+        if at is analysis.linear
+        else screen(at, [analysis.sensitivity_by_name[effect.name]])[0]
+        for effect in effects
+    }
     common: dict[str, float] = {}
-    if len(new) < len(effects):
-        common |= analysis.begun[effects[0].name]
-    placed = [effect for effect in new if effect.place is not None]
-    for effect in new:
+    for effect in effects:
         if effect.place is None:
-            common |= _expected(effect, screening[effect.name].estimate)
+            common |= _expected(effect, screened[effect.name].estimate)
+    placed = [effect for effect in effects if effect.place is not None]
     starts = [common]
     for effect in placed:
-        at = _placed(analysis, effect, several=len(placed) == 1)
-        starts = [start | one for start in starts for one in at]
+        there = _placed(analysis, effect, screened[effect.name])
+        tried = there if len(placed) == 1 else there[:1]
+        starts = [start | one for start in starts for one in tried]
     return starts
 
 
-def _placed(analysis: NominalAnalysis, effect: Effect, several: bool) -> list[dict[str, float]]:
-    """Return the parameters of an effect at its best place, or at several of the best."""
+def _placed(
+    analysis: NominalAnalysis, effect: Effect, screened: ScreeningResult
+) -> list[dict[str, float]]:
+    """Return the parameters of an effect at the best of its places."""
     if effect.place is None:
         raise ValueError(f"{effect.name} acts everywhere")
-    screened, places = analysis.screening_by_name[effect.name], analysis.places(effect)
-    count = SETTINGS.joint_fits.place_starts if several else 1
-    best = np.argsort(-screened.place_log_bayes_factors, kind="stable")[:count]
+    places = analysis.places(effect)
     sized = zip(effect.parameters, effect.prior_sd, screened.estimate, strict=False)
     begun = effect.neutral | {p.name: _begin_at_place(p, sd, float(v)) for p, sd, v in sized}
+    best = starting_places(effect, places, screened.place_log_bayes_factors)
     names = effect.place.names
     return [begun | dict(zip(names, map(float, places[i]), strict=True)) for i in best]
-
-
-def _new(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Sequence[Effect]:
-    """Return the effects less the first one if that was fitted before."""
-    return effects[1:] if effects[0].name in analysis.begun else effects
 
 
 def _expected(effect: Effect, estimate: FloatArray) -> dict[str, float]:

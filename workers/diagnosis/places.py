@@ -28,6 +28,33 @@ def places_of(inverse: InverseProblem, effect: Effect) -> FloatArray:
     return places - np.asarray(inverse.frame.centre_mm)
 
 
+def starting_places(effect: Effect, places: FloatArray, log_bayes_factors: FloatArray) -> list[int]:
+    """Return from which of its places the fit of an effect should begin, the best one first.
+
+    Neighbours on the grid lead to the same optimum, and places far behind to none that counts.
+
+    Parameters
+    ----------
+    effect : Effect
+    places : ndarray, shape (g, 3)
+        See `places_of`.
+    log_bayes_factors : ndarray, shape (g,)
+        Of the effect at each place.
+    """
+    settings, grid = SETTINGS.joint_fits, SETTINGS.sensitivities
+    inside = effect.place is not None and effect.place.on == "inside"
+    apart_mm = settings.places_apart * (grid.inside_grid_mm if inside else grid.boundary_grid_mm)
+    found: list[int] = []
+    for i in map(int, np.argsort(-log_bayes_factors, kind="stable")):
+        if found and log_bayes_factors[found[0]] - log_bayes_factors[i] > settings.places_behind:
+            break
+        if all(np.linalg.norm(places[i] - places[j]) > apart_mm for j in found):
+            found.append(i)
+        if len(found) == settings.place_starts:
+            break
+    return found
+
+
 def _inside(inverse: InverseProblem) -> FloatArray:
     """Return points inside the body, as far apart as `inside_grid_mm` of the settings."""
     settings = SETTINGS.sensitivities

@@ -165,6 +165,11 @@ class JointFitSettings:
     most_start: float = 1.5
     # [cost] Best places from which the fit of an effect begins that acts at one place.
     place_starts: int = 2
+    # [numerics] How far they are apart, over the spacing of the grid: no neighbours, of which two
+    # lead to one optimum.
+    places_apart: float = 1.5
+    # [principle] A place this far behind the best one, in nats, is not tried: twenty to one.
+    places_behind: float = 3.0
     # [numerics] Size of a two-sided one at which its fit begins, in prior standard deviations: at
     # most, and where the screening expects none.
     most_place_start: float = 0.67

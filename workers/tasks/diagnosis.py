@@ -24,7 +24,7 @@ from storage.arrays import Arrays
 from storage.values import BoolArray
 from workers.comparison.observation.interface import InterfacePoints
 from workers.diagnosis.calibration import calibrate
-from workers.diagnosis.diagnosis import Course, Diagnosis, SecondReading, advance, diagnose
+from workers.diagnosis.diagnosis import Course, Diagnosis, SecondReading, advance, base_of, diagnose
 from workers.diagnosis.gauss_newton import SolvedFit
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.joint_fit import fit_jointly
@@ -182,8 +182,11 @@ def fit_effects(
     part = store.joint_fit(effects)
     if not part.is_finished:
         begun = time.perf_counter()
+        wanted = store.combination(effects)
+        first = store.combination(base_of(wanted))
+        base = store.load_joint_fit(first) if first and store.has_joint_fit(first) else None
         with scan_threads(threads) as each:
-            fitted = fit_jointly(store.analysis, store.combination(effects), each)
+            fitted = fit_jointly(store.analysis, wanted, each, base)
         store.save_joint_fit(effects, fitted, time.perf_counter() - begun)
     return part.record(JointFitRecord)
 

@@ -1,0 +1,60 @@
+"""Where joint fits begin: at which places, and from what another effect leaves."""
+
+import numpy as np
+import pytest
+from test_gauss_newton import FREE, analysed, problem_between_plates
+
+from workers.diagnosis.diagnosis import base_of
+from workers.diagnosis.gauss_newton import fit
+from workers.diagnosis.inverse_problem import unknowns
+from workers.diagnosis.joint_fit import fit_jointly
+from workers.diagnosis.places import starting_places
+from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.breast_catalogue import effect
+
+ATTACHED, LUMP, TILT = effect("local_attachment"), effect("inclusion"), effect("plate_tilt")
+
+
+def test_fits_begin_at_places_that_are_no_neighbours():
+    grid = SETTINGS.sensitivities.inside_grid_mm
+    places = np.outer([0.0, 1.0, 3.0, 9.0, 5.0], [grid, 0.0, 0.0])
+    assert starting_places(LUMP, places, np.array([5.0, 4.9, 4.5, 4.8, 4.0])) == [0, 3]
+    # Of places far behind none is tried, and of equal ones the first.
+    assert starting_places(LUMP, places, np.array([5.0, 4.9, 1.9, 1.5, 0.0])) == [0]
+    assert starting_places(LUMP, places, np.zeros(5)) == [0, 2]
+    # The boundary has a wider grid, on which these are neighbours.
+    assert starting_places(ATTACHED, places[:2], np.array([5.0, 4.9])) == [0]
+
+
+class Both:
+    """A tilted plate, and springs at one place of the skin."""
+
+    @staticmethod
+    def apply(problem, values, frame):
+        tilted = TILT.apply(problem, {n: values[n] for n in TILT.names}, frame)
+        rest = {n: v for n, v in values.items() if n not in TILT.names}
+        return ATTACHED.apply(tilted, rest, frame)
+
+
+def test_a_second_effect_is_looked_for_in_what_the_first_leaves():
+    """The tilt is louder: nothing of the place is known before it is taken off."""
+    true = {"tilt_depth": 6.0, "tilt_across": 0.0}
+    true |= {"attachment_stiffness_x": 5e-4, "attachment_x": 26.0}
+    true |= {"attachment_y": 3.0, "attachment_z": -2.0}
+    inverse = problem_between_plates(Both, true)
+    free = unknowns(FREE, [])
+    nominal = fit(inverse, free, free.mean, [None] * len(inverse.scans))
+    assert nominal is not None
+    analysis = analysed(inverse, nominal, [TILT, ATTACHED])
+    base = fit_jointly(analysis, [TILT])
+    assert base is not None
+    assert base.names == base_of([TILT, ATTACHED])
+    found = fit_jointly(analysis, [TILT, ATTACHED], base=base)
+    assert found is not None
+    values = found.fit.values()
+    assert values["tilt_depth"] == pytest.approx(6.0, abs=0.3)
+    for name in ATTACHED.place.names:
+        assert values[name] == pytest.approx(true[name], abs=5.0)
+    alone = fit_jointly(analysis, [TILT, ATTACHED])
+    assert alone is None or found.log_evidence > alone.log_evidence - 0.1
+    assert found.log_evidence > base.log_evidence + 3.0

@@ -33,6 +33,8 @@ from service.blind.truth import Truth
 from storage.values import Triple
 from workers.blind.contact import EDGE_FADE_MM
 from workers.diagnosis.summary import EffectSummary
+from workers.mechanics.effects.base import one_sided
+from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from workers.mechanics.effects.inclusion import INCLUSION, PLACE
 
 Given = Mapping[str, Any]
@@ -82,8 +84,10 @@ def _force(given: Given) -> dict[str, float]:
     return {"ln_plate_force": math.log(given["factor"])}
 
 
-# How wide an effect is says nothing of how much it does.
-EXTENTS = ("inclusion_radius_mm", "attachment_radius_mm")
+# Effects that do less and less the larger they are: at one place, or from zero.
+TIRING = {
+    e.name for e in BREAST_EFFECTS if e.place is not None or any(one_sided(p) for p in e.parameters)
+}
 
 IN_CATALOGUE: dict[str, Callable[[Given], dict[str, float]]] = {
     "plate_force": _force,
@@ -147,21 +151,18 @@ def strength(truth: Truth, by_name: Mapping[str, EffectSummary]) -> float | None
     """Return the true size of a single effect in the standard deviations of its estimate.
 
     What the scans could tell of it at most, to someone who knows its form: s^2 / 2 nats against
-    no gap. None where the catalogue has no parameter of the same meaning.
+    no gap. None where the catalogue has no parameter of the same meaning, and where an effect tires
+    with its size, as friction, springs and lumps do: that these act is known better than how much.
 
     Parameters
     ----------
     by_name : mapping of str to EffectSummary
     """
     found = by_name.get(truth.effects[0]) if len(truth.causes) == len(truth.effects) == 1 else None
-    if found is None:
+    if found is None or found.name in TIRING:
         return None
     true = true_values(truth)
-    sizes = [
-        true[p.parameter] / p.sd
-        for p in found.parameters
-        if p.parameter in true and p.parameter not in EXTENTS and p.sd > 0
-    ]
+    sizes = [true[p.parameter] / p.sd for p in found.parameters if p.parameter in true and p.sd > 0]
     return math.hypot(*sizes) if sizes else None
 
 

@@ -87,10 +87,9 @@ def test_the_strength_of_an_effect_is_its_true_size_in_standard_deviations() -> 
     assert turned == pytest.approx(truth.causes[0].parameters["turn_deg"])
     assert strength(truth, found) == pytest.approx(10 * turned)
     assert strength(truth, {}) is None
-    lump = Truth.model_validate(draw(5, "inclusion").record())
-    wide = said("inclusion", inclusion_ln_ratio=1.0, inclusion_radius_mm=9.0)
-    by_ratio = abs(math.log(lump.causes[0].parameters["ratio"])) / 0.1
-    assert strength(lump, wide) == pytest.approx(by_ratio)
+    for kind, name in (("inclusion", "inclusion"), ("friction", "plate_friction")):
+        tiring = Truth.model_validate(draw(5, kind).record())
+        assert strength(tiring, said(name, **true_values(tiring))) is None
     assert strength(made_before("adhesion", "boundary", {}), {}) is None
     pair = draw(2, "pair").record()
     assert strength(Truth.model_validate(pair), said(pair["causes"][0]["effect"], any=1.0)) is None

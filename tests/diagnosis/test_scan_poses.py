@@ -1,6 +1,5 @@
 """How far scans lie off is averaged over: what that is worth, and against dense densities."""
 
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -82,20 +81,11 @@ def test_scans_that_lie_off_are_no_shift():
             assert noise.log_evidence(with_shift) - noise.log_evidence(posed(seen)) < 3
 
 
-@dataclass
-class Fitted:
-    """What `parameter_posterior` asks of a fit."""
-
-    problem: object
-
-    @property
-    def unknowns(self):
-        sd = self.problem.nominal_sd
-        nothing = np.zeros(len(sd))
-        return SimpleNamespace(mean=nothing, sd=sd, lower=nothing - 9.0, upper=nothing + 9.0)
-
-    def hypothesis(self, _):
-        return posed(self.problem)
+def around_nothing(problem):
+    """What `parameter_posterior` asks of the unknowns of a fit."""
+    sd = problem.nominal_sd
+    nothing = np.zeros(len(sd))
+    return SimpleNamespace(mean=nothing, sd=sd, lower=nothing - 9.0, upper=nothing + 9.0)
 
 
 def test_the_size_of_a_shift_is_right_where_scans_lie_as_they_should():
@@ -105,7 +95,7 @@ def test_the_size_of_a_shift_is_right_where_scans_lie_as_they_should():
     for _ in range(20):
         seen = observed(nominal_problem(K), rng, -0.3 * shift())
         free = seen.freed(shift()[:, None], np.array([0.5]))
-        posterior = parameter_posterior(None, known_noise_model(K), Fitted(free))
+        posterior = parameter_posterior(known_noise_model(K), posed(free), around_nothing(free))
         found.append(posterior.mean[-1])
         spread.append(posterior.sd[-1])
     assert np.mean(found) == pytest.approx(0.3, abs=0.06)

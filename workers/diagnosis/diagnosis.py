@@ -201,7 +201,7 @@ def weigh(
 
     A joint fit's form is uncertain; see `workers.diagnosis.form_error`.
     """
-    nominal = analysis.nominal.hypothesis(analysis.inverse)
+    nominal = analysis.hypothesis(analysis.nominal)
     joint = JointEvidence(nominal, analysis.sensitivities, analysis.noise)
     alone = ((one.name,) for one in analysis.sensitivities)
     weighed = [joint.hypothesis(())]
@@ -214,7 +214,7 @@ def weigh(
 def _weighed(
     analysis: NominalAnalysis, nominal: LinearHypothesis, names: tuple[str, ...], fitted: JointFit
 ) -> Hypothesis:
-    at = fitted.fit.hypothesis(analysis.inverse)
+    at = analysis.hypothesis(fitted.fit)
     pattern = analysis.registered(nominal.residual - at.residual)
     errors, sizes = analysis.form.columns(pattern), SETTINGS.form.relative_sds
     without, beside = analysis.noise.log_evidences_with_errors(at, errors, sizes)
@@ -283,5 +283,5 @@ def _triples(
 
 def _is_unexplained(analysis: NominalAnalysis, best: JointFit) -> bool:
     """Return whether the best effect alone leaves something that a smooth field explains."""
-    gain = analysis.noise.field_gain(best.fit.hypothesis(analysis.inverse))
+    gain = analysis.noise.field_gain(analysis.hypothesis(best.fit))
     return gain is not None and gain > SETTINGS.joint_fits.left_over

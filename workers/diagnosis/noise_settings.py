@@ -20,6 +20,13 @@ class NoiseSettings:
     # they should. Its size in standard deviations, its length in correlation lengths.
     smoother: float = 0.25
     smoother_lengths: float = 3.0
+    # [sets 10 and 11, hard sets 7 and 8] Skin, in N/mm, that the screening finds on bodies without
+    # one, and how it scatters, where the scan at rest was drawn with so much error: on ten that
+    # lack nothing 0 to 107 N/m, 42 in the mean, along two directions, and 45 to 123 along one. See
+    # `workers.diagnosis.rough_surface`.
+    rough_skin_n_per_mm: float = 0.045
+    rough_skin_sd_n_per_mm: float = 0.035
+    rough_at_mm: float = 0.28
     # [prior] The true deviation of a segmentation over the stated one, its logarithm: a factor of
     # 2 either way costs a nat and a half. And how far that of one interface lies from the others'.
     scale_log_sd: float = 0.405

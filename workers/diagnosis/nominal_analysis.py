@@ -13,15 +13,17 @@ import numpy as np
 from storage.values import FloatArray
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.form_error import FormError
-from workers.diagnosis.gauss_newton import SolvedFit
+from workers.diagnosis.gauss_newton import Fit, SolvedFit
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.linearisation import Linearised
-from workers.diagnosis.noise_evidence import NoiseModel
+from workers.diagnosis.noise_evidence import LinearHypothesis, NoiseModel
 from workers.diagnosis.nuisances import smooth_columns
 from workers.diagnosis.places import places_of
+from workers.diagnosis.rough_surface import RoughSurface
 from workers.diagnosis.screening import ScreeningResult, screen
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect
+from workers.mechanics.effects.skin import SKIN_ADDED
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +76,20 @@ class NominalAnalysis:
             raise ValueError("the noise is learnt with the calibration")
         fields = [self._smooth_columns(length) for length in prior.lengths_mm]
         return NoiseModel(learnt.parts, learnt.states, fields, prior.amplitudes_mm)
+
+    def hypothesis(self, at: Fit) -> LinearHypothesis:
+        """Return a fit for `noise`, less what the roughness of the drawn surface looks like."""
+        found = at.hypothesis(self.inverse)
+        return found if self._rough is None else self._rough.taken_off(found)
+
+    @cached_property
+    def _rough(self) -> RoughSurface | None:
+        """None where no effect is a skin, or interfaces were measured or drawn without error."""
+        skin = self.sensitivity_by_name.get(SKIN_ADDED.name)
+        drawn_sd_mm, learnt = self.inverse.noise.reference_sd_mm, self.inverse.learnt
+        if skin is None or learnt is None or not (self.inverse.is_segmented and drawn_sd_mm):
+            return None
+        return RoughSurface.like(skin, drawn_sd_mm * float(learnt.states[0].scales[0]))
 
     def registered(self, change: FloatArray) -> FloatArray:
         """Return a change of the residuals, shape (m,), less what poses and drawing take of it."""

@@ -13,9 +13,8 @@ from scipy.special import softmax
 
 from storage.values import FloatArray
 from workers.diagnosis.evidence import log_marginal, posterior
-from workers.diagnosis.gauss_newton import Fit
-from workers.diagnosis.inverse_problem import InverseProblem
-from workers.diagnosis.noise_evidence import NoiseModel, with_pose_scales
+from workers.diagnosis.inverse_problem import Unknowns
+from workers.diagnosis.noise_evidence import LinearHypothesis, NoiseModel, with_pose_scales
 
 
 class ParameterPosterior(NamedTuple):
@@ -25,9 +24,9 @@ class ParameterPosterior(NamedTuple):
     sd: FloatArray
 
 
-def parameter_posterior(inverse: InverseProblem, noise: NoiseModel, fit: Fit) -> ParameterPosterior:
-    """Return where the unknowns of a fit lie; one-sided ones not beyond their bound."""
-    at, u = fit.hypothesis(inverse), fit.unknowns
+def parameter_posterior(noise: NoiseModel, at: LinearHypothesis, u: Unknowns) -> ParameterPosterior:
+    """Return where the unknowns of a fit lie, `at` which the model is linear; one-sided ones not
+    beyond their bound."""
     p = len(u.sd)
     q = with_pose_scales(noise.plain(noise.products(at.columns, at.residual)), at.is_pose)
     weights = softmax(log_marginal(q, at.offset, at.one_sided)).ravel()

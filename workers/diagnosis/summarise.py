@@ -104,7 +104,9 @@ def _parameters(
 ) -> list[ParameterEstimate]:
     """Return those of the joint fit of `names`; without one what the screening expects."""
     analysis, fitted = diagnosis.analysis, diagnosis.joint_fits.get(names)
-    posterior = fitted and parameter_posterior(analysis.inverse, analysis.noise, fitted.fit)
+    posterior = fitted and parameter_posterior(
+        analysis.noise, analysis.hypothesis(fitted.fit), fitted.fit.unknowns
+    )
     screened = analysis.screening_by_name[effect.name]
     found = []
     for i, parameter in enumerate(effect.parameters):

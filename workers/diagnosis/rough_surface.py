@@ -1,0 +1,55 @@
+"""What a mesh lacks at its surface that is as rough as the scan at rest was drawn.
+
+The mesh is made of a drawn interface, smoothed, but not free of the error with which it was drawn.
+The body is smooth. Tension in a skin pulls bumps flat, and the residuals have the same bumps in
+them, since they begin at the scan at rest: so a skin explains a part of noise, and always with the
+same sign. It grows with the square of the roughness. Every hypothesis has it: as much as was found
+on bodies without a skin, give or take what they scatter.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.diagnosis.effect_sensitivity import EffectSensitivity
+from workers.diagnosis.noise_evidence import LinearHypothesis
+from workers.diagnosis.settings import SETTINGS
+
+
+@dataclass(frozen=True, eq=False)
+class RoughSurface:
+    """Residuals that look like a skin.
+
+    Parameters
+    ----------
+    expected : ndarray, shape (m,)
+        In mm.
+    column : ndarray, shape (m, 1)
+        One standard deviation of it.
+    """
+
+    expected: FloatArray
+    column: FloatArray
+
+    @staticmethod
+    def like(skin: EffectSensitivity, drawn_sd_mm: float) -> "RoughSurface":
+        """Return that of a scan at rest whose outline was drawn with this error.
+
+        Parameters
+        ----------
+        skin : EffectSensitivity
+            Of a stiffness per width, in N/mm; the least magnitude that was tried counts.
+        drawn_sd_mm : float
+        """
+        settings = SETTINGS.noise
+        of_skin = skin.places[-1][:, :1]
+        squares = (drawn_sd_mm / settings.rough_at_mm) ** 2
+        return RoughSurface(
+            np.asarray(-settings.rough_skin_n_per_mm * squares * of_skin[:, 0]),
+            np.asarray(settings.rough_skin_sd_n_per_mm * squares * of_skin),
+        )
+
+    def taken_off(self, at: LinearHypothesis) -> LinearHypothesis:
+        """Return a hypothesis whose residuals are less by it, as far as it is known."""
+        return replace(at, residual=at.residual - self.expected).with_errors(self.column)

@@ -192,8 +192,7 @@ def _moved_columns(
     observed = [
         (e, unknowns.of_effect(e, z)) for e in unknowns.effects if e.observation is not None
     ]
-    error = SETTINGS.fit.tangent_error
-    moved = columns_of(inverse, prediction, changes, observed, error)
+    moved = columns_of(inverse, prediction, changes, observed)
     return moved if friction is None else np.insert(moved, friction, 0.0, axis=1)
 
 

@@ -76,9 +76,6 @@ class FitSettings:
     # [principle] Where no step falls, or one by less than that, the fit has converged if less than
     # this fall was expected: half a nat.
     at_rest: float = 1.0
-    # [numerics] Relative error of the derivatives: at ten times as much, evidence of fits from
-    # other starts differs by a hundredth of a nat.
-    tangent_error: float = 1e-4
     # [numerics] Longest step of a parameter in prior standard deviations.
     longest_step: float = 1.5
     # [numerics] Difference of the logarithm of a constant for its derivative.

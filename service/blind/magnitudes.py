@@ -84,8 +84,8 @@ def _force(given: Given) -> dict[str, float]:
     return {"ln_plate_force": math.log(given["factor"])}
 
 
-# Effects that do less and less the larger they are: at one place, or from zero.
-TIRING = {
+# Effects that do not grow in proportion to their size: those at one place, or from zero.
+NOT_PROPORTIONAL = {
     e.name for e in BREAST_EFFECTS if e.place is not None or any(one_sided(p) for p in e.parameters)
 }
 
@@ -151,15 +151,16 @@ def strength(truth: Truth, by_name: Mapping[str, EffectSummary]) -> float | None
     """Return the true size of a single effect in the standard deviations of its estimate.
 
     What the scans could tell of it at most, to someone who knows its form: s^2 / 2 nats against
-    no gap. None where the catalogue has no parameter of the same meaning, and where an effect tires
-    with its size, as friction, springs and lumps do: that these act is known better than how much.
+    no gap. None where the catalogue has no parameter of the same meaning, and where an effect does
+    not grow in proportion to its size: friction, springs and lumps tire, and that they act is known
+    better than how much; the edge of a plate does ever more.
 
     Parameters
     ----------
     by_name : mapping of str to EffectSummary
     """
     found = by_name.get(truth.effects[0]) if len(truth.causes) == len(truth.effects) == 1 else None
-    if found is None or found.name in TIRING:
+    if found is None or found.name in NOT_PROPORTIONAL:
         return None
     true = true_values(truth)
     sizes = [true[p.parameter] / p.sd for p in found.parameters if p.parameter in true and p.sd > 0]

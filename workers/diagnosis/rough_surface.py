@@ -1,10 +1,11 @@
 """What a mesh lacks at its surface that is as rough as the scan at rest was drawn.
 
-The mesh is made of a drawn interface, smoothed, but not free of the error with which it was drawn.
-The body is smooth. Tension in a skin pulls bumps flat, and the residuals have the same bumps in
-them, since they begin at the scan at rest: so a skin explains a part of noise, and always with the
-same sign. It grows with the square of the roughness. Every hypothesis has it: as much as was found
-on bodies without a skin, give or take what they scatter.
+The mesh is made of a drawn interface, smoothed, but not free of the error with which it was drawn;
+the body is smooth. Bodies that have no skin are found to have a little one, nearly always above
+zero: of the noise alone as well as of the model's true error. What explains the first is that
+tension pulls bumps flat, and the residuals have the same bumps in them, since they begin at the
+scan at rest; such a bias grows with the square of the roughness, which is assumed here and was not
+measured. Every hypothesis has as much of it as was found, give or take what that scatters.
 """
 
 from dataclasses import dataclass, replace

@@ -34,12 +34,15 @@ def test_attachments_are_looked_for_all_over_skin_and_wall():
     """Places are nodes of the boundary, and no node of it is farther than a diagonal away."""
     inverse = problem_between_plates()
     level = inverse.model.finest
-    places = places_of(inverse, ATTACHED) + np.asarray(inverse.frame.centre_mm)
+    found = places_of(inverse, ATTACHED)
     boundary = np.union1d(level.contact_nodes.index, level.wall)
-    away = np.linalg.norm(level.nodes[boundary][:, None] - places[None], axis=2)
-    assert (away.min(axis=0) < 1e-9).all()
-    assert away.min(axis=1).max() < np.sqrt(3) * 20
-    assert len(np.unique(places, axis=0)) == len(places)
+    for radius, spacing_mm in ((12.0, 20.0), (30.0, 50.0)):
+        places = found[found[:, 3] == radius, :3] + np.asarray(inverse.frame.centre_mm)
+        away = np.linalg.norm(level.nodes[boundary][:, None] - places[None], axis=2)
+        assert (away.min(axis=0) < 1e-9).all()
+        assert away.min(axis=1).max() < np.sqrt(3) * spacing_mm
+        assert len(np.unique(places, axis=0)) == len(places)
+    assert len(found) == np.isin(found[:, 3], ATTACHED.place.radii_mm).sum()
 
 
 def test_what_acts_everywhere_has_no_places():
@@ -87,12 +90,27 @@ def test_attachment_is_found_where_it_is():
     again = fit_jointly(analysis, [ATTACHED])
     assert again is not None
     values = again.fit.values()
-    for name in ATTACHED.place.names:
+    for name in ATTACHED.place.names[:3]:
         assert values[name] == pytest.approx(true[name], abs=4.0)
     assert values["attachment_stiffness_x"] > values["attachment_stiffness_y"]
     for axis in range(2):
         expected = total_n_per_mm(inverse, true)[axis]
         assert total_n_per_mm(inverse, values)[axis] == pytest.approx(expected, rel=0.3)
+
+
+def test_skin_that_is_held_all_along_one_side_is_an_attachment_with_a_large_radius():
+    """Springs of 28 mm radius at one side of the body."""
+    true = {"attachment_stiffness_y": 2e-4, "attachment_radius": 28.0, "attachment_x": 26.0}
+    inverse = problem_between_plates(ATTACHED, true)
+    analysis = analysed(inverse, fitted(inverse), [ATTACHED, effect("gravity_change")])
+    screened = analysis.screening_by_name["local_attachment"]
+    radii = places_of(inverse, ATTACHED)[:, 3]
+    best = {r: screened.place_log_bayes_factors[radii == r].max() for r in (12.0, 30.0)}
+    assert best[30.0] > best[12.0]
+    again = fit_jointly(analysis, [ATTACHED])
+    assert again is not None
+    expected = total_n_per_mm(inverse, true)[1]
+    assert total_n_per_mm(inverse, again.fit.values())[1] == pytest.approx(expected, rel=0.3)
 
 
 def total_n_per_mm(inverse, values):

@@ -19,13 +19,24 @@ def places_of(inverse: InverseProblem, effect: Effect) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (g, 3)
-        Offsets from the middle of the body in mm; empty for an effect that acts everywhere.
+    ndarray, shape (g, 3) or (g, 4)
+        Offsets from the middle of the body in mm, and radii in mm where several are tried; empty
+        for an effect that acts everywhere.
     """
-    if effect.place is None:
+    where, centre = effect.place, np.asarray(inverse.frame.centre_mm)
+    if where is None:
         return np.empty((0, 3))
-    places = _inside(inverse) if effect.place.on == "inside" else _on_boundary(inverse)
-    return places - np.asarray(inverse.frame.centre_mm)
+    if where.on == "inside":
+        return _inside(inverse) - centre
+    grid_mm = SETTINGS.sensitivities.boundary_grid_mm
+    if not where.radii_mm:
+        return _on_boundary(inverse, grid_mm) - centre
+    least = min(where.radii_mm)
+    found = []
+    for radius in where.radii_mm:
+        offsets = _on_boundary(inverse, grid_mm * radius / least) - centre
+        found.append(np.column_stack([offsets, np.full(len(offsets), radius)]))
+    return np.concatenate(found)
 
 
 def starting_places(effect: Effect, places: FloatArray, log_bayes_factors: FloatArray) -> list[int]:
@@ -36,7 +47,7 @@ def starting_places(effect: Effect, places: FloatArray, log_bayes_factors: Float
     Parameters
     ----------
     effect : Effect
-    places : ndarray, shape (g, 3)
+    places : ndarray, shape (g, 3) or (g, 4)
         See `places_of`.
     log_bayes_factors : ndarray, shape (g,)
         Of the effect at each place.
@@ -48,7 +59,7 @@ def starting_places(effect: Effect, places: FloatArray, log_bayes_factors: Float
     for i in map(int, np.argsort(-log_bayes_factors, kind="stable")):
         if found and log_bayes_factors[found[0]] - log_bayes_factors[i] > settings.places_behind:
             break
-        if all(np.linalg.norm(places[i] - places[j]) > apart_mm for j in found):
+        if all(np.linalg.norm(places[i, :3] - places[j, :3]) > apart_mm for j in found):
             found.append(i)
         if len(found) == settings.place_starts:
             break
@@ -68,14 +79,14 @@ def _inside(inverse: InverseProblem) -> FloatArray:
     return np.asarray(centres[(away > settings.inside_depth_mm) & (near < spacing / 2)])
 
 
-def _on_boundary(inverse: InverseProblem) -> FloatArray:
-    """Return nodes of skin and chest wall, one in each cube of `boundary_grid_mm`: the one that
-    is nearest to the middle of all that lie in it."""
+def _on_boundary(inverse: InverseProblem, spacing_mm: float) -> FloatArray:
+    """Return nodes of skin and chest wall, one in each cube of that edge length: the one that is
+    nearest to the middle of all that lie in it."""
     level = inverse.model.finest
     on = level.wall_areas > 0
     on[level.contact_nodes.index] = True
     nodes = level.nodes[on]
-    cell = ((nodes - nodes.min(axis=0)) // SETTINGS.sensitivities.boundary_grid_mm).astype(int)
+    cell = ((nodes - nodes.min(axis=0)) // spacing_mm).astype(int)
     _, of = np.unique(cell, axis=0, return_inverse=True)
     of = of.ravel()
     count = np.bincount(of)

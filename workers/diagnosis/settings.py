@@ -98,7 +98,8 @@ class SensitivitySettings:
     inside_grid_mm: float = 12.0
     # [principle] How deep inside the body they lie at least: half a lump.
     inside_depth_mm: float = 6.0
-    # [cost] Between places of the boundary at which an attachment is looked for.
+    # [cost] Between places of the boundary at which an attachment is looked for, with the least
+    # of its radii; more in proportion with larger ones.
     boundary_grid_mm: float = 20.0
     # [by hand] Magnitudes at which a one-sided effect is tried, in prior standard deviations:
     # one that is plausible, and one near zero, where such effects are steepest.

@@ -46,13 +46,17 @@ class Place:
     Parameters
     ----------
     names : tuple of str
-        Of its parameters that are offsets from the middle of the body along x, y and z.
+        Of its parameters that are offsets from the middle of the body along x, y and z, then of
+        the one that is its radius if several of them are tried.
     on : {"inside", "boundary"}
         Where it may sit.
+    radii_mm : tuple of float
+        Radii with which it is looked for; none if that is its neutral one.
     """
 
-    names: tuple[str, str, str]
+    names: tuple[str, ...]
     on: Literal["inside", "boundary"]
+    radii_mm: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

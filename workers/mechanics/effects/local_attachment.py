@@ -50,12 +50,12 @@ LOCAL_ATTACHMENT = Effect(
             RADIUS, MM, 5.0, 30.0, 12.0, "radius of the attachment", admissible=(0.0, math.inf)
         ),
     ),
-    prior_sd=(*(KPA_PER_MM.to_inside(1.0),) * 3, 40.0, 40.0, 40.0, 6.0),
+    prior_sd=(*(KPA_PER_MM.to_inside(1.0),) * 3, 40.0, 40.0, 40.0, 10.0),
     steps=(*(KPA_PER_MM.to_inside(1e-3),) * 3, 1e-3, 1e-3, 1e-3, 1e-3),
     transform=transform,
     references=(
         "A. Cooper, On the Anatomy of the Breast, London 1840",
         "J. H. Hipwell et al., Phys. Med. Biol. 61 (2016) R1",
     ),
-    place=Place(PLACE, "boundary"),
+    place=Place((*PLACE, RADIUS), "boundary", (12.0, 30.0)),
 )

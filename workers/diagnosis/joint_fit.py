@@ -61,9 +61,8 @@ def fit_jointly(
     new = [effect for effect in effects if effect.names[0] not in begun]
     best: JointFit | None = None
     for start in _starts(analysis, at, new):
-        values = analysis.nominal.values() | dict(begun) | start
-        change = _compensation(analysis, at, new, start)
-        fitted = _fitted_from(analysis, effects, values, change, each)
+        values = _compensated(analysis, at, new, analysis.nominal.values() | dict(begun) | start)
+        fitted = _fitted_from(analysis, effects, values, each)
         if fitted is not None and (best is None or fitted.log_evidence > best.log_evidence):
             best = fitted
     return best
@@ -73,15 +72,14 @@ def _fitted_from(
     analysis: NominalAnalysis,
     effects: Sequence[Effect],
     values: Mapping[str, float],
-    change: FloatArray,
     each: Each,
 ) -> JointFit | None:
-    """Fit from values of all parameters and a change of the constants' logarithms."""
+    """Fit from values of all parameters."""
     inverse, nominal = analysis.inverse, analysis.nominal
     free = unknowns(inverse.free, effects)
     z = np.array([values[name] for name in free.names])
     k = len(inverse.free)
-    z[:k] = np.log(z[:k]) + change
+    z[:k] = np.log(z[:k])
     fitted = fit(inverse, free, z, nominal.starts(), nominal.poses(), each)
     if fitted is None:
         return None
@@ -90,24 +88,26 @@ def _fitted_from(
     return JointFit(tuple(effects), fitted, evidence)
 
 
-def _compensation(
+def _compensated(
     analysis: NominalAnalysis,
     at: Linearised,
     effects: Sequence[Effect],
-    start: Mapping[str, float],
-) -> FloatArray:
-    """Return the change of the constants' logarithms that takes up most of what effects do."""
-    sensitivities = analysis.sensitivity_by_name
-    k = len(analysis.inverse.free)
+    values: Mapping[str, float],
+) -> dict[str, float]:
+    """Return values with constants that take up most of what the effects do there."""
+    sensitivities, free = analysis.sensitivity_by_name, analysis.inverse.free
+    k = len(free)
     moved = np.zeros(at.size)
     for effect in effects:
         if effect.place is None:
-            away = [start[name] - effect.neutral[name] for name in effect.names]
+            away = [values[name] - effect.neutral[name] for name in effect.names]
             moved += sensitivities[effect.name].places[0] @ np.array(away)
     A = at.scaled_nominal[:, :k]
     step = np.linalg.solve(np.eye(k) + A.T @ A, A.T @ at.whiten(moved))
     most = SETTINGS.joint_fits.most_compensation
-    return np.asarray(-np.clip(step, -most, most) * at.nominal_sd[:k])
+    change = -np.clip(step, -most, most) * at.nominal_sd[:k]
+    taken = {f.name: values[f.name] * float(np.exp(c)) for f, c in zip(free, change, strict=True)}
+    return dict(values) | taken
 
 
 def _starts(

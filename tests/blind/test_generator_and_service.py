@@ -17,10 +17,12 @@ from workers.comparison.observation.point_interpolation import interpolation
 from workers.mechanics.effects.fibre_rotation import FIBRE_ROTATION
 from workers.mechanics.effects.plate_tilt import PLATE_TILT
 from workers.mechanics.effects.stiffness_gradient import STIFFNESS_GRADIENT
-from workers.mechanics.fem.contact import ContactNodes, Gap, plate_contact, plate_surfaces
+from workers.mechanics.fem.contact import plate_contact
+from workers.mechanics.fem.contact_potential import ContactNodes
 from workers.mechanics.fem.fields import frame_of
 from workers.mechanics.fem.loads import Device, ForceControl, Wall
 from workers.mechanics.fem.model import prepare
+from workers.mechanics.fem.plate_surface import Gap, plate_surfaces
 from workers.mechanics.fem.problem import Constants, Problem
 from workers.mechanics.fem.solve import solve
 

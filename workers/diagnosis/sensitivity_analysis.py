@@ -161,7 +161,7 @@ def _secants(
     for share in tried:
         columns = []
         for name, sd in zip(effect.names, effect.prior_sd, strict=True):
-            found = _simulated(inverse, problem, effect, name, share * sd, start)
+            found = _simulated(inverse, problem, effect, name, share * sd, (start, view.at))
             if found is None:
                 return None
             at, step = found
@@ -179,17 +179,19 @@ def _simulated(
     effect: Effect,
     name: str,
     step: float,
-    start: Equilibrium,
+    starts: Sequence[Equilibrium],
 ) -> tuple[Equilibrium, float] | None:
-    """Return the body with one parameter away from neutral, and how far.
+    """Return the body with one parameter away from neutral, and how far, from one of `starts`.
 
     Where that cannot be simulated, half as far is tried: an effect must not go unheard because
-    its plausible size is too much for this body.
+    its plausible size is too much for this body. The way back from a larger magnitude may fail
+    where that from neutral does not.
     """
     for _ in range(1 + SETTINGS.sensitivities.secant_halvings):
         changed = effect.apply(problem, {name: effect.neutral[name] + step}, inverse.frame)
-        found: Equilibrium = inverse.forward.equilibrium(inverse.model, changed, start)
-        if found.solution.outcome.converged:
-            return found, step
+        for start in starts:
+            found: Equilibrium = inverse.forward.equilibrium(inverse.model, changed, start)
+            if found.solution.outcome.converged:
+                return found, step
         step /= 2.0
     return None

@@ -8,11 +8,11 @@ from blocks import OPEN, cube, loose_level, model_of
 
 from storage.values import Tissue
 from workers.mechanics.fem import membrane, sparse_products
-from workers.mechanics.fem.contact import Gap
 from workers.mechanics.fem.dense_tangent import dense_matrix
 from workers.mechanics.fem.fields import FibreField, Frame, Gradient, Inclusion
 from workers.mechanics.fem.level import Level, Tangent
 from workers.mechanics.fem.loads import Device, ForceControl, Plate, Wall
+from workers.mechanics.fem.plate_surface import Gap
 from workers.mechanics.fem.problem import Constants, Membrane, Problem
 from workers.mechanics.fem.states import History, Stage, State
 from workers.mechanics.materials.mooney_rivlin import MooneyRivlin

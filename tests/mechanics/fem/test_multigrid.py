@@ -6,12 +6,12 @@ from blocks import cube, model_of
 
 from storage.values import Tissue
 from workers.mechanics.fem import block_conjugate_gradients, conjugate_gradients
-from workers.mechanics.fem.contact import Gap
 from workers.mechanics.fem.dense_tangent import dense_matrix
 from workers.mechanics.fem.level import Level, Tangent
 from workers.mechanics.fem.loads import Device, ForceControl, Plate, Wall
 from workers.mechanics.fem.multigrid import DEGREE, RATIO, CholeskySolver, Multigrid
 from workers.mechanics.fem.packed_tangent import PackedTangent
+from workers.mechanics.fem.plate_surface import Gap
 from workers.mechanics.fem.problem import Constants, Problem
 from workers.mechanics.fem.simd import LANES
 from workers.mechanics.fem.states import Stage, State

@@ -1,23 +1,30 @@
 """Plates that stand askew, bend, or move both."""
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from solids import FAR, Shape, body, box, rotation, turned
 
 from storage.values import FloatArray, Tissue
 from workers.mechanics.fem.contact import (
-    EDGE_RADIUS_MM,
     PENALTY_N_PER_MM3,
-    ContactPotential,
-    Gap,
+    PlateContact,
     edge_stiffness,
     penalty_potential,
     plate_contact,
-    plate_surfaces,
+)
+from workers.mechanics.fem.contact_potential import (
+    NO_FACES,
+    ContactFaces,
+    ContactNodes,
+    ContactPotential,
 )
 from workers.mechanics.fem.fields import FibreField
 from workers.mechanics.fem.level import Level
 from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Hold, Plate, Wall
+from workers.mechanics.fem.plate_surface import EDGE_RADIUS_MM, Gap, plate_surfaces
 from workers.mechanics.fem.problem import Constants, Problem
 from workers.mechanics.fem.regions import Box
 from workers.mechanics.fem.solve import Equilibrium, equilibrium, solve
@@ -31,7 +38,7 @@ def contact_forces(found: Equilibrium) -> list[tuple[FloatArray, FloatArray]]:
     """Where the pads of the lower and the upper plate are, and what they feel, in N."""
     state = found.states[-1]
     plate_contacts = found.levels[-1].energy(state, found.stage).plate_contacts
-    return [(state.x[p.nodes.index], p.normal_force[:, None] * p.gradient) for p in plate_contacts]
+    return [(state.x[p.nodes.index], -penalty_potential(p).force) for p in plate_contacts]
 
 
 def test_oblique_device_and_turned_body_give_the_turned_answer():
@@ -177,41 +184,125 @@ def test_edge_through_the_pivot_makes_one_half_of_the_cap_steeper():
     assert at.plate_forces[1] == pytest.approx(exact, rel=0.01)
 
 
-def test_force_of_a_rounded_edge_is_the_slope_of_its_energy():
-    device = Device(upper=Plate((2.0, -3.0)), edge_mm=4.0)
+def flat_skin(spacing_mm: float, rows: int) -> tuple[FloatArray, ContactNodes]:
+    """The lower face of a body, in squares of two triangles each: nodes (n, 3) and contact."""
+    i, j = np.meshgrid(np.arange(rows), np.arange(rows), indexing="ij")
+    nodes = spacing_mm * np.stack([i, np.zeros_like(i), j], axis=2).reshape(-1, 3).astype(float)
+    first = (i * rows + j)[:-1, :-1].ravel()
+    near, far = ([first, first + rows, first + 1], [first + rows, first + rows + 1, first + 1])
+    faces = np.concatenate([np.stack(near, axis=1), np.stack(far, axis=1)])
+    stiffness = np.full(len(faces), PENALTY_N_PER_MM3 * spacing_mm**2 / 2)
+    of_nodes = np.bincount(faces.ravel(), np.repeat(stiffness / 3, 3))
+    index = np.arange(len(nodes), dtype=np.int32)
+    return nodes, ContactNodes(index, of_nodes, ContactFaces(faces, stiffness))
+
+
+def test_a_plate_presses_as_far_as_its_edge_wherever_rows_of_nodes_lie():
+    """Skin at a depth d inside a plate touches its rounding until that has risen by d: the
+    force is the penalty times d w + (2 d / 3) sqrt(2 R d) a length, with the width w in front
+    of the edge. Nodes alone let go of it row by row; of the width 1.6 mm are off."""
+    d, spacing, rows = 0.1, 6.0, 7
+    skin, nodes = flat_skin(spacing, rows)
+    alone = replace(nodes, faces=NO_FACES)
+    side = spacing * (rows - 1)
+    off = []
+    for edge_mm in np.linspace(12.0, 24.0, 25):
+        lower, _ = plate_surfaces(Device(edge_mm=edge_mm), Gap(d, 20.0))
+        width = side - edge_mm + 2 / 3 * np.sqrt(2 * EDGE_RADIUS_MM * d)
+        forces = [plate_contact(n, skin, lower).normal_force.sum() for n in (nodes, alone)]
+        off.append(np.array(forces) / (PENALTY_N_PER_MM3 * d * side) - width)
+    with_faces, with_nodes = np.sqrt(np.mean(np.square(off), axis=0))
+    assert with_nodes > 1.5
+    assert with_faces < 1.1
+
+
+def contacts_at_an_edge(by: float) -> tuple[list[PlateContact], FloatArray, float]:
+    """A rough body between askew plates with an edge, moved by a part of a random motion.
+
+    Returns the contacts, the motion of the contact nodes, and the travel that goes with it.
+    """
+    device = Device(upper=Plate((2.0, -3.0), (-0.01, -0.02)), edge_mm=4.0)
     model = body([(3, 3, 6)], box(12.0, 10.0, 10.0, origin=(-6.0, 0.0, 0.0)), jitter=0.2).finest
     rng = np.random.default_rng(5)
     x = model.nodes + 0.3 * rng.standard_normal(model.nodes.shape)
-    step, way, h = rng.standard_normal(x.shape), 0.7, 1e-5
+    step, travel = rng.standard_normal(x.shape), 0.7
+    plates = plate_surfaces(device, Gap(0.5, 9.0).closed_by(by * travel))
+    contacts = [plate_contact(model.contact_nodes, x + by * step, p) for p in plates]
+    return contacts, step[model.contact_nodes.index], travel
 
+
+def stiffness_times(contact: PlateContact, moved: FloatArray, *, convex: bool) -> FloatArray:
+    """The stiffness of nodes and of the faces at the edge times a motion, both (c, 3)."""
+    own = penalty_potential(contact).stiffness
+    if convex:
+        own = own - edge_stiffness(contact)
+    force = np.einsum("cij,cj->ci", own, moved)
+    assert contact.at_edge is not None
+    faces, corners = contact.at_edge.stiffness(convex=convex), contact.at_edge.corners
+    np.add.at(force, corners, np.einsum("fabij,fbj->fai", faces, moved[corners]))
+    return force
+
+
+def test_force_at_an_edge_is_the_slope_of_its_energy():
     def potential(by: float) -> ContactPotential:
-        gap = Gap(0.5, 9.0).closed_by(by * way)
-        plates = plate_surfaces(device, gap)
-        contacts = [plate_contact(model.contact_nodes, x + by * step, p) for p in plates]
-        assert all((c.behind & (c.gap < 0)).any() for c in contacts)
-        return penalty_potential(contacts[0]) + penalty_potential(contacts[1])
+        lower, upper = contacts_at_an_edge(by)[0]
+        return penalty_potential(lower) + penalty_potential(upper)
 
+    h = 1e-5
     here, more, less = potential(0.0), potential(h), potential(-h)
-    moved = step[model.contact_nodes.index]
-    slope = (here.force * moved).sum() + here.travel_force * way
-    assert (more.energy - less.energy) / (2 * h) == pytest.approx(slope, rel=1e-6)
-    expected = np.einsum("cij,cj->ci", here.stiffness, moved) + here.coupling * way
-    assert (more.force - less.force) / (2 * h) == pytest.approx(expected, rel=1e-5, abs=1e-5)
+    contacts, moved, travel = contacts_at_an_edge(0.0)
+    assert all(0.1 < c.at_edge.share.max() < 0.9 for c in contacts if c.at_edge)
+    slope = (here.force * moved).sum() + here.travel_force * travel
+    assert (more.energy - less.energy) / (2 * h) == pytest.approx(slope, rel=1e-7)
+    expected = sum(stiffness_times(c, moved, convex=False) for c in contacts)
+    expected = expected + here.coupling * travel
+    assert (more.force - less.force) / (2 * h) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+    on_plate = (here.coupling * moved).sum() + here.travel_stiffness * travel
+    assert (more.travel_force - less.travel_force) / (2 * h) == pytest.approx(on_plate, rel=1e-6)
+
+
+def test_normal_force_at_an_edge_changes_as_it_is_said_to():
+    """Friction asks for it."""
+    h = 1e-5
+    contacts, moved, travel = contacts_at_an_edge(0.0)
+    pairs = zip(contacts_at_an_edge(h)[0], contacts_at_an_edge(-h)[0], strict=True)
+    for contact, (more, less) in zip(contacts, pairs, strict=True):
+        expected = contact.normal_force_change(moved, travel)
+        found = (more.normal_force - less.normal_force) / (2 * h)
+        assert found == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
 def test_all_but_what_the_edge_adds_is_convex():
     """What Newton's method leaves out far from equilibrium is all that may turn a plate's
-    tangent indefinite."""
-    device = Device(edge_mm=4.0)
-    model = body([(3, 3, 6)], box(12.0, 10.0, 10.0, origin=(-6.0, 0.0, 0.0)), jitter=0.2).finest
-    x = model.nodes + 0.3 * np.random.default_rng(6).standard_normal(model.nodes.shape)
-    lower, _ = plate_surfaces(device, Gap(0.5, 9.0))
-    contact = plate_contact(model.contact_nodes, x, lower)
-    whole = penalty_potential(contact).stiffness
-    lowest = np.linalg.eigvalsh(whole)[:, 0]
-    rest = np.linalg.eigvalsh(whole - edge_stiffness(contact))[:, 0]
-    assert lowest.min() < -1e-3
-    assert rest.min() > -1e-9 * np.abs(whole).max()
+    tangent indefinite, the plate's own travel included."""
+    contact, moved, _ = contacts_at_an_edge(0.0)
+    lower = contact[1]
+    c = len(moved)
+    units = np.eye(3 * c).reshape(-1, c, 3)
+    whole, rest = (
+        np.array([stiffness_times(lower, u, convex=convex).ravel() for u in units])
+        for convex in (False, True)
+    )
+    potential = penalty_potential(lower)
+    border = (potential.coupling - lower.at_edge.share_coupling).ravel()
+    rest -= np.outer(border, border) / potential.travel_stiffness
+    assert np.linalg.eigvalsh(whole)[0] < -1e-3
+    assert np.linalg.eigvalsh(rest)[0] > -1e-9 * np.abs(whole).max()
+
+
+def test_a_body_yields_smoothly_as_the_edge_recedes():
+    """From no edge at all, over rows of nodes 4 mm apart."""
+    model = body([(3, 4, 3), (6, 8, 6)], box(24.0, 32.0, 24.0, origin=(-12.0, 0.0, 0.0)))
+    constants = {Tissue.FAT: Constants(0.01, 0.49)}
+    found = []
+    for edge_mm in [None, *np.arange(0.0, 10.1, 0.5)]:
+        load = ForceControl(1.0, 0.0, 32.0, Device(edge_mm=edge_mm))
+        solution = solve(model, Problem(constants, load))
+        assert solution.outcome.converged, solution.outcome.reason
+        found.append(solution.displacement_mm)
+    moved = [np.abs(b - a).max() for a, b in itertools.pairwise(found)]
+    assert moved[0] < 1e-3
+    assert max(moved) < 1.0
 
 
 def bowed_top(bow: tuple[float, float], size: tuple[float, float, float]) -> Shape:

@@ -1,16 +1,25 @@
 """Let both plates begin in front of the chest wall."""
 
+import math
 from dataclasses import replace
 
 from workers.mechanics.effects.base import Effect, Values, from_zero
 from workers.mechanics.effects.problem_changes import with_device
-from workers.mechanics.fem.contact import EDGE_RADIUS_MM
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.loads import Device
+from workers.mechanics.fem.plate_surface import EDGE_RADIUS_MM
 from workers.mechanics.fem.problem import Problem
 from workers.units import MM
 
 NAME = "plate_edge"
+
+
+def flat_from(edge_mm: float) -> float:
+    """Return how far from the wall a plate that begins there is flat, in mm.
+
+    Its rounding lies in front of its edge, and is as small as the edge is near the wall.
+    """
+    return edge_mm + EDGE_RADIUS_MM * (1 - math.exp(-edge_mm / EDGE_RADIUS_MM))
 
 
 def transform(problem: Problem, values: Values, frame: Frame) -> Problem:
@@ -20,8 +29,9 @@ def transform(problem: Problem, values: Values, frame: Frame) -> Problem:
     wall_mm = frame.centre_mm[2] - frame.half_mm[2]
 
     def shorter(device: Device) -> Device:
-        begun = wall_mm if device.edge_mm is None else device.edge_mm
-        return replace(device, edge_mm=begun + values[NAME])
+        if device.edge_mm is not None:
+            return replace(device, edge_mm=device.edge_mm + values[NAME])
+        return replace(device, edge_mm=wall_mm + flat_from(values[NAME]))
 
     return with_device(problem, shorter)
 
@@ -35,11 +45,12 @@ PLATE_EDGE = Effect(
             NAME,
             MM,
             20.0,
-            f"distance from the chest wall to the plates' edge, rounded by {EDGE_RADIUS_MM:g} mm",
+            f"distance from the chest wall to the plates' edge, rounded to {EDGE_RADIUS_MM:g} mm",
         ),
     ),
     prior_sd=(5.0,),
-    steps=(1e-3,),
+    # Points inside of faces let go one by one: a longer step would see some of them do so.
+    steps=(1e-5,),
     transform=transform,
     references=("M. Dustler et al., Acta Radiol. 53 (2012) 973",),
 )

@@ -19,12 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from storage.values import FloatArray
-from workers.mechanics.fem.contact import (
-    ContactNodes,
-    ContactPotential,
-    PlateContact,
-    PlateSurface,
-)
+from workers.mechanics.fem.contact import PlateContact
+from workers.mechanics.fem.contact_potential import ContactNodes, ContactPotential
+from workers.mechanics.fem.plate_surface import PlateSurface
 
 # Friction is half built up after 0.6 epsilon.
 EPSILON_MM = 0.05

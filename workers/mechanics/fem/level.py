@@ -13,13 +13,12 @@ from workers.mechanics.fem import element_energy, membrane, sparse_products
 from workers.mechanics.fem.array_types import Float32Array
 from workers.mechanics.fem.assembly import assemble
 from workers.mechanics.fem.contact import (
-    ContactPotential,
     PlateContact,
     edge_stiffness,
-    no_contact,
     penalty_potential,
     plate_contact,
 )
+from workers.mechanics.fem.contact_potential import ContactPotential, no_contact
 from workers.mechanics.fem.edge_blocks import EDGE
 from workers.mechanics.fem.element_constants import ElementConstants, element_constants
 from workers.mechanics.fem.external_forces import (
@@ -259,13 +258,21 @@ class Level:
             blocks[g.diagonal, axis, axis] += self.springs[:, axis]
         index = m.contact_nodes.index
         blocks[g.diagonal[index], :, :3] += at.contact.stiffness
+        coupling = at.contact.coupling
         for contact in at.plate_contacts:
             if convex and contact.surface.edge is not None:
                 blocks[g.diagonal[index], :, :3] -= edge_stiffness(contact)
+            if contact.at_edge is None:
+                continue
+            # Faces share their edges: what several add to one block is summed.
+            rows = m.sheet_edge[contact.at_edge.active].ravel()
+            pairs = contact.at_edge.stiffness(convex=convex).reshape(-1, 3, 3)
+            np.add.at(blocks[:, :, :3], rows, pairs)
+            if convex:
+                coupling = coupling - contact.at_edge.share_coupling
         sparse_products.clear_held_rows(g.start, free, packed)
         stiffness = at.contact.travel_stiffness if stage.force_n is not None else 0.0
-        coupling = at.contact.coupling * free[index]
-        return force * free, Tangent(packed, index, coupling, stiffness)
+        return force * free, Tangent(packed, index, coupling * free[index], stiffness)
 
     def force(self, state: State, at: Energy, stage: Stage) -> FloatArray:
         """Return the out-of-balance force on every node, held or not, shape (n, 3) in N."""

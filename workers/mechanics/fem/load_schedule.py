@@ -6,10 +6,11 @@ import numpy as np
 
 from storage.errors import InputError
 from storage.values import FloatArray
-from workers.mechanics.fem.contact import Gap, PlateSurface, plate_contact
+from workers.mechanics.fem.contact import plate_contact
 from workers.mechanics.fem.level import Level
 from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Load
 from workers.mechanics.fem.model import Model
+from workers.mechanics.fem.plate_surface import Gap, PlateSurface
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.states import Stage, State
 

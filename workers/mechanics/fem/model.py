@@ -9,9 +9,15 @@ import numpy as np
 from scipy import sparse
 
 from storage.values import FloatArray, IntArray
-from workers.body.mesh.boundary import boundary_triangles, nodal_areas_mm2, split_boundary
+from workers.body.mesh.boundary import (
+    boundary_triangles,
+    nodal_areas_mm2,
+    split_boundary,
+    triangle_areas_mm2,
+)
 from workers.body.mesh.hierarchy import Hierarchy, MeshLevel
-from workers.mechanics.fem.contact import PENALTY_N_PER_MM3, ContactNodes
+from workers.mechanics.fem.contact import PENALTY_N_PER_MM3
+from workers.mechanics.fem.contact_potential import ContactFaces, ContactNodes
 from workers.mechanics.fem.element_energy import (
     Elements,
     shape_gradients,
@@ -141,8 +147,6 @@ def _geometry(nodes: FloatArray, tets: IntArray, surface: IntArray, wall: IntArr
     """Measure elements, areas and volumes."""
     gradients, volumes = shape_gradients(nodes, tets)
     _, on_wall = split_boundary(boundary_triangles(tets), wall)
-    areas = nodal_areas_mm2(nodes, surface)
-    touching = np.flatnonzero(areas).astype(np.int32)
     return {
         "nodes": nodes,
         "elements": Elements(tets, gradients, volumes),
@@ -151,9 +155,18 @@ def _geometry(nodes: FloatArray, tets: IntArray, surface: IntArray, wall: IntArr
         ),
         "wall_areas": nodal_areas_mm2(nodes, on_wall),
         "edge_mm": float(np.cbrt(6 * volumes.mean())),
-        "contact_nodes": ContactNodes(touching, areas[touching] * PENALTY_N_PER_MM3),
+        "contact_nodes": _contact_nodes(nodes, surface),
         "sheet": sheet_of(nodes, surface),
     }
+
+
+def _contact_nodes(nodes: FloatArray, surface: IntArray) -> ContactNodes:
+    """Return the nodes of the free surface, and its triangles in their order."""
+    areas = nodal_areas_mm2(nodes, surface)
+    touching = np.flatnonzero(areas).astype(np.int32)
+    corners = np.searchsorted(touching, surface).astype(np.int32)
+    faces = ContactFaces(corners, triangle_areas_mm2(nodes, surface) * PENALTY_N_PER_MM3)
+    return ContactNodes(touching, areas[touching] * PENALTY_N_PER_MM3, faces)
 
 
 def _sheet_edges(graph: Graph, surface: IntArray) -> IntArray:

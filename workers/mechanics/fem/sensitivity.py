@@ -309,9 +309,7 @@ def _nonconservative_derivative(
         force -= stage.fraction * pressure_derivative(level.model, state.x, pressures, u)
     for friction, contact in zip(state.history.friction, at.plate_contacts, strict=False):
         nodes = friction.nodes
-        approach = travel * (contact.gradient @ friction.plate.velocity)
-        approach = approach - (contact.gradient * u[nodes.index]).sum(axis=1)
-        gain = friction.coefficient * nodes.stiffness * (contact.gap < 0) * approach
+        gain = friction.coefficient * contact.normal_force_change(u[nodes.index], travel)
         drag = gain[:, None] * friction.direction(state.x, state.travel_mm)
         force[nodes.index] += drag
         on_plate -= float(drag.sum(axis=0) @ friction.sliding_velocity)

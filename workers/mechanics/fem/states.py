@@ -4,9 +4,9 @@ from dataclasses import dataclass, field, replace
 
 from storage.values import FloatArray
 from workers.mechanics.fem.array_types import Float32Array
-from workers.mechanics.fem.contact import Gap, PlateSurface, plate_surfaces
 from workers.mechanics.fem.frictional_contact import PlateFriction
 from workers.mechanics.fem.loads import Device
+from workers.mechanics.fem.plate_surface import Gap, PlateSurface, plate_surfaces
 
 
 @dataclass(frozen=True, eq=False)

@@ -158,8 +158,8 @@ def suspects(analysis: NominalAnalysis, known: dict[str, Effect]) -> list[Effect
     best = visible[0].log_bayes_factor
     least = max(min(best - settings.far_behind, settings.nearly * best), settings.least_gain)
     near = [one for one in visible if one.log_bayes_factor > least][: settings.singles]
-    if best > settings.far_behind:
-        loud = [one for one in visible if one.log_bayes_factor > settings.second_gain]
+    if best > settings.far_off:
+        loud = [one for one in visible if one.log_bayes_factor > settings.least_gain]
         steep = (one for one in loud if one not in near and _is_steep(analysis, known, one))
         near += [*steep][:1]
     return [known[one.name] for one in near]
@@ -168,7 +168,7 @@ def suspects(analysis: NominalAnalysis, known: dict[str, Effect]) -> list[Effect
 def _is_steep(
     analysis: NominalAnalysis, known: dict[str, Effect], screened: ScreeningResult
 ) -> bool:
-    """Return whether an effect grows faster than its magnitude, and seems larger than was tried.
+    """Return whether an effect grows faster than its magnitude.
 
     The linear model then has little of what a large one does.
     """
@@ -176,7 +176,7 @@ def _is_steep(
     if known[screened.name].place is not None or columns.columns.ndim < 3:
         return False
     large, *_, small = np.linalg.norm(columns.places[:, :, 0], axis=1)
-    return bool(large > small and screened.estimate[0] > columns.prior_sd[0])
+    return bool(large > small)
 
 
 def partners(analysis: NominalAnalysis, known: dict[str, Effect], best: JointFit) -> list[Effect]:

@@ -155,7 +155,7 @@ def identification_from_tangents(
     return Identification(
         candidate=candidate,
         constants=constants,
-        ratios=tuple(_ratios(searched, local)),
+        ratios=tuple(_ratios(local)),
         names=local.names,
         correlation=local.correlation,
         directions=tuple(local.directions()),
@@ -213,7 +213,7 @@ def _judged(
     return IdentifiedConstant(name, estimate, parameter.unit.symbol, interval, verdict)
 
 
-def _ratios(searched: SearchedConstants, local: LocalModel) -> list[IdentifiedRatio]:
+def _ratios(local: LocalModel) -> list[IdentifiedRatio]:
     """Return the ratios of the constants that share an unknown scale to the first of them."""
     common = [i for i in range(len(local.names)) if local.common[i] and local.logarithmic[i]]
     found = []

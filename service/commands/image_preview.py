@@ -24,13 +24,11 @@ LETTERS = {
 WIDEST_PANEL, GAP = 34, 2
 
 
-def facts(volume: Volume, summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, str]]:
+def facts(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, str]]:
     """Return name and text of what an image is.
 
     Parameters
     ----------
-    volume : Volume
-        Labels are those of `Tissue`.
     summary : mapping
         See `workers.body.images.labels.summarise`.
     axes : str or None

@@ -113,7 +113,7 @@ def _print(volume: "Volume", record: dict[str, Any]) -> None:
     from service.commands.tables import echo_table
 
     axes = None if record["axes"] == "x,y,z" else record["axes"]
-    echo_table(None, facts(volume, record, axes))
+    echo_table(None, facts(record, axes))
     console = Console(highlight=False, markup=False)
     coloured = console.is_terminal and not console.no_color
     for line in terminal_lines(volume, console.width, colours=coloured):

@@ -11,7 +11,6 @@ from service.server.guard import is_loopback
 from service.server.service import Service
 from storage.errors import InputError
 
-PORT = 8780
 CONCURRENT = 512
 GRACE_S = 3
 

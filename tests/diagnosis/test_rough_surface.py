@@ -41,7 +41,7 @@ def test_a_rough_mesh_is_no_skin_and_a_skin_is_one() -> None:
     assert gain(like_skin, NOISE.rough_at_mm) < 0
     assert gain(3 * like_skin, NOISE.rough_at_mm) < 3.0
     assert gain(10 * like_skin, NOISE.rough_at_mm) > 20.0
-    # On scans that were drawn half as well the same is a skin indeed.
+    # On scans that were drawn twice as exactly the same is a skin indeed.
     assert gain(3 * like_skin, 0.5 * NOISE.rough_at_mm) > 3.0
 
 

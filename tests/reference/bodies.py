@@ -47,10 +47,6 @@ class Block:
         )
         return fat, gland
 
-    def of_tets(self, constant: str) -> FloatArray:
-        """A constant of each element, such as ``mu_mpa``, shape (m,)."""
-        return np.where(self.inside, getattr(self.gland, constant), getattr(self.fat, constant))
-
     @cached_property
     def model(self) -> Model:
         """For `workers.mechanics.fem.solve.solve`."""

@@ -65,7 +65,7 @@ def write_case(
     truth_folder.mkdir(parents=True, exist_ok=True)
     for name, labels in scans.items():
         _write_volume(case_folder / name, labels)
-    _write_json(case_folder / "case.json", _case(truth, case_folder.name, spacing_mm))
+    _write_json(case_folder / "case.json", _case(truth, case_folder.name))
     _write_truth(truth, body, solutions, truth_folder)
     for path in (*case_folder.iterdir(), *truth_folder.iterdir(), case_folder, truth_folder):
         os.utime(path, (TIME_S, TIME_S))
@@ -102,7 +102,7 @@ def _scans(truth: Truth, body: Body, solutions: list[Solution]) -> dict[str, Vol
     return scans
 
 
-def _case(truth: Truth, name: str, spacing_mm: float) -> dict[str, Any]:
+def _case(truth: Truth, name: str) -> dict[str, Any]:
     body = truth.anatomy
     spring = f"{WALL_SPRING_KPA_PER_MM:g} kPa/mm"
     low, high = plate_starts(body, "y")

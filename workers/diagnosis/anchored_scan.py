@@ -37,7 +37,7 @@ def anchored(
     points : InterfacePoints
         Of the reference.
     correlation_mm : float
-        Of the noise: the disc's radius.
+        Of the noise, in which radii of discs are counted.
     """
     drawn = scan.drawn or scan.compare
     there, raw = drawn(anchor, points)

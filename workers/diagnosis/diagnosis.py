@@ -173,7 +173,7 @@ def _is_steep(
     The linear model then has little of what a large one does.
     """
     columns = analysis.sensitivity_by_name[screened.name]
-    if known[screened.name].place is not None or columns.columns.ndim < 3:
+    if known[screened.name].place is not None or not columns.is_stacked:
         return False
     large, *_, small = np.linalg.norm(columns.places[:, :, 0], axis=1)
     return bool(large > small)

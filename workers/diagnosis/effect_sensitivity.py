@@ -19,7 +19,8 @@ class EffectSensitivity:
     family : str
         Near relatives share it.
     columns : ndarray, shape (m, q) or (g, m, q)
-        In mm per unit; a stack for an effect that may sit at any of g places.
+        In mm per unit; a stack for an effect that is tried at g places, or at g magnitudes, the
+        largest first.
     prior_sd : ndarray, shape (q,)
         On which scale each parameter is plausible, > 0.
     one_sided : ndarray of bool, shape (q,)
@@ -54,14 +55,14 @@ class EffectSensitivity:
             )
 
     @property
-    def has_places(self) -> bool:
-        """Whether the effect may sit at several places."""
+    def is_stacked(self) -> bool:
+        """Whether there are columns for several places or magnitudes."""
         return self.columns.ndim == 3
 
     @property
     def places(self) -> FloatArray:
-        """Columns of each place, shape (g, m, q); one place for an effect without."""
-        return self.columns if self.has_places else self.columns[None]
+        """Columns of each place or magnitude, shape (g, m, q); one for an effect without."""
+        return self.columns if self.is_stacked else self.columns[None]
 
     def whitened(self, problem: Linearised) -> FloatArray:
         """Return columns in whitened space per prior standard deviation, shape (g, m, q).

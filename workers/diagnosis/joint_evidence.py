@@ -77,7 +77,7 @@ class JointEvidence:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the effects."""
+        """Names of the effects."""
         return tuple(self._columns)
 
     def log_evidence(self, effects: tuple[str, ...]) -> float:

@@ -29,7 +29,7 @@ class JointFit:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the effects."""
+        """Names of the effects."""
         return tuple(e.name for e in self.effects)
 
 

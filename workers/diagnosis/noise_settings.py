@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class NoiseSettings:
-    """Of what segmentations err by beyond what is stated."""
+    """Settings of what segmentations err by beyond what is stated."""
 
     # [null replicates, set 2] An interface as a whole may be drawn too large or too small by this,
     # in standard deviations of the segmentation: points were chosen on one noisy scan. On bodies
@@ -59,7 +59,7 @@ class NoiseSettings:
 
 @dataclass(frozen=True, slots=True)
 class UnmatchedSettings:
-    """Of points that a scan does not show; see `workers.diagnosis.unmatched_points`."""
+    """Settings of points that a scan does not show; see `workers.diagnosis.unmatched_points`."""
 
     # [principle] The displacement is that of something unlisted, larger by this: all but free.
     freer: float = 4.0
@@ -87,7 +87,7 @@ class UnmatchedSettings:
 
 @dataclass(frozen=True, slots=True)
 class PoseSettings:
-    """Of where each scan lies [prior]: what a registration leaves."""
+    """Settings of where each scan lies [prior]: what a registration leaves."""
 
     shift_sd_mm: float = 0.3
     turn_sd_deg: float = 0.3
@@ -108,7 +108,7 @@ class PoseSettings:
 
 @dataclass(frozen=True, slots=True)
 class NumericalSettings:
-    """Of what another mesh, element and contact of the same physics would change."""
+    """Settings of what another mesh, element and contact of the same physics would change."""
 
     # [open cases] A part that every solver has, in mm; and as much of the nugget for voxels larger
     # than theirs: where a face lies along voxels, what they cannot show is the same all over it.
@@ -117,8 +117,6 @@ class NumericalSettings:
     # [numerics] A part of what a finer mesh changes, root mean square of each scan: what is
     # still unknown after that difference is taken off is as large as the difference itself.
     of_difference: float = 1.0
-    # [open cases] A part of how far the load moves a point.
-    of_motion: float = 0.0
     # [by hand] It is smooth over this length, and the same, but for its size, in all scans; of
     # markers, whose states load the body in different ways, less so.
     length_mm: float = 16.0
@@ -130,7 +128,7 @@ class NumericalSettings:
 
 @dataclass(frozen=True, slots=True)
 class FormSettings:
-    """Of how far a real effect's pattern differs from that of the catalogue [prior].
+    """Settings of how far a real effect's pattern differs from that of the catalogue [prior].
 
     The pattern is what the effect changes of the residuals once constants and poses have followed.
     The error is a smooth part of it. Lengths are those of the smooth field that stands for

@@ -64,7 +64,7 @@ class NominalAnalysis:
         return screen(self.linear, self.sensitivities)
 
     def places(self, effect: Effect) -> FloatArray:
-        """Return the places at which an effect was looked for, offsets of shape (g, 3) in mm."""
+        """Return the places at which an effect was looked for; see `places_of`."""
         return places_of(self.inverse, effect)
 
     @cached_property

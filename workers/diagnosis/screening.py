@@ -48,9 +48,9 @@ class ScreeningResult:
         Whether they hide all that the data could show; see
         `workers.diagnosis.detectability.hides`.
     place : int
-        The best place; 0 for an effect without places.
+        The best place, or magnitude of an effect that is tried at several; 0 for others.
     place_log_bayes_factors : ndarray, shape (g,)
-        Of each place.
+        Of each place or magnitude.
     """
 
     name: str

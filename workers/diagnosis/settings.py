@@ -3,9 +3,10 @@
 Sources are named in brackets: [principle] follows from theory or is a convention of statistics;
 [prior] is a belief stated before any data; [numerics] is an accuracy or a bound of an algorithm;
 [cost] bounds what is computed; [null replicates] was set on bodies that lack nothing, drawn by the
-blind solver with other seeds than any sealed set; [set 2] was set after that blind set of
-docs/blind.md had been opened, so that it is no test of it; [open cases] was set while looking at
-the open cases of FEBio; [by hand] was chosen when that part was built, and no record says on what.
+blind solver with other seeds than any sealed set; [set 4], [hard set 5] were set after those blind
+sets of docs/blind.md had been opened, so that these are no test of it; [open cases] was set while
+looking at the open cases of FEBio; [by hand] was chosen when that part was built, and no record
+says on what.
 
 The seal of a blind set holds this value whole; see `service.blind.sealed_settings`. What only
 draws a page stands where it is drawn, in `workers.diagnosis.pictures`.
@@ -24,7 +25,7 @@ from workers.diagnosis.noise_settings import (
 
 @dataclass(frozen=True, slots=True)
 class MeshSettings:
-    """Of the body."""
+    """Settings of the body's meshes."""
 
     # [cost] Of the working mesh: a verdict in a minute or two.
     nodes: int = 5000
@@ -35,7 +36,7 @@ class MeshSettings:
 
 @dataclass(frozen=True, slots=True)
 class PointSettings:
-    """Of the points on the interfaces, at which model and scans are compared."""
+    """Settings of the points on the interfaces, at which model and scans are compared."""
 
     # [cost] Between neighbours; a breast then has some 900 of them in each scan.
     spacing_mm: float = 6.0
@@ -63,7 +64,7 @@ class PointSettings:
 
 @dataclass(frozen=True, slots=True)
 class FitSettings:
-    """Of Gauss and Newton's method."""
+    """Settings of Gauss and Newton's method."""
 
     # [numerics] Most fits take 3 to 6; along the valley of a law with two alike terms it was 23.
     max_iterations: int = 30
@@ -92,7 +93,7 @@ class FitSettings:
 
 @dataclass(frozen=True, slots=True)
 class SensitivitySettings:
-    """Of what every effect would do to the residuals of the nominal fit."""
+    """Settings of what every effect would do to the residuals of the nominal fit."""
 
     # [cost] Between places at which a lump is looked for: one of 10 mm radius is met.
     inside_grid_mm: float = 12.0
@@ -118,7 +119,7 @@ class SensitivitySettings:
 
 @dataclass(frozen=True, slots=True)
 class DetectabilitySettings:
-    """Of what the data could show of an effect."""
+    """Settings of what the data could show of an effect."""
 
     # [principle] A two-sided test at 1 % that finds an effect in 80 % of cases.
     significance: float = 0.01
@@ -133,7 +134,7 @@ class DetectabilitySettings:
 
 @dataclass(frozen=True, slots=True)
 class JointFitSettings:
-    """Of which effects are fitted together with the constants, and from where."""
+    """Settings of which effects are fitted with the constants, and from where."""
 
     # [cost] Single effects that are fitted: the best by screening.
     singles: int = 5
@@ -184,7 +185,7 @@ class JointFitSettings:
 
 @dataclass(frozen=True, slots=True)
 class FieldSettings:
-    """Of the smooth field that stands for something else."""
+    """Settings of the smooth field that stands for something else."""
 
     # [prior] Standard deviations and correlation lengths of the displacement, all pairs equally
     # probable: from the noise of a segmentation to a third of a breast.
@@ -218,7 +219,7 @@ class OddsSettings:
 
 @dataclass(frozen=True, slots=True)
 class VerdictSettings:
-    """Of how probabilities become a verdict."""
+    """Settings of how probabilities become a verdict."""
 
     # [principle] Probability that the credible set holds, and above which a second effect of the
     # best pair is named.
@@ -227,7 +228,7 @@ class VerdictSettings:
 
 @dataclass(frozen=True, slots=True)
 class GapSettings:
-    """Of the gap in mm and its shrinkage."""
+    """Settings of the gap in mm and its shrinkage."""
 
     # [principle] Of intervals.
     level: float = 0.9
@@ -256,7 +257,7 @@ class GapSettings:
 
 @dataclass(frozen=True, slots=True)
 class PlanSettings:
-    """Of what an acquisition can tell before it is made."""
+    """Settings of what an acquisition can tell before it is made."""
 
     # [principle] Log evidence that decides: twenty to one.
     clear: float = 3.0

@@ -23,9 +23,6 @@ from workers.mechanics.fem.problem import Constants, Problem
 from workers.mechanics.fem.regions import Ball
 from workers.mechanics.fem.solve import solve
 from workers.mechanics.materials.mooney_rivlin import MooneyRivlin
-from workers.thesis.mesh_quality import mesh_of
-from workers.thesis.phantoms import thesis_phantom, two_materials
-from workers.thesis.scale import Scale
 
 View = Literal["CC", "MLO"]
 LawName = Literal["neo-Hookean", "Mooney-Rivlin"]
@@ -169,25 +166,6 @@ def compress(phantom: Phantom, hierarchy: Hierarchy, view: View, law: LawName) -
     glandular = Volume(gland, ids.spacing_mm, ids.origin_mm)
     moved = [warp_labels(v, mesh, solution.displacement_mm, ids) for v in (glandular, labels)]
     return Compressed(moved[0], moved[1], solution.outcome, seconds)
-
-
-def compression_row(
-    number: int, view: View, law: LawName = "neo-Hookean", scale: Scale = "reduced"
-) -> CompressionRow:
-    """Compress phantom `number` on both meshes and compare its glandular compartments.
-
-    Raises
-    ------
-    InputError
-        If the number, the view, the law or the scale is unknown.
-    """
-    phantom = thesis_phantom(number, scale)
-    materials = two_materials(phantom.labels)
-    adaptive, homogeneous = (
-        compress(phantom, mesh_of(materials, kind, scale), view, law)
-        for kind in ("adaptive", "homogeneous")
-    )
-    return compared(number, view, law, adaptive, homogeneous)
 
 
 def compared(

@@ -10,9 +10,7 @@ from workers.comparison.mammogram.exposure import Mammogram, Noise, expose
 from workers.comparison.mammogram.geometry import Unit, geometry_of
 from workers.comparison.mammogram.picture import difference_picture, grey_picture
 from workers.comparison.mammogram.spectrum import Beam, spectrum_of
-from workers.thesis.compression import AXES, Compressed, LawName, View, compress
-from workers.thesis.mesh_quality import mesh_of
-from workers.thesis.phantoms import thesis_phantom, two_materials
+from workers.thesis.compression import AXES, Compressed, View
 from workers.thesis.scale import Scale
 
 PIXEL_MM: dict[Scale, float] = {"sketch": 0.8, "reduced": 0.3, "full": 0.2}
@@ -41,31 +39,6 @@ class MammogramPair:
     difference: NDArray[np.uint8]
     attenuation_rms: float
     quantum_rms: float
-
-
-def mammogram_experiment(
-    number: int,
-    view: View,
-    scale: Scale = "reduced",
-    *,
-    law: LawName = "neo-Hookean",
-    beam: Beam = "w_rh",
-    seed: int = 0,
-) -> MammogramPair:
-    """Compress phantom `number` on both meshes and take a mammogram of each.
-
-    Raises
-    ------
-    InputError
-        If an argument is unknown, or a compression does not converge.
-    """
-    phantom = thesis_phantom(number, scale)
-    materials = two_materials(phantom.labels)
-    adaptive, homogeneous = (
-        compress(phantom, mesh_of(materials, kind, scale), view, law)
-        for kind in ("adaptive", "homogeneous")
-    )
-    return mammogram_pair(adaptive, homogeneous, view, PIXEL_MM[scale], beam=beam, seed=seed)
 
 
 def mammogram_pair(

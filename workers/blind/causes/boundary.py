@@ -112,8 +112,8 @@ class Adhesion:
         r, angle = 0.6 * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
         across, along = r * math.cos(angle), r * math.sin(angle)
         along *= anatomy.upper_mm if along > 0 else anatomy.lower_mm
-        friction_state = log_uniform(rng, 0.3, 10.0)
-        return cls(along, across * anatomy.half_width_mm, radius, friction_state)
+        grip = log_uniform(rng, 0.3, 10.0)
+        return cls(along, across * anatomy.half_width_mm, radius, grip)
 
     def apply_to(self, scene: Scene) -> Scene:
         """Return the scene with it, see `Cause.apply_to`."""

@@ -69,7 +69,7 @@ def mammogram_dataset(
     parts = (
         names,
         _patient_and_study(body_name),
-        _image(mammogram, view, intent),
+        _image(view, intent),
         _beam_and_detector(mammogram),
         _pixels(pixels, intent),
     )
@@ -116,7 +116,7 @@ def _patient_and_study(name: str) -> dict[str, Any]:
     }
 
 
-def _image(mammogram: Mammogram, view: str, intent: str) -> dict[str, Any]:
+def _image(view: str, intent: str) -> dict[str, Any]:
     """Modules General Image, DX Anatomy, Mammography Image and Acquisition Context."""
     code, meaning, orientation = VIEWS[view]
     of_view = _code(code, meaning)

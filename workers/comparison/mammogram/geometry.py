@@ -78,11 +78,6 @@ class Geometry:
             self.first_mm + row[..., None] * self.down_mm + column[..., None] * self.right_mm
         )
 
-    @property
-    def pixel_mm2(self) -> float:
-        """Area of a pixel."""
-        return float(np.linalg.norm(np.cross(self.down_mm, self.right_mm)))
-
 
 def geometry_of(
     body: Volume, axis: Triple = CC_AXIS, unit: Unit = Unit(), support_mm: float | None = None

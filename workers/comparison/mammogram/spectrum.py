@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-import numpy as np
-
 from storage.errors import InputError
 from storage.values import FloatArray
 from workers.comparison.mammogram.tables import table
@@ -43,11 +41,6 @@ class Spectrum:
                 "A spectrum needs as many energies as numbers of photons, and some photons; got "
                 f"shapes {energies.shape} and {photons.shape}."
             )
-
-    @property
-    def mean_kev(self) -> float:
-        """Mean energy of a photon."""
-        return float(np.average(self.energies_kev, weights=self.photons_per_mm2_mas))
 
 
 def spectrum_of(beam: Beam) -> Spectrum:

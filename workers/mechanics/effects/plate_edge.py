@@ -45,7 +45,8 @@ PLATE_EDGE = Effect(
             NAME,
             MM,
             20.0,
-            f"distance from the chest wall to the plates' edge, rounded to {EDGE_RADIUS_MM:g} mm",
+            "distance from the chest wall to the plates' edge, whose rounding has a radius of "
+            f"{EDGE_RADIUS_MM:g} mm",
         ),
     ),
     prior_sd=(5.0,),

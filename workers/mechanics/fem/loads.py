@@ -47,8 +47,8 @@ class Device:
     friction : float
         Coulomb's coefficient between skin and both plates.
     edge_mm : float, optional
-        Where both plates begin along the second in-plane axis: behind that place their
-        rounded edge leaves the body. None for plates without an end.
+        Where both plates begin to be flat along the second in-plane axis: behind that place
+        their rounding leaves the body. None for plates without an end.
     """
 
     axis: Triple = (0.0, 1.0, 0.0)

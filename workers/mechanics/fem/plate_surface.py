@@ -44,7 +44,7 @@ class Gap:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """Where a plate begins: the direction into the plate, (3,), and how far along it, in mm."""
+    """Where a plate begins to be flat: the direction into it, (3,), and how far along, in mm."""
 
     direction: FloatArray
     start_mm: float

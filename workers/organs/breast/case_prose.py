@@ -1,7 +1,7 @@
 """A case in prose, case.json, read strictly: what is not understood is refused and named.
 
-Two shapes are read: the cases of FEBio in ../shared/reference, and what `palpate blind`
-writes. Every text is a list of known phrases.
+Two shapes are read: cases that were made with FEBio, and what `palpate blind` writes. Every text
+is a list of known phrases.
 """
 
 from collections.abc import Mapping

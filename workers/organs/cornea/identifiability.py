@@ -22,8 +22,7 @@ from workers.organs.cornea.constants import CorneaConstants
 from workers.organs.cornea.polyline import arclength_mm
 from workers.organs.cornea.sensitivity import Sensitivity, sensitivity
 
-# Of a chi-squared distribution with one degree of freedom.
-CHI2_95 = 3.841
+# Two-sided quantile of the normal distribution.
 NORMAL_95 = 1.960
 # A direction of the constants that moves nothing has no bound; this keeps it finite.
 SMALLEST_INFORMATION = 1e-12

@@ -121,6 +121,7 @@ def test_new_causes_are_compared_by_what_they_have_in_common_with_the_catalogue(
 
     swollen = {"ln_growth_fat": 0.0, "ln_growth_glandular": pytest.approx(math.log(1.1))}
     assert true("swelling", volume_fraction=0.1) == swollen
+    assert true("short_plate", edge_mm=5.0) == {"plate_edge_mm": 5.5}
     assert true("fibre_contrast", ratio=0.5) == {"ln_fibre_contrast": pytest.approx(-math.log(2))}
     scales = {"scale_x": 0.0, "scale_y": -0.01, "scale_z": 0.0}
     assert true("image_scale", scale=[0.0, -0.01, 0.0]) == scales

@@ -40,7 +40,7 @@ _PAIRS = (SHAPES[:, :, None] * SHAPES[:, None, :]).reshape(len(SHAPES), 9)
 
 
 @dataclass(frozen=True, eq=False)
-class Pressed:
+class PressedPoints:
     """Points of some faces that one plate may press, p to a face.
 
     Parameters
@@ -100,7 +100,7 @@ class EdgeContact:
         Among the contact nodes.
     behind : ndarray, shape (f, 3)
         How far each corner lies behind the edge, in mm.
-    points, at_corners : Pressed
+    points, at_corners : PressedPoints
         The points inside the faces, and their parts in the corners.
     """
 
@@ -110,8 +110,8 @@ class EdgeContact:
     active: IntArray
     corners: IntArray
     behind: FloatArray
-    points: Pressed
-    at_corners: Pressed
+    points: PressedPoints
+    at_corners: PressedPoints
 
     @cached_property
     def share(self) -> FloatArray:
@@ -249,6 +249,8 @@ def edge_contact(
         return None
     active = active[touching]
     corners, stiffness = corners[active], nodes.faces.stiffness[active, None]
-    points = Pressed(np.repeat(stiffness / len(SHAPES), len(SHAPES), axis=1), inside[touching])
-    at_corners = Pressed(np.repeat(stiffness / 3, 3, axis=1), at_nodes[corners])
+    points = PressedPoints(
+        np.repeat(stiffness / len(SHAPES), len(SHAPES), axis=1), inside[touching]
+    )
+    at_corners = PressedPoints(np.repeat(stiffness / 3, 3, axis=1), at_nodes[corners])
     return EdgeContact(nodes, surface, edge, active, corners, behind[active], points, at_corners)

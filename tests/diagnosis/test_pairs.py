@@ -13,6 +13,7 @@ from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.breast_catalogue import effect
 
 ATTACHED, LUMP, TILT = effect("local_attachment"), effect("inclusion"), effect("plate_tilt")
+EDGE = effect("plate_edge")
 
 
 def test_fits_begin_at_places_that_are_no_neighbours():
@@ -58,3 +59,17 @@ def test_a_second_effect_is_looked_for_in_what_the_first_leaves():
     alone = fit_jointly(analysis, [TILT, ATTACHED])
     assert alone is None or found.log_evidence > alone.log_evidence - 0.1
     assert found.log_evidence > base.log_evidence + 3.0
+
+
+def test_a_fit_of_what_grows_with_its_square_does_not_begin_near_zero():
+    """Little moves with an edge near the wall, and the fit would stay there."""
+    inverse = problem_between_plates(EDGE, {"plate_edge": 4.0})
+    free = unknowns(FREE, [])
+    nominal = fit(inverse, free, free.mean, [None] * len(inverse.scans))
+    assert nominal is not None
+    analysis = analysed(inverse, nominal, [EDGE, TILT])
+    assert analysis.is_steep(EDGE)
+    assert not analysis.is_steep(TILT)
+    found = fit_jointly(analysis, [EDGE])
+    assert found is not None
+    assert found.fit.values()["plate_edge"] == pytest.approx(4.0, abs=0.2)

@@ -1,6 +1,6 @@
 """Which effects are worth a joint fit."""
 
-from types import SimpleNamespace
+from types import MethodType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -8,6 +8,7 @@ import pytest
 
 from workers.diagnosis.diagnosis import suspects
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
+from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.screening import ScreeningResult
 from workers.mechanics.effects.breast_catalogue import effect
 
@@ -41,6 +42,7 @@ def named(louder: dict[str, float], edge: ScreeningResult, large: float, small: 
         }
         | {name: sensitivity(name, 1.0, 1.0) for name in louder},
     )
+    analysis.is_steep = MethodType(NominalAnalysis.is_steep, analysis)
     known = {one.name: effect(one.name) for one in analysis.screening}
     return [one.name for one in suspects(analysis, known)]
 

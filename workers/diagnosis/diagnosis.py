@@ -16,15 +16,13 @@ from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-import numpy as np
-
 from workers.diagnosis.form_error import acting_or_alike
 from workers.diagnosis.hypotheses import Hypothesis, PriorOdds
 from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.joint_fit import JointFit, fit_jointly
 from workers.diagnosis.noise_evidence import LinearHypothesis
 from workers.diagnosis.nominal_analysis import NominalAnalysis
-from workers.diagnosis.screening import ScreeningResult, screen
+from workers.diagnosis.screening import screen
 from workers.diagnosis.second_reading import is_elsewhere, read_again
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.verdict import Verdict, verdict
@@ -160,23 +158,9 @@ def suspects(analysis: NominalAnalysis, known: dict[str, Effect]) -> list[Effect
     near = [one for one in visible if one.log_bayes_factor > least][: settings.singles]
     if best > settings.far_off:
         loud = [one for one in visible if one.log_bayes_factor > settings.least_gain]
-        steep = (one for one in loud if one not in near and _is_steep(analysis, known, one))
+        steep = (one for one in loud if one not in near and analysis.is_steep(known[one.name]))
         near += [*steep][:1]
     return [known[one.name] for one in near]
-
-
-def _is_steep(
-    analysis: NominalAnalysis, known: dict[str, Effect], screened: ScreeningResult
-) -> bool:
-    """Return whether an effect grows faster than its magnitude.
-
-    The linear model then has little of what a large one does.
-    """
-    columns = analysis.sensitivity_by_name[screened.name]
-    if known[screened.name].place is not None or not columns.is_stacked:
-        return False
-    large, *_, small = np.linalg.norm(columns.places[:, :, 0], axis=1)
-    return bool(large > small)
 
 
 def partners(analysis: NominalAnalysis, known: dict[str, Effect], best: JointFit) -> list[Effect]:

@@ -64,6 +64,12 @@ class EffectSensitivity:
         """Columns of each place or magnitude, shape (g, m, q); one for an effect without."""
         return self.columns if self.is_stacked else self.columns[None]
 
+    @property
+    def is_steep(self) -> bool:
+        """Whether an effect that is tried at several magnitudes grows faster than these."""
+        large, small = np.linalg.norm(self.places[[0, -1], :, 0], axis=1)
+        return bool(large > small)
+
     def whitened(self, problem: Linearised) -> FloatArray:
         """Return columns in whitened space per prior standard deviation, shape (g, m, q).
 

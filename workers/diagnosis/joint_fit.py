@@ -127,7 +127,8 @@ def _starts(
     common: dict[str, float] = {}
     for effect in effects:
         if effect.place is None:
-            common |= _expected(effect, screened[effect.name].estimate)
+            steep = analysis.is_steep(effect)
+            common |= _expected(effect, screened[effect.name].estimate, steep=steep)
     placed = [effect for effect in effects if effect.place is not None]
     starts = [common]
     for effect in placed:
@@ -151,19 +152,24 @@ def _placed(
     return [begun | dict(zip(names, map(float, places[i]), strict=True)) for i in best]
 
 
-def _expected(effect: Effect, estimate: FloatArray) -> dict[str, float]:
+def _expected(effect: Effect, estimate: FloatArray, *, steep: bool) -> dict[str, float]:
     if effect.if_present:
         return {n: mean for n, (mean, _) in zip(effect.names, effect.if_present, strict=True)}
     each = zip(effect.parameters, effect.prior_sd, estimate, strict=True)
-    return {p.name: _begin(p, sd, float(value)) for p, sd, value in each}
+    return {p.name: _begin(p, sd, float(value), steep=steep) for p, sd, value in each}
 
 
-def _begin(parameter: Parameter, sd: float, expected: float) -> float:
-    """Return where the fit of a parameter begins, of which the screening expects a change."""
+def _begin(parameter: Parameter, sd: float, expected: float, *, steep: bool = False) -> float:
+    """Return where the fit of a parameter begins, of which the screening expects a change.
+
+    One that grows faster than its magnitude does so little near zero that a fit stays there: it
+    begins a prior standard deviation away at least.
+    """
     settings, neutral = SETTINGS.joint_fits, parameter.neutral or 0.0
     most = settings.most_start * sd
     if one_sided(parameter):
-        return neutral + float(np.clip(expected, settings.least_start * sd, most))
+        least = sd if steep else settings.least_start * sd
+        return neutral + float(np.clip(expected, least, most))
     return neutral + float(np.clip(settings.start * expected, -most, most))
 
 

@@ -67,6 +67,13 @@ class NominalAnalysis:
         """Return the places at which an effect was looked for; see `places_of`."""
         return places_of(self.inverse, effect)
 
+    def is_steep(self, effect: Effect) -> bool:
+        """Return whether an effect grows faster than its magnitude.
+
+        The linear model then has little of what a large one does.
+        """
+        return effect.place is None and self.sensitivity_by_name[effect.name].is_steep
+
     @cached_property
     def noise(self) -> NoiseModel:
         """The noise that every hypothesis has, with the smooth field that stands for something

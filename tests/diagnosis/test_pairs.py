@@ -61,15 +61,24 @@ def test_a_second_effect_is_looked_for_in_what_the_first_leaves():
     assert found.log_evidence > base.log_evidence + 3.0
 
 
-def test_a_fit_of_what_grows_with_its_square_does_not_begin_near_zero():
-    """Little moves with an edge near the wall, and the fit would stay there."""
-    inverse = problem_between_plates(EDGE, {"plate_edge": 4.0})
+def test_a_fit_of_what_grows_with_its_square_begins_away_from_zero(monkeypatch):
+    """Little moves with an edge near the wall, and fits of noisy scans stay there: of edges at 3.8
+    mm they had 0.9 mm, and 14 to 18 nats less than from further out."""
+    inverse = problem_between_plates(EDGE, {"plate_edge": 2.0})
     free = unknowns(FREE, [])
     nominal = fit(inverse, free, free.mean, [None] * len(inverse.scans))
     assert nominal is not None
     analysis = analysed(inverse, nominal, [EDGE, TILT])
     assert analysis.is_steep(EDGE)
     assert not analysis.is_steep(TILT)
+    begun = []
+
+    def watched(inverse, free, z, *rest):
+        begun.append(free.of_effect(EDGE, z)["plate_edge"])
+        return fit(inverse, free, z, *rest)
+
+    monkeypatch.setattr("workers.diagnosis.joint_fit.fit", watched)
     found = fit_jointly(analysis, [EDGE])
+    assert begun[0] >= EDGE.prior_sd[0]
     assert found is not None
-    assert found.fit.values()["plate_edge"] == pytest.approx(4.0, abs=0.2)
+    assert found.fit.values()["plate_edge"] == pytest.approx(2.0, abs=0.1)

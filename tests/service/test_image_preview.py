@@ -22,7 +22,7 @@ BODY = Volume(CONE, (1.0, 2.0, 4.0))
 
 
 def test_facts_are_those_of_the_image() -> None:
-    rows = dict(facts(BODY, summarise(BODY, named=True), "y,x,z"))
+    rows = dict(facts(summarise(BODY, named=True), "y,x,z"))
     assert rows["voxels"] == "20 x 20 x 12"
     assert rows["spacing"] == "1 x 2 x 4 mm"
     assert rows["body x"].startswith("18 mm")  # 18 voxels of 1 mm

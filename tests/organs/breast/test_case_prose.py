@@ -232,5 +232,5 @@ def test_the_blind_generator_writes_what_is_understood(tmp_path: Path) -> None:
     from workers.blind.write_case import _case
 
     truth = draw(3, "control")
-    data = json.loads(json.dumps(_case(truth, "name", 1.0)))
+    data = json.loads(json.dumps(_case(truth, "name")))
     assert from_prose(data, "case.json").name == "name"

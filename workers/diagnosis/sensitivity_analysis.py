@@ -161,7 +161,8 @@ def _secants(
     for share in tried:
         columns = []
         for name, sd in zip(effect.names, effect.prior_sd, strict=True):
-            found = _simulated(inverse, problem, effect, name, share * sd, (start, view.at))
+            starts = (start,) if start is view.at else (start, view.at)
+            found = _simulated(inverse, problem, effect, name, share * sd, starts)
             if found is None:
                 return None
             at, step = found

@@ -19,6 +19,7 @@ from workers.diagnosis.source import Source
 from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.inclusion import INCLUSION
 from workers.mechanics.effects.local_attachment import LOCAL_ATTACHMENT
+from workers.mechanics.effects.plate_edge import PLATE_EDGE
 from workers.mechanics.effects.plate_friction import FRICTION
 from workers.tasks.diagnosis import (
     analyse_effect,
@@ -40,7 +41,7 @@ from workers.tasks.sources import add_source, check_nodes, open_source
 from workers.tasks.task_store import TaskStore
 
 # What takes longest comes first, so that nobody waits for it at the end.
-LONG = {FRICTION.name, INCLUSION.name, LOCAL_ATTACHMENT.name}
+LONG = {PLATE_EDGE.name, FRICTION.name, INCLUSION.name, LOCAL_ATTACHMENT.name}
 
 R = TypeVar("R")
 

@@ -15,12 +15,13 @@ from workers.diagnosis.form_error import FormError, acting_or_alike
 from workers.diagnosis.settings import SETTINGS
 
 K = 150
+ALIKE = np.array([[1.0, 0.9], [0.9, 1.0]])
 
 
 @pytest.fixture(scope="module")
 def form():
     points, normals, states = layout(K)
-    return FormError(points, normals, states, 20.0)
+    return FormError(points, normals, states, ALIKE, 20.0)
 
 
 def test_errors_are_as_large_as_the_pattern_around_them(form):
@@ -40,7 +41,7 @@ def test_they_move_both_sides_of_a_layer_alike():
     """The error of a displacement is one up on this side and one down on the other."""
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
     normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-    layer = FormError(points, normals, np.zeros(2, np.int32), 20.0)
+    layer = FormError(points, normals, np.zeros(2, np.int32), np.ones((1, 1)), 20.0)
     errors = layer.columns(np.array([1.0, -1.0]))
     covariance = errors @ errors.T
     assert covariance[0, 1] / covariance[0, 0] == pytest.approx(-1.0, abs=0.03)
@@ -52,7 +53,7 @@ def test_they_are_as_smooth_as_the_organ_is_large():
     for length_mm in (1.5, 20.0):
         points = np.array([[0.0, 0.0, 0.0], [length_mm, 0.0, 0.0]])
         normals = np.tile([0.0, 0.0, 1.0], (2, 1))
-        form = FormError(points, normals, np.zeros(2, np.int32), length_mm)
+        form = FormError(points, normals, np.zeros(2, np.int32), np.ones((1, 1)), length_mm)
         errors = form.columns(np.ones(2))
         found.append(errors @ errors.T)
     assert found[0] == pytest.approx(found[1])

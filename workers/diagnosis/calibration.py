@@ -92,15 +92,14 @@ def _matched(inverse: InverseProblem, at: SolvedFit) -> BoolArray:
         inverse.rows,
         np.full(len(inverse.rows), SETTINGS.unmatched.freer * max(field.amplitudes_mm)),
         field.middle_length_mm,
-        field.state_correlation,
+        field.state_correlation.between(inverse.directions),
         SETTINGS.smooth_field.rank_tolerance,
     )
     poses = pose_columns(moved, normals, centre_mm, *inverse.pose_sd)
     columns = np.hstack([at.jacobian * at.unknowns.sd, poses, smooth])
-    stated = np.sqrt(np.diag(inverse.covariance))
     beside_mm = SETTINGS.unmatched.beside_lengths * field.middle_length_mm
     left = residuals(inverse, at.predictions)
-    return matched(inverse.points, stated, columns, left, beside_mm)
+    return matched(inverse.points, inverse.covariance, columns, left, beside_mm)
 
 
 def _compared(
@@ -187,7 +186,7 @@ def with_learnt_noise(
             inverse.rows,
             np.full(parts.size, amplitude),
             length,
-            SETTINGS.smooth_field.state_correlation,
+            SETTINGS.smooth_field.state_correlation.between(inverse.directions),
             SETTINGS.smooth_field.rank_tolerance,
         )
         centre_mm = inverse.frame.centre_mm

@@ -31,12 +31,19 @@ class FormError:
     points, normals : ndarray, shape (m, 3)
         At rest, of each residual.
     states : ndarray of int, shape (m,)
+    state_correlation : ndarray, shape (s, s)
+        Of each pair of states.
     field_length_mm : float
         The middle one of the smooth field that stands for something else.
     """
 
     def __init__(
-        self, points: FloatArray, normals: FloatArray, states: IntArray, field_length_mm: float
+        self,
+        points: FloatArray,
+        normals: FloatArray,
+        states: IntArray,
+        state_correlation: FloatArray,
+        field_length_mm: float,
     ) -> None:
         settings = SETTINGS.form
         squares = cdist(points, points, "sqeuclidean")
@@ -44,7 +51,7 @@ class FormError:
         length_mm = settings.lengths * field_length_mm
         envelope_mm = settings.envelope_lengths * field_length_mm
         smooth = np.exp(-0.5 * squares / length_mm**2) * (normals @ normals.T)
-        smooth *= np.where(same, 1.0, settings.state_correlation)
+        smooth *= state_correlation[np.ix_(states, states)]
         self._modes = pivoted(smooth, settings.rank_tolerance)
         near = np.exp(-0.5 * squares / envelope_mm**2) * same
         self._average = near / near.sum(axis=1)[:, None]

@@ -181,6 +181,13 @@ class InverseProblem:
         return poses + self.drawing.shape[1]
 
     @cached_property
+    def directions(self) -> FloatArray:
+        """Unit vectors along which the body is loaded in each scan, shape (s, 3)."""
+        middle = {one.name: float(np.exp(one.log_mean)) for one in self.free}
+        found = np.array([self.forward.direction(scan.problem(middle)) for scan in self.scans])
+        return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+
+    @cached_property
     def rows(self) -> IntArray:
         """The scan of each residual, shape (s k,)."""
         return np.repeat(np.arange(len(self.scans), dtype=np.int32), len(self.points))

@@ -87,13 +87,15 @@ def _numerical(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> 
     difference = np.sqrt((inverse.bias.reshape(shape) ** 2).mean(axis=1))
     least_mm = max(settings.least_mm, settings.of_nugget * inverse.noise.nugget_mm)
     each = np.hypot(settings.of_difference * difference, least_mm)
+    alike = settings.state_correlation
     if not inverse.is_segmented:
         each = settings.of_difference * difference
+        alike = settings.state_correlation_markers
     return smooth_columns(
         np.tile(inverse.points.points, (len(inverse.scans), 1)),
         np.concatenate([one.normals for one in predictions]),
         inverse.rows,
         np.repeat(each, len(inverse.points)),
         settings.length_mm,
-        settings.state_correlation if inverse.is_segmented else settings.state_correlation_markers,
+        alike.between(inverse.directions),
     )

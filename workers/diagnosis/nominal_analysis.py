@@ -119,7 +119,7 @@ class NominalAnalysis:
             self.inverse.rows,
             np.ones(len(normals)),
             length_mm,
-            self.inverse.something_else.state_correlation,
+            self.inverse.something_else.state_correlation.between(self.inverse.directions),
             SETTINGS.smooth_field.rank_tolerance,
         )
 
@@ -129,7 +129,8 @@ class NominalAnalysis:
         inverse = self.inverse
         normals = np.tile(inverse.points.normals, (len(inverse.scans), 1))
         length_mm = inverse.something_else.middle_length_mm
-        return FormError(self._points, normals, inverse.rows, length_mm)
+        between = SETTINGS.form.state_correlation.between(inverse.directions)
+        return FormError(self._points, normals, inverse.rows, between, length_mm)
 
     @property
     def _points(self) -> FloatArray:

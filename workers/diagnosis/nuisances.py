@@ -5,8 +5,8 @@ Every hypothesis has them, "no gap" included: what they can take up is no eviden
 - **Pose**: each scan may lie elsewhere than its header says, as far as a registration leaves it:
   six rigid columns a scan.
 - **Drawing**: an interface may be drawn too large or too small as a whole, in one scan or in all.
-- **Numerical error**: another mesh, element or contact moves the interfaces smoothly, and the
-  more, the more the load moves them.
+- **Numerical error**: another mesh, element or contact moves the interfaces smoothly, the more,
+  the more the load moves them, and in another way where the load comes from another side.
 """
 
 from collections.abc import Sequence
@@ -67,7 +67,7 @@ def smooth_columns(
     states: IntArray,
     sd_mm: FloatArray,
     length_mm: float,
-    state_correlation: float,
+    state_correlation: float | FloatArray,
     tolerance: float = SETTINGS.numerical.rank_tolerance,
 ) -> FloatArray:
     r"""Return columns whose outer product is the covariance of a smooth displacement.
@@ -82,8 +82,8 @@ def smooth_columns(
     sd_mm : ndarray, shape (m,)
         The displacement's standard deviation s there.
     length_mm : float
-    state_correlation : float
-        T between two states; 1 within one.
+    state_correlation : float or ndarray, shape (s, s)
+        T between any two states, or of each pair; 1 within one.
     tolerance : float
         Part of a variance that may be missing.
     """
@@ -96,14 +96,16 @@ def smooth_covariance(
     normals: FloatArray,
     states: IntArray,
     length_mm: float,
-    state_correlation: float,
+    state_correlation: float | FloatArray,
 ) -> FloatArray:
     """Return the covariance of a smooth displacement of unit deviation, shape (m, m)."""
     scaled = points / length_mm
     squares = (scaled**2).sum(axis=1)
     distance = np.maximum(squares[:, None] + squares - 2.0 * scaled @ scaled.T, 0.0)
     found = np.exp(-0.5 * distance) * (normals @ normals.T)
-    found *= np.where(states[:, None] == states, 1.0, state_correlation)
+    T = np.asarray(state_correlation)
+    between = T[np.ix_(states, states)] if T.ndim else T
+    found *= np.where(states[:, None] == states, 1.0, between)
     return np.asarray(found)
 
 

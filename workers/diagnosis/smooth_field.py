@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from storage.errors import InputError
 from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.state_correlation import StateCorrelation
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +20,7 @@ class SmoothField:
     amplitudes_mm, lengths_mm : tuple of float
         Standard deviations of the displacement along any direction, and correlation
         lengths; all pairs are equally probable.
-    state_correlation : float
-        Between two states, 0 to 1.
+    state_correlation : StateCorrelation
 
     Raises
     ------
@@ -30,16 +30,13 @@ class SmoothField:
 
     amplitudes_mm: tuple[float, ...] = SETTINGS.smooth_field.amplitudes_mm
     lengths_mm: tuple[float, ...] = SETTINGS.smooth_field.lengths_mm
-    state_correlation: float = SETTINGS.smooth_field.state_correlation
+    state_correlation: StateCorrelation = SETTINGS.smooth_field.state_correlation
 
     def __post_init__(self) -> None:
         scales = self.amplitudes_mm + self.lengths_mm
         usable = self.amplitudes_mm and self.lengths_mm and min(scales) > 0
-        if not usable or not 0 <= self.state_correlation <= 1:
-            raise InputError(
-                "A smooth field needs amplitudes > 0, lengths > 0 and a correlation between "
-                f"states from 0 to 1, found {self}."
-            )
+        if not usable:
+            raise InputError(f"A smooth field needs amplitudes > 0 and lengths > 0, found {self}.")
 
     @property
     def middle_amplitude_mm(self) -> float:

@@ -4,16 +4,18 @@ another has not.
 Nothing that deforms a body moves one point by millimetres and leaves its neighbours: residuals are
 fitted by constants, poses and a smooth displacement, by least squares that are reweighted so that
 no single point pulls much (Huber's weights), then none at all (Tukey's biweight; P. J. Huber,
-Robust Statistics, 1981). What lies far off such a fit has no counterpart. Nor has a small piece of
-interface that lies far off what all other points say of its place. One such point of 12 mm among a
-thousand speaks against every cause in the catalogue with certainty.
+Robust Statistics, 1981). What lies far off such a fit has no counterpart. Nor have a small piece of
+interface, and neighbours, that lie far off what all other points say of their place: a piece that
+only the scan at rest has is off in every other one, each time by what a single point might be. One
+such point of 12 mm among a thousand speaks against every cause in the catalogue with certainty.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.stats import chi2, norm
 
 from storage.values import BoolArray, FloatArray, IntArray
 from workers.comparison.observation.interface import InterfacePoints
@@ -21,11 +23,13 @@ from workers.diagnosis.settings import SETTINGS
 
 # Of the normal distribution, over the median of its absolute values.
 SD_OF_MEDIAN = 1.4826
+# Logarithm of how probable it is that a residual lies as far off, on either side.
+_LOG_FAR = float(np.log(2.0) + norm.logsf(SETTINGS.unmatched.far))
 
 
 def matched(
     points: InterfacePoints,
-    stated_mm: FloatArray,
+    covariance: FloatArray,
     columns: FloatArray,
     residual: FloatArray,
     beside_mm: float,
@@ -36,8 +40,8 @@ def matched(
     ----------
     points : InterfacePoints
         Seen in each of s scans, k of them.
-    stated_mm : ndarray, shape (s k,)
-        Standard deviation of the noise, as it is stated.
+    covariance : ndarray, shape (s k, s k)
+        Of the noise, as it is stated, in mm^2.
     columns : ndarray, shape (s k, q)
         What may move the residuals, per prior standard deviation.
     residual : ndarray, shape (s k,)
@@ -48,21 +52,33 @@ def matched(
     settings = SETTINGS.unmatched
     scans = len(residual) // len(points)
     interface = np.tile(points.interface, scans)
-    fit = _Fit(columns, residual, stated_mm, interface, np.ones(len(residual)), residual)
+    fit = _Fit(columns, residual, covariance, interface, np.ones(len(residual)), residual)
     fit = fit.reweighted(_huber)
     alone = np.zeros((scans, len(points)), np.bool_)
     for piece in _small_pieces(points):
-        alone[:, piece] = fit.is_alone(piece, scans)
+        alone[:, piece] = fit.judged_by_others(piece, scans).is_far
     fit = replace(fit, use=np.where(alone.ravel(), 0.0, 1.0)).reweighted(_biweight)
     far = (np.abs(fit.away) / fit.scale).reshape(scans, -1)
     alone |= far > settings.far
     tree = KDTree(points.points)
+    around = [np.array(near, np.int32) for near in tree.query_ball_point(points.points, beside_mm)]
+    alone |= _improbable_together(fit, far, around)
     for scan, outliers in enumerate(alone):
-        for one in np.flatnonzero(outliers):
-            around = tree.query_ball_point(points.points[one], beside_mm)
-            alone[scan, around] |= far[scan, around] > settings.beside
+        for one in np.flatnonzero(outliers).tolist():
+            alone[scan, around[one]] |= far[scan, around[one]] > settings.beside
     shown = np.asarray(~alone.any(axis=0))
     return shown if shown.mean() > 1 - settings.most else np.ones_like(shown)
+
+
+def _improbable_together(fit: "_Fit", far: FloatArray, around: Sequence[IntArray]) -> BoolArray:
+    """Return which points lie off with their neighbours, by little in each of all scans, (k,)."""
+    doubtful = np.asarray((far > SETTINGS.unmatched.beside).any(axis=0))
+    found = np.zeros(len(doubtful), np.bool_)
+    for one in np.flatnonzero(doubtful).tolist():
+        near = around[one][doubtful[around[one]]]
+        if not found[near].all():
+            found[near] |= fit.judged_by_others(near, len(far)).is_improbable
+    return found
 
 
 def _small_pieces(points: InterfacePoints) -> Iterator[IntArray]:
@@ -74,27 +90,54 @@ def _small_pieces(points: InterfacePoints) -> Iterator[IntArray]:
 
 
 @dataclass(frozen=True, eq=False)
+class _Judged:
+    """What rows of some points leave of a fit of all others: (s, n) in mm, and its covariance."""
+
+    away: FloatArray
+    covariance: FloatArray
+
+    @property
+    def is_far(self) -> bool:
+        """Whether most points lie far off in some scan."""
+        relative = np.abs(self.away) / np.sqrt(np.diag(self.covariance)).reshape(self.away.shape)
+        return bool(np.median(relative, axis=1).max() > SETTINGS.unmatched.far)
+
+    @property
+    def is_improbable(self) -> bool:
+        """Whether all of them together are as improbable as one residual that is far off."""
+        away = self.away.ravel()
+        squares = away @ np.linalg.solve(self.covariance, away)
+        return bool(chi2.logsf(squares, len(away)) < _LOG_FAR)
+
+
+@dataclass(frozen=True, eq=False)
 class _Fit:
     """A reweighted fit: of what, with which rows, and what it leaves."""
 
     columns: FloatArray
     residual: FloatArray
-    stated_mm: FloatArray
+    covariance: FloatArray
     interface: IntArray
     use: FloatArray
     away: FloatArray
     weights: FloatArray | None = None
 
     @property
+    def stated_mm(self) -> FloatArray:
+        """Standard deviation of each residual, as it is stated."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
     def scale(self) -> FloatArray:
         """Robust deviation of each residual's interface, in mm; no less than plausible."""
-        relative = np.abs(self.away / self.stated_mm)
+        stated_mm = self.stated_mm
+        relative = np.abs(self.away / stated_mm)
         found = np.empty(len(relative))
         for one in np.unique(self.interface):
             own = self.interface == one
             used = own & (self.use > 0)
             found[own] = SD_OF_MEDIAN * np.median(relative[used if used.any() else own])
-        return np.maximum(found, SETTINGS.unmatched.least_scale) * self.stated_mm
+        return np.asarray(np.maximum(found, SETTINGS.unmatched.least_scale) * stated_mm)
 
     def reweighted(self, weigh: Callable[[FloatArray], FloatArray]) -> "_Fit":
         """Return the fit under such weights, begun from what this one leaves."""
@@ -110,8 +153,8 @@ class _Fit:
             at, before = replace(at, away=away, weights=weights), scale
         return at
 
-    def is_alone(self, piece: IntArray, scans: int) -> bool:
-        """Return whether some scan has a piece far from where all other points expect it."""
+    def judged_by_others(self, piece: IntArray, scans: int) -> _Judged:
+        """Return what some points leave of the fit of all others, in all scans."""
         assert self.weights is not None
         rows = (np.arange(scans)[:, None] * (len(self.residual) // scans) + piece).ravel()
         weights = self.weights.copy()
@@ -120,10 +163,10 @@ class _Fit:
         own = self.columns[rows]
         others = self.columns.T @ (weights * self.residual)
         solved = np.linalg.solve(H, np.column_stack([own.T, others]))
+        relative = (self.scale / self.stated_mm)[rows]
+        noise = self.covariance[np.ix_(rows, rows)] * relative[:, None] * relative
         away = self.residual[rows] - own @ solved[:, -1]
-        sd = np.sqrt((own * solved[:, :-1].T).sum(axis=1) + self.scale[rows] ** 2)
-        off = np.median((np.abs(away) / sd).reshape(scans, -1), axis=1)
-        return bool(off.max() > SETTINGS.unmatched.far)
+        return _Judged(away.reshape(scans, -1), own @ solved[:, :-1] + noise)
 
 
 def _huber(away: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.special import logsumexp
 
 from storage.values import FloatArray, IntArray
@@ -78,9 +79,9 @@ def _optimum(grams: Sequence[FloatArray], counts: IntArray, scales: FloatArray) 
     for _ in range(settings.scale_iterations):
         weights = 1.0 / scales**2
         H = weighted_sum(weights, grams)
-        inverse = np.linalg.inv(np.eye(len(H) - 1) + H[:-1, :-1])
+        inverse = _inverse(np.eye(len(H) - 1) + H[:-1, :-1])
         c = np.append(-inverse @ H[:-1, -1], 1.0)
-        hidden = 2.0 * inverse - inverse @ H[:-1, :-1] @ inverse
+        hidden = inverse + inverse @ inverse  # 2 A - A H A, with A the inverse of I + H
         after = np.empty_like(scales)
         for g, gram in enumerate(grams):
             left = float(c @ gram @ c)
@@ -93,6 +94,13 @@ def _optimum(grams: Sequence[FloatArray], counts: IntArray, scales: FloatArray) 
         if settled:
             break
     return scales
+
+
+def _inverse(positive: FloatArray) -> FloatArray:
+    """Return the inverse of a positive definite matrix, in half the time of that of any."""
+    factor, _ = dpotrf(positive, lower=1)
+    found, _ = dpotri(factor, lower=1)
+    return np.asarray(np.tril(found) + np.tril(found, -1).T)
 
 
 def _log_likelihood(grams: Sequence[FloatArray], counts: IntArray, scales: FloatArray) -> float:

@@ -54,15 +54,20 @@ def fit_jointly(
     Returns
     -------
     JointFit or None
-        None if no start could be simulated.
+        None if no start could be simulated, nor one nearer to neutral.
     """
     begun = analysis.begun.get(effects[0].name, {}) if base is None else base.fit.values()
     at = analysis.linear if base is None else base.fit.linearised(analysis.inverse)
     new = [effect for effect in effects if effect.names[0] not in begun]
     best: JointFit | None = None
+    nominal = analysis.nominal.values() | dict(begun)
     for start in _starts(analysis, at, new):
-        values = _compensated(analysis, at, new, analysis.nominal.values() | dict(begun) | start)
-        fitted = _fitted_from(analysis, effects, values, each)
+        for share in SETTINGS.joint_fits.start_shares:
+            there = nominal | _nearer(new, start, share)
+            values = _compensated(analysis, at, new, there)
+            fitted = _fitted_from(analysis, effects, values, each)
+            if fitted is not None:
+                break
         if fitted is not None and (best is None or fitted.log_evidence > best.log_evidence):
             best = fitted
     return best
@@ -150,6 +155,18 @@ def _placed(
     best = starting_places(effect, places, screened.place_log_bayes_factors)
     names = effect.place.names
     return [begun | dict(zip(names, map(float, places[i]), strict=True)) for i in best]
+
+
+def _nearer(
+    effects: Sequence[Effect], start: Mapping[str, float], share: float
+) -> dict[str, float]:
+    """Return the parameters with sizes that are nearer to neutral; places are what they are."""
+    places = {name for e in effects if e.place is not None for name in e.place.names}
+    neutral = {name: value for e in effects for name, value in e.neutral.items()}
+    return {
+        name: value if name in places else neutral[name] + share * (value - neutral[name])
+        for name, value in start.items()
+    }
 
 
 def _expected(effect: Effect, estimate: FloatArray, *, steep: bool) -> dict[str, float]:

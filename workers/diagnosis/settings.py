@@ -169,6 +169,9 @@ class JointFitSettings:
     # steepest, and no further out than that many of them.
     least_start: float = 0.1
     most_start: float = 1.5
+    # [numerics] Parts of the effects' sizes there that are tried, one after another, until one can
+    # be simulated: a wall that yields may fold between them.
+    start_shares: tuple[float, ...] = (1.0, 0.5)
     # [cost] Best places from which the fit of an effect begins that acts at one place.
     place_starts: int = 2
     # [numerics] How far they are apart, over the spacing of the grid: no neighbours, of which two

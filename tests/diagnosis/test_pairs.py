@@ -82,3 +82,27 @@ def test_a_fit_of_what_grows_with_its_square_begins_away_from_zero(monkeypatch):
     assert begun[0] >= EDGE.prior_sd[0]
     assert found is not None
     assert found.fit.values()["plate_edge"] == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_fit_whose_start_cannot_be_simulated_begins_nearer_to_neutral(monkeypatch):
+    """As where a wall that yields so much folds: the fit ends where the other one does."""
+    inverse = problem_between_plates(TILT, {"tilt_depth": 4.0, "tilt_across": 0.0})
+    free = unknowns(FREE, [])
+    nominal = fit(inverse, free, free.mean, [None] * len(inverse.scans))
+    assert nominal is not None
+    analysis = analysed(inverse, nominal, [TILT])
+    expected = fit_jointly(analysis, [TILT])
+    assert expected is not None
+    begun = []
+
+    def failing_at_first(inverse, free, z, *rest):
+        begun.append(free.of_effect(TILT, z)["tilt_depth"])
+        return fit(inverse, free, z, *rest) if len(begun) > 1 else None
+
+    monkeypatch.setattr("workers.diagnosis.joint_fit.fit", failing_at_first)
+    found = fit_jointly(analysis, [TILT])
+    assert begun[0] > 1.0
+    assert begun[1:] == [pytest.approx(SETTINGS.joint_fits.start_shares[1] * begun[0])]
+    assert found is not None
+    assert found.fit.values()["tilt_depth"] == pytest.approx(4.0, abs=0.1)
+    assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.1)

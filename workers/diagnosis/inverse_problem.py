@@ -114,7 +114,7 @@ class InverseProblem:
         then learnt, and a scan may lie elsewhere than its header says. Not for markers, whose
         noise was measured.
     learnt : LearntNoise, optional
-        The noise as the calibration has found it; `covariance` then is its mean.
+        The noise as the calibration has found it; `covariance` then is its likeliest one.
     anchors : sequence of ndarray, shape (k, 3)
         Where the noise of each scan was read; see `workers.diagnosis.anchored_scan`. None
         before the calibration.

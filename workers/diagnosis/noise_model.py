@@ -65,18 +65,11 @@ class NoiseParts:
         """Number of residuals m."""
         return len(self.groups)
 
-    def scatter(self, states: Sequence["NoiseState"]) -> FloatArray:
-        """Return the covariance of segmentation and numerical error, shape (m, m).
-
-        The mean over some states, whose shares sum to one: between two lengths that explain the
-        residuals alike, with different scales, nothing jumps.
-        """
-        variance = sum(state.share * state.numerical**2 for state in states)
-        found = variance * self.numerical @ self.numerical.T
-        for state in states:
-            s = np.sqrt(state.share) * state.scales[self.groups]
-            found += self.stated[state.length] * s[:, None] * s
-        return np.asarray(found)
+    def scatter(self, length: int, scales: FloatArray, numerical: float) -> FloatArray:
+        """Return the covariance of segmentation and numerical error, shape (m, m)."""
+        s = scales[self.groups]
+        found = self.stated[length] * s[:, None] * s
+        return np.asarray(found + numerical**2 * self.numerical @ self.numerical.T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,19 +113,14 @@ class LearntNoise:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the residuals, the mean over all states, shape (m, m), in mm^2."""
+        """Of the residuals in the likeliest state, shape (m, m), in mm^2."""
         return self.scatter + self.parts.fixed @ self.parts.fixed.T
 
     @property
     def scatter(self) -> FloatArray:
         """The same without the nuisances."""
-        return self.parts.scatter(self.states)
-
-    @property
-    def scales(self) -> FloatArray:
-        """True over stated deviation of each interface, root mean square over all states."""
-        squares = [state.share * state.scales**2 for state in self.states]
-        return np.asarray(np.sqrt(np.sum(squares, axis=0)))
+        best = self.states[0]
+        return self.parts.scatter(best.length, best.scales, best.numerical)
 
 
 def believed(parts: NoiseParts) -> LearntNoise:

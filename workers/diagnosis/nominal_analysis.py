@@ -96,7 +96,7 @@ class NominalAnalysis:
         drawn_sd_mm, learnt = self.inverse.noise.reference_sd_mm, self.inverse.learnt
         if skin is None or learnt is None or not (self.inverse.is_segmented and drawn_sd_mm):
             return None
-        return RoughSurface.like(skin, drawn_sd_mm * float(learnt.scales[0]))
+        return RoughSurface.like(skin, drawn_sd_mm * float(learnt.states[0].scales[0]))
 
     def registered(self, change: FloatArray) -> FloatArray:
         """Return a change of the residuals, shape (m,), less what poses and drawing take of it."""

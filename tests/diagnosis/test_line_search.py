@@ -58,6 +58,17 @@ def test_a_line_search_begins_near_the_length_that_went_well(
     assert found.cost < SETTINGS.fit.tolerance
 
 
+def test_a_step_goes_further_after_one_that_was_underrated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Falls of 0.6 where 0.2 were expected: the next step is twice as long. Where falls are what
+    was expected, steps are what they are."""
+    _, tried = fitted(monkeypatch, lambda z: 3 * abs(z), lambda z: -0.2, expected=0.2)
+    assert tried[:4] == pytest.approx([1.0, 0.8, 0.4, 0.0])
+    _, tried = fitted(monkeypatch, lambda z: abs(z), lambda z: -0.2, expected=0.2)
+    assert tried[:4] == pytest.approx([1.0, 0.8, 0.6, 0.4])
+
+
 def test_a_fit_that_crawls_has_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
     """The cost falls by a hundredth where ten were expected."""
     found, tried = fitted(monkeypatch, lambda z: 0.01 * z, lambda z: -1.0, expected=10.0)

@@ -166,9 +166,13 @@ def fit(
         at_rest = expected < SETTINGS.fit.at_rest
         if found is None:
             return SolvedFit(unknowns, z, predictions, J, cost, at_rest, iteration)
-        settled = cost - found.cost < SETTINGS.fit.tolerance
+        fall = cost - found.cost
+        settled = fall < SETTINGS.fit.tolerance
         z, predictions, cost = found.z, found.predictions, found.cost
-        length = min(1.0, found.length / SETTINGS.fit.shortening)
+        further = fall > SETTINGS.fit.underrated * expected
+        length = (
+            SETTINGS.fit.further if further else min(1.0, found.length / SETTINGS.fit.shortening)
+        )
         if settled:
             break
     jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)

@@ -73,6 +73,10 @@ class FitSettings:
     # the whole one, or 1 / 0.4 of the part that went well before.
     max_halvings: int = 8
     shortening: float = 0.4
+    # [numerics] Where a step has lowered minus twice the log posterior by more than this times what
+    # was expected, the next one begins this many times longer: the linear model underrates it.
+    underrated: float = 1.5
+    further: float = 2.0
     # [principle] A fall of minus twice the log posterior below this changes no verdict: 0.025 nats.
     tolerance: float = 0.05
     # [principle] Where no step falls, or one by less than that, the fit has converged if less than

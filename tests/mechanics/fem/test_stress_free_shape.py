@@ -7,10 +7,13 @@ import pytest
 from solids import body, box
 
 from storage.values import Tissue
+from workers.mechanics.fem import stress_free_shape
 from workers.mechanics.fem.loads import NoPlates, Wall
 from workers.mechanics.fem.model import Model, reshaped
 from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.fem.sensitivity import Change, tangents
 from workers.mechanics.fem.solve import equilibrium, solve
+from workers.mechanics.fem.stress_free_shape import stress_free
 
 CLAMPED = Wall(held=(True, True, True))
 G = (0.3, -0.9, 0.3)
@@ -60,6 +63,42 @@ def test_turning_gravity_round_is_counted_from_the_image(at_rest, imaged):
     solution = solve(imaged, replace(SOFT, gravity_g=back, imaged_gravity_g=G))
     expected = at_rest.finest.nodes + direct - imaged.finest.nodes
     np.testing.assert_allclose(solution.displacement_mm, expected, atol=2e-3)
+
+
+def test_the_tangent_knows_that_the_stress_free_shape_hangs_on_the_constants(imaged):
+    """Of a body imaged and pressed under its weight: a derivative by ln E, against differences of
+    whole solutions. With the shape held it would be off by a half."""
+    turned = tuple(-g for g in G)
+
+    def problem(log_change: float) -> Problem:
+        fat = {Tissue.FAT: Constants(0.004 * np.exp(log_change), 0.49)}
+        return replace(SOFT, constants=fat, gravity_g=turned, imaged_gravity_g=G, tolerance_mm=1e-5)
+
+    def displacement(log_change: float) -> np.ndarray:
+        return solve(imaged, problem(log_change)).displacement_mm
+
+    h = 1e-3
+    expected = (displacement(h) - displacement(-h)) / (2 * h)
+    at = equilibrium(imaged, problem(0.0))
+    (found,) = tangents(at, [Change(problem(h), problem(-h), 2 * h)])
+    assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
+
+
+def test_a_shape_is_found_once_for_all_loads_of_a_body(imaged, monkeypatch):
+    """Loads have no part in it; other constants and another weight have."""
+    found = []
+    search = stress_free_shape._found
+    monkeypatch.setattr(
+        stress_free_shape, "_found", lambda *given: found.append(1) or search(*given)
+    )
+    hung = replace(SOFT, imaged_gravity_g=(0.01, 0.0, 0.0))
+    first = stress_free(imaged, hung)
+    assert stress_free(imaged, replace(hung, gravity_g=G, wall=Wall())) is first
+    assert len(found) == 1
+    stiffer = {Tissue.FAT: Constants(0.005, 0.49)}
+    assert stress_free(imaged, replace(hung, constants=stiffer)) is not first
+    assert stress_free(imaged, replace(hung, imaged_gravity_g=(0.02, 0.0, 0.0))) is not first
+    assert len(found) == 3
 
 
 def test_a_body_too_soft_for_its_weight_ends_with_a_reason(at_rest):

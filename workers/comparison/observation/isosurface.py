@@ -23,12 +23,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from skimage.measure import marching_cubes
 
 from storage.errors import InputError
 from storage.values import FloatArray, IntArray, Tissue, Triple, Volume
 from workers.comparison.observation.cubic_interpolation import at_points
+from workers.comparison.observation.gaussian_blur import blurred
 
 LEVEL = 0.5
 SMOOTH_VOXELS = 1.5  # less shows the staircase of the voxels, more loses thin sheets
@@ -138,8 +138,7 @@ def _blurred(
     if smooth_voxels > 0:
         # Beyond the volume the tissue goes on as at its face.
         narrow, wide = (
-            ndimage.gaussian_filter(field, s, mode="nearest", truncate=FARTHEST)
-            for s in (smooth_voxels, 2 * smooth_voxels)
+            blurred(field, (s, s, s), FARTHEST) for s in (smooth_voxels, 2 * smooth_voxels)
         )
-        field = 2 * narrow - wide
+        field = np.subtract(2 * narrow, wide, out=narrow)
     return field, (start[0], start[1], start[2])

@@ -6,12 +6,13 @@ correlated cannot be told from it, so it is left out.
 """
 
 import numpy as np
-from scipy import ndimage
 
 from storage.errors import InputError
 from storage.values import Tissue, Volume
+from workers.comparison.observation.gaussian_blur import blurred
 
 LEVEL = 0.5
+FARTHEST = 3.0  # reach of a Gaussian in standard deviations
 
 
 def smooth_outline(labels: Volume, length_mm: float) -> Volume:
@@ -37,14 +38,13 @@ def smooth_outline(labels: Volume, length_mm: float) -> Volume:
     if not length_mm > 0:
         raise InputError(f"An outline is smoothed over a length > 0 mm, found {length_mm:g}.")
     dx, dy, dz = labels.spacing_mm
-    sigma = np.array([length_mm / dz, length_mm / dy, length_mm / dx])
-    margin = int(np.ceil(1.5 * sigma.max()))
+    sigma = [length_mm / dz, length_mm / dy, length_mm / dx]
+    margin = int(np.ceil(1.5 * max(sigma)))
     pad = [(0, margin), (margin, margin), (margin, margin)]
     values = np.pad(labels.values, pad)
     body = (values != Tissue.AIR).astype(np.float32)
-    once, twice = (
-        ndimage.gaussian_filter(body, s, mode="nearest", truncate=3.0) for s in (sigma, 2 * sigma)
-    )
+    once = blurred(body, sigma, FARTHEST)
+    twice = blurred(body, [2 * s for s in sigma], FARTHEST)
     once *= 2
     once -= twice
     inside = once > LEVEL

@@ -30,7 +30,7 @@ from workers.mechanics.fem.newton import minimise, solve_bordered
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.solve import Equilibrium
 from workers.mechanics.fem.states import History, Stage, State
-from workers.mechanics.fem.stress_free_shape import stress_free
+from workers.mechanics.fem.stress_free_shape import hanging_problem, stress_free
 
 # Of the linear solves.
 RELATIVE_ERROR = 1e-5
@@ -174,11 +174,11 @@ class _Linearisation:
         return self._inner
 
     def _model_of(self, problem: Problem) -> Model:
-        """Return the stress-free model of another problem."""
-        if problem.imaged_gravity_g == self.at.problem.imaged_gravity_g:
-            return self.at.model
+        """Return the stress-free model of another problem: it also hangs on the constants."""
         if not any(problem.imaged_gravity_g):
             return self.at.imaged
+        if hanging_problem(problem) == hanging_problem(self.at.problem):
+            return self.at.model
         return stress_free(self.at.imaged, problem)
 
     def _state_under(self, level: Level, stage: Stage) -> State:

@@ -22,9 +22,10 @@ from workers.mechanics.fem.states import History, Stage, State
 
 # Coarse levels only supply a start: their own error is far larger than this.
 COARSE_TOLERANCE_MM = 0.05
-# Newton iterations from a neighbour's state; what needs more is solved from rest. At the edge of
-# a plate points let go one by one: 13 to 22 where nothing else needs more than 12.
-MAX_ITERATIONS_FROM_NEIGHBOUR = 24
+# Newton iterations from a neighbour's state; what needs more is solved from rest. Points let go
+# of the edge of a plate one by one: up to 27 where nothing else needs more than 12; and from rest
+# such a load may need many stages.
+MAX_ITERATIONS_FROM_NEIGHBOUR = 40
 
 
 @dataclass(frozen=True, eq=False)

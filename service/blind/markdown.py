@@ -6,7 +6,7 @@ from service.blind.calibration import calibration_curve
 from service.blind.confusion import confusion
 from service.blind.metrics import Metric
 from service.blind.records import CaseRecord
-from service.blind.scored_set import ScoredSet
+from service.blind.scored_set import ScoredSet, Seals
 from service.blind.words import answered, asked_for, interval, limit, millimetres, shown
 from service.diagnosis.words import spoken
 from service.formatting import NONE
@@ -34,14 +34,11 @@ def filled(text: str, scored: ScoredSet) -> str:
 
 def table(scored: ScoredSet) -> str:
     """Write the metrics in Markdown, those with a target first, and what lies behind them."""
-    seals = scored.seals
-    lines = [
-        f"{len(scored.records)} cases of the set {scored.name}. Manifest `{seals['manifest']}`, "
-        f"answers `{seals['answers']}`, code `{seals['diagnosis']['code']}`.",
-        "",
-    ]
-    if seals["declared"]:
-        lines += [f"The diagnosis is not the one that was sealed: {seals['declared']}", ""]
+    lines = [f"{len(scored.records)} cases of {scored.name}.", ""]
+    lines += ["| set | manifest | answers | code |", "|---|---|---|---|"]
+    lines += [_sealed(one) for one in scored.seals] + [""]
+    for reason in scored.declared:
+        lines += [f"The diagnosis is not the one that was sealed: {reason}", ""]
     lines += ["| figure | value | 95 % interval | cases | target | |", "|---|---|---|---|---|---|"]
     lines += [_row(f) for f in scored.targets_first]
     if scored.floor_mm is not None:
@@ -53,6 +50,11 @@ def table(scored: ScoredSet) -> str:
     lines += ["", "| wrong answer to | said | true gap, mm | evidence of a gap |"]
     lines += ["|---|---|---|---|"]
     return "\n".join([*lines, *_failures(scored.records)])
+
+
+def _sealed(one: Seals) -> str:
+    hashes = one["manifest"], one["answers"], one["diagnosis"]["code"]
+    return f"| {one['set']} | {' | '.join(f'`{h}`' for h in hashes)} |"
 
 
 def _confusions(records: Sequence[CaseRecord]) -> Iterator[str]:

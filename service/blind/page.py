@@ -35,7 +35,7 @@ def context(scored: ScoredSet) -> dict[str, Any]:
         "verdict": f"{met} of {len(judged)} targets are met on {len(records)} cases.",
         "lead": _lead(scored),
         "tiles": _tiles(metrics),
-        "declared": scored.seals["declared"],
+        "declared": scored.declared,
         "judged": [_row(f) for f in metrics if f.target is not None],
         "others": [_row(f) for f in metrics if f.target is None],
         "confusion": _confusion_picture(records),
@@ -61,7 +61,7 @@ def _lead(scored: ScoredSet) -> str:
         else ""
     )
     shown_scans = (
-        "" if scored.seals["directions"] == "all" else "Only scans pressed along y were shown. "
+        "" if scored.seals[0]["directions"] == "all" else "Only scans pressed along y were shown. "
     )
     return (
         "Bodies made by another solver, with causes known only to whoever made them, were sealed "

@@ -1,5 +1,6 @@
-"""Opens a set: checks every seal, then scores the answers."""
+"""Opens sets: checks every seal, then scores the answers."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -7,6 +8,7 @@ from service.blind.calibration import calibration_curve
 from service.blind.confusion import confusion
 from service.blind.metrics import floor_mm, metrics, regrouped
 from service.blind.read_records import read_records
+from service.blind.records import CaseRecord
 from service.blind.scored_set import ScoredSet, Seals
 from service.blind.seal import file_hash
 from service.blind.sets import (
@@ -18,32 +20,51 @@ from service.blind.sets import (
     check_truths,
     read_manifest,
 )
+from storage.errors import InputError
+
+OpenedSet = tuple[BlindSet, Truths]
+"""A set, and where its truths are."""
 
 
-def score_set(blind: BlindSet, truths: Truths, directions: Directions) -> ScoredSet:
-    """Score a set.
+def score_sets(sets: Sequence[OpenedSet], directions: Directions) -> ScoredSet:
+    """Score one set, or several as if they were one.
 
     Raises
     ------
     InputError
-        If it is not sealed or not answered, or a case, a truth or an answer is not what
-        was sealed.
+        If one is not sealed or not answered, or a case, a truth or an answer is not what
+        was sealed; or if a set is named twice.
     """
+    roots = [blind.root.absolute().resolve() for blind, _ in sets]
+    twice = next((root for n, root in enumerate(roots) if root in roots[:n]), None)
+    if twice is not None:
+        raise InputError(f"The set {twice} is named twice: its cases would count double.")
+    seals = tuple(_checked_seals(blind, truths, directions) for blind, truths in sets)
+    records = regrouped(
+        [one for blind, truths in sets for one in _records(blind, truths, directions)]
+    )
+    name = " + ".join(one["set"] for one in seals)
+    return ScoredSet(name, records, metrics(records), floor_mm(records), seals)
+
+
+def _checked_seals(blind: BlindSet, truths: Truths, directions: Directions) -> Seals:
+    """Return the seals of a set, none of which is broken."""
     manifest = read_manifest(blind)
     check_cases(blind, manifest)
     sealed = check_answers(blind, directions)
     check_truths(truths, manifest)
-    read = read_records(blind, truths, sorted(manifest["cases"]), directions)
-    records = regrouped(read)
-    seals: Seals = {
+    return {
+        "set": blind.root.absolute().name,
         "manifest": file_hash(blind.manifest),
         "answers": file_hash(blind.sealed_answers(directions)),
         "diagnosis": sealed["diagnosis"],
         "declared": sealed["declared"],
         "directions": directions,
     }
-    name = blind.root.absolute().name
-    return ScoredSet(name, records, metrics(records), floor_mm(records), seals)
+
+
+def _records(blind: BlindSet, truths: Truths, directions: Directions) -> list[CaseRecord]:
+    return read_records(blind, truths, sorted(read_manifest(blind)["cases"]), directions)
 
 
 def record(scored: ScoredSet) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Holds the result of scoring a blind set, which page, text and console show."""
+"""Holds the result of scoring blind sets, which page, text and console show."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,13 +10,14 @@ from service.blind.sets import Directions
 
 
 class Seals(TypedDict):
-    """What a score rests on.
+    """What the score of a set rests on.
 
-    ``manifest`` and ``answers`` are hashes, ``diagnosis`` is the one that answered (see
-    `service.blind.sealed_settings`), ``declared`` says why it is not the sealed one, and
-    ``directions`` which scans it was shown.
+    ``set`` is its name, ``manifest`` and ``answers`` are hashes, ``diagnosis`` is the one that
+    answered (see `service.blind.sealed_settings`), ``declared`` says why it is not the sealed
+    one, and ``directions`` which scans it was shown.
     """
 
+    set: str
     manifest: str
     answers: str
     diagnosis: dict[str, Any]
@@ -26,23 +27,30 @@ class Seals(TypedDict):
 
 @dataclass(frozen=True)
 class ScoredSet:
-    """A set with its metrics.
+    """One set, or several together, with metrics.
 
     Parameters
     ----------
     name : str
+        Of the set, or of all of them: "one + another".
     records : sequence of CaseRecord
     metrics : sequence of Metric
     floor_mm : float or None
         True gap of the median control; None without controls.
-    seals : Seals
+    seals : tuple of Seals
+        One for each set.
     """
 
     name: str
     records: Sequence[CaseRecord]
     metrics: Sequence[Metric]
     floor_mm: float | None
-    seals: Seals
+    seals: tuple[Seals, ...]
+
+    @property
+    def declared(self) -> list[str]:
+        """Return why the diagnosis that answered is not the sealed one, where it is not."""
+        return list(dict.fromkeys(one["declared"] for one in self.seals if one["declared"]))
 
     @property
     def targets_first(self) -> list[Metric]:

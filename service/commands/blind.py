@@ -161,7 +161,10 @@ def run(
 
 @app.command("score")
 def score(
-    folder: SetArgument,
+    folders: Annotated[
+        list[Path],
+        typer.Argument(metavar="SET...", help="Folders of the sets; several count as one."),
+    ],
     truth: TruthOption = None,
     directions: DirectionsOption = Which.all,
     page: Annotated[
@@ -173,12 +176,18 @@ def score(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Open the truths of a set whose answers are sealed, and score the answers."""
-    from service.blind.score_set import record, score_set
+    """Open the truths of sets whose answers are sealed, and score the answers."""
+    from service.blind.score_set import record, score_sets
     from service.blind.sets import BlindSet, Truths
 
-    blind = BlindSet(folder)
-    scored = score_set(blind, Truths(truth or blind.truth_beside()), directions.value)
+    if truth is not None and len(folders) > 1:
+        raise InputError(
+            f"--truth names the truths of one set, found {len(folders)} sets. Leave it out where "
+            "they lie beside their sets, as SET-truth, or score one set at a time."
+        )
+    sets = [BlindSet(folder) for folder in folders]
+    opened = [(blind, Truths(truth or blind.truth_beside())) for blind in sets]
+    scored = score_sets(opened, directions.value)
     if page is not None:
         _write(page, scored)
     if into is not None:

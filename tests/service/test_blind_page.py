@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,14 @@ import pytest
 from blind_at_hand import nothing, record
 from pages import Page
 
+from service.blind.markdown import filled
 from service.blind.metrics import floor_mm, metrics
 from service.blind.page import render
 from service.blind.records import CaseRecord
 from service.blind.scored_set import ScoredSet
 
 SEALS = {
+    "set": "sealed-1",
     "manifest": "a" * 64,
     "answers": "b" * 64,
     "declared": None,
@@ -66,7 +69,7 @@ def cases() -> list[CaseRecord]:
 
 
 def scored(records: list[CaseRecord], **seals: Any) -> ScoredSet:
-    return ScoredSet("sealed-1", records, metrics(records), floor_mm(records), SEALS | seals)
+    return ScoredSet("sealed-1", records, metrics(records), floor_mm(records), (SEALS | seals,))
 
 
 @pytest.mark.parametrize(
@@ -100,6 +103,21 @@ def test_the_page_says_what_was_measured() -> None:
     assert "still misses 0.10 mm: the floor" in page.text
 
 
+def test_several_sets_are_shown_with_all_their_seals() -> None:
+    both = replace(
+        scored(cases()),
+        name="one + another",
+        seals=(SEALS | {"set": "one"}, SEALS | {"set": "another", "declared": "a finer mesh"}),
+    )
+    page = Page(render(both))
+    assert "The sets and their seals" in page.text
+    assert page.text.count(SEALS["manifest"]) == 2
+    assert page.text.count("The diagnosis that answered is not the one") == 1
+    text = filled("<!-- figures -->\n<!-- end of figures -->", both)
+    assert "cases of one + another." in text
+    assert text.count(f"`{SEALS['manifest']}`") == 2
+
+
 def test_the_page_lists_what_went_wrong() -> None:
     page = Page(render(scored(cases())))
     assert page.row("b1")[1:3] == [
@@ -127,6 +145,8 @@ Call = Callable[..., tuple[int, str, str]]
         (["run", "set"], "set is no sealed set: it has no manifest.json"),
         (["score", "set"], "set is no sealed set"),
         (["score", "set", "--directions", "z"], "'z' is not one of"),
+        (["score", "one", "two", "--truth", "t"], "--truth names the truths of one set"),
+        (["score", "set", "./set"], "is named twice: its cases would count double"),
     ],
 )
 def test_mistakes_end_with_one_message(call: Call, arguments: list[str], said: str) -> None:
@@ -139,7 +159,7 @@ def test_mistakes_end_with_one_message(call: Call, arguments: list[str], said: s
 def test_score_prints_figures_and_writes_the_page(
     call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.blind.score_set.score_set", lambda *_: scored(cases()))
+    monkeypatch.setattr("service.blind.score_set.score_sets", lambda *_: scored(cases()))
     code, out, _ = call("blind", "score", "set", "--page", "page.html")
     assert code == 0
     lines = [line.split() for line in out.splitlines()]

@@ -12,7 +12,7 @@ from blind_at_hand import NODES, SPACING_MM, SUSPECTS, TILT_DEG, Inline, make_se
 from service.blind.read_records import read_records
 from service.blind.records import CaseRecord
 from service.blind.run import Answering, along_y, answer, request_of, seal, unanswered
-from service.blind.score_set import record, score_set
+from service.blind.score_set import record, score_sets
 from service.blind.seal import file_hash, read_json
 from service.blind.sets import BlindSet, Truths, check_answers
 from service.diagnosis.run import finished, request_for
@@ -131,10 +131,10 @@ def answered_alike(one: BlindSet, other: BlindSet) -> str:
 
 def test_the_score_says_all_that_was_sealed(answered: Answering) -> None:
     blind = answered.blind
-    scored = score_set(blind, Truths(blind.truth_beside()), "all")
+    scored = score_sets([(blind, Truths(blind.truth_beside()))], "all")
     told = json.loads(json.dumps(record(scored)))
-    assert told["seals"]["manifest"] == file_hash(blind.manifest)
-    assert told["seals"]["declared"] is None
+    assert told["seals"][0]["manifest"] == file_hash(blind.manifest)
+    assert told["seals"][0]["declared"] is None
     assert sum(map(sum, told["confusion"]["counts"])) == 2
     by_key = {f["key"]: f for f in told["figures"]}
     assert by_key["first_visible"]["estimate"]["value"] == 1.0
@@ -162,9 +162,19 @@ def test_scans_along_y_can_be_shown_alone(
     run(asked)
     assert seal(asked) == file_hash(copy.sealed_answers("y"))
     assert file_hash(copy.sealed_answers("all")) == before
-    scored = score_set(copy, Truths(copy.truth_beside()), "y")
+    scored = score_sets([(copy, Truths(copy.truth_beside()))], "y")
     assert all(r.true_before_mm is not None for r in scored.records)
-    assert scored.seals["directions"] == "y"
+    assert scored.seals[0]["directions"] == "y"
+
+
+def test_two_sets_are_scored_as_one(answered: Answering, copy: BlindSet) -> None:
+    both = [(blind, Truths(blind.truth_beside())) for blind in (answered.blind, copy)]
+    alone, together = (score_sets(sets, "all") for sets in (both[:1], both))
+    assert len(together.records) == 2 * len(alone.records)
+    assert together.name == f"{answered.blind.root.name} + {copy.root.name}"
+    assert [one["set"] for one in together.seals] == [answered.blind.root.name, copy.root.name]
+    counts = [f.estimate.count for f in together.metrics]
+    assert counts == [2 * f.estimate.count for f in alone.metrics]
 
 
 # What is refused
@@ -184,8 +194,8 @@ def test_another_diagnosis_has_to_be_declared(copy: BlindSet, tmp_path: Path) ->
     assert unanswered(asked) == []
     copy.sealed_answers("all").unlink()
     seal(asked)
-    scored = score_set(copy, Truths(copy.truth_beside()), "all")
-    assert scored.seals["declared"] == "a finer mesh"
+    scored = score_sets([(copy, Truths(copy.truth_beside()))], "all")
+    assert scored.seals[0]["declared"] == "a finer mesh"
 
 
 def test_answers_of_two_versions_do_not_mix(copy: BlindSet, tmp_path: Path) -> None:
@@ -197,19 +207,19 @@ def test_answers_of_two_versions_do_not_mix(copy: BlindSet, tmp_path: Path) -> N
 
 def test_no_score_before_all_is_sealed_or_after_anything_changed(copy: BlindSet) -> None:
     truths = Truths(copy.truth_beside())
-    score_set(copy, truths, "all")
+    score_sets([(copy, truths)], "all")
     with pytest.raises(InputError, match="not all cases are answered"):
-        score_set(copy, truths, "y")
+        score_sets([(copy, truths)], "y")
     path = next(copy.answers("all").glob("*.json"))
     before = path.read_text()
     path.write_text(before.replace('"id"', '"ID"'))
     with pytest.raises(InputError, match=f"changed since they were sealed .*: {path.stem}"):
-        score_set(copy, truths, "all")
+        score_sets([(copy, truths)], "all")
     path.write_text(before)
     truth = truths.of(path.stem) / "truth.json"
     truth.write_text(truth.read_text() + " ")
     with pytest.raises(InputError, match="does not hold the sealed truth"):
-        score_set(copy, truths, "all")
+        score_sets([(copy, truths)], "all")
 
 
 def test_a_case_that_cannot_be_diagnosed_is_answered_so(
@@ -234,7 +244,7 @@ def test_a_case_that_cannot_be_diagnosed_is_answered_so(
     assert sorted(told) == ["InputError: the scan is empty", "ZeroDivisionError: no such tissue"]
     assert read_json(copy.answer(other, "all"))["failed"] == "ZeroDivisionError: no such tissue"
     seal(asked)
-    scored = score_set(copy, Truths(copy.truth_beside()), "all")
+    scored = score_sets([(copy, Truths(copy.truth_beside()))], "all")
     assert {r.answer for r in scored.records} == {"failed"}
     assert {r.reason for r in scored.records} == set(told)
     assert not any(r.right for r in scored.records)

@@ -20,13 +20,14 @@ from storage.values import FloatArray, Triple
 from workers.diagnosis.summary import ShareEstimate, Summary
 from workers.diagnosis.verdict import NO_GAP, NONE_OF_THESE
 from workers.mechanics.effects.image_scale import IMAGE_SCALE
+from workers.mechanics.effects.image_shear import IMAGE_SHEAR
 from workers.mechanics.effects.rigid_motion import RIGID_MOTION
 from workers.mechanics.effects.segmentation_offset import SEGMENTATION_OFFSET
 
 Arrays = Mapping[str, FloatArray]
 Y_AXIS = [0, 1, 0]
 # Effects that move interfaces in the images and no tissue.
-OF_IMAGES = (SEGMENTATION_OFFSET, IMAGE_SCALE, RIGID_MOTION)
+OF_IMAGES = (SEGMENTATION_OFFSET, IMAGE_SCALE, IMAGE_SHEAR, RIGID_MOTION)
 
 
 def read_records(

@@ -14,6 +14,7 @@ from workers.mechanics.effects.breast_catalogue import (
 )
 from workers.mechanics.fem.fields import FibreField, Frame, Gradient, Inclusion
 from workers.mechanics.fem.loads import Attachment, DistanceControl, NoPlates, Wall
+from workers.mechanics.fem.plate_surface import Gap, plate_surfaces
 from workers.mechanics.fem.problem import Constants, Membrane
 from workers.mechanics.materials.yeoh import Yeoh
 from workers.units import KPA_PER_MM, MM_PER_KPA, N_PER_M
@@ -50,6 +51,50 @@ def test_plates():
     loose = replace(plain(), load=NoPlates())
     for name in ("plate_edge", "plate_force", "plate_tilt", "plate_flex", "plate_friction"):
         assert not effect(name).acts_on(loose, FRAME)
+
+
+def test_a_plate_that_gives_is_one_that_is_tilted_by_its_force():
+    """20 N times 0.15 degrees a newton are three degrees; at half the load it is half of that."""
+    gives = effect("plate_give").apply(busy(), {"give_depth": 0.15, "give_across": -0.05}, FRAME)
+    force = gives.load.force_n
+    tilt = {"tilt_depth": 0.15 * force, "tilt_across": -0.05 * force}
+    tilted = effect("plate_tilt").apply(busy(), tilt, FRAME)
+    gap = Gap(-20.0, 20.0)
+    for given, expected in zip(
+        plate_surfaces(gives.load.device, gap, force),
+        plate_surfaces(tilted.load.device, gap, force),
+        strict=True,
+    ):
+        np.testing.assert_allclose(given.normal, expected.normal, atol=1e-15)
+    assert gives.load.device.upper.under(force / 2).tilt_deg == pytest.approx(
+        (1.0 + 0.075 * force, -2.0 - 0.025 * force)
+    )
+    assert gives.load.device.upper.under(None) == gives.load.device.upper
+    at_distance = replace(plain(), load=DistanceControl(-20.0, 20.0))
+    assert not effect("plate_give").acts_on(at_distance, FRAME)
+
+
+def test_volume_of_glandular_tissue_alone():
+    """From nu = 0.49, 1 - 2 nu = 0.02, to three times that."""
+    moved = effect("compressibility_contrast").apply(
+        plain(), {"ln_compressibility_contrast": math.log(3.0)}, FRAME
+    )
+    was = plain().constants
+    assert moved.constants[Tissue.FAT] == was[Tissue.FAT]
+    expected = (1 - 3 * (1 - 2 * was[Tissue.GLANDULAR].poisson)) / 2
+    assert moved.constants[Tissue.GLANDULAR].poisson == pytest.approx(expected)
+    assert moved.constants[Tissue.GLANDULAR].young_mpa == was[Tissue.GLANDULAR].young_mpa
+
+
+def test_a_sheared_image_is_moved_by_the_matrix_of_the_shear():
+    points = np.random.default_rng(3).uniform(-30.0, 30.0, (40, 3))
+    normals = np.random.default_rng(4).standard_normal((40, 3))
+    tissues = np.full(40, Tissue.FAT)
+    values = {"shear_xy": 0.01, "shear_xz": -0.02, "shear_yz": 0.03}
+    matrix = np.array([[0.0, 0.01, -0.02], [0.0, 0.0, 0.03], [0.0, 0.0, 0.0]])
+    moved = (points - np.asarray(FRAME.centre_mm)) @ matrix.T
+    found = effect("image_shear").shift(points, normals, tissues, values, FRAME)
+    np.testing.assert_allclose(found, (moved * normals).sum(axis=1), atol=1e-12)
 
 
 def test_wall():

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from storage.errors import InputError
 from workers.mechanics.effects.base import Effect, Values
 from workers.mechanics.effects.compressibility import COMPRESSIBILITY
+from workers.mechanics.effects.compressibility_contrast import COMPRESSIBILITY_CONTRAST
 from workers.mechanics.effects.creep import CREEP
 from workers.mechanics.effects.fibre_contrast import FIBRE_CONTRAST
 from workers.mechanics.effects.fibre_fan import FIBRE_FAN
@@ -13,12 +14,14 @@ from workers.mechanics.effects.gravity_change import GRAVITY_CHANGE
 from workers.mechanics.effects.gravity_prestress import PRESTRESS
 from workers.mechanics.effects.growth import GROWTH
 from workers.mechanics.effects.image_scale import IMAGE_SCALE
+from workers.mechanics.effects.image_shear import IMAGE_SHEAR
 from workers.mechanics.effects.inclusion import INCLUSION
 from workers.mechanics.effects.local_attachment import LOCAL_ATTACHMENT
 from workers.mechanics.effects.plate_edge import PLATE_EDGE
 from workers.mechanics.effects.plate_flex import PLATE_FLEX
 from workers.mechanics.effects.plate_force import PLATE_FORCE
 from workers.mechanics.effects.plate_friction import FRICTION
+from workers.mechanics.effects.plate_give import PLATE_GIVE
 from workers.mechanics.effects.plate_tilt import PLATE_TILT
 from workers.mechanics.effects.rigid_motion import RIGID_MOTION
 from workers.mechanics.effects.second_fibres import SECOND_FIBRES
@@ -38,6 +41,7 @@ BREAST_EFFECTS: tuple[Effect, ...] = (
     PRESTRESS,
     PLATE_FORCE,
     PLATE_TILT,
+    PLATE_GIVE,
     PLATE_FLEX,
     PLATE_EDGE,
     FRICTION,
@@ -50,6 +54,7 @@ BREAST_EFFECTS: tuple[Effect, ...] = (
     FIBRE_CONTRAST,
     SECOND_FIBRES,
     COMPRESSIBILITY,
+    COMPRESSIBILITY_CONTRAST,
     STIFFENING,
     SKIN_ADDED,
     SKIN_SCALED,
@@ -59,6 +64,7 @@ BREAST_EFFECTS: tuple[Effect, ...] = (
     SEGMENTATION_OFFSET,
     RIGID_MOTION,
     IMAGE_SCALE,
+    IMAGE_SHEAR,
 )
 
 # What is known to matter, or may, and cannot be named as a cause: it, or its nearest
@@ -93,8 +99,8 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
         "all moduli relax by the same part; only scans at several times tell tissues apart",
     ),
     (
-        "plate that gives way with force",
-        "tilt and sag are those of the final state and do not follow the force",
+        "plate that bends with force",
+        "its tilt may follow the force; its sag is that of the final state",
     ),
     (
         "movement of the chest wall",

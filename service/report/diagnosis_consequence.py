@@ -5,6 +5,7 @@ from markupsafe import Markup
 from service.diagnosis.words import together
 from service.formatting import joined, number, percent, signed_error, symbol
 from workers.diagnosis.summary import ConstantEstimate, Summary
+from workers.diagnosis.verdict import NO_GAP
 
 # A constant that an effect changes by less is the same with and without it.
 SAME = 0.05
@@ -69,9 +70,9 @@ def next_step(summary: Summary, command: str) -> Markup:
 
 
 def _is_lead(summary: Summary) -> bool:
-    """Return whether the effect may leave as large a gap on scans that it was not fitted to."""
+    """Return whether there may be no gap, or as large a one on scans that were not fitted to."""
     share = summary.gap_mm.held_out_share
-    return share is not None and share.low < 0
+    return NO_GAP in summary.set90 or (share is not None and share.low < 0)
 
 
 def _change(constant: ConstantEstimate) -> float:

@@ -12,6 +12,8 @@ from workers.diagnosis.gap import Gap, credited, gap, pooled
 from workers.diagnosis.linear_fit import LinearFit
 from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.shrinkage import Comparison
+from workers.diagnosis.summarise import known_shares
+from workers.diagnosis.summary import GapEstimate, GapSummary, ShareEstimate
 from workers.mechanics.effects.rigid_motion import rigid_columns
 
 STATE = layout(60)[2]
@@ -252,6 +254,17 @@ def test_unseen_shrinkage_pools_what_single_states_say():
     less = np.mean([p.before.excess_mm2 - p.after.excess_mm2 for p in parts])
     assert whole.before.excess_mm2 - whole.after.excess_mm2 == pytest.approx(less, rel=1e-10)
     assert whole.share == pytest.approx(less / whole.before.gap_mm**2, rel=1e-10)
+
+
+def test_no_share_is_claimed_of_a_gap_that_may_not_be_there():
+    gaps = [GapEstimate(mm, 0.8 * mm, 1.2 * mm, 0.25, 800) for mm in (0.15, 0.08)]
+    share = ShareEstimate(0.7, 0.4, 0.9)
+    whole = GapSummary(gaps[0], 0.25, 0.06, gaps[1], *gaps, share=share, held_out_share=share)
+    assert known_shares(whole, ("plate_tilt", "none-of-these")) == whole
+    doubtful = known_shares(whole, ("plate_tilt", "no-gap"))
+    assert doubtful.share is None
+    assert doubtful.held_out_share is None
+    assert doubtful.held_out_after == gaps[1]
 
 
 def test_a_floor_that_is_not_known_exactly_widens_the_interval_of_the_share(monkeypatch):

@@ -28,6 +28,7 @@ from workers.diagnosis.summary import (
     ShareEstimate,
     Summary,
 )
+from workers.diagnosis.verdict import NO_GAP
 from workers.mechanics.effects.base import Effect, one_sided
 
 
@@ -145,7 +146,12 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
     comparison = Comparison(*fits, seed, floor_mm=floor_mm, registered=poses)
     fitted = _compared(comparison.shrinkage())
     inside = replace(alone, before=fitted.before, after=fitted.after, share=fitted.share)
-    return _with_held_out(inside, inverse, comparison)
+    return known_shares(_with_held_out(inside, inverse, comparison), diagnosis.verdict.set90)
+
+
+def known_shares(found: GapSummary, set90: Sequence[str]) -> GapSummary:
+    """Leave the shares out where there may be no gap: nobody knows by what part that shrinks."""
+    return replace(found, share=None, held_out_share=None) if NO_GAP in set90 else found
 
 
 def _registered(diagnosis: Diagnosis) -> LinearFit:

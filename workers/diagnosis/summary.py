@@ -62,6 +62,8 @@ class GapSummary:
     held_out_before, held_out_after : GapEstimate or None
         None for one scan too.
     share, held_out_share : ShareEstimate, optional
+        None too where "no gap" is among the causes that hold 90 %: no share is known of a gap
+        that may not be there.
     held_out : str, optional
         How scans were held out, in words.
     held_out_each : mapping of str to GapShrinkage, optional

@@ -30,7 +30,11 @@ from workers.mechanics.fem.newton import minimise, solve_bordered
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.solve import Equilibrium
 from workers.mechanics.fem.states import History, Stage, State
-from workers.mechanics.fem.stress_free_shape import hanging_problem, stress_free
+from workers.mechanics.fem.stress_free_shape import (
+    NoStressFreeShapeError,
+    hanging_problem,
+    stress_free,
+)
 
 # Of the linear solves.
 RELATIVE_ERROR = 1e-5
@@ -174,12 +178,18 @@ class _Linearisation:
         return self._inner
 
     def _model_of(self, problem: Problem) -> Model:
-        """Return the stress-free model of another problem: it also hangs on the constants."""
+        """Return the stress-free model of another problem: it also hangs on the constants.
+
+        Where that has none, a hair beyond a body that hardly carries its weight, it is this one.
+        """
         if not any(problem.imaged_gravity_g):
             return self.at.imaged
         if hanging_problem(problem) == hanging_problem(self.at.problem):
             return self.at.model
-        return stress_free(self.at.imaged, problem)
+        try:
+            return stress_free(self.at.imaged, problem)
+        except NoStressFreeShapeError:
+            return self.at.model
 
     def _state_under(self, level: Level, stage: Stage) -> State:
         """Return the present positions with the history that another problem would have.

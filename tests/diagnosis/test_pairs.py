@@ -106,3 +106,37 @@ def test_a_fit_whose_start_cannot_be_simulated_begins_nearer_to_neutral(monkeypa
     assert found is not None
     assert found.fit.values()["tilt_depth"] == pytest.approx(4.0, abs=0.1)
     assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.1)
+
+
+def test_of_several_places_the_fit_goes_on_from_the_best_alone(monkeypatch):
+    """A start at the place and one across the body; both are tried for three iterations."""
+    true = {"attachment_stiffness_x": 5e-4, "attachment_x": 26.0}
+    true |= {"attachment_y": 3.0, "attachment_z": -2.0}
+    inverse = problem_between_plates(ATTACHED, true)
+    free = unknowns(FREE, [])
+    nominal = fit(inverse, free, free.mean, [None] * len(inverse.scans))
+    assert nominal is not None
+    analysis = analysed(inverse, nominal, [ATTACHED])
+    near = ATTACHED.neutral | true | {"attachment_stiffness_x": 1e-4, "attachment_z": 4.0}
+    far = near | {"attachment_x": -26.0}
+    runs = []
+
+    def watched(inverse, free, z, starts, poses, each, most):
+        found = fit(inverse, free, z, starts, poses, each, most)
+        runs.append((most, free.of_effect(ATTACHED, z)["attachment_x"], found))
+        return found
+
+    monkeypatch.setattr("workers.diagnosis.joint_fit.fit", watched)
+    monkeypatch.setattr("workers.diagnosis.joint_fit._starts", lambda *_: [far, near])
+    found = fit_jointly(analysis, [ATTACHED])
+    few, whole = SETTINGS.joint_fits.trial_iterations, SETTINGS.fit.max_iterations
+    assert [most for most, _, _ in runs][:2] == [few, few]
+    assert [x for _, x, _ in runs][:2] == [-26.0, 26.0]
+    tried = runs[1][2]
+    assert found is not None
+    if not tried.converged:
+        assert runs[2][0] == whole
+        assert runs[2][1] == pytest.approx(tried.values()["attachment_x"])
+        assert found.fit.iterations > few
+    assert found.fit.values()["attachment_x"] == pytest.approx(26.0, abs=5.0)
+    assert found.fit.cost <= tried.cost < runs[0][2].cost

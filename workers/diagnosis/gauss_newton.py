@@ -126,6 +126,7 @@ def fit(
     starts: Sequence[Equilibrium | None],
     poses: Sequence[FloatArray | None] | None = None,
     each: Each = map,
+    max_iterations: int = SETTINGS.fit.max_iterations,
 ) -> SolvedFit | None:
     """Find the most probable parameters.
 
@@ -139,6 +140,8 @@ def fit(
         Where the scans lie to begin with, see `PredictedScan`; as their headers say.
     each : callable
         Calls a function with every scan, as `map` does; maybe several at a time.
+    max_iterations : int
+        After which it ends wherever it is.
 
     Returns
     -------
@@ -152,12 +155,14 @@ def fit(
         return None
     cost = _cost(inverse, unknowns, z, predictions)
     jacobians: list[ScanJacobian] | None = None
+    placed = any(effect.place is not None for effect in unknowns.effects)
+    tolerance = SETTINGS.fit.place_tolerance if placed else SETTINGS.fit.tolerance
     length = 1.0
-    for iteration in range(1, SETTINGS.fit.max_iterations + 1):
+    for iteration in range(1, max_iterations + 1):
         jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
         J = np.vstack([jacobian.columns for jacobian in jacobians])
         step, expected = _step(inverse, unknowns, z, predictions, J)
-        if expected < SETTINGS.fit.tolerance:
+        if expected < tolerance:
             return SolvedFit(unknowns, z, predictions, J, cost, True, iteration)
         found = _descend(inverse, unknowns, z, predictions, cost, step, length, each)
         if found is None and not all(jacobian.fresh for jacobian in jacobians):
@@ -167,7 +172,7 @@ def fit(
         if found is None:
             return SolvedFit(unknowns, z, predictions, J, cost, at_rest, iteration)
         fall = cost - found.cost
-        settled = fall < SETTINGS.fit.tolerance
+        settled = fall < tolerance
         z, predictions, cost = found.z, found.predictions, found.cost
         further = fall > SETTINGS.fit.underrated * expected
         length = (

@@ -1,13 +1,13 @@
 """The constants and the parameters of some effects, fitted again together."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from storage.values import FloatArray
 from workers.diagnosis.evidence import log_evidence
-from workers.diagnosis.gauss_newton import Fit, fit
+from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit
 from workers.diagnosis.inverse_problem import unknowns
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.nominal_analysis import NominalAnalysis
@@ -31,6 +31,13 @@ class JointFit:
     def names(self) -> tuple[str, ...]:
         """Names of the effects."""
         return tuple(e.name for e in self.effects)
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedJointFit(JointFit):
+    """The same with the equilibria of its scans, from which another fit can go on."""
+
+    fit: SolvedFit
 
 
 def fit_jointly(
@@ -59,38 +66,54 @@ def fit_jointly(
     begun = analysis.begun.get(effects[0].name, {}) if base is None else base.fit.values()
     at = analysis.linear if base is None else base.fit.linearised(analysis.inverse)
     new = [effect for effect in effects if effect.names[0] not in begun]
-    best: JointFit | None = None
     nominal = analysis.nominal.values() | dict(begun)
-    for start in _starts(analysis, at, new):
+    starts = _starts(analysis, at, new)
+    few = SETTINGS.joint_fits.trial_iterations if len(starts) > 1 else SETTINGS.fit.max_iterations
+    best: SolvedJointFit | None = None
+    for start in starts:
         for share in SETTINGS.joint_fits.start_shares:
             there = nominal | _nearer(new, start, share)
             values = _compensated(analysis, at, new, there)
-            fitted = _fitted_from(analysis, effects, values, each)
+            fitted = _fitted_from(analysis, effects, values, analysis.nominal, each, few)
             if fitted is not None:
                 break
         if fitted is not None and (best is None or fitted.log_evidence > best.log_evidence):
             best = fitted
-    return best
+    if best is None or len(starts) == 1 or best.fit.converged:
+        return best
+    return _gone_on(analysis, best, each)
+
+
+def _gone_on(analysis: NominalAnalysis, tried: SolvedJointFit, each: Each) -> SolvedJointFit:
+    """Return a fit that was tried for a few iterations, at its end."""
+    values, near = tried.fit.values(), tried.fit
+    found = _fitted_from(analysis, tried.effects, values, near, each)
+    if found is None:
+        return tried
+    iterations = near.iterations + found.fit.iterations
+    return replace(found, fit=replace(found.fit, iterations=iterations))
 
 
 def _fitted_from(
     analysis: NominalAnalysis,
     effects: Sequence[Effect],
     values: Mapping[str, float],
+    near: SolvedFit,
     each: Each,
-) -> JointFit | None:
-    """Fit from values of all parameters."""
-    inverse, nominal = analysis.inverse, analysis.nominal
+    max_iterations: int = SETTINGS.fit.max_iterations,
+) -> SolvedJointFit | None:
+    """Fit from values of all parameters, the first equilibria from those of a fit nearby."""
+    inverse = analysis.inverse
     free = unknowns(inverse.free, effects)
     z = np.array([values[name] for name in free.names])
     k = len(inverse.free)
     z[:k] = np.log(z[:k])
-    fitted = fit(inverse, free, z, nominal.starts(), nominal.poses(), each)
+    fitted = fit(inverse, free, z, near.starts(), near.poses(), each, max_iterations)
     if fitted is None:
         return None
     poses = np.zeros(inverse.nuisance_count, np.bool_)
     evidence = log_evidence(fitted.linearised_with_poses(inverse), np.append(free.one_sided, poses))
-    return JointFit(tuple(effects), fitted, evidence)
+    return SolvedJointFit(tuple(effects), fitted, evidence)
 
 
 def _compensated(

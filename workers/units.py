@@ -68,7 +68,6 @@ G = Unit("g", "g", 1.0)  # multiples of the acceleration of gravity
 KPA_PER_MM = Unit("kPa/mm", "MPa/mm", 1000.0)
 MM_PER_KPA = Unit("mm/kPa", "mm/MPa", 1.0, 1000.0)
 N_PER_M = Unit("N/m", "N/mm", 1000.0)
-DEGREE_PER_N = Unit("deg/N", "deg/N", 1.0)
 
 FORCE_UNITS = frozenset({KPA, PA, MMHG, G, KPA_PER_MM, MM_PER_KPA, N_PER_M})
 """Units of what a force on a body is measured against: stiffness, pressure, weight."""

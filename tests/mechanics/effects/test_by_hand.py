@@ -14,7 +14,6 @@ from workers.mechanics.effects.breast_catalogue import (
 )
 from workers.mechanics.fem.fields import FibreField, Frame, Gradient, Inclusion
 from workers.mechanics.fem.loads import Attachment, DistanceControl, NoPlates, Wall
-from workers.mechanics.fem.plate_surface import Gap, plate_surfaces
 from workers.mechanics.fem.problem import Constants, Membrane
 from workers.mechanics.materials.yeoh import Yeoh
 from workers.units import KPA_PER_MM, MM_PER_KPA, N_PER_M
@@ -51,27 +50,6 @@ def test_plates():
     loose = replace(plain(), load=NoPlates())
     for name in ("plate_edge", "plate_force", "plate_tilt", "plate_flex", "plate_friction"):
         assert not effect(name).acts_on(loose, FRAME)
-
-
-def test_a_plate_that_gives_is_one_that_is_tilted_by_its_force():
-    """20 N times 0.15 degrees a newton are three degrees; at half the load it is half of that."""
-    gives = effect("plate_give").apply(busy(), {"give_depth": 0.15, "give_across": -0.05}, FRAME)
-    force = gives.load.force_n
-    tilt = {"tilt_depth": 0.15 * force, "tilt_across": -0.05 * force}
-    tilted = effect("plate_tilt").apply(busy(), tilt, FRAME)
-    gap = Gap(-20.0, 20.0)
-    for given, expected in zip(
-        plate_surfaces(gives.load.device, gap, force),
-        plate_surfaces(tilted.load.device, gap, force),
-        strict=True,
-    ):
-        np.testing.assert_allclose(given.normal, expected.normal, atol=1e-15)
-    assert gives.load.device.upper.under(force / 2).tilt_deg == pytest.approx(
-        (1.0 + 0.075 * force, -2.0 - 0.025 * force)
-    )
-    assert gives.load.device.upper.under(None) == gives.load.device.upper
-    at_distance = replace(plain(), load=DistanceControl(-20.0, 20.0))
-    assert not effect("plate_give").acts_on(at_distance, FRAME)
 
 
 def test_volume_of_glandular_tissue_alone():

@@ -21,7 +21,6 @@ from workers.mechanics.effects.plate_edge import PLATE_EDGE
 from workers.mechanics.effects.plate_flex import PLATE_FLEX
 from workers.mechanics.effects.plate_force import PLATE_FORCE
 from workers.mechanics.effects.plate_friction import FRICTION
-from workers.mechanics.effects.plate_give import PLATE_GIVE
 from workers.mechanics.effects.plate_tilt import PLATE_TILT
 from workers.mechanics.effects.rigid_motion import RIGID_MOTION
 from workers.mechanics.effects.second_fibres import SECOND_FIBRES
@@ -41,7 +40,6 @@ BREAST_EFFECTS: tuple[Effect, ...] = (
     PRESTRESS,
     PLATE_FORCE,
     PLATE_TILT,
-    PLATE_GIVE,
     PLATE_FLEX,
     PLATE_EDGE,
     FRICTION,
@@ -99,8 +97,8 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
         "all moduli relax by the same part; only scans at several times tell tissues apart",
     ),
     (
-        "plate that bends with force",
-        "its tilt may follow the force; its sag is that of the final state",
+        "plate that gives way with force",
+        "tilt and sag are those of the final state; one that follows the force looks like a tilt",
     ),
     (
         "movement of the chest wall",

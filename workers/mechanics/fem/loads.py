@@ -1,6 +1,6 @@
 """Loads and boundary conditions: plates, pressure, forces, held places, chest wall."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import RBFInterpolator
@@ -21,20 +21,10 @@ class Plate:
     bow_per_mm : tuple of float
         Curvature along the first and the second in-plane axis, positive where the
         plate bends away from the body.
-    give_deg_per_n : tuple of float
-        How much further it is turned for each newton that it carries.
     """
 
     tilt_deg: tuple[float, float] = (0.0, 0.0)
     bow_per_mm: tuple[float, float] = (0.0, 0.0)
-    give_deg_per_n: tuple[float, float] = (0.0, 0.0)
-
-    def under(self, force_n: float | None) -> "Plate":
-        """Return the plate as it stands under a force; None where no force is stated."""
-        if force_n is None or not any(self.give_deg_per_n):
-            return self
-        (first, second), (a, b) = self.tilt_deg, self.give_deg_per_n
-        return replace(self, tilt_deg=(first + a * force_n, second + b * force_n))
 
 
 @dataclass(frozen=True, slots=True)

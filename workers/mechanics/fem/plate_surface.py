@@ -101,10 +101,8 @@ class PlateSurface:
         )
 
 
-def plate_surfaces(
-    device: Device, gap: Gap, force_n: float | None = None
-) -> tuple[PlateSurface, PlateSurface]:
-    """Return the lower and the upper plate of `device` at `gap`, under a force if it is known."""
+def plate_surfaces(device: Device, gap: Gap) -> tuple[PlateSurface, PlateSurface]:
+    """Return the lower and the upper plate of `device` at `gap`."""
     axis = np.asarray(device.axis) / np.linalg.norm(device.axis)
     second = np.array([0.0, 0.0, 1.0])
     second = second - (second @ axis) * axis
@@ -113,11 +111,10 @@ def plate_surfaces(
     pivot = np.asarray(device.pivot_mm)
     pivot = pivot - (pivot @ axis) * axis
     share = device.lower_share
-    lower, upper = device.lower.under(force_n), device.upper.under(force_n)
     edge = None if device.edge_mm is None else Edge(second, device.edge_mm)
     return (
-        _surface(lower, pivot + gap.lower_mm * axis, axis, share * axis, plane, edge),
-        _surface(upper, pivot + gap.upper_mm * axis, -axis, (share - 1) * axis, plane, edge),
+        _surface(device.lower, pivot + gap.lower_mm * axis, axis, share * axis, plane, edge),
+        _surface(device.upper, pivot + gap.upper_mm * axis, -axis, (share - 1) * axis, plane, edge),
     )
 
 

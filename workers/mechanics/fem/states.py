@@ -87,4 +87,4 @@ class Stage:
     def plates(self, travel_mm: float) -> tuple[PlateSurface, ...]:
         """Return the plates after `travel_mm`."""
         gap = self.gap_at(travel_mm)
-        return () if gap is None else plate_surfaces(self.device, gap, self.force_n)
+        return () if gap is None else plate_surfaces(self.device, gap)

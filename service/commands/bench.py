@@ -24,6 +24,10 @@ def bench(
     evaluations: Annotated[
         int, typer.Option(min=200, help="Trivial ones, with --service; a multiple of 200.")
     ] = 20_000,
+    diagnosis: Annotated[
+        Path | None,
+        typer.Option(metavar="CASE", help="Instead: the tasks of a diagnosis.", show_default=False),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Time phantom, mesh, solver, warp and score, and their memory.
@@ -31,11 +35,17 @@ def bench(
     The thesis' own size is --nodes 90000 --spacing 0.2. Against CalculiX, an
     independent solver: python -m tests.benchmarks.independent in the sources.
     With --service everything around the simulations, in some ten minutes.
+    With --diagnosis the tasks of one, and what more workers would make of them.
     """
     import tempfile
 
+    if service and diagnosis is not None:
+        raise InputError("--service and --diagnosis are two measurements: give one of them.")
     if service:
         bench_service(evaluations, as_json=as_json)
+        return
+    if diagnosis is not None:
+        bench_diagnosis(diagnosis, as_json=as_json)
         return
 
     from service.bench import measure
@@ -63,6 +73,31 @@ def bench_service(evaluations: int, *, as_json: bool) -> None:
             typer.echo("  ".join(f"{name} {value}" for name, value in row.items()))
     if as_json:
         print_json(rows)
+
+
+def bench_diagnosis(source: Path, *, as_json: bool) -> None:
+    """Measure the tasks of a diagnosis, and print each phase when it has ended."""
+    import tempfile
+
+    from service.diagnosis_bench import WORKERS, PhaseTimes, measure_diagnosis, projected
+    from workers.diagnosis.settings import SETTINGS
+
+    def tell(phase: PhaseTimes) -> None:
+        if not as_json:
+            tasks = f"{len(phase.seconds):4d} tasks"
+            longest = f"the longest {max(phase.seconds):.1f} s"
+            typer.echo(f"{phase.phase:<13}{tasks}{sum(phase.seconds):8.1f} s, {longest}")
+
+    with tempfile.TemporaryDirectory(prefix="palpate-bench-") as folder:
+        phases = measure_diagnosis(source, Path(folder), SETTINGS.mesh.nodes, tell)
+    alone = projected(phases, 1)
+    rows = [(n, projected(phases, n)) for n in WORKERS]
+    if as_json:
+        each = [{"workers": n, "seconds": s, "ratio": alone / s} for n, s in rows]
+        print_json({"phases": [asdict(phase) for phase in phases], "projected": each})
+        return
+    for n, seconds in rows:
+        typer.echo(f"on {n:2d} workers{seconds:21.1f} s, {alone / seconds:.1f} times as fast")
 
 
 def line(row: "Row") -> str:

@@ -51,7 +51,7 @@ def test_a_way_that_fails_is_followed_by_one_of_more_stages(model, monkeypatch):
     tried: list[float] = []
 
     def stubborn(level, start, stage, *rest):
-        found = solve_level(level, start, stage, *rest)
+        found = solve_balanced(level, start, stage, *rest)
         if level.model is model.finest:
             tried.append(stage.fraction)
             if len(tried) == 1:
@@ -59,8 +59,8 @@ def test_a_way_that_fails_is_followed_by_one_of_more_stages(model, monkeypatch):
         return found
 
     direct = solve(model, pressed())
-    solve_level = load_stepping.solve_level
-    monkeypatch.setattr(load_stepping, "solve_level", stubborn)
+    solve_balanced = load_stepping.solve_balanced
+    monkeypatch.setattr(load_stepping, "solve_balanced", stubborn)
     found = solve(model, pressed())
     assert found.outcome.converged
     assert tried == pytest.approx([1.0, 1 / 9, 4 / 9, 1.0])

@@ -1,7 +1,10 @@
 """Equilibrium of one mesh at one moment, friction and follower pressure included."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from workers.mechanics.fem.equilibrium_check import equilibrium_fault
 from workers.mechanics.fem.level import Level, without_laws
 from workers.mechanics.fem.multigrid import LinearSolverFactory
 from workers.mechanics.fem.newton import MAX_ITERATIONS, Result, minimise
@@ -13,6 +16,9 @@ MAX_UPDATES = 40
 # after, as a part of what the last update moved.
 FIRST_TOLERANCE_MM = 0.2
 PART_OF_LAST_MOTION = 0.1
+# A state whose steps are short, but whose forces are not balanced, is solved on to a tolerance
+# that is smaller by this factor, so many times.
+TIGHTER, MAX_TIGHTENINGS = 0.1, 2
 
 
 def solve_level(
@@ -52,3 +58,34 @@ def solve_level(
         near = max(tolerance_mm, PART_OF_LAST_MOTION * moved)
     reason = f"friction or pressure still moved the body by {moved:.2g} mm"
     return Result(result.state, reason, newton, cg, result.residual_n, result.linear)
+
+
+def solve_balanced(
+    level: Level,
+    start: State,
+    stage: Stage,
+    factory: LinearSolverFactory,
+    tolerance_mm: float,
+    max_iterations: int = MAX_ITERATIONS,
+) -> Result:
+    """Find the equilibrium near `start` on the finest mesh, its forces balanced.
+
+    `solve_level` ends where steps are short. From a good start they are so at once in a slender
+    or stiff body, whose forces need not be balanced then: it is solved on, more exactly.
+    """
+    result = solve_level(level, start, stage, factory, tolerance_mm, max_iterations)
+    for _ in range(MAX_TIGHTENINGS):
+        if result.reason or not _fault(level, result.state, stage):
+            break
+        tolerance_mm *= TIGHTER
+        again = solve_level(level, result.state, stage, factory, tolerance_mm, max_iterations)
+        newton = result.iterations + again.iterations
+        cg = result.cg_iterations + again.cg_iterations
+        result = replace(again, iterations=newton, cg_iterations=cg)
+    return result
+
+
+def _fault(level: Level, state: State, stage: Stage) -> str:
+    """Return why the forces on a level are not balanced; empty where they are."""
+    at = level.energy(state, stage)
+    return equilibrium_fault(level, state, at, stage, level.force(state, at, stage))

@@ -7,7 +7,7 @@ import numpy as np
 
 from storage.values import FloatArray
 from workers.mechanics.fem.level import Level
-from workers.mechanics.fem.level_equilibrium import solve_level
+from workers.mechanics.fem.level_equilibrium import solve_balanced, solve_level
 from workers.mechanics.fem.load_schedule import (
     bring_into_contact,
     coarsest_increments,
@@ -119,7 +119,7 @@ class LoadStepping:
             start = bring_into_contact(level, begun.moved_to(x, there.travel_mm), stage)
             start = level.update_history(start, stage)
             factory, limit = solver_factory(near.solvers[:-1]), MAX_ITERATIONS_FROM_NEIGHBOUR
-            result = solve_level(level, start, stage, factory, tolerance, limit)
+            result = solve_balanced(level, start, stage, factory, tolerance, limit)
             if result.reason or result.linear is None:
                 states = (*states[:-1], result.state)
                 break
@@ -158,7 +158,8 @@ class LoadStepping:
                 result = self._coarsest_from_rest(begun, stage, tolerance)
             else:
                 start = self._start(k, begun, before, states, stage, first=first)
-                result = solve_level(level, start, stage, solver_factory(solvers), tolerance)
+                solve = solve_balanced if k == len(self.levels) - 1 else solve_level
+                result = solve(level, start, stage, solver_factory(solvers), tolerance)
             results.append(result)
             states.append(result.state)
             if result.reason or result.linear is None:

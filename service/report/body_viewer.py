@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from service.formatting import number
+from service.report.colour_scale import SIGNED
 from service.report.packed import Json, packed, packed_points, packed_triangles
 from storage.values import FloatArray, IntArray
 from workers.mechanics.pressed import Pressed
 
 SEQUENTIAL = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
-SIGNED = ("#053c5e", "#0072b2", "#9fc3dc", "#c9c5bd", "#eeb083", "#c44e00", "#6b2500")
 # How far plates and wall reach beyond the body, and how long arrows are, as shares of its size.
 BEYOND, ARROW = 0.1, 0.22
 

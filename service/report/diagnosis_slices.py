@@ -1,36 +1,40 @@
 """Sections through observed and predicted bodies, and through the map of causes."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from service.diagnosis.words import signed
-from service.report.canvas import SMALL_PT, TEXT_PT, calm, figure
-from service.report.diagnosis_maps import SIGNIFICANT, sharpened
-from service.report.palette import BLUE, INK, SOFT_INK, VERMILION
-from service.report.slices import AXES, VIEWS, Section, View, frame_mm, section
-from storage.values import Tissue, Triple, Volume
+from service.report.colour_scale import ColourScale, colour_bar
+from service.report.contours import Line, contours
+from service.report.diagnosis_maps import SIGNIFICANT
+from service.report.palette import BLUE, VERMILION, lookup
+from service.report.panel import ABOVE_PX, BELOW_PX, LEFT_PX, Panel
+from service.report.raster import png_uri
+from service.report.slices import AXES, VIEWS, Section, View, clipped, frame_mm, section
+from service.report.svg import Svg
+from storage.values import BoolArray, Tissue, Triple, Volume
 
-WIDTH_IN = 10.4
-# What the words beside and below a section need, across and up.
-LABELS_IN = (0.6, 0.72)
-# One column of sections is no wider, and no figure higher, lest it fill a screen.
-MOST_IN = (5.9, 6.0)
+WIDTH_PX = 998.0
+# One column of sections is no wider, and all of them no higher, lest they fill a screen.
+MOST_PX = (566.0, 576.0)
+RIGHT_PX, HEAD_PX = 8.0, 20.0
+# What the bar of a colour scale needs.
+BAR_PX = 96.0
 BODY, GLAND, QUIET = "#8a94a12e", "#8a94a180", "#8a94a170"
+# Labels of an overlay, and their colours.
+IN_BOTH, GLAND_IN_BOTH, TOO_MUCH, TOO_LITTLE = 1, 2, 3, 4
+OVERLAY = lookup({IN_BOTH: BODY, GLAND_IN_BOTH: GLAND, TOO_MUCH: VERMILION, TOO_LITTLE: BLUE})
 # Hues that mean neither "outside" nor "inside".
-CAUSES = LinearSegmentedColormap.from_list(
-    "causes", ["#0b4f3c", "#1b8a6b", "#a3cfc0", "#d0ccc8", "#d0a3c6", "#9b3a86", "#521047"]
-)
+CAUSES = ("#0b4f3c", "#1b8a6b", "#a3cfc0", "#d0ccc8", "#d0a3c6", "#9b3a86", "#521047")
 SMALLEST_SCORE = 4.0
+# Labels of a map of causes: 0 where nothing is known, so many steps of its scale, and quiet ones.
+STEPS = 253
+QUIET_LABEL = STEPS + 1
 
 
-def overlays(observed: Volume, predicted: Mapping[str, Volume], middle: Triple) -> Figure:
+def overlays(observed: Volume, predicted: Mapping[str, Volume], middle: Triple) -> Svg:
     """Return what the model has too much and too little, in three sections of one scan.
 
     Parameters
@@ -42,21 +46,13 @@ def overlays(observed: Volume, predicted: Mapping[str, Volume], middle: Triple) 
     middle : tuple of float
         Point (x, y, z) in mm that the sections pass through.
     """
-    cuts = [(v, section(observed, v, middle[v.normal])) for v in VIEWS]
-    frames = [frame_mm([seen]) for _, seen in cuts]
-    columns = len(predicted)
-    drawn, grid = _grid(frames, columns, 0.3)
-    for line, (view, seen), box in zip(grid, cuts, frames, strict=True):
-        for axes, volume in zip(line, predicted.values(), strict=True):
-            model = section(volume, view, middle[view.normal])
-            axes.imshow(
-                compared(seen, model), origin="lower", extent=seen.extent_mm, interpolation="none"
-            )
-            for tissue_set in (_body(seen), _gland(seen)):
-                _contour(axes, seen, tissue_set, 0.4)
-            _dress(axes, view, box, middle)
-    _head(grid[0], predicted)
-    return drawn
+    cuts = [_cut(observed, view, middle) for view in VIEWS]
+    svg, grid = _grid(cuts, list(predicted), 0.0)
+    for line, cut in zip(grid, cuts, strict=True):
+        for panel, volume in zip(line, predicted.values(), strict=True):
+            model = section(volume, cut.view, middle[cut.view.normal])
+            _draw(svg, panel, compared(cut.seen, model), OVERLAY, cut, middle)
+    return svg
 
 
 def overlay_legend() -> list[tuple[str, str]]:
@@ -69,25 +65,25 @@ def overlay_legend() -> list[tuple[str, str]]:
     ]
 
 
-def compared(seen: Section, model: Section) -> NDArray[np.float64]:
-    """Return colours of a section, shape (rows, columns, 4), clear where there is air.
+def compared(seen: Section, model: Section) -> Section:
+    """Return labels of an overlay, 0 where there is air.
 
-    Too much of the body or of its glandular tissue is vermilion, too little blue. The
+    Too much of the body or of its glandular tissue is `TOO_MUCH`, too little `TOO_LITTLE`. The
     sections must have one box.
     """
-    pixels = np.zeros((*seen.values.shape, 4))
-    pixels[_body(seen)] = to_rgba(BODY)
-    pixels[_gland(seen) & _gland(model)] = to_rgba(GLAND)
+    labels = np.zeros(seen.values.shape, np.uint8)
+    labels[_body(seen)] = IN_BOTH
+    labels[_gland(seen) & _gland(model)] = GLAND_IN_BOTH
     # Tissue that is missing altogether is also missing gland: the outline is drawn last.
     for of in (_gland, _body):
-        pixels[of(model) & ~of(seen)] = to_rgba(VERMILION)
-        pixels[of(seen) & ~of(model)] = to_rgba(BLUE)
-    return pixels
+        labels[of(model) & ~of(seen)] = TOO_MUCH
+        labels[of(seen) & ~of(model)] = TOO_LITTLE
+    return Section(labels, seen.spacing_mm, seen.origin_mm)
 
 
 def cause_sections(
     maps: Mapping[str, Volume], body: Volume, at: Triple, reached_by_noise: float
-) -> Figure:
+) -> Svg:
     """Return scores of "locally stiffer" in three sections, a column for each map.
 
     Parameters
@@ -101,115 +97,101 @@ def cause_sections(
     reached_by_noise : float
         Level that noise alone exceeds somewhere in 5 of 100 cases; marked in the scale.
     """
-    cuts = [(v, section(body, v, at[v.normal])) for v in VIEWS]
-    frames = [frame_mm([seen]) for _, seen in cuts]
-    drawn, grid = _grid(frames, len(maps), 1.0)
+    cuts = [_cut(body, view, at) for view in VIEWS]
+    svg, grid = _grid(cuts, list(maps), BAR_PX)
     loudest = max(float(np.nanmax(np.abs(m.values), initial=0.0)) for m in maps.values())
-    scale = Normalize(-max(SMALLEST_SCORE, loudest), max(SMALLEST_SCORE, loudest))
-    for line, (view, seen), box in zip(grid, cuts, frames, strict=True):
-        for axes, scores in zip(line, maps.values(), strict=True):
-            plane, extent = _plane(scores, view, at[view.normal])
-            axes.imshow(_scored(plane, scale), origin="lower", extent=extent, interpolation="none")
-            for tissue_set in (_body(seen), _gland(seen)):
-                _contour(axes, seen, tissue_set, 0.5)
-            axes.plot(at[view.across], at[view.up], marker="+", color=INK, markersize=7)
-            _dress(axes, view, box, at)
-    _head(grid[0], maps)
-    bar = drawn.colorbar(ScalarMappable(scale, CAUSES), ax=grid, aspect=32, pad=0.01, panchor=False)
-    bar.set_label(
-        "score: softer (−) or stiffer (+) tissue explains it", fontsize=SMALL_PT, color=INK
+    colours = ColourScale(CAUSES, max(SMALLEST_SCORE, loudest))
+    scored = [score_labels(scores, colours) for scores in maps.values()]
+    table = score_colours(colours)
+    for line, cut in zip(grid, cuts, strict=True):
+        view = cut.view
+        for panel, labels in zip(line, scored, strict=True):
+            _draw(svg, panel, section(labels, view, at[view.normal]), table, cut, at)
+            x, y = panel.across.at(at[view.across]), panel.up.at(at[view.up])
+            svg.add("path", d=f"M{x - 5:.1f} {y:.1f}h10M{x:.1f} {y - 5:.1f}v10", class_="whisker")
+    colour_bar(
+        svg,
+        colours,
+        svg.width - BAR_PX + 24,
+        (HEAD_PX + ABOVE_PX, svg.height - BELOW_PX),
+        "score: softer (−) or stiffer (+) tissue explains it",
+        strokes=(-reached_by_noise, reached_by_noise),
     )
-    for level in (-reached_by_noise, reached_by_noise):
-        bar.ax.axhline(level, color=INK, linewidth=1.0)
-    bar.ax.tick_params(labelsize=SMALL_PT, colors=SOFT_INK)
-    bar.outline.set_visible(False)
-    return drawn
+    return svg
 
 
-def _scored(plane: NDArray[np.float32], scale: Normalize) -> NDArray[np.float64]:
-    """Return colours of scores: grey where they are small, clear where nothing is known."""
-    pixels = np.asarray(CAUSES(scale(np.nan_to_num(plane))))
-    pixels[np.abs(np.nan_to_num(plane)) < SIGNIFICANT] = to_rgba(QUIET)
-    pixels[np.isnan(plane)] = 0.0
-    return pixels
+def score_labels(scores: Volume, colours: ColourScale) -> Volume:
+    """Return labels of a map of causes; see `score_colours`."""
+    known = np.nan_to_num(scores.values)
+    share = (known / colours.end + 1) / 2
+    labels = 1 + np.clip(share * STEPS, 0, STEPS - 1).astype(np.uint8)
+    labels[np.abs(known) < SIGNIFICANT] = QUIET_LABEL
+    labels[np.isnan(scores.values)] = 0
+    return Volume(labels, scores.spacing_mm, scores.origin_mm)
 
 
-def _plane(
-    scores: Volume, view: View, at_mm: float
-) -> tuple[NDArray[np.float32], tuple[float, float, float, float]]:
-    """Return the plane of a map nearest to a place, and its edges."""
-    nearest = round((at_mm - scores.origin_mm[view.normal]) / scores.spacing_mm[view.normal])
-    axis = 2 - view.normal
-    plane = np.take(scores.values, min(max(nearest, 0), scores.values.shape[axis] - 1), axis=axis)
-    if view.up < view.across:
-        plane = plane.T
-    rows, columns = plane.shape
-    dx, dy = scores.spacing_mm[view.across], scores.spacing_mm[view.up]
-    x, y = scores.origin_mm[view.across] - dx / 2, scores.origin_mm[view.up] - dy / 2
-    return plane, (x, x + columns * dx, y, y + rows * dy)
+def score_colours(colours: ColourScale) -> NDArray[np.uint8]:
+    """Return colours of the labels: grey where scores are small, clear where nothing is known."""
+    table = lookup({QUIET_LABEL: QUIET})
+    middles = colours.end * (2 * (np.arange(STEPS) + 0.5) / STEPS - 1)
+    table[1 : 1 + STEPS, :3] = np.rint(255 * colours.at(middles))
+    return table
+
+
+class _Cut:
+    """A section of the body that others are laid over, its frame and its interfaces."""
+
+    def __init__(self, view: View, seen: Section) -> None:
+        self.view, self.seen, self.frame = view, seen, frame_mm([seen])
+        self.lines: list[Line] = [
+            line for inside in (_body(seen), _gland(seen)) for line in contours(inside)
+        ]
+
+
+def _cut(body: Volume, view: View, at: Triple) -> _Cut:
+    return _Cut(view, section(body, view, at[view.normal]))
 
 
 def _grid(
-    frames: Sequence[tuple[float, float, float, float]], columns: int, beside_in: float
-) -> tuple[Figure, NDArray[np.object_]]:
-    """Return a figure with a row for each frame; one scale for all, as large as the page allows."""
-    widest = max(right - left for left, right, _, _ in frames)
-    heights = [top - bottom for _, _, bottom, top in frames]
-    room = (WIDTH_IN - beside_in) / columns - LABELS_IN[0]
-    per_mm = min(room / widest, MOST_IN[0] / widest, MOST_IN[1] / sum(heights))
-    width = per_mm * widest + LABELS_IN[0]
-    drawn = figure(columns * width + beside_in, per_mm * sum(heights) + LABELS_IN[1] * len(frames))
-    sharpened(drawn)
-    return drawn, drawn.subplots(len(frames), columns, squeeze=False, height_ratios=heights)
+    cuts: Sequence[_Cut], titles: Sequence[str], beside_px: float
+) -> tuple[Svg, list[list[Panel]]]:
+    """Return a drawing with a row for each section and a column for each title.
+
+    All have one scale, as large as the page allows.
+    """
+    widest = max(right - left for left, right, _, _ in (cut.frame for cut in cuts))
+    heights = [top - bottom for _, _, bottom, top in (cut.frame for cut in cuts)]
+    room = (WIDTH_PX - beside_px) / len(titles) - LEFT_PX - RIGHT_PX
+    per_mm = min(min(room, MOST_PX[0]) / widest, MOST_PX[1] / sum(heights))
+    column = LEFT_PX + per_mm * widest + RIGHT_PX
+    svg = Svg(len(titles) * column + beside_px, 0)
+    lefts = [LEFT_PX + number * column for number in range(len(titles))]
+    for x, title in zip(lefts, titles, strict=True):
+        svg.text(x, 14, title, class_="head")
+    grid, y = [], HEAD_PX
+    for cut, height in zip(cuts, heights, strict=True):
+        grid.append([Panel(cut.frame, x, y + ABOVE_PX, per_mm) for x in lefts])
+        y += ABOVE_PX + per_mm * height + BELOW_PX
+    svg.height = y
+    return svg, grid
 
 
-def _dress(axes: Axes, view: View, box: tuple[float, float, float, float], at: Triple) -> None:
-    left, right, bottom, top = box
-    calm(axes, grid="")
-    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", anchor="W")
+def _draw(
+    svg: Svg, panel: Panel, shown: Section, table: NDArray[np.uint8], cut: _Cut, at: Triple
+) -> None:
+    view, inner = cut.view, clipped(shown, panel.frame_mm)
+    panel.image(svg, png_uri(inner.values, table), inner.extent_mm, class_="voxels")
+    panel.lines(svg, cut.lines, cut.seen.spacing_mm, cut.seen.origin_mm)
     where = f"{view.name}, {AXES[view.normal]} = {signed(at[view.normal], 0)} mm"
-    axes.set_title(where, fontsize=SMALL_PT, color=SOFT_INK, loc="left", pad=3)
-    axes.set_xlabel(f"{AXES[view.across]}, mm", fontsize=SMALL_PT)
-    axes.set_ylabel(f"{AXES[view.up]}, mm", fontsize=SMALL_PT)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(4))
+    svg.text(panel.x, panel.y - 5, where, class_="tick")
+    panel.axes(svg, f"{AXES[view.across]}, mm", f"{AXES[view.up]}, mm")
 
 
-def _head(line: Sequence[Axes], titles: Iterable[str]) -> None:
-    """Return titles of the columns, above those of their first sections."""
-    for axes, title in zip(line, titles, strict=True):
-        axes.annotate(
-            title,
-            (0, 1),
-            (0, 17),
-            xycoords="axes fraction",
-            color=INK,
-            textcoords="offset points",
-            fontsize=TEXT_PT,
-        )
-
-
-def _contour(axes: Axes, shown: Section, inside: NDArray[np.bool_], width: float) -> None:
-    if not inside.any() or inside.all():
-        return
-    (dx, dy), (x, y) = shown.spacing_mm, shown.origin_mm
-    rows, columns = inside.shape
-    drawn = axes.contour(
-        x + dx * np.arange(columns),
-        y + dy * np.arange(rows),
-        inside.astype(float),
-        [0.5],
-        colors=[SOFT_INK],
-        linewidths=width,
-    )
-    drawn.set_rasterized(True)
-
-
-def _body(shown: Section) -> NDArray[np.bool_]:
+def _body(shown: Section) -> BoolArray:
     return np.asarray(shown.values != Tissue.AIR)
 
 
-def _gland(shown: Section) -> NDArray[np.bool_]:
+def _gland(shown: Section) -> BoolArray:
     return np.asarray(shown.values == Tissue.GLANDULAR)
 
 

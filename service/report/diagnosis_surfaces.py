@@ -1,29 +1,29 @@
 """Where model and scan differ, on the surfaces of the body at rest, in three dimensions.
 
-Triangles are projected along parallel lines, drawn from the farthest to the nearest
-and shaded by a lamp at the viewer's left shoulder. A triangle has the colour of the
-nearest point of its interface.
+Triangles are projected along parallel lines, the nearest is seen, and they are shaded by
+a lamp at the viewer's left shoulder. A triangle has the colour of the nearest point of
+its interface. All scans and models are seen from the same sides, so which triangle is
+where in the picture is found once.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.collections import TriMesh
-from matplotlib.colors import Normalize, to_rgb, to_rgba_array
-from matplotlib.figure import Figure
-from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from service.report.canvas import SMALL_PT, TEXT_PT, figure
-from service.report.diagnosis_maps import FAINT, SIGNED, SIGNIFICANT, sharpened
-from service.report.palette import INK, SOFT_INK
-from storage.values import FloatArray, IntArray
+from service.report.colour_scale import SIGNED, ColourScale, colour_bar
+from service.report.diagnosis_maps import BAR_LABEL, FAINT, SIGNIFICANT
+from service.report.palette import to_rgba
+from service.report.panel import Frame, Panel
+from service.report.raster import image_uri
+from service.report.svg import Svg
+from service.report.triangle_raster import front_triangles
+from storage.values import BoolArray, FloatArray, IntArray
 
-WIDTH_IN = 10.4
+WIDTH_PX = 998.0
 # A triangle farther from every point has no colour: the rim at the chest wall, thin strands.
 FARTHEST_MM = 9.0
 UNKNOWN = "#f1f2f4"
@@ -32,17 +32,28 @@ SIDES = (
     ("seen from +x, +y", np.array([0.45, 0.70, 0.55])),
     ("seen from −x, −y", np.array([-0.45, -0.70, 0.55])),
 )
+MARGIN_MM = 2.0
+BAR_PX, BETWEEN_PX, HEAD_PX, WORDS_PX = 90.0, 6.0, 24.0, 40.0
+# Dots of an image on a pixel of the page, for screens that have as many.
+DOTS = 1.875
 # How much of the light comes from everywhere.
 AMBIENT = 0.72
 # Steps of the light, and edges without half tones, make an image a third as heavy.
 STEPS = 16
 # Length of the drawn axes, as a share of the longest side of the body.
 AXIS = 0.12
+ARROW_PX = 5.0
+
+# Unit vectors to the right, up and to the viewer.
+View = tuple[FloatArray, FloatArray, FloatArray]
+# (residuals, their standard deviations) in mm at the points of a solid, by the title of the row
+# and the name of the solid.
+Residuals = Mapping[str, Mapping[str, tuple[FloatArray, FloatArray]]]
 
 
 @dataclass(frozen=True, eq=False)
-class Painted:
-    """One interface with the residuals at its points.
+class Solid:
+    """One interface, and the points at which its residuals are known.
 
     Parameters
     ----------
@@ -53,54 +64,96 @@ class Painted:
         Counter-clockwise seen from outside.
     points : ndarray, shape (k, 3)
         In mm.
-    rows : mapping of str to (ndarray, ndarray), each of shape (k,)
-        Residuals and their standard deviations in mm by the title of their row; the same
-        titles for all interfaces.
     """
 
     name: str
     vertices: FloatArray
     triangles: IntArray
     points: FloatArray
-    rows: Mapping[str, tuple[FloatArray, FloatArray]]
+
+    @cached_property
+    def nearest(self) -> tuple[NDArray[np.int64], BoolArray]:
+        """Return the point nearest to each triangle, and whether none is near."""
+        away, nearest = KDTree(self.points).query(self.vertices[self.triangles].mean(axis=1))
+        return np.asarray(nearest), np.asarray(away > FARTHEST_MM)
 
 
-def surface_map(painted: Sequence[Painted], most_mm: float) -> Figure:
-    """Return every interface from two sides, a row for each kind of residual.
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A solid from one side.
 
     Parameters
     ----------
-    painted : sequence of Painted
+    solid : Solid
+    side : str
+    view : tuple of ndarray
+        See `basis`.
+    panel : Panel
+        Where it lies in the first row of the drawing.
+    front : ndarray of int, shape (rows, columns)
+        The triangle at each dot of the panel, -1 where there is none.
+    light : ndarray, shape (m,)
+        By which the colours of the triangles are multiplied.
+    """
+
+    solid: Solid
+    side: str
+    view: View
+    panel: Panel
+    front: NDArray[np.int64]
+    light: FloatArray
+
+
+def seen_from_all_sides(solids: Sequence[Solid]) -> list[Seen]:
+    """Return every solid from both sides, on one scale that fills the width of the page."""
+    views = [(solid, side, basis(way)) for solid in solids for side, way in SIDES]
+    frames = [_frame(solid.vertices, across, up) for solid, _, (across, up, _) in views]
+    room = WIDTH_PX - BAR_PX - BETWEEN_PX * len(views)
+    per_mm = room / sum(right - left for left, right, _, _ in frames)
+    tallest = per_mm * max(top - bottom for _, _, bottom, top in frames)
+    seen, x = [], 0.0
+    for (solid, side, view), frame in zip(views, frames, strict=True):
+        left, right, bottom, top = frame
+        panel = Panel(frame, x, HEAD_PX + tallest - per_mm * (top - bottom), per_mm)
+        seen.append(Seen(solid, side, view, panel, _front(solid, view, panel), _light(solid, view)))
+        x += per_mm * (right - left) + BETWEEN_PX
+    return seen
+
+
+def surface_map(seen: Sequence[Seen], residuals: Residuals, most_mm: float) -> Svg:
+    """Return the residuals of one scan, a row for each model.
+
+    Parameters
+    ----------
+    seen : sequence of Seen
+    residuals : mapping of str to mapping of str to (ndarray, ndarray), each of shape (k,)
+        See `Residuals`.
     most_mm : float
         End of the colour scale.
     """
-    panels = [(one, side, basis(way)) for one in painted for side, way in SIDES]
-    spans = [_span(one.vertices, across, up) for one, _, (across, up, _) in panels]
-    widths = [span[0] for span in spans]
-    height = max(span[1] for span in spans) * (WIDTH_IN - 1.1) / sum(widths)
-    titles = list(painted[0].rows)
-    drawn = figure(WIDTH_IN, len(titles) * (height + 0.5) + 0.3)
-    sharpened(drawn)
-    grid = drawn.subplots(len(titles), len(panels), squeeze=False, width_ratios=widths)
-    scale = Normalize(-most_mm, most_mm)
-    for line, title in zip(grid, titles, strict=True):
-        for axes, (one, side, axes_of_view) in zip(line, panels, strict=True):
-            colours = colours_of(one, *one.rows[title], scale)
-            _solid(axes, one.vertices, one.triangles, colours, axes_of_view)
-            axes.set_xlabel(f"{one.name}\n{side}", fontsize=SMALL_PT, color=SOFT_INK)
-            if one is painted[0]:
-                _triad(axes, one.vertices, axes_of_view)
-        line[0].set_title(title, fontsize=TEXT_PT, color=INK, loc="left")
-    bar = drawn.colorbar(
-        ScalarMappable(scale, SIGNED), ax=grid, aspect=30, pad=0.01, extend="both", panchor=False
-    )
-    bar.set_label("model outside (+) or inside (−), mm", fontsize=SMALL_PT, color=INK)
-    bar.ax.tick_params(labelsize=SMALL_PT, colors=SOFT_INK)
-    bar.outline.set_visible(False)
-    return drawn
+    colours = ColourScale(SIGNED, most_mm)
+    tallest = max(one.panel.up.start for one in seen) - HEAD_PX
+    row_px = HEAD_PX + tallest + WORDS_PX
+    svg = Svg(WIDTH_PX, row_px * len(residuals))
+    for number, (title, values) in enumerate(residuals.items()):
+        top = number * row_px
+        svg.text(0, top + 14, title, class_="head")
+        for one in seen:
+            panel = replace(one.panel, y=one.panel.y + top)
+            shown = colours_of(one.solid, *values[one.solid.name], colours)
+            panel.image(svg, image_uri(_pixels(one, shown)), panel.frame_mm)
+            middle = (panel.across.start + panel.across.end) / 2
+            for line, words in enumerate((one.solid.name, one.side)):
+                y = panel.up.start + 14 + 16 * line
+                svg.text(middle, y, words, text_anchor="middle", class_="tick")
+            if one.solid is seen[0].solid:
+                _triad(svg, panel, one)
+    span = (BETWEEN_PX, svg.height - BETWEEN_PX)
+    colour_bar(svg, colours, WIDTH_PX - BAR_PX + 12, span, BAR_LABEL, arrows=True)
+    return svg
 
 
-def basis(towards_viewer: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def basis(towards_viewer: FloatArray) -> View:
     """Return unit vectors to the right, up and to the viewer; the nipple points upwards."""
     near = towards_viewer / np.linalg.norm(towards_viewer)
     across = np.cross([0.0, 0.0, 1.0], near)
@@ -109,70 +162,77 @@ def basis(towards_viewer: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def colours_of(
-    one: Painted, residual: FloatArray, noise: FloatArray, scale: Normalize
+    solid: Solid, residual: FloatArray, noise: FloatArray, colours: ColourScale
 ) -> FloatArray:
     """Colour of each triangle before it is shaded, shape (m, 3).
 
     Grey where the nearest point lies within the noise, paler still where none is near.
     """
-    centres = one.vertices[one.triangles].mean(axis=1)
-    away, nearest = KDTree(one.points).query(centres)
-    colours: FloatArray = np.asarray(SIGNED(scale(residual[nearest])))[:, :3]
-    colours[np.abs(residual[nearest]) < SIGNIFICANT * noise[nearest]] = to_rgb(FAINT)
-    colours[away > FARTHEST_MM] = to_rgb(UNKNOWN)
-    return colours
+    nearest, unknown = solid.nearest
+    shown = colours.at(residual)
+    shown[np.abs(residual) < SIGNIFICANT * noise] = to_rgba(FAINT)[:3]
+    shown = shown[nearest]
+    shown[unknown] = to_rgba(UNKNOWN)[:3]
+    return shown
 
 
-def _solid(
-    axes: Axes,
-    vertices: FloatArray,
-    triangles: IntArray,
-    colours: FloatArray,
-    axes_of_view: tuple[FloatArray, FloatArray, FloatArray],
-) -> None:
-    """Draw the triangles, the nearest last."""
-    across, up, near = axes_of_view
-    corners = vertices[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+def _frame(vertices: FloatArray, across: FloatArray, up: FloatArray) -> Frame:
+    right, upwards = vertices @ across, vertices @ up
+    left, top = right.min() - MARGIN_MM, upwards.max() + MARGIN_MM
+    return float(left), float(right.max() + MARGIN_MM), float(upwards.min() - MARGIN_MM), float(top)
+
+
+def _front(solid: Solid, view: View, panel: Panel) -> NDArray[np.int64]:
+    left, right, bottom, top = panel.frame_mm
+    across, up, near = view
+    per_mm = DOTS * panel.per_mm
+    flat = np.stack([solid.vertices @ across - left, solid.vertices @ up - bottom], axis=-1)
+    return front_triangles(
+        per_mm * flat[solid.triangles],
+        (solid.vertices @ near)[solid.triangles].mean(axis=1),
+        round(per_mm * (top - bottom)),
+        round(per_mm * (right - left)),
+    )
+
+
+def _light(solid: Solid, view: View) -> FloatArray:
+    across, up, near = view
+    a, b, c = (solid.vertices[corner] for corner in solid.triangles.T)
+    normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
     lamp = near + 0.5 * up - 0.5 * across
     light = np.rint(STEPS * np.abs(normals @ (lamp / np.linalg.norm(lamp)))) / STEPS
-    shaded = colours * (AMBIENT + (1 - AMBIENT) * light)[:, None]
-    order = np.argsort((corners @ near).mean(axis=1), kind="stable")
-    flat = np.stack([corners @ across, corners @ up], axis=-1)
-    axes.add_collection(_flat_triangles(flat[order], shaded[order]), autolim=False)
-    low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
-    axes.set(
-        xlim=(low[0] - 2, high[0] + 2), ylim=(low[1] - 2, high[1] + 2), aspect="equal", anchor="S"
-    )
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set_visible(False)
+    return np.asarray(AMBIENT + (1 - AMBIENT) * light)
 
 
-def _flat_triangles(corners: FloatArray, colours: FloatArray) -> TriMesh:
-    """Return triangles (m, 3, 2) of one colour each; many times faster drawn than as polygons."""
-    x, y = corners.reshape(-1, 2).T
-    alone = Triangulation(x, y, np.arange(len(x)).reshape(-1, 3))
-    drawn = TriMesh(alone, rasterized=True)
-    drawn.set_facecolor(to_rgba_array(np.repeat(colours, 3, axis=0)))  # type: ignore[arg-type]
-    return drawn
+def _pixels(one: Seen, colours: FloatArray) -> NDArray[np.uint8]:
+    """Return the picture of shaded triangles, shape (rows, columns, 4), clear beside them."""
+    shaded = np.zeros((len(colours) + 1, 4), np.uint8)  # the last is no triangle
+    shaded[:-1, :3] = np.rint(255 * colours * one.light[:, None])
+    shaded[:-1, 3] = 255
+    return shaded[one.front]
 
 
-def _span(vertices: FloatArray, across: FloatArray, up: FloatArray) -> NDArray[np.float64]:
-    return np.array([np.ptp(vertices @ across), np.ptp(vertices @ up)]) + 4.0
-
-
-def _triad(
-    axes: Axes, vertices: FloatArray, axes_of_view: tuple[FloatArray, FloatArray, FloatArray]
-) -> None:
-    """Return the three axes of space, in the corner that a long body leaves."""
-    across, up, _ = axes_of_view
+def _triad(svg: Svg, panel: Panel, one: Seen) -> None:
+    """Draw the three axes of space, in the corner that a long body leaves."""
+    across, up, _ = one.view
+    vertices = one.solid.vertices
     length = AXIS * float(np.ptp(vertices, axis=0).max())
     directions = length * np.stack([np.eye(3) @ across, np.eye(3) @ up], axis=1)
     reach = 1.4 * np.abs(directions).max(axis=0)
     start = np.array([(vertices @ across).max() - reach[0], (vertices @ up).min() + reach[1] / 2])
-    arrow = {"arrowstyle": "->", "color": SOFT_INK, "lw": 0.8, "shrinkA": 0, "shrinkB": 0}
+    x, y = _pixel(panel, start)
     for name, direction in zip("xyz", directions, strict=True):
-        axes.annotate("", tuple(start + direction), tuple(start), arrowprops=arrow)
-        x, y = start + 1.3 * direction
-        axes.text(x, y, name, fontsize=SMALL_PT, color=SOFT_INK, ha="center", va="center")
+        tip_x, tip_y = _pixel(panel, start + direction)
+        svg.add("path", d=f"M{x:.1f} {y:.1f}L{tip_x:.1f} {tip_y:.1f}", class_="arrow")
+        turn = np.degrees(np.arctan2(tip_y - y, tip_x - x))
+        place = f"translate({tip_x:.1f} {tip_y:.1f}) rotate({turn:.0f})"
+        head = f"M{-ARROW_PX} {-ARROW_PX / 2}L0 0L{-ARROW_PX} {ARROW_PX / 2}"
+        svg.add("path", d=head, class_="arrow", transform=place)
+        name_x, name_y = _pixel(panel, start + 1.3 * direction)
+        svg.text(name_x, name_y + 4, name, text_anchor="middle", class_="axis-name")
+
+
+def _pixel(panel: Panel, place_mm: FloatArray) -> tuple[float, float]:
+    across, up = place_mm.tolist()
+    return panel.across.at(across), panel.up.at(up)

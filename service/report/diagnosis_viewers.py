@@ -61,11 +61,12 @@ def body_data(
         for when, title in titled(dict.fromkeys(WHEN, 0), accused)
         if f"local_{when}" in found
     ]
+    moved = _moved(found, len(scans), surfaces, models)
     told = [
         BodyScan(
             name,
             loads.get(name, Pressed()),
-            [_moved(found, scan, s.vertices, models) for s in surfaces],
+            moved[scan],
             [
                 _gaps(found, scan, number, s.vertices, models)
                 for number, s in zip(numbers, surfaces, strict=True)
@@ -123,23 +124,30 @@ def _surface(found: Arrays, name: str) -> BodySurface:
 
 
 def _moved(
-    found: Arrays,
-    scan: int,
-    vertices: FloatArray,
-    models: Sequence[tuple[str, str]],
-) -> dict[str, FloatArray]:
-    """Return where vertices go, interpolated between the points of which that is known."""
+    found: Arrays, scans: int, surfaces: Sequence[BodySurface], models: Sequence[tuple[str, str]]
+) -> list[list[dict[str, FloatArray]]]:
+    """Return where vertices go in each scan, by surface and model.
+
+    They are interpolated between the points of which that is known, in one call: most of its
+    time goes into finding neighbours, which are the same for all scans and models.
+    """
     points = np.asarray(found["points"], np.float64)
-    moved = {}
-    for when, _ in models:
-        if f"moved_{when}" not in found or len(points) < NEIGHBOURS:
-            continue
-        displacement = found[f"moved_{when}"][scan] - points
-        between = RBFInterpolator(
-            points, displacement, neighbors=NEIGHBOURS, kernel="linear", degree=0
-        )
-        moved[when] = np.asarray(vertices + between(np.asarray(vertices, np.float64)))
-    return moved
+    known = [when for when, _ in models if f"moved_{when}" in found]
+    if not known or len(points) < NEIGHBOURS:
+        return [[{} for _ in surfaces] for _ in range(scans)]
+    # (points, scans, models, 3)
+    moves = np.stack([found[f"moved_{when}"] - points for when in known], axis=2)
+    between = RBFInterpolator(
+        points, moves.swapaxes(0, 1), neighbors=NEIGHBOURS, kernel="linear", degree=0
+    )
+    vertices = np.concatenate([surface.vertices for surface in surfaces])
+    moved = vertices[:, None, None] + between(vertices)
+    ends = np.cumsum([len(surface.vertices) for surface in surfaces])
+    parts = np.split(moved, ends[:-1])
+    return [
+        [{when: part[:, scan, k] for k, when in enumerate(known)} for part in parts]
+        for scan in range(scans)
+    ]
 
 
 def _gaps(

@@ -9,11 +9,12 @@ from markupsafe import Markup
 from service.diagnosis.words import signed
 from service.report.diagnosis_maps import SIGNIFICANT, range_mm, residual_map
 from service.report.diagnosis_slices import cause_sections, overlays, titled
-from service.report.diagnosis_surfaces import Painted, surface_map
-from service.report.pictures import Picture, picture
+from service.report.diagnosis_surfaces import Solid, seen_from_all_sides, surface_map
+from service.report.pictures import Picture, small_chart
 from service.report.slices import middle_mm
+from service.report.svg import Svg
 from storage.arrays import Arrays
-from storage.values import FloatArray, Tissue, Triple, Volume
+from storage.values import BoolArray, FloatArray, Tissue, Triple, Volume
 from workers.diagnosis.acquisition import INTERFACES
 from workers.diagnosis.summary import CauseMapSummary
 
@@ -30,32 +31,47 @@ def maps(
     On surfaces, averaged around each point, where the store has these; else as points seen
     from three sides.
     """
-    solid_ones = on_surfaces(found)
-    value, spread = ("local_before", "local_before_sd") if solid_ones else ("before", "noise")
-    most = range_mm(found[value], found[spread])
-    for scan, name in enumerate(scans):
-        painted = []
-        for one, interface in enumerate(surfaces):
-            own = found["interface"] == one
-            if own.sum() < FEW_POINTS:
-                continue
-            points, noise = found["points"][own], found["noise"][scan, own]
-            rows = {t: found[k][scan, own] for k, t in titled(found, accused)}
-            if not solid_ones:
-                drawn = residual_map(points, rows, noise, most)
-                title = f"{interface.capitalize()}, scan at {name}"
-                yield _captioned(drawn, title, _beyond(_loud(rows, noise)))
-                continue
-            local = {
-                t: (found[f"local_{k}"][scan, own], found[f"local_{k}_sd"][scan, own])
-                for k, t in titled(found, accused)
+    own = {name: found["interface"] == number for number, name in enumerate(surfaces)}
+    own = {name: mask for name, mask in own.items() if mask.sum() >= FEW_POINTS}
+    if not own:
+        return
+    drawn_on = _on_surfaces if on_surfaces(found) else _as_points
+    yield from drawn_on(found, scans, accused, own)
+
+
+def _on_surfaces(
+    found: Arrays, scans: Sequence[str], accused: str, own: Mapping[str, BoolArray]
+) -> Iterator[Picture]:
+    most = range_mm(found["local_before"], found["local_before_sd"])
+    seen = seen_from_all_sides([_solid(found, name, mask) for name, mask in own.items()])
+    for scan, scan_name in enumerate(scans):
+        local = {
+            title: {
+                name: (found[f"local_{key}"][scan, mask], found[f"local_{key}_sd"][scan, mask])
+                for name, mask in own.items()
             }
-            vertices, triangles = (found[f"shape_{interface}_{w}"] for w in PARTS)
-            solid = Painted(interface, vertices.astype(np.float64), triangles, points, local)
-            painted.append((solid, f"{interface}: {_loud(rows, noise)}"))
-        if painted:
-            drawn = surface_map([solid for solid, _ in painted], most)
-            yield _captioned(drawn, f"Scan at {name}", _beyond("; ".join(w for _, w in painted)))
+            for key, title in titled(found, accused)
+        }
+        shares = [f"{name}: {_loud(found, scan, accused, mask)}" for name, mask in own.items()]
+        drawn = surface_map(seen, local, most)
+        yield _captioned(drawn, f"Scan at {scan_name}", _beyond("; ".join(shares)))
+
+
+def _as_points(
+    found: Arrays, scans: Sequence[str], accused: str, own: Mapping[str, BoolArray]
+) -> Iterator[Picture]:
+    most = range_mm(found["before"], found["noise"])
+    for scan, scan_name in enumerate(scans):
+        for name, mask in own.items():
+            rows = {title: found[key][scan, mask] for key, title in titled(found, accused)}
+            drawn = residual_map(found["points"][mask], rows, found["noise"][scan, mask], most)
+            title = f"{name.capitalize()}, scan at {scan_name}"
+            yield _captioned(drawn, title, _beyond(_loud(found, scan, accused, mask)))
+
+
+def _solid(found: Arrays, name: str, own: BoolArray) -> Solid:
+    vertices, triangles = (found[f"shape_{name}_{part}"] for part in PARTS)
+    return Solid(name, vertices.astype(np.float64), triangles, found["points"][own])
 
 
 def on_surfaces(found: Arrays) -> bool:
@@ -119,14 +135,18 @@ def _beyond(said: str) -> str:
     return f"points beyond twice the noise of a point: {said}. Noise alone puts 5 % there"
 
 
-def _loud(rows: Mapping[str, FloatArray], noise: FloatArray) -> str:
+def _loud(found: Arrays, scan: int, accused: str, own: BoolArray) -> str:
     """Return share of the points that noise alone rarely puts so far."""
-    shares = {title: (np.abs(r) >= SIGNIFICANT * noise).mean() for title, r in rows.items()}
+    limit = SIGNIFICANT * found["noise"][scan, own]
+    shares = {
+        title: (np.abs(found[key][scan, own]) >= limit).mean()
+        for key, title in titled(found, accused)
+    }
     return ", ".join(f"{100 * share:.0f} % ({title})" for title, share in shares.items())
 
 
-def _captioned(drawn: Any, title: str, words: str) -> Picture:
-    return picture(drawn, f"{title}: {words}.", Markup("<b>{}</b>: {}.").format(title, words))
+def _captioned(drawn: Svg, title: str, words: str) -> Picture:
+    return small_chart(drawn, f"{title}: {words}.", Markup("<b>{}</b>: {}.").format(title, words))
 
 
 def _volume(values: Any, frame: FloatArray) -> Volume:

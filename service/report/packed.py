@@ -34,7 +34,12 @@ def packed(values: NDArray[Any], kind: str) -> Json:
     kind : {"u1", "u2", "u4", "f4"}
     """
     raw = np.ascontiguousarray(values, TYPES[kind]).tobytes()
-    return {"type": kind, "data": base64.b64encode(zlib.compress(raw, 9)).decode()}
+    # Labels are long runs: to look for nothing else takes a tenth of the time and gives a seventh
+    # more bytes.
+    strategy = zlib.Z_RLE if kind == "u1" else zlib.Z_DEFAULT_STRATEGY
+    stream = zlib.compressobj(9, strategy=strategy)
+    data = stream.compress(raw) + stream.flush()
+    return {"type": kind, "data": base64.b64encode(data).decode()}
 
 
 def packed_triangles(triangles: NDArray[np.integer]) -> Json:

@@ -45,5 +45,5 @@ def chart(
 
 
 def small_chart(drawn: Svg, alt: str, caption: str | Markup = "", **data: str) -> Picture:
-    """Put a chart into the page that is narrow anyway."""
+    """Put a chart into the page that is drawn once, for wide and narrow pages alike."""
     return Picture(drawn.markup(alt, **data), alt, round(drawn.width), caption)

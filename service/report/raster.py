@@ -1,4 +1,4 @@
-"""Writes labels as a small PNG: one byte a pixel, a palette, clear where there is air."""
+"""Writes images as small PNG (W3C, Portable Network Graphics), which can stand in a page."""
 
 import base64
 import struct
@@ -7,9 +7,11 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
+INDEXED, WITH_OPACITY = 3, 6
+
 
 def png(labels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> bytes:
-    """Return an indexed image (W3C, Portable Network Graphics, colour type 3).
+    """Return an image of one byte a pixel, with a palette (colour type 3).
 
     Parameters
     ----------
@@ -18,24 +20,42 @@ def png(labels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> bytes:
     colours : ndarray of uint8, shape (256, 4)
         Red, green, blue and opacity by label.
     """
-    rows, columns = labels.shape
     used = int(labels.max(initial=0)) + 1
-    lines = np.zeros((rows, columns + 1), np.uint8)  # each line begins with its filter: none
-    lines[:, 1:] = labels[::-1]
-    head = struct.pack(">IIBBBBB", columns, rows, 8, 3, 0, 0, 0)
-    chunks = (
-        (b"IHDR", head),
-        (b"PLTE", colours[:used, :3].tobytes()),
-        (b"tRNS", colours[:used, 3].tobytes()),
-        (b"IDAT", zlib.compress(lines.tobytes(), 9)),
-        (b"IEND", b""),
-    )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, data) for kind, data in chunks)
+    palette = [(b"PLTE", colours[:used, :3].tobytes()), (b"tRNS", colours[:used, 3].tobytes())]
+    return _file(labels[:, :, None], INDEXED, palette)
 
 
 def png_uri(labels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> str:
-    """Return the image as an address, for a page that needs no other file."""
-    return "data:image/png;base64," + base64.b64encode(png(labels, colours)).decode()
+    """Return an image with a palette as an address."""
+    return _address(png(labels, colours))
+
+
+def image_uri(pixels: NDArray[np.uint8]) -> str:
+    """Return an image of any colours as an address (colour type 6).
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8, shape (rows, columns, 4)
+        Red, green, blue and opacity; row 0 at the bottom.
+    """
+    return _address(_file(pixels, WITH_OPACITY, []))
+
+
+def _file(pixels: NDArray[np.uint8], kind: int, palette: list[tuple[bytes, bytes]]) -> bytes:
+    rows, columns, depth = pixels.shape
+    lines = np.zeros((rows, 1 + columns * depth), np.uint8)  # each begins with its filter: none
+    lines[:, 1:] = pixels[::-1].reshape(rows, -1)
+    chunks = (
+        (b"IHDR", struct.pack(">IIBBBBB", columns, rows, 8, kind, 0, 0, 0)),
+        *palette,
+        (b"IDAT", zlib.compress(lines.tobytes())),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(name, data) for name, data in chunks)
+
+
+def _address(image: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(image).decode()
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:

@@ -68,7 +68,11 @@ class Svg:
             self.add("path", d="".join(commands), class_=class_)
 
     def dots(
-        self, points: Sequence[tuple[float, float]], class_: str, numbers: Sequence[int] = ()
+        self,
+        points: Sequence[tuple[float, float]],
+        class_: str,
+        numbers: Sequence[int] = (),
+        **attributes: object,
     ) -> None:
         """Add many dots as one element; `numbers` says which evaluations they are.
 
@@ -79,7 +83,7 @@ class Svg:
             return
         places = "".join(f"M{_written(x)} {_written(y)}h0" for x, y in points)
         told: dict[str, object] = {"data_i": " ".join(map(str, numbers))} if numbers else {}
-        self.add("path", d=places, class_=f"dots {class_}", **told)
+        self.add("path", d=places, class_=f"dots {class_}", **told, **attributes)
 
     def mark(self, kind: Mark, x: float, y: float, class_: str, size: float = 5.0) -> None:
         """Add one sign of a legend or a chart, centred at a point."""

@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from typing import Any
 from xml.etree import ElementTree
 
@@ -11,9 +13,10 @@ from diagnosis_at_hand import VERDICTS, found, nothing, summary, typed
 from pages import Page
 
 from service.diagnosis.words import sentence
+from service.report.colour_scale import SIGNED, ColourScale
 from service.report.diagnosis_charts import Cause, Evidence, Judged, evidence, gaps, probabilities
 from service.report.diagnosis_made import Origin
-from service.report.diagnosis_maps import FAINT, SIGNED, range_mm, residual_map
+from service.report.diagnosis_maps import range_mm, residual_map
 from service.report.diagnosis_page import render
 from service.report.provenance import Made
 from service.report.svg import Svg
@@ -46,6 +49,12 @@ def test_a_page_is_well_formed_and_needs_no_other_file(told: dict[str, Any]) -> 
 
 def test_same_diagnosis_same_bytes(source: str) -> None:
     assert render(found()) == source
+
+
+def test_the_page_is_written_without_matplotlib() -> None:
+    """Which alone would take as long to import as the page takes to write."""
+    asked = "import sys, service.report.diagnosis_files; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", asked], check=False).returncode == 0
 
 
 def test_the_verdict_says_cause_size_and_what_is_left_on_an_unseen_scan() -> None:
@@ -270,18 +279,35 @@ def test_causes_of_the_90_percent_set_have_their_colour() -> None:
 
 def test_colours_tell_sign_and_noise() -> None:
     """Three points: within the noise, outside and inside the scanned tissue."""
-    points = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [4.0, 6.0, 6.0]])
     residual, noise = np.array([0.7, 1.0, -2.0]), np.full(3, 0.4)
     drawn = residual_map(points, {"nominal model": residual}, noise, 2.0)
-    quiet, loud = drawn.axes[0].collections
-    np.testing.assert_array_equal(quiet.get_offsets(), points[:1, :2])
-    np.testing.assert_array_equal(loud.get_offsets(), points[1:, :2])
-    drawn.canvas.draw()
-    shown = loud.get_facecolor()
-    np.testing.assert_allclose(shown, [SIGNED(0.75), SIGNED(0.0)], atol=1e-12)
-    assert shown[0][0] > shown[0][2]  # outside is red rather than blue
-    assert shown[1][2] > shown[1][0]
-    assert FAINT not in (SIGNED(0.75), SIGNED(0.0))
+    dots = dots_of(drawn)
+    (outside,) = ColourScale(SIGNED, 2.0).written(np.array([1.0]))
+    assert [(kind, colour) for kind, colour, _ in dots] == [
+        ("quiet", None),
+        ("loud", outside),
+        ("loud", SIGNED[0]),
+    ] * 3
+    (x0, y0), (x1, y1), (x2, y2) = (place for _, _, place in dots[:3])  # x to the right, y up
+    assert (x2 - x0) / (x1 - x0) == pytest.approx(4.0, rel=0.01)
+    assert (y2 - y0) / (y1 - y0) == pytest.approx(3.0, rel=0.01)
+    assert (x2 - x0) / (y0 - y2) == pytest.approx(4 / 6, rel=0.01)
+
+
+def dots_of(svg: Svg) -> list[tuple[str, str | None, tuple[float, float]]]:
+    """Dots as (kind, colour, pixel), the first of each colour."""
+    drawing = ElementTree.fromstring(str(svg.markup("dots")))
+    paths = [path for path in drawing.iter("path") if "dots" in path.get("class", "").split()]
+    return [
+        (path.get("class", "").split()[1], path.get("stroke"), first_place(path.get("d", "")))
+        for path in paths
+    ]
+
+
+def first_place(data: str) -> tuple[float, float]:
+    x, y = re.findall(r"M([-\d.]+) ([-\d.]+)h0", data)[0]
+    return float(x), float(y)
 
 
 def test_the_colour_scale_is_that_of_significant_residuals() -> None:

@@ -1,41 +1,47 @@
 """The pictures of where model and scan differ: bodies drawn as they lie, colours as they mean."""
 
+import re
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from diagnosis_at_hand import found as without_bodies
 from diagnosis_at_hand import summary
 from diagnosis_bodies_at_hand import LUMP_MM, SCANS, egg, found
-from matplotlib.collections import TriMesh
-from matplotlib.colors import Normalize, to_hex, to_rgb
 from pages import Page
 
 from service.diagnosis.run import FinishedDiagnosis
 from service.report import diagnosis_tables as tables
 from service.report import diagnosis_where as where
-from service.report.diagnosis_maps import FAINT, SIGNED
+from service.report.colour_scale import SIGNED, ColourScale
+from service.report.diagnosis_maps import FAINT
 from service.report.diagnosis_page import render
 from service.report.diagnosis_slices import (
-    BODY,
-    GLAND,
-    cause_sections,
+    CAUSES,
+    GLAND_IN_BOTH,
+    IN_BOTH,
+    OVERLAY,
+    QUIET_LABEL,
+    TOO_LITTLE,
+    TOO_MUCH,
     compared,
     overlays,
+    score_colours,
+    score_labels,
 )
 from service.report.diagnosis_surfaces import (
     SIDES,
     UNKNOWN,
-    Painted,
+    Solid,
     basis,
     colours_of,
+    seen_from_all_sides,
     surface_map,
 )
-from service.report.palette import BLUE, VERMILION
-from service.report.slices import Section
+from service.report.palette import BLUE, VERMILION, to_rgba
+from service.report.slices import VIEWS, Section, section
 from storage.values import Volume
-
-CLEAR = "#00000000"
 
 
 @pytest.fixture(scope="module")
@@ -94,27 +100,49 @@ def test_a_triangle_has_the_colour_of_its_nearest_point() -> None:
     vertices, triangles = square(0.0)
     points = np.array([[3.0, 1.0, 0.0], [1.0, 3.0, 0.0]])
     values, spread = np.array([-1.0, 0.15]), np.array([0.1, 0.1])
-    one = Painted("outline", vertices, triangles, points, {})
-    colours = colours_of(one, values, spread, Normalize(-2, 2))
-    np.testing.assert_allclose(colours[0], SIGNED(0.25)[:3])
-    np.testing.assert_allclose(colours[1], to_rgb(FAINT))
-    far = Painted("outline", vertices + 50.0, triangles, points, {})
-    for colour in colours_of(far, values, spread, Normalize(-2, 2)):
-        np.testing.assert_allclose(colour, to_rgb(UNKNOWN))
+    one = Solid("outline", vertices, triangles, points)
+    scale = ColourScale(SIGNED, 2.0)
+    colours = colours_of(one, values, spread, scale)
+    np.testing.assert_allclose(colours[0], scale.at(np.array(-1.0)))
+    np.testing.assert_allclose(colours[1], to_rgba(FAINT)[:3])
+    far = Solid("outline", vertices + 50.0, triangles, points)
+    for colour in colours_of(far, values, spread, scale):
+        np.testing.assert_allclose(colour, to_rgba(UNKNOWN)[:3])
 
 
-def test_what_is_nearer_to_the_viewer_is_drawn_later() -> None:
+def test_what_is_nearer_to_the_viewer_hides_what_is_farther() -> None:
     low, triangles = square(0.0)
-    high, _ = square(10.0)
+    high, _ = square(1.0)
     vertices = np.concatenate([high, low])
     both = np.concatenate([triangles, triangles + 4])
-    points = np.array([[2.0, 2.0, 10.0], [2.0, 2.0, 0.0]])
-    rows = {"nominal model": (np.array([1.0, -1.0]), np.full(2, 0.1))}
-    drawn = surface_map([Painted("outline", vertices, both, points, rows)], 1.0)
-    for axes in drawn.axes[:2]:
-        (solid,) = (c for c in axes.collections if isinstance(c, TriMesh))
-        red, _, blue = solid.get_facecolor()[::3, :3].T  # three corners of one colour each
-        np.testing.assert_array_equal(red > blue, [False, False, True, True])
+    points = np.array([[2.0, 2.0, 1.0], [2.0, 2.0, 0.0]])
+    for seen in seen_from_all_sides([Solid("outline", vertices, both, points)]):
+        rows, columns = seen.front.shape
+        assert seen.front[rows // 2, columns // 2] in (0, 1)
+        # The upper square is whole, and of the lower one an edge shows below it.
+        shown = np.bincount(seen.front[seen.front >= 0], minlength=4)
+        assert shown[0] == pytest.approx(shown[1], rel=0.02)
+        assert 0 < shown[2:].sum() < shown[:2].sum() / 2
+        assert seen.front[0].max() == -1  # there is air around
+
+
+def test_every_solid_is_drawn_from_both_sides_for_each_model() -> None:
+    vertices, triangles = square(0.0)
+    points = np.array([[3.0, 1.0, 0.0], [1.0, 3.0, 0.0]])
+    seen = seen_from_all_sides([Solid("outline", vertices, triangles, points)])
+    rows = {
+        "nominal model": {"outline": (np.array([1.0, -1.0]), np.full(2, 0.1))},
+        "with plate tilt": {"outline": (np.zeros(2), np.full(2, 0.1))},
+    }
+    drawn = surface_map(seen, rows, 1.0)
+    images = [part for part in drawn.parts if part.startswith("<image")]
+    assert len(images) == 4 + 1  # and the scale
+    assert images[0] != images[2]
+    text = " ".join(drawn.parts)
+    for title in rows:
+        assert title in text
+    for side, _ in SIDES:
+        assert text.count(side) == 2
 
 
 def test_the_same_scale_serves_all_scans_and_both_models(
@@ -144,35 +172,54 @@ def test_sections_are_compared_voxel_by_voxel() -> None:
     """
     seen = Section(np.array([[0, 1, 2, 1, 0]], np.uint8), (1.0, 1.0), (0.0, 0.0))
     model = Section(np.array([[0, 0, 1, 2, 1]], np.uint8), (1.0, 1.0), (0.0, 0.0))
-    pixels = [to_hex(p, keep_alpha=p[3] < 1) for p in compared(seen, model)[0]]
-    assert pixels == [CLEAR, BLUE, BLUE, VERMILION, VERMILION]
-    same = [to_hex(p, keep_alpha=True) for p in compared(seen, seen)[0]]
-    assert same == [CLEAR, BODY, GLAND, BODY, CLEAR]
+    labels = compared(seen, model).values[0].tolist()
+    assert labels == [0, TOO_LITTLE, TOO_LITTLE, TOO_MUCH, TOO_MUCH]
+    same = compared(seen, seen).values[0].tolist()
+    assert same == [0, IN_BOTH, GLAND_IN_BOTH, IN_BOTH, 0]
 
 
-def test_a_model_that_is_too_long_is_vermilion_at_its_ends() -> None:
+def test_too_much_is_vermilion_too_little_is_blue_and_air_is_clear() -> None:
+    assert OVERLAY[0, 3] == 0
+    assert OVERLAY[TOO_MUCH].tolist() == [*bytes.fromhex(VERMILION[1:]), 255]
+    assert OVERLAY[TOO_LITTLE].tolist() == [*bytes.fromhex(BLUE[1:]), 255]
+
+
+def test_a_model_that_is_too_long_is_too_much_at_its_ends() -> None:
     """Along x the model is 6 mm longer at each end, along y and z it fits."""
     seen, model = egg(np.array([18.0, 16.0, 14.0])), egg(np.array([24.0, 16.0, 14.0]))
-    drawn = overlays(seen, {"nominal model": model}, (0.0, 0.0, 0.0))
-    coronal, transverse, sagittal = drawn.axes
-    for axes in (coronal, sagittal):
-        image = axes.images[0].get_array()
-        assert image is not None
-        line = image[len(image) // 2]
-        ends = {to_hex(line[5]), to_hex(line[-6])}
-        assert ends == {VERMILION}
-        assert axes.images[0].get_extent()[:2] == [-30.75, 30.75]
-    assert VERMILION not in {to_hex(p) for p in transverse.images[0].get_array().reshape(-1, 4)}
+    for view in VIEWS:
+        shown = compared(section(seen, view, 0.0), section(model, view, 0.0))
+        if view.name == "transverse":
+            assert TOO_MUCH not in shown.values
+            continue
+        line = shown.values[len(shown.values) // 2]
+        assert {line[5], line[-6]} == {TOO_MUCH}
+        assert shown.extent_mm[:2] == (-30.75, 30.75)
+
+
+def test_sections_lie_in_their_axes() -> None:
+    """The frame is that of the scan; what the model has beyond it is cut off."""
+    seen, model = egg(np.array([18.0, 16.0, 14.0])), egg(np.array([27.0, 16.0, 14.0]))
+    drawing = ElementTree.fromstring(
+        str(overlays(seen, {"nominal model": model}, (0.0, 0.0, 0.0)).markup("sections"))
+    )
+    images = list(drawing.iter("image"))
+    axes = [p.get("d", "") for p in drawing.iter("path") if "H" in p.get("d", "")]
+    assert len(images) == len(axes) == 3
+    for image, path in zip(images, axes, strict=True):
+        x, y, width, height = (float(image.get(k, 0)) for k in ("x", "y", "width", "height"))
+        left, top, bottom, right = (float(number) for number in re.findall(r"[\d.]+", path))
+        assert left - 3 < x < x + width < right + 3
+        assert top - 3 < y < y + height < bottom + 3
 
 
 def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: FinishedDiagnosis) -> None:
     frame = whole.maps["cause_frame"]
     scores = Volume(whole.maps["cause_before"], tuple(frame[0]), tuple(frame[1]))
-    drawn = cause_sections({"nominal model": scores}, egg(np.array([24.0, 16.0, 14.0])), LUMP_MM, 3)
-    coronal = drawn.axes[0]
-    image = coronal.images[0]
-    left, right, bottom, top = image.get_extent()
-    pixels = np.asarray(image.get_array())
+    colours = ColourScale(CAUSES, 6.2)
+    coronal = section(score_labels(scores, colours), VIEWS[0], LUMP_MM[2])
+    pixels = score_colours(colours)[coronal.values].astype(int)
+    left, right, bottom, top = coronal.extent_mm
     rows, columns, _ = pixels.shape
     column = int((LUMP_MM[0] - left) / (right - left) * columns)
     row = int((LUMP_MM[1] - bottom) / (top - bottom) * rows)
@@ -181,6 +228,18 @@ def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: FinishedDiagnosis) 
     # The other sign on the other side.
     red, green, _, _ = pixels[rows - 1 - row, columns - 1 - column]
     assert green > red
+
+
+def test_scores_within_the_noise_are_grey_and_unknown_ones_clear() -> None:
+    """From the softest to the stiffest: both ends of the scale have their colours."""
+    scores = np.array([np.nan, -4.0, -1.9, 0.0, 1.9, 4.0], np.float32).reshape(1, 1, 6)
+    colours = ColourScale(CAUSES, 4.0)
+    labels = score_labels(Volume(scores, (1.0, 1.0, 1.0)), colours).values.ravel()
+    assert (labels[2:5] == QUIET_LABEL).all()
+    shown = score_colours(colours)[labels].astype(int)
+    assert shown[0, 3] == 0
+    for pixel, stop in zip(shown[[1, 5]], (CAUSES[0], CAUSES[-1]), strict=True):
+        np.testing.assert_allclose(pixel, [*bytes.fromhex(stop[1:]), 255], atol=2)
 
 
 def test_words_of_the_map_say_whether_it_is_more_than_noise(whole: FinishedDiagnosis) -> None:

@@ -75,7 +75,7 @@ def shrinkage(held_out: Sequence[Pair], inside: Sequence[Pair]) -> Figure:
     """Draw claimed over true shrinkage, as pairs (claimed, true)."""
     drawn = figure(5.1, 4.4)
     axes = _square(drawn, "true shrinkage", "claimed shrinkage")
-    _dots(axes, inside, ORANGE, "s", "on the scans fitted")
+    _dots(axes, inside, ORANGE, "s", "averaged over the causes")
     _dots(axes, held_out, BLUE, "o", "on unseen scans")
     low = min([0.0, *(min(pair) for pair in [*held_out, *inside])]) - 0.05
     axes.set(xlim=(max(low, -1.0), 1.05), ylim=(max(low, -1.0), 1.05))

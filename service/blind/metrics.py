@@ -229,16 +229,13 @@ def _gaps(records: Records) -> Iterable[Metric]:
 def _shrinkages(records: Records) -> Iterable[Metric]:
     within = _within(records, lambda r: r.share_interval, lambda r: r.true_share)
     yield _metric("shrinkage_within", "True shrinkage within its interval of 90 %", within)
-    yield from _shrinkage(
-        records,
-        "held_out",
-        "on unseen scans",
-        lambda r: r.held_out_share,
-        (_at_most(0.12), _at_least(0.85)),
+    targets = _at_most(0.12), _at_least(0.85)
+    claims = (
+        ("claimed", "", lambda r: r.claimed_share),
+        ("held_out", " on unseen scans", lambda r: r.held_out_share),
     )
-    yield from _shrinkage(
-        records, "in_sample", "on the scans fitted", lambda r: r.claimed_share, (None, None)
-    )
+    for key, where, claimed in claims:
+        yield from _shrinkage(records, key, where, claimed, targets)
 
 
 def _shrinkage(
@@ -246,15 +243,15 @@ def _shrinkage(
     key: str,
     where: str,
     claimed: Callable[[CaseRecord], float | None],
-    targets: tuple[Target | None, Target | None],
+    targets: tuple[Target, Target],
 ) -> Iterable[Metric]:
     """Compare claimed with true shrinkage; the targets are of the error and the correlation."""
     pairs = _both(records, claimed, lambda r: r.true_share)
     error = mean([abs(c - t) for c, t in pairs])
-    title = f"Error of the shrinkage claimed {where}"
+    title = f"Error of the shrinkage claimed{where}"
     yield _metric(f"shrinkage_error_{key}", title, error, targets[0], "number")
     along = correlation([c for c, _ in pairs], [t for _, t in pairs])
-    title = f"Correlation of the shrinkage claimed {where} with the true one"
+    title = f"Correlation of the shrinkage claimed{where} with the true one"
     yield _metric(f"shrinkage_correlation_{key}", title, along, targets[1], "number")
 
 

@@ -54,8 +54,8 @@ class CaseRecord:
     gap_interval_mm, share_interval : tuple of float or None
         In which the gap before and the shrinkage are said to lie with 90 %.
     claimed_share, held_out_share : float or None
-        By how much the effects are said to shrink the gap's square: on the scans that they
-        were fitted to, and with every scan judged by a fit to the others.
+        By how much the effects are said to shrink the gap's square: averaged over the causes,
+        and with every scan judged by a fit to the others.
     magnitudes : tuple of Magnitude
         Of the true effect, where it was refitted and the truth has the same parameters.
     strength : float or None

@@ -191,7 +191,7 @@ def _warnings(summary: Summary) -> Iterator[str]:
 
 def _gap_picture(summary: Summary, accused: str) -> Picture:
     gap = summary.gap_mm
-    rows = [Judged("all scans, fitted to them", gap.before, gap.after)]
+    rows = [Judged("all scans, whatever the cause", gap.before, gap.after)]
     for name, held in (gap.held_out_each or {}).items():
         rows.append(Judged(f"{name}, not fitted to it", held.before, held.after))
     said = "; ".join(

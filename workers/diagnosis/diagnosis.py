@@ -20,7 +20,6 @@ from workers.diagnosis.form_error import acting_or_alike
 from workers.diagnosis.hypotheses import Hypothesis, PriorOdds
 from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.joint_fit import JointFit, fit_jointly
-from workers.diagnosis.noise_evidence import LinearHypothesis
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.screening import screen
 from workers.diagnosis.second_reading import is_elsewhere, read_again
@@ -190,17 +189,13 @@ def weigh(
     alone = ((one.name,) for one in analysis.sensitivities)
     weighed = [joint.hypothesis(())]
     weighed += [joint.hypothesis(effects) for effects in alone if effects not in joint_fits]
-    for names, fitted in joint_fits.items():
-        weighed.append(_weighed(analysis, nominal, names, fitted))
+    weighed += [_weighed(analysis, names, fitted) for names, fitted in joint_fits.items()]
     return tuple(weighed)
 
 
-def _weighed(
-    analysis: NominalAnalysis, nominal: LinearHypothesis, names: tuple[str, ...], fitted: JointFit
-) -> Hypothesis:
+def _weighed(analysis: NominalAnalysis, names: tuple[str, ...], fitted: JointFit) -> Hypothesis:
     at = analysis.hypothesis(fitted.fit)
-    pattern = analysis.registered(nominal.residual - at.residual)
-    errors, sizes = analysis.form.columns(pattern), SETTINGS.form.relative_sds
+    errors, sizes = analysis.errors_of_form(at), SETTINGS.form.relative_sds
     without, beside = analysis.noise.log_evidences_with_errors(at, errors, sizes)
     alone, acting = acting_or_alike(without)
     if beside is None:

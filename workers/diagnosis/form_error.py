@@ -93,9 +93,20 @@ def acting_or_alike(log_evidences: Sequence[float]) -> tuple[float, float]:
     return float(either), float(np.exp(acts - either))
 
 
+def log_prior_of_sizes() -> FloatArray:
+    """Return that of each of ``SETTINGS.form.relative_sds``, whether the effects act or not."""
+    settings = SETTINGS.form
+    acts = (1.0 - settings.likeness) * _weights(settings.typical_sd)
+    return np.asarray(np.log(acts + settings.likeness * _weights(settings.likeness_sd)))
+
+
 def _averaged(log_evidences: Sequence[float], typical_sd: float) -> float:
     """Average over the size of the error, whose logarithm is normal about that of `typical_sd`."""
+    return float(logsumexp(log_evidences, b=_weights(typical_sd)))
+
+
+def _weights(typical_sd: float) -> FloatArray:
     settings = SETTINGS.form
     away = np.log(np.array(settings.relative_sds) / typical_sd) / settings.log_sd
     weights = np.exp(-0.5 * away**2)
-    return float(logsumexp(log_evidences, b=weights / weights.sum()))
+    return np.asarray(weights / weights.sum())

@@ -81,8 +81,7 @@ class NominalAnalysis:
         learnt, prior = self.inverse.learnt, self.inverse.something_else
         if learnt is None:
             raise ValueError("the noise is learnt with the calibration")
-        fields = [self._smooth_columns(length) for length in prior.lengths_mm]
-        return NoiseModel(learnt.parts, learnt.states, fields, prior.amplitudes_mm)
+        return NoiseModel(learnt.parts, learnt.states, self.fields, prior.amplitudes_mm)
 
     def hypothesis(self, at: Fit) -> LinearHypothesis:
         """Return a fit for `noise`, less what the roughness of the drawn surface looks like."""
@@ -104,6 +103,12 @@ class NominalAnalysis:
         nuisances = np.hstack([poses, self.inverse.drawing])
         white = self.linear.whiten(np.column_stack([nuisances, change]))
         return np.asarray(change - nuisances @ (white[:, :-1].T @ white[:, -1]))
+
+    @cached_property
+    def fields(self) -> tuple[FloatArray, ...]:
+        """Columns of a smooth field of unit amplitude, (m, r) in mm, for each of its lengths."""
+        lengths = self.inverse.something_else.lengths_mm
+        return tuple(self._smooth_columns(length) for length in lengths)
 
     @property
     def field(self) -> FloatArray:
@@ -131,6 +136,11 @@ class NominalAnalysis:
         length_mm = inverse.something_else.middle_length_mm
         between = SETTINGS.form.state_correlation.between(inverse.directions)
         return FormError(self._points, normals, inverse.rows, between, length_mm)
+
+    def errors_of_form(self, at: LinearHypothesis) -> FloatArray:
+        """Return columns of unit deviation for an error as large as what the effects change."""
+        changed = self.hypothesis(self.nominal).residual - at.residual
+        return self.form.columns(self.registered(changed))
 
     @property
     def _points(self) -> FloatArray:

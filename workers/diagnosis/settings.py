@@ -263,9 +263,12 @@ class GapSettings:
     # [null replicates] Gap that a mesh from a noisy segmentation opens, in standard deviations of
     # the noise.
     drawn_noises: float = 0.17
-    # [numerics] Draws of the bootstrap, and the seed of their random numbers.
+    # [numerics] Draws of the bootstrap and of the posterior, and the seed of their random numbers.
     draws: int = 400
     seed: int = 0
+    # [numerics] A hypothesis that is less probable has no part in the posterior: an interval of
+    # nine in ten does not hear of it.
+    heard: float = 0.01
     # [numerics] A region is significant if its interval does not reach down to this.
     nothing_mm: float = 1e-9
     # [principle] A region needs as many residuals for a gap of its own.

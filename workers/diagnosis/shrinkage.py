@@ -185,7 +185,7 @@ class Comparison:
         first = len(nominal.nominal_sd) - count
         poses = (nominal.nominal * nominal.nominal_sd)[:, first:]
         noise += poses @ rng.standard_normal((count, self.draws))
-        return _Draws(noise, rng.standard_normal(self.draws), _parts_of_floor(rng, self.draws))
+        return _Draws(noise, rng.standard_normal(self.draws), parts_of_floor(rng, self.draws))
 
     @cached_property
     def _without_noise(self) -> tuple[FloatArray, FloatArray]:
@@ -208,7 +208,7 @@ def _excess(fits: Sequence[LinearFit], mean: FloatArray, noise: FloatArray) -> F
     return np.asarray(np.sum(sums, axis=0) / sum(len(fit.noise_mm2) for fit in fits))
 
 
-def _parts_of_floor(rng: np.random.Generator, draws: int) -> FloatArray:
+def parts_of_floor(rng: np.random.Generator, draws: int) -> FloatArray:
     """Draw parts of the floor: log-normal, nine in ten within their range."""
     ends = np.log(SETTINGS.gap.floor_range)
     return np.asarray(np.exp(rng.normal(ends.mean(), np.ptp(ends) / 2 / ndtri(0.95), draws)))

@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from storage.values import FloatArray
 from workers.diagnosis.acquisition import INTERFACES
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.gap import Gap, gap
+from workers.diagnosis.gap_posterior import draw_gaps
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.linear_fit import LinearFit, Registration
 from workers.diagnosis.linearisation import Linearised
@@ -134,19 +136,40 @@ def _in_deviations(parameter: ParameterEstimate) -> float:
 
 
 def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
-    inverse = diagnosis.analysis.inverse
-    floor_mm = _floor_mm(inverse, diagnosis.analysis.linear)
-    before = gap(registered, floor_mm=floor_mm)
-    alone = GapSummary(_estimate(before), before.noise_mm, floor_mm, None, None, None)
-    best = diagnosis.best
-    if best is None:
+    analysis, best = diagnosis.analysis, diagnosis.best
+    inverse = analysis.inverse
+    drawn = draw_gaps(
+        analysis,
+        {names: one.fit for names, one in diagnosis.joint_fits.items()},
+        diagnosis.verdict.hypotheses,
+        None if best is None else best.fit,
+        _meshed_mm(inverse),
+    )
+    noise_mm, floor_mm = gap(registered).noise_mm, _floor_mm(inverse, analysis.linear)
+    before = _drawn_gap(drawn.before_mm, noise_mm, len(drawn.before))
+    alone = GapSummary(before, noise_mm, floor_mm, None, None, None)
+    if best is None or drawn.after_mm is None:
         return alone
-    fits = diagnosis.analysis.linear_with_poses, best.fit.linearised_with_poses(inverse)
+    after = _drawn_gap(drawn.after_mm, noise_mm, len(drawn.before))
+    share = ShareEstimate(
+        1.0 - after.gap_mm**2 / before.gap_mm**2,
+        *_interval(1.0 - drawn.after_mm**2 / drawn.before_mm**2),
+    )
+    fits = analysis.linear_with_poses, best.fit.linearised_with_poses(inverse)
     seed, poses = SETTINGS.gap.seed, inverse.nuisance_count
     comparison = Comparison(*fits, seed, floor_mm=floor_mm, registered=poses)
-    fitted = _compared(comparison.shrinkage())
-    inside = replace(alone, before=fitted.before, after=fitted.after, share=fitted.share)
+    inside = replace(alone, after=after, share=share)
     return known_shares(_with_held_out(inside, inverse, comparison), diagnosis.verdict.set90)
+
+
+def _drawn_gap(draws_mm: FloatArray, noise_mm: float, points: int) -> GapEstimate:
+    return GapEstimate(float(draws_mm.mean()), *_interval(draws_mm), noise_mm, points)
+
+
+def _interval(draws: FloatArray) -> tuple[float, float]:
+    level = SETTINGS.gap.level
+    low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)
 
 
 def known_shares(found: GapSummary, set90: Sequence[str]) -> GapSummary:
@@ -206,10 +229,15 @@ def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
     The noise that was fitted; what the mesh leaves, as large as what a finer one has taken
     off; that the body is meshed as it was segmented; and some more, which nobody can count.
     """
-    mesh = float(np.sqrt((inverse.bias**2).mean()))
+    fitted = SETTINGS.gap.floor_factor * LinearFit(nominal).floor_mm
+    return float(np.hypot(fitted, _meshed_mm(inverse)))
+
+
+def _meshed_mm(inverse: InverseProblem) -> float:
+    """Return what every model misses: the mesh, the body as it was segmented, and some more."""
+    mesh = np.sqrt((inverse.bias**2).mean())
     drawn = SETTINGS.gap.drawn_noises * inverse.noise.reference_sd_mm
-    counted = np.linalg.norm([LinearFit(nominal).floor_mm, mesh, drawn])
-    return SETTINGS.gap.floor_factor * float(counted)
+    return SETTINGS.gap.floor_factor * float(np.hypot(mesh, drawn))
 
 
 def _where(inverse: InverseProblem, fit: LinearFit) -> Iterator[RegionGap]:

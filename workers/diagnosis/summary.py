@@ -47,18 +47,19 @@ class GapShrinkage:
 
 @dataclass(frozen=True, slots=True)
 class GapSummary:
-    """The gap of all scans, as fitted and where each scan is judged by a fit to the others.
+    """The gap of all scans, and where each scan is judged by a fit to the others.
 
     Parameters
     ----------
     before : GapEstimate
-        Of the nominal model.
+        Of the nominal model, averaged over all that may be the cause; see
+        `workers.diagnosis.gap_posterior`.
     noise_floor : float
         Noise of the observation of one point, in mm.
     calibration_floor : float
         What even the right model misses, in mm.
     after : GapEstimate or None
-        With the accused effects; None if there are none, as for all that follows.
+        The same with the accused effects; None if there are none, as for all that follows.
     held_out_before, held_out_after : GapEstimate or None
         None for one scan too.
     share, held_out_share : ShareEstimate, optional

@@ -67,6 +67,8 @@ class Verdict:
         Where the best other cause would be as probable as no gap.
     hidden : tuple of str
         Effects on which the data cannot speak.
+    hypotheses : dict of Case to float
+        Probability of each hypothesis, without and with a smooth field; sums to 1.
     """
 
     kind: Kind
@@ -81,6 +83,7 @@ class Verdict:
     alarm: float
     threshold: float
     hidden: tuple[str, ...]
+    hypotheses: dict[Case, float]
 
 
 def verdict(
@@ -146,6 +149,7 @@ def verdict(
         alarm=loudness,
         threshold=loudness - _log_odds_of_a_gap(causes),
         hidden=hidden,
+        hypotheses=cases,
     )
 
 

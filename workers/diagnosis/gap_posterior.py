@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from storage.values import FloatArray
+from storage.values import BoolArray, FloatArray
 from workers.diagnosis.evidence import Quadratic, log_marginal, posterior
 from workers.diagnosis.form_error import log_prior_of_sizes
 from workers.diagnosis.gauss_newton import Fit
@@ -174,10 +174,21 @@ class _Part:
         )
         mean, covariance = posterior(one, offset)
         spread = np.linalg.cholesky(covariance) @ rng.standard_normal((p, count))
-        z = mean[:, None] + spread
-        z[self.at.one_sided] = np.maximum(z[self.at.one_sided], 0.0)
+        z = _within_bounds(mean[:, None] + spread, covariance, self.at.one_sided)
         step = (self.factors[:, None] * (z - offset[:, None]))[~self.at.is_pose]
         return self.at.residual[:, None] + self.at.columns[:, ~self.at.is_pose] @ step
+
+
+def _within_bounds(z: FloatArray, covariance: FloatArray, one_sided: BoolArray) -> FloatArray:
+    """Return draws (p, n) whose one-sided parameters are not negative.
+
+    One that is goes to zero, and all others where they are expected then: alone it would leave
+    what the scans say of them together.
+    """
+    for j in np.flatnonzero(one_sided):
+        short = np.maximum(-z[j], 0.0)
+        z = z + np.outer(covariance[:, j] / covariance[j, j], short)
+    return z
 
 
 def _sizes(

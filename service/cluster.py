@@ -1,19 +1,18 @@
 """Opens the cluster that does the work: local processes, or an existing scheduler.
 
 One evaluation per process, one thread per evaluation. Worker processes are
-spawned, so a script that opens a cluster needs ``if __name__ == "__main__":``.
+spawned, or forked within `service.fork_server.forked_workers`; either way a script
+that opens a cluster needs ``if __name__ == "__main__":``.
 """
 
 import logging
 import os
-import signal
 import socket
 import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from multiprocessing import resource_tracker
 from typing import Any
 
 import dask
@@ -24,6 +23,7 @@ from tornado.ioloop import PeriodicCallback
 from service.adaptive import follow_the_work
 from service.dask_tab import add_tab
 from service.errors import ClusterError
+from service.fork_server import unheard_interrupts
 from service.scheduler_address import check_reachable
 from service.task_failures import sentence
 from service.worker_range import WorkerRange, Workers, read_workers
@@ -236,7 +236,7 @@ def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
         )
         config = CONFIG | {"distributed.scheduler.allowed-failures": allowed_failures}
         stack.enter_context(dask.config.set(config))
-        with _unheard_interrupts(), warnings.catch_warnings():
+        with unheard_interrupts(), warnings.catch_warnings():
             # Somebody may take the port between our look and Dask's; Dask then takes another.
             warnings.filterwarnings("ignore", message="\\s*Port .* is already in use")
             cluster = stack.enter_context(
@@ -285,21 +285,6 @@ def _mended(cluster: _SteadyCluster) -> Iterator[None]:
         yield
     finally:
         cluster.loop.add_callback(mending.stop)
-
-
-@contextmanager
-def _unheard_interrupts() -> Iterator[None]:
-    """Keep Ctrl-C from processes that are started within; ours comes when it is over.
-
-    A terminal sends SIGINT to all processes of a command. The driver is the one to
-    answer it. Threads and processes inherit the mask, workers that are restarted later too.
-    """
-    resource_tracker.ensure_running()  # started later it would lift the mask
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def usable_cores() -> int:

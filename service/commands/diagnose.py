@@ -66,30 +66,35 @@ def diagnose(
     import time
     from datetime import UTC, datetime
 
-    from service.diagnosis.run import finished, request_for
-    from service.report.diagnosis_files import write_diagnosis
-    from service.report.diagnosis_made import origin_of
-    from storage.errors import InputError
-    from storage.typed_json import to_json
-    from workers.tasks.sources import is_plannable, open_source
+    from service.fork_server import forked_workers
 
     scheduler, processes = cluster_options(scheduler, workers)
-    if plan and source.is_file() and not is_plannable(source):
-        raise InputError(
-            f"{source} is a bench experiment, and --plan knows further scans only. Leave it out."
-        )
-    opened = open_source(source)
-    opened.check()
-    print_understood(source)
-    request = request_for(opened, store_place(store), nodes)
-    began, when = time.monotonic(), datetime.now(UTC).isoformat()
-    stored = finished(request) is not None
-    with stop_requests() as requests:
-        diagnosis = _diagnosed(request, source, processes, scheduler, requests)
-        if diagnosis is not None and _to_be_planned(diagnosis.summary, source, plan):
-            diagnosis = _with_plan(diagnosis, source, request, processes, scheduler, requests)
+    with forked_workers(scheduler, "service.diagnosis.worker_imports"):  # while we import, too
+        from service.diagnosis.run import finished, request_for
+        from storage.errors import InputError
+        from workers.tasks.sources import is_plannable, open_source
+
+        if plan and source.is_file() and not is_plannable(source):
+            raise InputError(
+                f"{source} is a bench experiment, and --plan knows further scans only. "
+                "Leave it out."
+            )
+        opened = open_source(source)
+        opened.check()
+        print_understood(source)
+        request = request_for(opened, store_place(store), nodes)
+        began, when = time.monotonic(), datetime.now(UTC).isoformat()
+        stored = finished(request) is not None
+        with stop_requests() as requests:
+            diagnosis = _diagnosed(request, source, processes, scheduler, requests)
+            if diagnosis is not None and _to_be_planned(diagnosis.summary, source, plan):
+                diagnosis = _with_plan(diagnosis, source, request, processes, scheduler, requests)
     if diagnosis is None:
         raise interrupted()
+    from service.report.diagnosis_files import write_diagnosis
+    from service.report.diagnosis_made import origin_of
+    from storage.typed_json import to_json
+
     spent = None if stored else time.monotonic() - began
     origin = origin_of(opened, request, when, f"palpate diagnose {source}", spent)
     page = write_diagnosis(diagnosis, out or RUNS / folder_name(source), origin)

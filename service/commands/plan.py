@@ -45,14 +45,17 @@ def plan(
 
     Loaded scans need not exist: only the reference scan is read.
     """
-    from service.diagnosis.planning import request_plan
-    from storage.typed_json import to_json
+    from service.fork_server import forked_workers
 
     scheduler, processes = cluster_options(scheduler, workers)
-    print_understood(source)
-    request = request_plan(source, store_place(store), nodes)
-    with stop_requests() as requests:
-        summary = planned(request, processes, scheduler, requests)
+    with forked_workers(scheduler, "workers.tasks.planning"):  # while we import, too
+        from service.diagnosis.planning import request_plan
+        from storage.typed_json import to_json
+
+        print_understood(source)
+        request = request_plan(source, store_place(store), nodes)
+        with stop_requests() as requests:
+            summary = planned(request, processes, scheduler, requests)
     if summary is None:
         raise interrupted()
     page = _write(summary, out or RUNS / folder_name(source) / "plan.html")

@@ -219,18 +219,32 @@ class _Phases:
     ) -> list[R]:
         """Run a task for each of `arguments`; its records in order of arrival.
 
-        One that goes `by_scans` is told how many threads there are for each task.
+        One that goes `by_scans` is told how many threads it may have.
         """
-        of = len(arguments)
+        of, threads = len(arguments), self.workers.threads
         self.observe(Step(phase, 0, of))
-        spare = (max(1, self.workers.threads // of),) if by_scans and of else ()
-        calls = [(_about(one), (self.request, *one, *spare)) for one in arguments]
+        calls: TaskCalls = [
+            (_about(one), (self.request, *one, *([_spare(threads, of, one)] if by_scans else [])))
+            for one in arguments
+        ]
         records: list[R] = []
         for ending in self.workers.run(task, calls):
             record: R = value_of(ending, f"{phase} {ending.key}".strip())
             records.append(record)
             self.observe(Step(phase, len(records), of, ending.key, record))
         return records
+
+
+def _spare(threads: int, tasks: int, arguments: tuple[Any, ...]) -> int:
+    """Return how many threads one of some tasks may have.
+
+    An even share; and where soon there are fewer tasks than threads, one that takes long begins
+    with two, so that nobody waits for it at the end.
+    """
+    even = max(1, threads // tasks)
+    names = arguments[0] if arguments else ()
+    waited_for = tasks < 2 * threads and not LONG.isdisjoint(names)
+    return max(even, min(2, threads)) if waited_for else even
 
 
 def _about(arguments: tuple[Any, ...]) -> str:

@@ -9,9 +9,10 @@ import pytest
 from compressed_breast import SCANS, loads_exchanged, write_case, write_scan
 
 from storage.errors import InputError
-from storage.values import Volume
+from storage.values import Tissue, Triple, Volume
 from workers.organs.breast.case_checks import check_case
 from workers.organs.breast.case_files import read_case
+from workers.organs.breast.scanned_case import extent_mm
 
 Change = Callable[[Path], object]
 
@@ -123,3 +124,31 @@ def test_a_body_may_bulge_behind_the_edge_of_the_plates(copied: Path) -> None:
         place = (x, y - extra * labels.spacing_mm[1], z)
         write_scan(copied / file, Volume(values, labels.spacing_mm, place))
     check_case(read_case(copied))
+
+
+@pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.6, -0.8, 0.0)])
+def test_a_body_reaches_as_far_as_its_voxels(axis: Triple) -> None:
+    """Crumbs, with rows of no voxel, of one and of several, against the corners of each voxel."""
+    values = (np.random.default_rng(3).random((4, 9, 12)) < 0.05).astype(np.uint8)
+    labels = Volume(values, (0.5, 1.25, 2.0), (-3.0, 4.0, 10.0))
+    _, y, x = np.nonzero(values)
+    corners = [
+        (x + i) * 0.5 * axis[0] + (y + j) * 1.25 * axis[1] for i in (-0.5, 0.5) for j in (-0.5, 0.5)
+    ]
+    origin = -3.0 * axis[0] + 4.0 * axis[1]
+    expected = (origin + np.min(corners), origin + np.max(corners))
+    assert extent_mm(labels, axis) == pytest.approx(expected, abs=1e-12)
+
+
+def test_air_around_a_scan_changes_nothing(copied: Path) -> None:
+    """Neither does a speck in it."""
+    before = scan(copied, SCANS[1])
+    values = np.pad(before.values, ((0, 5), (7, 3), (2, 9)))
+    x, y, z = before.origin_mm
+    dx, dy, _ = before.spacing_mm
+    values[-1, -1, -1] = Tissue.FAT
+    write_scan(copied / SCANS[1], Volume(values, before.spacing_mm, (x - 2 * dx, y - 7 * dy, z)))
+    after = scan(copied, SCANS[1])
+    np.testing.assert_array_equal(after.values, before.values)
+    assert after.values.dtype == before.values.dtype
+    assert after.origin_mm == pytest.approx(before.origin_mm)

@@ -32,13 +32,14 @@ def one_body(labels: Volume, filling: Tissue = Tissue.FAT) -> Volume:
     pieces, count = label(tissue)
     body = tissue
     if count > 1:
-        body = pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
+        body = pieces == int(np.argmax(np.bincount(pieces[tissue])))
     # Holes open to the chest wall, where the scan was cut, stay.
     whole = _filled(body)
     if count <= 1 and np.array_equal(whole, tissue):
         return labels
-    values = np.where(body, labels.values, np.where(whole, filling, Tissue.AIR))
-    return Volume(values.astype(labels.values.dtype), labels.spacing_mm, labels.origin_mm)
+    values = np.where(body, labels.values, labels.values.dtype.type(Tissue.AIR))
+    values[whole & ~body] = filling
+    return Volume(values, labels.spacing_mm, labels.origin_mm)
 
 
 def _filled(body: BoolArray) -> BoolArray:

@@ -128,7 +128,7 @@ def check_place(rest: Scan, scan: Scan) -> None:
     here = rest.labels.values != Tissue.AIR
     there = resample_labels(scan.labels, rest.labels).values != Tissue.AIR
     smaller = min(_ml(rest.labels), _ml(scan.labels)) * 1000 / rest.labels.voxel_mm3
-    share = (here & there).sum() / smaller
+    share = np.count_nonzero(here & there) / smaller
     if share < OVERLAP_SHARE:
         raise InputError(
             f"The bodies of {rest.file} and {scan.file} overlap in {share:.0%} of their volume, "
@@ -182,8 +182,8 @@ def _check_loads(scans: list[Scan]) -> None:
     for axis in dict.fromkeys(scan.axis for scan in scans[1:]):
         known = [(s.force_n, s) for s in scans[1:] if s.axis == axis and s.force_n is not None]
         pressed = sorted([(0.0, scans[0]), *known], key=lambda one: one[0])
-        for (less_n, less), (more_n, more) in pairwise(pressed):
-            thick, thin = _thickness_mm(less.labels, axis), _thickness_mm(more.labels, axis)
+        measured = [(force_n, scan, _thickness_mm(scan.labels, axis)) for force_n, scan in pressed]
+        for (less_n, less, thick), (more_n, more, thin) in pairwise(measured):
             slack = THICKNESS_VOXELS * max(*less.labels.spacing_mm[:2], *more.labels.spacing_mm[:2])
             if thin > thick + slack and less_n < more_n:
                 raise InputError(
@@ -195,11 +195,15 @@ def _check_loads(scans: list[Scan]) -> None:
 
 
 def _ml(labels: Volume) -> float:
-    return float((labels.values != Tissue.AIR).sum() * labels.voxel_mm3 / 1000)
+    return _voxels(labels) * labels.voxel_mm3 / 1000
 
 
 def _gland_share(labels: Volume) -> float:
-    return float((labels.values == Tissue.GLANDULAR).sum() / (labels.values != Tissue.AIR).sum())
+    return float(np.count_nonzero(labels.values == Tissue.GLANDULAR) / _voxels(labels))
+
+
+def _voxels(labels: Volume) -> int:
+    return int(np.count_nonzero(labels.values != Tissue.AIR))
 
 
 def _thickness_mm(labels: Volume, axis: Triple) -> float:

@@ -21,7 +21,7 @@ import yaml
 
 from storage.errors import InputError
 from storage.values import Volume
-from workers.body.images.labels import relabel
+from workers.body.images.labels import crop_to_body, relabel
 from workers.body.images.largest_component import in_air, one_body
 from workers.body.images.read import read_volume
 from workers.organs.breast.case_prose import from_prose, is_prose
@@ -129,7 +129,9 @@ def _scan(case: Path, file: CaseFile, name: str) -> Volume:
             "scan, or segment what is missing."
         )
     tissues = relabel(volume, {label: meanings[label] for label in found})
-    return in_air(one_body(above_wall(tissues, file.wall.z_mm)))
+    # A scan has air around the body, which need not be searched for specks and holes.
+    body = crop_to_body(above_wall(tissues, file.wall.z_mm), margin_voxels=0)
+    return in_air(one_body(body))
 
 
 class CaseReader:

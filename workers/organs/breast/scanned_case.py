@@ -7,9 +7,10 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from storage.errors import InputError
-from storage.values import Tissue, Triple, Volume
+from storage.values import BoolArray, Tissue, Triple, Volume
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.noise_estimation import from_repeat
 from workers.diagnosis.inverse_problem import FreeConstant, Values
@@ -164,12 +165,20 @@ def above_wall(labels: Volume, wall_mm: float) -> Volume:
 def extent_mm(labels: Volume, axis: Triple) -> tuple[float, float]:
     """Return from where to where the body reaches along an axis across z: faces of its voxels."""
     along = np.asarray(axis[:2]) / np.linalg.norm(axis)
-    y, x = np.nonzero((labels.values != Tissue.AIR).any(axis=0))
+    y, x = _row_ends((labels.values != Tissue.AIR).any(axis=0))
     spacing = np.asarray(labels.spacing_mm[:2])
     places = np.asarray(labels.origin_mm[:2]) + spacing * np.column_stack([x, y])
     heights = places @ along
     half = float(np.abs(along) @ spacing) / 2
     return float(heights.min()) - half, float(heights.max()) + half
+
+
+def _row_ends(there: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return row and column of the first and the last voxel of each row that has any."""
+    rows = np.flatnonzero(there.any(axis=1))
+    first = there[rows].argmax(axis=1)
+    last = there.shape[1] - 1 - there[rows, ::-1].argmax(axis=1)
+    return np.concatenate([rows, rows]), np.concatenate([first, last])
 
 
 def _constants(values: Values, young: str, poisson: float) -> Constants:

@@ -229,7 +229,7 @@ def test_gaps_and_shrinkage() -> None:
     assert value(found, "gap_after_error") == (pytest.approx(0.05), 2)
     held, inside = (
         value(found, "shrinkage_error_held_out"),
-        value(found, "shrinkage_error_in_sample"),
+        value(found, "shrinkage_error_claimed"),
     )
     assert held == (pytest.approx((0.05 + 0.0625) / 2), 2)
     assert inside == (pytest.approx((0.2 + 0.1625) / 2), 2)

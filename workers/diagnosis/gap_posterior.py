@@ -180,10 +180,10 @@ class _Part:
 
 
 def _within_bounds(z: FloatArray, covariance: FloatArray, one_sided: BoolArray) -> FloatArray:
-    """Return draws (p, n) whose one-sided parameters are not negative.
+    """Return draws (p, n), one-sided parameters in turn taken to zero where they are negative.
 
-    One that is goes to zero, and all others where they are expected then: alone it would leave
-    what the scans say of them together.
+    All others go where they are expected then: moved alone, one would leave what the scans say of
+    them together. Where the next ones move an earlier one below zero, it stays there: a little.
     """
     for j in np.flatnonzero(one_sided):
         short = np.maximum(-z[j], 0.0)

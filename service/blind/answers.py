@@ -110,6 +110,7 @@ def write_answer(
     # What the mesh adds, which the diagnosis takes off its residuals.
     _, calibrated = store.calibration.load(CalibrationRecord)
     arrays["bias"] = calibrated["bias"].reshape(maps["before"].shape)
+    arrays["pressed"] = calibrated["noise_pressed"]
     folder = blind.answers(directions)
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)

@@ -163,7 +163,7 @@ def _true_gap(
     amiss = {n: true.get(n, 0.0) - found.get(n, 0.0) for n in {*true, *found}}
     interface = maps["interface"].astype(np.int32)
     known = maps["bias"] + drawn_mm(at, normals, interface, centre_mm, amiss)
-    return true_gap(maps["points"], interface, at, normals, moved, known)
+    return true_gap(maps["points"], interface, at, normals, moved, known, maps.get("pressed"))
 
 
 def _said_of_images(summary: Summary) -> dict[str, float]:

@@ -57,6 +57,7 @@ def true_gap(
     normals: FloatArray,
     truth: Moved,
     known: FloatArray,
+    pressed: FloatArray | None = None,
 ) -> TrueGap:
     """Return how far a model's interfaces are from the true ones.
 
@@ -73,6 +74,9 @@ def true_gap(
     known : ndarray, shape (scans, k)
         Distance along the normals, in mm, that the model is known to be off and that its
         residuals are corrected by; subtracted.
+    pressed : ndarray, shape (scans, k), optional
+        How far each point is on a plate, 0 to 1, where the model flattens what was drawn above
+        its surface or below; see `workers.diagnosis.pressed_points`.
 
     Raises
     ------
@@ -89,24 +93,32 @@ def true_gap(
     material_mm = _rms(apart)
     on = interface == OUTLINE
     if on.any():
-        off = _off_outline(points[on], moved[:, on], normals[:, on], true[:, on], truth)
+        carried = np.ones(apart.shape) if pressed is None else 1.0 - pressed
+        off = _off_outline(
+            points[on], moved[:, on], normals[:, on], true[:, on], truth, carried[:, on]
+        )
         apart[:, on] = off - known[:, on]
     return TrueGap(_rms(apart), tuple(_rms(each) for each in apart), material_mm)
 
 
 def _off_outline(
-    points: FloatArray, moved: FloatArray, normals: FloatArray, true: FloatArray, truth: Moved
+    points: FloatArray,
+    moved: FloatArray,
+    normals: FloatArray,
+    true: FloatArray,
+    truth: Moved,
+    carried: FloatArray,
 ) -> FloatArray:
     """Return how far outside of the true outline the model puts its own, shape (scans, k).
 
     Points that a noisy scan has put off the outline at rest are moved by as much as tissue between
-    them and their feet on it.
+    them and their feet on it, as far as the model carries that along, (scans, k).
     """
     on = truth.interface == OUTLINE
     at_rest, went = truth.points[on], truth.displacement[:, on]
     across = _normals(points, at_rest)
     feet = points - _height(points, across, at_rest)[:, None] * across
-    own = moved + material_points(feet, truth) - true
+    own = moved + carried[:, :, None] * (material_points(feet, truth) - true)
     each = zip(own, normals, went, strict=True)
     return np.stack([_height(p, n, at_rest + u) for p, n, u in each])
 

@@ -172,4 +172,5 @@ def _scan(acquisition: Acquisition, number: int, frame: Frame, observed: Observe
         acquisition.problem(number, frame),
         partial(residual, observed=observed),
         interface_mm2=[one.interface_mm2 for one in observed.distances],
+        voxel_mm=observed.distances[0].spacing_mm,
     )

@@ -16,6 +16,7 @@ from workers.diagnosis.noise_learning import learnt_states
 from workers.diagnosis.noise_model import LearntNoise, believed
 from workers.diagnosis.noise_parts import noise_parts
 from workers.diagnosis.nuisances import pose_columns, smooth_columns
+from workers.diagnosis.pressed_points import pressed_shares, with_pressed_points
 from workers.diagnosis.scan_poses import residuals
 from workers.diagnosis.scan_prediction import (
     ComparedScan,
@@ -60,6 +61,9 @@ def calibrate(
         starts = [v.at for v in first.predictions]
         first = fit(inverse, free, first.z, starts, each=each) or first
     predictions: Sequence[PredictedScan] = first.predictions
+    if inverse.is_segmented:
+        inverse = with_pressed_points(inverse, _pressed(inverse, predictions))
+        predictions = _compared(inverse, first, predictions)
     if finer is not None:
         inverse = with_mesh_bias(inverse, finer, first, predictions, each)
     columns = first.jacobian * free.sd
@@ -102,6 +106,13 @@ def _matched(inverse: InverseProblem, at: SolvedFit) -> BoolArray:
     return matched(inverse.points, inverse.covariance, columns, left, beside_mm)
 
 
+def _pressed(inverse: InverseProblem, predictions: Sequence[PredictedScan]) -> list[FloatArray]:
+    """Return how far plates press each point in each scan, shapes (k,)."""
+    nodes = [inverse.forward.pressed(v.at) for v in predictions]
+    free = np.zeros(len(inverse.points))
+    return [free if one is None else pressed_shares(inverse, one) for one in nodes]
+
+
 def _compared(
     inverse: InverseProblem, at: Fit, solved: Sequence[PredictedScan]
 ) -> list[PredictedScan]:
@@ -138,12 +149,15 @@ def with_mesh_bias(
 ) -> InverseProblem:
     """Take off what a finer mesh moves the points by."""
     fine_problem = replace(inverse, model=finer, at_points=interpolation_of(finer, inverse))
+    if inverse.is_segmented:
+        pressed = [v.followed.pressed for v in predictions]
+        fine_problem = with_pressed_points(fine_problem, pressed)
 
     def predicted(scan: Scan) -> PredictedScan | None:
         return predict_scan(fine_problem, scan, at.unknowns, at.z, None)
 
     bias = []
-    for fine, coarse in zip(each(predicted, inverse.scans), predictions, strict=True):
+    for fine, coarse in zip(each(predicted, fine_problem.scans), predictions, strict=True):
         if fine is None:
             return inverse
         bias.append(-((fine.points - coarse.points) * coarse.normals).sum(axis=1))

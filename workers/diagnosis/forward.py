@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
-from storage.values import FloatArray
+import numpy as np
+
+from storage.values import BoolArray, FloatArray
 from workers.mechanics.fem import sensitivity, solve
 
 
@@ -23,6 +25,9 @@ class Forward(Protocol):
 
     def direction(self, problem: Any) -> Sequence[float]:
         """Return the direction in which the body is loaded, x, y, z."""
+
+    def pressed(self, at: Any) -> BoolArray | None:
+        """Return which nodes a plate presses, shape (n,); None without plates."""
 
 
 class Tetrahedra:
@@ -44,3 +49,10 @@ class Tetrahedra:
         """See `Forward.direction`."""
         axis: Sequence[float] = problem.load.device.axis
         return axis
+
+    def pressed(self, at: Any) -> BoolArray | None:
+        """See `Forward.pressed`."""
+        level, found = at.levels[-1], np.zeros(len(at.states[-1].x), np.bool_)
+        for contact in level.plate_contacts(at.states[-1], at.stage):
+            found[contact.nodes.index[contact.gap < 0]] = True
+        return found

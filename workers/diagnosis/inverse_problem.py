@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from storage.errors import InputError
-from storage.values import BoolArray, FloatArray, IntArray
+from storage.values import BoolArray, FloatArray, IntArray, Triple
 from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.diagnosis.forward import Forward, Tetrahedra
@@ -64,6 +64,29 @@ class FreeConstant:
 
 
 @dataclass(frozen=True, eq=False)
+class FollowedPoints:
+    """Points of the interfaces as the mesh of the body carries them along.
+
+    Parameters
+    ----------
+    points : ndarray, shape (k, 3)
+        At rest, in mm.
+    at_points : csr_matrix, shape (k, n)
+        From displacements of the nodes to those of the points.
+    pressed : ndarray, shape (k,)
+        How far each is on a plate, 0 to 1; see `workers.diagnosis.pressed_points`.
+    """
+
+    points: FloatArray
+    at_points: csr_matrix
+    pressed: FloatArray
+
+    def moved(self, displacement_mm: FloatArray) -> FloatArray:
+        """Return where points are under a displacement of the nodes (n, 3), shape (k, 3)."""
+        return np.asarray(self.points + self.at_points @ displacement_mm)
+
+
+@dataclass(frozen=True, eq=False)
 class Scan:
     """The body in one loaded state: what was observed, and the problem of that load.
 
@@ -80,6 +103,10 @@ class Scan:
         elsewhere; see `workers.diagnosis.anchored_scan`.
     interface_mm2 : sequence of float
         Area of each interface that the scan shows; none where it shows markers.
+    voxel_mm : tuple of float, optional
+        Edges of its voxels along x, y and z, where it shows labels.
+    followed : FollowedPoints, optional
+        How the points are followed under this load, where plates press some of them.
     """
 
     name: str
@@ -87,6 +114,8 @@ class Scan:
     compare: Compare
     drawn: Compare | None = None
     interface_mm2: Sequence[float] = ()
+    voxel_mm: Triple | None = None
+    followed: FollowedPoints | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +208,11 @@ class InverseProblem:
         """How many columns of poses and drawing a fit has."""
         poses = 6 * len(self.scans) if self.has_poses else 0
         return poses + self.drawing.shape[1]
+
+    def followed(self, scan: Scan) -> FollowedPoints:
+        """Return how the points are followed under the load of a scan."""
+        free = FollowedPoints(self.points.points, self.at_points, np.zeros(len(self.points)))
+        return scan.followed or free
 
     @cached_property
     def directions(self) -> FloatArray:

@@ -12,6 +12,7 @@ from workers.diagnosis.noise_model import NoiseParts
 from workers.diagnosis.nuisances import drawing_columns, pose_columns, smooth_columns
 from workers.diagnosis.scan_prediction import ComparedScan
 from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.voxel_steps import voxel_steps
 
 
 def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> NoiseParts:
@@ -28,7 +29,7 @@ def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) ->
         stated=stated_covariances(inverse),
         lengths=noise_lengths(inverse),
         groups=np.tile(inverse.points.interface, len(inverse.scans)),
-        fixed=_drawing(inverse),
+        fixed=np.hstack([_drawing(inverse), voxel_steps(inverse, predictions)]),
         numerical=_numerical(inverse, predictions),
     )
 
@@ -68,9 +69,14 @@ def stated_covariances(inverse: InverseProblem) -> tuple[FloatArray, ...]:
     found = []
     for factor in noise_lengths(inverse):
         noise = replace(inverse.noise, correlation_mm=factor * inverse.noise.correlation_mm)
-        drawn = covariance(inverse.points, noise, len(inverse.scans))
+        drawn = covariance(inverse.points, noise, len(inverse.scans), _carried(inverse))
         found.append(drawn + _smoother(inverse, factor))
     return tuple(found)
+
+
+def _carried(inverse: InverseProblem) -> FloatArray:
+    """Return the part of the error at rest that points carry to each scan, shape (s, k)."""
+    return 1.0 - np.stack([inverse.followed(scan).pressed for scan in inverse.scans])
 
 
 def _smoother(inverse: InverseProblem, factor: float) -> FloatArray:

@@ -14,6 +14,7 @@ from storage.values import FloatArray
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.form_error import FormError
 from workers.diagnosis.gauss_newton import Fit, SolvedFit
+from workers.diagnosis.held_constants import held_columns
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.noise_evidence import LinearHypothesis, NoiseModel
@@ -84,9 +85,18 @@ class NominalAnalysis:
         return NoiseModel(learnt.parts, learnt.states, self.fields, prior.amplitudes_mm)
 
     def hypothesis(self, at: Fit) -> LinearHypothesis:
-        """Return a fit for `noise`, less what the roughness of the drawn surface looks like."""
-        found = at.hypothesis(self.inverse)
+        """Return a fit for `noise`, less what the roughness of the drawn surface looks like.
+
+        A constant that the model holds is as uncertain in it as it is for all.
+        """
+        found = at.hypothesis(self.inverse).with_errors(self._held)
         return found if self._rough is None else self._rough.taken_off(found)
+
+    @cached_property
+    def _held(self) -> FloatArray:
+        """None where markers are measured: there, constants that are not known are fitted."""
+        m = len(self.inverse.bias)
+        return held_columns(self.sensitivity_by_name if self.inverse.is_segmented else {}, m)
 
     @cached_property
     def _rough(self) -> RoughSurface | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from storage.values import FloatArray, IntArray, Tissue
-from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns
+from workers.diagnosis.inverse_problem import FollowedPoints, InverseProblem, Scan, Unknowns
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.plate_friction import FRICTION
@@ -41,12 +41,18 @@ class ComparedScan:
 class PredictedScan(ComparedScan):
     """The same with the equilibrium of the model, from which others can be solved.
 
-    `pose` is where the scan is supposed to lie: a motion of the model against it, 3 shifts in mm
-    and 3 turns in degrees.
+    `followed` is how the points were followed. `pose` is where the scan is supposed to lie: a
+    motion of the model against it, 3 shifts in mm and 3 turns in degrees.
     """
 
     at: Equilibrium
+    followed: FollowedPoints
     pose: FloatArray | None = None
+
+    def along_normals(self, nodal: FloatArray) -> FloatArray:
+        """Return how a motion of the nodes (n, 3) moves the points along the normals, (k,)."""
+        moved = self.followed.at_points @ nodal
+        return np.asarray((moved * self.normals).sum(axis=1))
 
 
 def tissues_of(inverse: InverseProblem) -> IntArray:
@@ -101,7 +107,8 @@ def compare_with_scan(
     Far off an interface, distances to it are smoother than where it is, and no longer linear: a
     motion of the scan is taken off the points, not off the distances.
     """
-    points = inverse.points.points + inverse.at_points @ at.solution.displacement_mm
+    followed = inverse.followed(scan)
+    points = followed.moved(at.solution.displacement_mm)
     compared = compared_points(inverse, unknowns, z, points, pose)
     r, normals = scan.compare(compared, inverse.points)
     if pose is not None:
@@ -110,9 +117,9 @@ def compare_with_scan(
     for effect in unknowns.effects:
         if effect.observation is not None and effect is not RIGID_MOTION:
             values = unknowns.of_effect(effect, z)
-            places = _seen_by(effect, inverse, at)
+            places = _seen_by(effect, inverse, followed, at)
             r = r + effect.shift(places, normals, tissues, values, inverse.frame)
-    return PredictedScan(points, r, normals, at, pose)
+    return PredictedScan(points, r, normals, at, followed, pose)
 
 
 def compared_points(
@@ -229,7 +236,7 @@ def columns_of(
     dx = inverse.forward.tangents(prediction.at, changes, tolerance)
     out = np.empty((len(prediction.residual), len(changes)))
     for c, nodal in enumerate(dx):
-        out[:, c] = ((inverse.at_points @ nodal) * prediction.normals).sum(axis=1)
+        out[:, c] = prediction.along_normals(nodal)
         for effect, values in observed:
             out[:, c] += _shift_along(inverse, prediction, effect, values, nodal)
     return out
@@ -243,8 +250,8 @@ def _shift_along(
     u: FloatArray,
 ) -> FloatArray:
     """Return the derivative of `Effect.shift`, affine in what it sees, along nodal motion `u`."""
-    here = _seen_by(effect, inverse, prediction.at)
-    step = _moves(effect, inverse, u)
+    here = _seen_by(effect, inverse, prediction.followed, prediction.at)
+    step = _moves(effect, inverse, prediction.followed, u)
     rest = prediction.normals, tissues_of(inverse), values, inverse.frame
     return effect.shift(here + step, *rest) - effect.shift(here, *rest)
 
@@ -255,20 +262,24 @@ def observed_columns(
     """Return derivatives by the parameters of an effect on the observation, shape (k, q)."""
     if effect.observation is None:
         raise ValueError(f"{effect.name} acts on the body")
-    places = _seen_by(effect, inverse, prediction.at)
+    places = _seen_by(effect, inverse, prediction.followed, prediction.at)
     return effect.observation(places, prediction.normals, tissues_of(inverse), inverse.frame)
 
 
-def _seen_by(effect: Effect, inverse: InverseProblem, at: Equilibrium) -> FloatArray:
+def _seen_by(
+    effect: Effect, inverse: InverseProblem, followed: FollowedPoints, at: Equilibrium
+) -> FloatArray:
     """Return what an effect on the observation is given as points; see `Effect.sees`."""
-    moved = _moves(effect, inverse, at.solution.displacement_mm)
-    return inverse.points.points + moved if effect.sees == "points" else moved
+    moved = _moves(effect, inverse, followed, at.solution.displacement_mm)
+    return followed.points + moved if effect.sees == "points" else moved
 
 
-def _moves(effect: Effect, inverse: InverseProblem, u: FloatArray) -> FloatArray:
+def _moves(
+    effect: Effect, inverse: InverseProblem, followed: FollowedPoints, u: FloatArray
+) -> FloatArray:
     """Return how motion `u` of the nodes moves what an effect sees, shape (k, 3)."""
     if effect.sees != "arms":
-        return np.asarray(inverse.at_points @ u)
+        return np.asarray(followed.at_points @ u)
     if inverse.arms is None:
         raise ValueError(f"{effect.name} needs markers")
     return np.asarray(inverse.arms @ u)

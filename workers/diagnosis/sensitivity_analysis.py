@@ -122,7 +122,7 @@ def _at_places(
     columns = []
     for number, (change, u) in enumerate(zip(changes, moved, strict=True)):
         q = number % len(sizes)
-        column = ((inverse.at_points @ u) * prediction.normals).sum(axis=1)
+        column = prediction.along_normals(u)
         if one_sided(effect.parameters[q]):
             column /= 1 + effect.prior_sd[q] * _yielding(inverse, prediction, change, free, u)
         columns.append(column)
@@ -169,7 +169,7 @@ def _secants(
             if len(effect.names) == 1:
                 start = at
             moved = at.solution.displacement_mm - view.at.solution.displacement_mm
-            columns.append(((inverse.at_points @ moved) * view.normals).sum(axis=1) / step)
+            columns.append(view.along_normals(moved) / step)
         places.append(np.stack(columns, axis=1))
     return np.stack(places) if len(places) > 1 else places[0]
 

@@ -9,6 +9,7 @@ from workers.diagnosis.calibration import with_anchored_scans
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.noise_model import LearntNoise, NoiseParts, NoiseState
 from workers.diagnosis.noise_parts import noise_lengths, stated_covariances
+from workers.diagnosis.pressed_points import with_pressed_points
 
 
 def noise_arrays(inverse: InverseProblem) -> Arrays:
@@ -23,7 +24,9 @@ def noise_arrays(inverse: InverseProblem) -> Arrays:
     if learnt is None:
         raise ValueError("the noise is learnt with the calibration")
     anchors = {"noise_anchors": np.stack(inverse.anchors)} if inverse.anchors else {}
+    pressed = np.stack([inverse.followed(scan).pressed for scan in inverse.scans])
     return anchors | {
+        "noise_pressed": pressed,
         "noise_fixed": learnt.parts.fixed,
         "noise_numerical": learnt.parts.numerical,
         "noise_state_lengths": np.array([s.length for s in learnt.states], np.int32),
@@ -36,6 +39,7 @@ def noise_arrays(inverse: InverseProblem) -> Arrays:
 
 def with_stored_noise(inverse: InverseProblem, arrays: Arrays) -> InverseProblem:
     """Return a problem, with the points of its calibration, with the noise that was learnt."""
+    inverse = with_pressed_points(inverse, list(arrays["noise_pressed"]))
     parts = NoiseParts(
         stated=stated_covariances(inverse),
         lengths=noise_lengths(inverse),

@@ -12,7 +12,8 @@ the sign of ``n . n'`` would not be. Residuals of points i, j in states s, t hav
 .. math:: C_{si,tj} = (\sigma_{ref}^2 + \delta_{st} \sigma^2) K_{ij}
           + \delta_{st} \delta_{ij} \nu^2 :
 
-the reference scan was drawn once, for all states; each deformed scan on its own.
+the reference scan was drawn once, for all states; each deformed scan on its own. What a plate
+presses flat has none of the first.
 """
 
 from dataclasses import dataclass
@@ -93,7 +94,12 @@ def correlation(points: InterfacePoints, correlation_mm: float) -> FloatArray:
     return matrix
 
 
-def covariance(points: InterfacePoints, noise: SegmentationNoise, states: int) -> FloatArray:
+def covariance(
+    points: InterfacePoints,
+    noise: SegmentationNoise,
+    states: int,
+    free: FloatArray | None = None,
+) -> FloatArray:
     """Return the covariance of the residuals of all states.
 
     Parameters
@@ -103,6 +109,8 @@ def covariance(points: InterfacePoints, noise: SegmentationNoise, states: int) -
     noise : SegmentationNoise
     states : int
         Number of deformed scans; >= 1.
+    free : ndarray, shape (states, k), optional
+        Part of the reference scan's error that each point carries along, 0 to 1; all of it.
 
     Returns
     -------
@@ -122,8 +130,9 @@ def covariance(points: InterfacePoints, noise: SegmentationNoise, states: int) -
     matrix = np.empty((states, k, states, k))
     for s in range(states):
         for t in range(states):
-            variance = noise.reference_sd_mm**2 + (noise.sd_mm**2 if s == t else 0.0)
-            np.multiply(smooth, variance, out=matrix[s, :, t])
+            own = noise.sd_mm**2 if s == t else 0.0
+            carried = 1.0 if free is None else free[s][:, None] * free[t]
+            np.multiply(smooth, noise.reference_sd_mm**2 * carried + own, out=matrix[s, :, t])
     flat = np.asarray(matrix.reshape(states * k, states * k))
     flat[np.diag_indices(states * k)] += noise.nugget_mm**2
     return flat

@@ -165,8 +165,9 @@ def _with_plates(
     )
     to_points = csr_matrix(vstack([unloaded.at_points, row]))
     inverse = replace(unloaded, points=points, at_points=to_points, scans=(scan,))
+    followed = inverse.followed(scan)
     normals = np.vstack([deformed_normals(unloaded, u), axis])
-    return inverse, PredictedScan(points.points + to_points @ u, np.zeros(len(points)), normals, at)
+    return inverse, PredictedScan(followed.moved(u), np.zeros(len(points)), normals, at, followed)
 
 
 def _columns(inverse: InverseProblem, fit: SolvedFit, effect: Effect) -> FloatArray | None:

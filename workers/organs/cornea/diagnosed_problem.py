@@ -119,6 +119,9 @@ class CorneaForward:
         """Return that of the jet."""
         return 0.0, -1.0, 0.0
 
+    def pressed(self, at: CorneaEquilibrium) -> None:
+        """Return nothing: there are no plates."""
+
 
 def _displacement(problem: CorneaProblem, solution: CorneaSolution) -> tuple[FloatArray, str]:
     """Return the displacement, (n, 2), and why it is none; empty if it is."""

@@ -13,6 +13,7 @@ from service.blind.make_set import SetRequest, make, plan, seal, unmade
 from service.blind.records import CaseRecord
 from service.blind.sets import BlindSet, Truths
 from service.dispatch import Ending, Task, TaskCalls
+from storage.values import FloatArray, Tissue, Volume
 from workers.body.mesh.hierarchy import build_hierarchy
 from workers.body.phantom.breast import generate_breast
 from workers.comparison.observation.interface import interface_points
@@ -23,7 +24,7 @@ from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.breast_catalogue import with_effects
 from workers.mechanics.fem.fields import frame_of
 from workers.mechanics.fem.model import prepare
-from workers.mechanics.fem.solve import solve
+from workers.mechanics.fem.solve import Equilibrium, equilibrium
 from workers.organs.breast.case_files import read_case
 
 NODES, SPACING_MM = 600, 9.0
@@ -66,11 +67,11 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
     went = []
     for number, load in enumerate(loads):
         problem = with_effects(imaged.problem(number, frame)(TRUE_MPA), effects, frame)
-        solution = solve(model, problem)
-        write_scan(
-            case / load["file"], warp_labels(imaged.reference, mesh, solution.displacement_mm)
-        )
-        went.append(at_points @ solution.displacement_mm)
+        at = equilibrium(model, problem)
+        u = at.solution.displacement_mm
+        write_scan(case / load["file"], _flattened(warp_labels(imaged.reference, mesh, u), at))
+        moved = points.points + at_points @ u
+        went.append(moved + _out_of_plates(moved, at) - points.points)
     (truth / "truth.json").write_text(json.dumps({"kind": kind, "causes": CAUSES[kind]}))
     np.savez(
         truth / "truth.npz",
@@ -78,6 +79,27 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
         interface=points.interface,
         displacement=np.stack(went),
     )
+
+
+def _out_of_plates(places: FloatArray, at: Equilibrium) -> FloatArray:
+    """The way out of the plates, from deeper than any node is: a mesh cuts the corners of a body,
+    and what it leaves outside would stand in them."""
+    out = np.zeros_like(places)
+    for contact in at.levels[-1].plate_contacts(at.states[-1], at.stage):
+        found = contact.surface.gap(places)
+        deeper = np.minimum(found.gap + contact.penetration.max(), 0.0)
+        out -= deeper[:, None] * found.gradient
+    return out
+
+
+def _flattened(labels: Volume, at: Equilibrium) -> Volume:
+    """The labels without voxels in a plate."""
+    steps = np.argwhere(labels.values != Tissue.AIR)
+    centres = labels.origin_mm + steps[:, ::-1] * np.asarray(labels.spacing_mm)
+    inside = np.linalg.norm(_out_of_plates(centres, at), axis=1) > 0
+    values = labels.values.copy()
+    values[tuple(steps[inside].T)] = Tissue.AIR
+    return Volume(values, labels.spacing_mm, labels.origin_mm)
 
 
 class Inline:

@@ -61,7 +61,7 @@ def calibrate(
         starts = [v.at for v in first.predictions]
         first = fit(inverse, free, first.z, starts, each=each) or first
     predictions: Sequence[PredictedScan] = first.predictions
-    if inverse.is_segmented:
+    if inverse.noise.reference_sd_mm > 0:
         inverse = with_pressed_points(inverse, _pressed(inverse, predictions))
         predictions = _compared(inverse, first, predictions)
     if finer is not None:
@@ -149,7 +149,7 @@ def with_mesh_bias(
 ) -> InverseProblem:
     """Take off what a finer mesh moves the points by."""
     fine_problem = replace(inverse, model=finer, at_points=interpolation_of(finer, inverse))
-    if inverse.is_segmented:
+    if inverse.noise.reference_sd_mm > 0:
         pressed = [v.followed.pressed for v in predictions]
         fine_problem = with_pressed_points(fine_problem, pressed)
 

@@ -6,6 +6,9 @@ plate presses becomes flat, bumps and all. Such a point is followed at its foot 
 error with which it was drawn at rest is not in its residual. (Followed with its bump, points of
 three controls stood out of the plate by 0.1 to 0.5 mm, all the same way, since flat faces lie
 inside of a round body.)
+
+Labels at rest that have no such error are those that a mesh of ours has moved, bumps and all:
+their points are followed as before.
 """
 
 from collections.abc import Sequence

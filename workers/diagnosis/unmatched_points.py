@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.stats import chi2, norm
+from scipy.special import gammaincc, log_ndtr
 
 from storage.values import BoolArray, FloatArray, IntArray
 from workers.comparison.observation.interface import InterfacePoints
@@ -24,7 +24,7 @@ from workers.diagnosis.settings import SETTINGS
 # Of the normal distribution, over the median of its absolute values.
 SD_OF_MEDIAN = 1.4826
 # Logarithm of how probable it is that a residual lies as far off, on either side.
-_LOG_FAR = float(np.log(2.0) + norm.logsf(SETTINGS.unmatched.far))
+_LOG_FAR = float(np.log(2.0) + log_ndtr(-SETTINGS.unmatched.far))
 
 
 def matched(
@@ -107,7 +107,8 @@ class _Judged:
         """Whether all of them together are as improbable as one residual that is far off."""
         away = self.away.ravel()
         squares = away @ np.linalg.solve(self.covariance, away)
-        return bool(chi2.logsf(squares, len(away)) < _LOG_FAR)
+        # The part of a chi-squared distribution that lies further out.
+        return bool(gammaincc(len(away) / 2, squares / 2) < np.exp(_LOG_FAR))
 
 
 @dataclass(frozen=True, eq=False)

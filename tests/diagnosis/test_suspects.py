@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workers.diagnosis.diagnosis import suspects
+from workers.diagnosis.diagnosis import Diagnosis, advance, diagnose, suspects
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.screening import ScreeningResult
@@ -70,3 +70,25 @@ def test_else_the_five_loudest_are(loudest: float, nats: float, large: float) ->
     louder = {name: loudest - n for n, name in enumerate(loud)}
     edge = screened("plate_edge", nats, 9.0)
     assert named(louder, edge, large, 1.0) == loud[:5]
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_no_effect_is_accused_that_was_not_fitted(monkeypatch, simulated: bool) -> None:
+    """Screening had nothing against it, the weighing had: it is fitted, once, and weighed again."""
+    known = [effect("plate_tilt"), effect("rigid_motion")]
+    fitted_at_weighing = []
+
+    def weighed_up(analysis, known, joint_fits):
+        fitted_at_weighing.append(set(joint_fits))
+        return SimpleNamespace(primary=("rigid_motion",)), ()
+
+    analysis: Any = SimpleNamespace(screening=[], sensitivities=[])
+    monkeypatch.setattr("workers.diagnosis.diagnosis._weighed_up", weighed_up)
+    course = diagnose(analysis, known)
+    wanted = advance(course)
+    assert wanted == [(known[1],)]
+    answer: Any = [SimpleNamespace(names=("rigid_motion",)) if simulated else None]
+    reached = advance(course, answer)
+    assert isinstance(reached, Diagnosis)
+    assert fitted_at_weighing == [set(), {("rigid_motion",)} if simulated else set()]
+    assert set(reached.joint_fits) == fitted_at_weighing[1]

@@ -7,6 +7,9 @@
                            v            |
                        second reading of the noise, where the best one is far from the first
 
+No effect is accused that was not fitted: if the verdict names one, it is fitted and all are weighed
+again. Screening may miss a motion that all scans share, which poses take up one by one.
+
 `diagnose` is a generator: it yields the joint fits that it wants and is sent them, or a second
 reading and is sent the analysis that it gives. Who fits, where, and whether a fit is stored already
 is no business of this file.
@@ -93,11 +96,30 @@ def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
         joint_fits = yield from _fitted([one.effects for one in _near(singles)])
     joint_fits |= yield from _fitted(_pairs(analysis, known, list(joint_fits.values())))
     joint_fits |= yield from _fitted(_triples(analysis, known, list(joint_fits.values())))
+    reached, hypotheses = _weighed_up(analysis, known, joint_fits)
+    tried: set[str] = set()
+    while unfitted := _unfitted(reached.primary, joint_fits) - tried:
+        tried |= unfitted
+        joint_fits |= yield from _fitted([(known[name],) for name in sorted(unfitted)])
+        reached, hypotheses = _weighed_up(analysis, known, joint_fits)
+    return Diagnosis(analysis, reached, joint_fits, hypotheses)
+
+
+def _weighed_up(
+    analysis: NominalAnalysis,
+    known: dict[str, Effect],
+    joint_fits: dict[tuple[str, ...], JointFit],
+) -> tuple[Verdict, tuple[Hypothesis, ...]]:
+    """Return the verdict, and the hypotheses that it weighs."""
     hypotheses = weigh(analysis, joint_fits)
     families = {one.name: known[one.name].family for one in analysis.sensitivities}
     odds = PriorOdds(of_effect={one.name: known[one.name].odds for one in analysis.sensitivities})
-    reached = verdict(hypotheses, families, analysis.hidden, odds)
-    return Diagnosis(analysis, reached, joint_fits, hypotheses)
+    return verdict(hypotheses, families, analysis.hidden, odds), hypotheses
+
+
+def _unfitted(accused: Iterable[str], joint_fits: Iterable[tuple[str, ...]]) -> set[str]:
+    """Return accused effects that were never fitted: nobody asked how far their form may err."""
+    return set(accused) - {name for names in joint_fits for name in names}
 
 
 def advance(course: Course, answer: Answer | None = None) -> Wanted | Diagnosis:

@@ -30,8 +30,6 @@ CALLED = {
     "inclusion": ["inclusion"],
 }
 NAMES = sorted(p.name for p in CASES.glob("dev_*"))
-# A skin and a smooth field explain 122 nats of that friction, our law of friction 116.
-NOT_NAMED = pytest.mark.xfail(strict=True, reason="friction of FEBio is not told from a skin")
 
 pytestmark = [
     pytest.mark.slow,
@@ -61,9 +59,7 @@ def told_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Summary
     return told
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=NOT_NAMED) if n == "dev_870aa5" else n for n in NAMES]
-)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_cause_is_named(name: str, told_of: Callable[[str], Summary]) -> None:
     told = told_of(name)
     truth = truth_of(name)

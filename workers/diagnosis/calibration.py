@@ -149,9 +149,7 @@ def with_mesh_bias(
 ) -> InverseProblem:
     """Take off what a finer mesh moves the points by."""
     fine_problem = replace(inverse, model=finer, at_points=interpolation_of(finer, inverse))
-    if inverse.noise.reference_sd_mm > 0:
-        pressed = [v.followed.pressed for v in predictions]
-        fine_problem = with_pressed_points(fine_problem, pressed)
+    fine_problem = with_pressed_points(fine_problem, [v.followed.pressed for v in predictions])
 
     def predicted(scan: Scan) -> PredictedScan | None:
         return predict_scan(fine_problem, scan, at.unknowns, at.z, None)

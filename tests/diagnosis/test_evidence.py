@@ -52,6 +52,26 @@ def test_one_sided_parameter_against_an_integral(strength):
     assert found == pytest.approx(direct, abs=1e-6)
 
 
+@pytest.mark.parametrize("strength", [-2.0, 0.0, 0.4, 2.0])
+@pytest.mark.parametrize(("bound", "inward"), [(0.3, -1), (-0.3, 1)])
+def test_a_parameter_at_its_bound_against_an_integral(strength, bound, inward):
+    """What lies beyond a bound at which a fit was stopped does not count, near it or far off."""
+    shape, sd = mode(60, (2, 0, 0), 1, 1.5), 0.7
+    problem = observed(nominal_problem(), np.random.default_rng(5), -strength * shape)
+    within = sorted([bound, bound + inward * 6.0])
+    top = max(dense_log_density(moved_by(problem, shape, t)) for t in np.linspace(*within, 90))
+
+    def integrand(t):
+        return norm.pdf(t, scale=sd) * np.exp(dense_log_density(moved_by(problem, shape, t)) - top)
+
+    near = [bound + inward * away for away in (0.02, 0.1, 0.4, 1.0, 2.0)]
+    direct = np.log(quad(integrand, *within, limit=300, points=near)[0]) + top
+    freed = problem.freed(shape[:, None], np.array([sd]))
+    there = moved(freed, np.array([0.0, 0.0, 0.0, bound]))
+    found = log_evidence(there, at_bound=np.array([0, 0, 0, inward]))
+    assert found == pytest.approx(direct, abs=1e-6)
+
+
 def moved_by(problem, shape, t):
     return replace(problem, residual=problem.residual + t * shape)
 

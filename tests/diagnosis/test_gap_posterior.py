@@ -15,6 +15,7 @@ from linear_world import (
     signal_of,
 )
 
+from workers.diagnosis.evidence import Sides
 from workers.diagnosis.gap_posterior import _within_bounds, draw_gaps
 from workers.diagnosis.hypotheses import probabilities
 from workers.diagnosis.noise_evidence import LinearHypothesis
@@ -149,12 +150,15 @@ def test_draws_are_the_same_each_time_and_floors_widen_them():
     assert (floored.before_mm > first.before_mm).all()
 
 
-def test_a_bound_moves_all_that_is_known_together_with_what_meets_it():
-    """Two parameters of which scans know the sum alone: it stays, whichever is cut at zero."""
+@pytest.mark.parametrize(("side", "edge"), [(1, 0.0), (-1, 0.4)])
+def test_a_bound_moves_all_that_is_known_together_with_what_meets_it(side, edge):
+    """Two parameters of which scans know the sum alone: it stays, whichever is cut at its edge."""
     covariance = np.array([[1.0, -0.99], [-0.99, 1.0]])
     rng = np.random.default_rng(11)
     z = np.linalg.cholesky(covariance) @ rng.standard_normal((2, 500))
-    found = _within_bounds(z, covariance, np.array([True, False]))
-    assert (found[0] >= 0).all()
+    within = Sides(np.array([side, 0]), np.array([edge, 0.0]))
+    found = _within_bounds(z, covariance, within)
+    assert (side * (found[0] - edge) >= -1e-12).all()
     assert np.std(found.sum(axis=0)) < 0.2
-    np.testing.assert_array_equal(found[:, z[0] > 0], z[:, z[0] > 0])
+    inside = side * (z[0] - edge) > 0
+    np.testing.assert_array_equal(found[:, inside], z[:, inside])

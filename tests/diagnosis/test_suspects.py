@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workers.diagnosis.diagnosis import Diagnosis, advance, diagnose, suspects
+from workers.diagnosis.diagnosis import Diagnosis, advance, diagnose
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.screening import ScreeningResult
+from workers.diagnosis.suspects import pairs, suspects
 from workers.mechanics.effects.breast_catalogue import effect
 
 EDGE_SD_MM = 5.0
@@ -92,3 +93,64 @@ def test_no_effect_is_accused_that_was_not_fitted(monkeypatch, simulated: bool) 
     assert isinstance(reached, Diagnosis)
     assert fitted_at_weighing == [set(), {("rigid_motion",)} if simulated else set()]
     assert set(reached.joint_fits) == fitted_at_weighing[1]
+
+
+class Left:
+    """What a joint fit leaves: `screen` is given it with the parameters at bounds held."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self.names = names
+
+    def holding(self, which: Any) -> tuple[str, ...]:
+        assert which.tolist() == [True, False]
+        return self.names
+
+
+def fitted(name: str, log_evidence: float) -> Any:
+    at = SimpleNamespace(at_bound=np.array([-1, 0]), linearised=lambda inverse: Left((name,)))
+    return SimpleNamespace(
+        names=(name,), effects=(effect(name),), fit=at, log_evidence=log_evidence
+    )
+
+
+@pytest.mark.parametrize(
+    ("left", "unexplained", "expected"),
+    [
+        # The best single effect leaves a promise that no other one reaches.
+        (
+            {"plate_tilt": {"growth": 40.0}, "skin_added": {"growth": 45.0}},
+            False,
+            [("plate_tilt", "growth")],
+        ),
+        # Another one leaves more: its pairs come first, each once.
+        (
+            {
+                "plate_tilt": {"growth": 20.0, "skin_added": 4.0},
+                "skin_added": {"growth": 60.0, "plate_tilt": 35.0, "creep": 25.0},
+            },
+            False,
+            [
+                ("skin_added", "growth"),
+                ("plate_tilt", "skin_added"),
+                ("plate_tilt", "growth"),
+            ],
+        ),
+        # The best one leaves nothing: no pair, though others leave much.
+        ({"plate_tilt": {}, "skin_added": {"growth": 60.0}}, False, []),
+        # But for what a smooth field explains.
+        ({"plate_tilt": {}, "skin_added": {}}, True, [("plate_tilt", "skin_added")]),
+    ],
+)
+def test_pairs_that_promise_most_are_fitted(monkeypatch, left, unexplained, expected) -> None:
+    """Of effects 10 nats apart that were fitted alone, and what each leaves to others."""
+
+    def screen(names: tuple[str, ...], sensitivities: Any) -> list[ScreeningResult]:
+        found = [screened(name, nats) for name, nats in left[names[0]].items()]
+        return sorted(found, key=lambda one: -one.log_bayes_factor)
+
+    monkeypatch.setattr("workers.diagnosis.suspects.screen", screen)
+    monkeypatch.setattr("workers.diagnosis.suspects._is_unexplained", lambda *_: unexplained)
+    analysis: Any = SimpleNamespace(sensitivities=[], inverse=None)
+    known = {name: effect(name) for name in ("plate_tilt", "skin_added", "growth", "creep")}
+    found = pairs(analysis, known, [fitted("skin_added", 90.0), fitted("plate_tilt", 100.0)])
+    assert [tuple(one.name for one in pair) for pair in found] == expected

@@ -17,22 +17,18 @@ is no business of this file.
 
 from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 from workers.diagnosis.form_error import acting_or_alike
 from workers.diagnosis.hypotheses import Hypothesis, PriorOdds
 from workers.diagnosis.joint_evidence import JointEvidence
 from workers.diagnosis.joint_fit import JointFit, fit_jointly
 from workers.diagnosis.nominal_analysis import NominalAnalysis
-from workers.diagnosis.screening import screen
 from workers.diagnosis.second_reading import is_elsewhere, read_again
 from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.suspects import Combination, near_best, pairs, ranked, suspects, triples
 from workers.diagnosis.verdict import Verdict, verdict
 from workers.mechanics.effects.base import Effect
 from workers.scan_threads import Each
-
-Combination = tuple[Effect, ...]
-"""Effects that are fitted together with the constants."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +86,12 @@ def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
     """
     known = {e.name: e for e in effects}
     joint_fits = yield from _fitted([(e,) for e in suspects(analysis, known)])
-    singles = _ranked(joint_fits.values())
+    singles = ranked(joint_fits.values())
     if singles and is_elsewhere(analysis, singles[0].fit):
         analysis = _read((yield SecondReading(singles, singles[0])))
-        joint_fits = yield from _fitted([one.effects for one in _near(singles)])
-    joint_fits |= yield from _fitted(_pairs(analysis, known, list(joint_fits.values())))
-    joint_fits |= yield from _fitted(_triples(analysis, known, list(joint_fits.values())))
+        joint_fits = yield from _fitted([one.effects for one in near_best(singles)])
+    joint_fits |= yield from _fitted(pairs(analysis, known, list(joint_fits.values())))
+    joint_fits |= yield from _fitted(triples(analysis, known, list(joint_fits.values())))
     reached, hypotheses = _weighed_up(analysis, known, joint_fits)
     tried: set[str] = set()
     while unfitted := _unfitted(reached.primary, joint_fits) - tried:
@@ -165,40 +161,6 @@ def base_of(effects: Sequence[Effect]) -> tuple[str, ...]:
     return tuple(effect.name for effect in effects[:-1])
 
 
-def suspects(analysis: NominalAnalysis, known: dict[str, Effect]) -> list[Effect]:
-    """Return the effects that are worth a joint fit, the most suspicious first.
-
-    Where the nominal model is far off, one follows that the linear model underrates.
-    """
-    settings = SETTINGS.joint_fits
-    visible = [one for one in analysis.screening if not one.hides]
-    if not visible:
-        return []
-    best = visible[0].log_bayes_factor
-    least = max(min(best - settings.far_behind, settings.nearly * best), settings.least_gain)
-    near = [one for one in visible if one.log_bayes_factor > least][: settings.singles]
-    if best > settings.far_off:
-        loud = [one for one in visible if one.log_bayes_factor > settings.least_gain]
-        steep = (one for one in loud if one not in near and analysis.is_steep(known[one.name]))
-        near += [*steep][:1]
-    return [known[one.name] for one in near]
-
-
-def partners(analysis: NominalAnalysis, known: dict[str, Effect], best: JointFit) -> list[Effect]:
-    """Return the effects that speak from what the best one leaves.
-
-    They are judged by their sensitivities at the nominal fit.
-    """
-    others = [one for one in analysis.sensitivities if one.name not in best.names]
-    left = screen(best.fit.linearised(analysis.inverse), others)
-    loud = [
-        one
-        for one in left
-        if not one.hides and one.log_bayes_factor > SETTINGS.joint_fits.second_gain
-    ]
-    return [known[one.name] for one in loud[: SETTINGS.joint_fits.partners]]
-
-
 def weigh(
     analysis: NominalAnalysis, joint_fits: dict[tuple[str, ...], JointFit]
 ) -> tuple[Hypothesis, ...]:
@@ -240,49 +202,3 @@ def _read(answer: Answer) -> NominalAnalysis:
     if not isinstance(answer, NominalAnalysis):
         raise TypeError("an analysis is wanted, not joint fits")
     return answer
-
-
-def _ranked(fits: Iterable[JointFit]) -> list[JointFit]:
-    return sorted(fits, key=lambda one: -one.log_evidence)
-
-
-def _near(ranked: Sequence[JointFit]) -> list[JointFit]:
-    """Return those that are worth another fit: not far behind the best."""
-    least = ranked[0].log_evidence - SETTINGS.joint_fits.far_behind
-    return [one for one in ranked if one.log_evidence >= least]
-
-
-def _pairs(
-    analysis: NominalAnalysis, known: dict[str, Effect], singles: Sequence[JointFit]
-) -> list[Combination]:
-    """Return pairs that are worth a joint fit: the best effect with what speaks from what it
-    leaves; all pairs of the best ones if a smooth field explains what is left."""
-    ranked = _ranked(singles)[: SETTINGS.joint_fits.partners]
-    if not ranked:
-        return []
-    best = ranked[0]
-    pairs: list[Combination] = [(*best.effects, e) for e in partners(analysis, known, best)]
-    if _is_unexplained(analysis, best):
-        tried = {frozenset(e.name for e in pair) for pair in pairs}
-        for a, b in combinations(ranked, 2):
-            if {*a.names, *b.names} not in tried:
-                pairs.append((*a.effects, *b.effects))
-    return pairs
-
-
-def _triples(
-    analysis: NominalAnalysis, known: dict[str, Effect], fits: Sequence[JointFit]
-) -> list[Combination]:
-    """Return the best two effects with what speaks from what they leave."""
-    ranked = _ranked(fits)
-    if not ranked or len(ranked[0].effects) < 2:
-        return []
-    best = ranked[0]
-    others = partners(analysis, known, best)[: SETTINGS.joint_fits.thirds]
-    return [(*best.effects, e) for e in others]
-
-
-def _is_unexplained(analysis: NominalAnalysis, best: JointFit) -> bool:
-    """Return whether the best effect alone leaves something that a smooth field explains."""
-    gain = analysis.noise.field_gain(analysis.hypothesis(best.fit))
-    return gain is not None and gain > SETTINGS.joint_fits.left_over

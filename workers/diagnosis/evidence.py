@@ -6,8 +6,10 @@ r"""Laplace's log evidence of a fit: how probable the data are under a hypothesi
 with :math:`H = J'C^{-1}J + \Lambda`, the gradient g, which is zero at a converged inner
 optimum, and n_1 half-normal priors. The last term is the part of the posterior normal,
 centred one Newton step away, that lies on the admissible side; it makes the formula hold
-at a bound, where g is not zero. What all hypotheses share, -(m/2) ln 2 pi - ln|C|/2, is
-left out: hypotheses with different numbers of parameters compare, other data do not.
+at a bound, where g is not zero. So it does for one that was stopped at another bound of its
+interval, without the ln 2: only what lies inside counts. What all hypotheses share,
+-(m/2) ln 2 pi - ln|C|/2, is left out: hypotheses with different numbers of parameters
+compare, other data do not.
 
 Exact for a linear model; D. J. C. MacKay, Neural Computation 4 (1992) 415, for others.
 """
@@ -93,7 +95,35 @@ def posterior(q: Quadratic, offset: FloatArray) -> Posterior:
     return Posterior(offset - step, covariance)
 
 
-def log_marginal(q: Quadratic, offset: FloatArray, one_sided: BoolArray) -> FloatArray:
+class Sides(NamedTuple):
+    """On which side of an edge each parameter must lie, shape (p,) each.
+
+    Parameters
+    ----------
+    side : ndarray of int
+        1 for above, -1 for below, 0 for either.
+    edge : ndarray
+        In prior standard deviations from the prior mean.
+    """
+
+    side: IntArray
+    edge: FloatArray
+
+
+def sides(offset: FloatArray, one_sided: BoolArray, at_bound: IntArray | None = None) -> Sides:
+    """Return where the parameters of a fit must lie; see `log_marginal`."""
+    bound = np.zeros(len(offset), np.int32) if at_bound is None else at_bound
+    stopped = bound != 0
+    side = np.where(stopped, bound, one_sided).astype(np.int32)
+    return Sides(side, np.where(stopped, offset, 0.0))
+
+
+def log_marginal(
+    q: Quadratic,
+    offset: FloatArray,
+    one_sided: BoolArray,
+    at_bound: IntArray | None = None,
+) -> FloatArray:
     """Return the log evidence of each misfit of a stack, shape (...).
 
     Parameters
@@ -103,19 +133,26 @@ def log_marginal(q: Quadratic, offset: FloatArray, one_sided: BoolArray) -> Floa
         Fit minus prior mean, in prior standard deviations.
     one_sided : ndarray of bool, shape (p,)
         Parameters with a half-normal prior, from their prior mean upwards.
+    at_bound : ndarray of int, shape (p,), optional
+        Parameters that the fit was stopped at a bound of: 1 at a lower, -1 at an upper one, 0 for
+        all others. They may only lie inside.
     """
-    # One-sided parameters come last: the last corner of the factor then has their covariance.
-    order = np.argsort(one_sided, kind="stable")
+    side, edge = sides(offset, one_sided, at_bound)
+    held = side != 0
+    # Parameters that are held come last: the last corner of the factor has their covariance.
+    order = np.argsort(held, kind="stable")
     curvature = q.curvature[..., order[:, None], order]
     L, y = _factored(curvature, (q.gradient + offset)[..., order])
     log_H = 2.0 * np.log(np.diagonal(L, axis1=-2, axis2=-1)).sum(axis=-1)
     found = 0.5 * ((y**2).sum(axis=-1) - q.misfit - offset @ offset - log_H - q.log_determinant)
-    if one_sided.any():
-        count = int(one_sided.sum())
+    if held.any():
+        count = int(held.sum())
         inverse = np.linalg.inv(L[..., -count:, -count:]).swapaxes(-1, -2)
         step = (inverse @ y[..., -count:, None])[..., 0]
-        side = inverse @ inverse.swapaxes(-1, -2)
-        found = found + count * np.log(2.0) + log_orthant(offset[one_sided] - step, side)
+        inward, away = side[held], (offset - edge)[held]
+        covariance = inverse @ inverse.swapaxes(-1, -2) * np.outer(inward, inward)
+        found = found + one_sided.sum() * np.log(2.0)
+        found = found + log_orthant(inward * (away - step), covariance)
     return np.asarray(found)
 
 
@@ -132,7 +169,9 @@ def _factored(curvature: FloatArray, gradient: FloatArray) -> tuple[FloatArray, 
     return factor[..., :p, :p], factor[..., p, :p]
 
 
-def log_evidence(at: Linearised, one_sided: BoolArray | None = None) -> float:
+def log_evidence(
+    at: Linearised, one_sided: BoolArray | None = None, at_bound: IntArray | None = None
+) -> float:
     """Return Laplace's log evidence of a refit.
 
     Parameters
@@ -141,7 +180,9 @@ def log_evidence(at: Linearised, one_sided: BoolArray | None = None) -> float:
         With all parameters of the hypothesis, those of its effects too, as nominal ones.
     one_sided : ndarray of bool, shape (p,), optional
         Parameters that may only lie above their prior mean; none.
+    at_bound : ndarray of int, shape (p,), optional
+        See `log_marginal`.
     """
     if one_sided is None:
         one_sided = np.zeros(len(at.nominal_sd), dtype=bool)
-    return float(log_marginal(quadratic(at), at.scaled_offset, one_sided))
+    return float(log_marginal(quadratic(at), at.scaled_offset, one_sided, at_bound))

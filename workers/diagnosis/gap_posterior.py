@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from storage.values import BoolArray, FloatArray
-from workers.diagnosis.evidence import Quadratic, log_marginal, posterior
+from storage.values import FloatArray
+from workers.diagnosis.evidence import Quadratic, Sides, posterior
 from workers.diagnosis.form_error import log_prior_of_sizes
 from workers.diagnosis.gauss_newton import Fit
 from workers.diagnosis.hypotheses import Case
@@ -142,7 +142,7 @@ class _Beliefs:
             q = noise.plain(noise.products(wide.columns, wide.residual), states)
             for log_prior, factors in _sizes(wide, errors, columns, noise.amplitudes_mm):
                 scaled = with_pose_scales(q.scaled(factors), wide.is_pose)
-                logs = log_prior + log_marginal(scaled, wide.offset, wide.one_sided)
+                logs = log_prior + wide.log_marginal(scaled)
                 self._parts.append(_Part(wide, scaled, factors, logs.ravel()))
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
@@ -174,19 +174,20 @@ class _Part:
         )
         mean, covariance = posterior(one, offset)
         spread = np.linalg.cholesky(covariance) @ rng.standard_normal((p, count))
-        z = _within_bounds(mean[:, None] + spread, covariance, self.at.one_sided)
+        z = _within_bounds(mean[:, None] + spread, covariance, self.at.sides)
         step = (self.factors[:, None] * (z - offset[:, None]))[~self.at.is_pose]
         return self.at.residual[:, None] + self.at.columns[:, ~self.at.is_pose] @ step
 
 
-def _within_bounds(z: FloatArray, covariance: FloatArray, one_sided: BoolArray) -> FloatArray:
-    """Return draws (p, n), one-sided parameters in turn taken to zero where they are negative.
+def _within_bounds(z: FloatArray, covariance: FloatArray, within: Sides) -> FloatArray:
+    """Return draws (p, n), each parameter in turn taken to its edge where it is beyond.
 
     All others go where they are expected then: moved alone, one would leave what the scans say of
-    them together. Where the next ones move an earlier one below zero, it stays there: a little.
+    them together. Where the next ones move an earlier one beyond, it stays there: a little.
     """
-    for j in np.flatnonzero(one_sided):
-        short = np.maximum(-z[j], 0.0)
+    for j in np.flatnonzero(within.side):
+        inward = within.side[j]
+        short = inward * np.maximum(inward * (within.edge[j] - z[j]), 0.0)
         z = z + np.outer(covariance[:, j] / covariance[j, j], short)
     return z
 

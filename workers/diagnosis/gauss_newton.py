@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.values import FloatArray
+from storage.values import FloatArray, IntArray
 from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns
 from workers.diagnosis.linearisation import Linearised, factored
 from workers.diagnosis.noise_evidence import LinearHypothesis
@@ -56,6 +56,11 @@ class Fit:
         rest = zip(self.unknowns.names[k:], self.z[k:], strict=True)
         return values | {n: float(v) for n, v in rest}
 
+    @property
+    def at_bound(self) -> IntArray:
+        """Which parameters were stopped at a bound; see `Unknowns.at_bound`."""
+        return self.unknowns.at_bound(self.z)
+
     def residual(self, inverse: InverseProblem) -> FloatArray:
         """Return the residuals of all scans, one after another, shape (s k,), in mm."""
         return residuals(inverse, self.predictions)
@@ -96,6 +101,7 @@ class Fit:
             (self.z - u.mean) / u.sd,
             u.one_sided,
             np.zeros(len(u.sd), np.bool_),
+            self.at_bound,
         )
         return found.with_errors(self.pose_columns(inverse), are_poses=True)
 

@@ -11,7 +11,9 @@ from scipy.special import log_ndtr, ndtri_exp
 from storage.values import FloatArray
 
 POINTS = 1021
-ROOTS = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0])  # generators of Richtmyer's lattice
+# Generators of Richtmyer's lattice: a motion of the base and a turn of the frame have nine
+# parameters, two more effects a few.
+ROOTS = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0, 31.0, 37.0, 41.0, 43.0])
 
 
 def _log_uniform() -> FloatArray:
@@ -29,7 +31,7 @@ def log_orthant(mean: FloatArray, covariance: FloatArray) -> FloatArray:
     Parameters
     ----------
     mean : ndarray, shape (..., d)
-        Of each of a stack of distributions, d <= 9.
+        Of each of a stack of distributions, d <= 15.
     covariance : ndarray, shape (..., d, d)
         Positive definite; of each of them, or common to all.
 

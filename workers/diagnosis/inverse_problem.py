@@ -281,6 +281,14 @@ class Unknowns:
             sides += [one_sided(p) and not e.if_present for p in e.parameters]
         return np.array(sides)
 
+    def at_bound(self, z: FloatArray) -> IntArray:
+        """Return which parameters lie at a bound: 1 at a lower, -1 at an upper one, else 0.
+
+        The neutral value of a one-sided one is none: its prior ends there.
+        """
+        lower = (z <= self.lower) & ~self.one_sided
+        return lower.astype(np.int32) - (z >= self.upper)
+
     def constants(self, z: FloatArray) -> dict[str, float]:
         """Return values of the free constants at `z`."""
         return {f.name: float(np.exp(v)) for f, v in zip(self.free, z, strict=False)}

@@ -111,8 +111,12 @@ def _fitted_from(
     fitted = fit(inverse, free, z, near.starts(), near.poses(), each, max_iterations)
     if fitted is None:
         return None
-    poses = np.zeros(inverse.nuisance_count, np.bool_)
-    evidence = log_evidence(fitted.linearised_with_poses(inverse), np.append(free.one_sided, poses))
+    q = inverse.nuisance_count
+    evidence = log_evidence(
+        fitted.linearised_with_poses(inverse),
+        np.append(free.one_sided, np.zeros(q, np.bool_)),
+        np.append(fitted.at_bound, np.zeros(q, np.int32)),
+    )
     return SolvedJointFit(tuple(effects), fitted, evidence)
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
 from storage.errors import InputError
-from storage.values import FloatArray
+from storage.values import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +139,17 @@ class Linearised:
             np.hstack([self.nominal, columns]),
             np.append(self.nominal_sd, sd),
             np.append(self.nominal_offset, np.zeros(len(sd))),
+            self.covariance_factor,
+        )
+
+    def holding(self, which: BoolArray) -> "Linearised":
+        """Return the same fit with some parameters, ``which`` of (p,), held where they are."""
+        free = ~which
+        return Linearised(
+            self.residual,
+            self.nominal[:, free],
+            self.nominal_sd[free],
+            self.nominal_offset[free],
             self.covariance_factor,
         )
 

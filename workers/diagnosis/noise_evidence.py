@@ -12,8 +12,8 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import logsumexp
 
-from storage.values import BoolArray, FloatArray
-from workers.diagnosis.evidence import Quadratic, log_marginal
+from storage.values import BoolArray, FloatArray, IntArray
+from workers.diagnosis.evidence import Quadratic, Sides, log_marginal, sides
 from workers.diagnosis.noise_model import NoiseParts, NoiseState, weighted_sum
 from workers.diagnosis.settings import SETTINGS
 
@@ -45,6 +45,9 @@ class LinearHypothesis:
     one_sided : ndarray of bool, shape (p,)
     is_pose : ndarray of bool, shape (p,)
         Which columns are motions of a scan: their prior deviation is averaged over.
+    at_bound : ndarray of int, shape (p,), optional
+        Which parameters were stopped at a bound; see `workers.diagnosis.evidence.log_marginal`.
+        None.
     """
 
     residual: FloatArray
@@ -52,6 +55,16 @@ class LinearHypothesis:
     offset: FloatArray
     one_sided: BoolArray
     is_pose: BoolArray
+    at_bound: IntArray | None = None
+
+    @property
+    def sides(self) -> Sides:
+        """On which side of an edge each parameter must lie."""
+        return sides(self.offset, self.one_sided, self.at_bound)
+
+    def log_marginal(self, q: Quadratic) -> FloatArray:
+        """Return the log evidence of each misfit of a stack, shape (...)."""
+        return log_marginal(q, self.offset, self.one_sided, self.at_bound)
 
     def with_errors(self, columns: FloatArray, *, are_poses: bool = False) -> "LinearHypothesis":
         """Return it with more columns of unit deviation, shape (m, q)."""
@@ -62,6 +75,7 @@ class LinearHypothesis:
             np.append(self.offset, np.zeros(q)),
             np.append(self.one_sided, np.zeros(q, np.bool_)),
             np.append(self.is_pose, np.full(q, are_poses)),
+            None if self.at_bound is None else np.append(self.at_bound, np.zeros(q, np.int32)),
         )
 
 
@@ -82,7 +96,7 @@ def with_pose_scales(q: Quadratic, is_pose: BoolArray) -> Quadratic:
 
 def _joined(q: Quadratic, at: LinearHypothesis) -> float:
     """Return the log evidence, averaged over the noise and over how far scans may lie off."""
-    return float(logsumexp(log_marginal(with_pose_scales(q, at.is_pose), at.offset, at.one_sided)))
+    return float(logsumexp(at.log_marginal(with_pose_scales(q, at.is_pose))))
 
 
 class NoiseModel:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import softmax
 
 from storage.values import FloatArray
-from workers.diagnosis.evidence import log_marginal, posterior
+from workers.diagnosis.evidence import posterior
 from workers.diagnosis.inverse_problem import Unknowns
 from workers.diagnosis.noise_evidence import LinearHypothesis, NoiseModel, with_pose_scales
 
@@ -25,11 +25,11 @@ class ParameterPosterior(NamedTuple):
 
 
 def parameter_posterior(noise: NoiseModel, at: LinearHypothesis, u: Unknowns) -> ParameterPosterior:
-    """Return where the unknowns of a fit lie, `at` which the model is linear; one-sided ones not
-    beyond their bound."""
+    """Return where the unknowns of a fit lie, `at` which the model is linear; none beyond
+    its bounds."""
     p = len(u.sd)
     q = with_pose_scales(noise.plain(noise.products(at.columns, at.residual)), at.is_pose)
-    weights = softmax(log_marginal(q, at.offset, at.one_sided)).ravel()
+    weights = softmax(at.log_marginal(q)).ravel()
     means, covariances = posterior(q, at.offset)
     means = means[..., :p].reshape(-1, p)
     variances = np.diagonal(covariances, axis1=-2, axis2=-1)[..., :p].reshape(-1, p)

@@ -79,7 +79,7 @@ def check_case(case: ScannedCase) -> None:
 def _scans(case: ScannedCase) -> Iterator[Scan]:
     yield Scan(case.file.scans.reference, 0.0, ALONG_Y, case.reference)
     for load, labels in zip(case.loads, case.deformed, strict=True):
-        yield Scan(load.file, load.force_n, load.axis, labels)
+        yield Scan(load.file, load.force_n, load.axis, case.above_wall(labels))
 
 
 def _check_tissue(scan: Scan) -> None:

@@ -61,7 +61,7 @@ def read_case(path: Path, *, loaded: bool = True) -> ScannedCase:
         file,
         _scan(path, file, scans.reference),
         _scan(path, file, scans.reference_repeat) if scans.reference_repeat else None,
-        [_scan(path, file, load.file) for load in scans.loads] if loaded else [],
+        [_loaded_scan(path, file, load.file) for load in scans.loads] if loaded else [],
         str(path),
     )
 
@@ -115,7 +115,25 @@ def _data(path: Path) -> Mapping[str, Any]:
 
 
 def _scan(case: Path, file: CaseFile, name: str) -> Volume:
-    """Read a scan as one body of `Tissue` labels, in air and above the chest wall."""
+    """Read a scan at rest as one body of `Tissue` labels, in air and above the chest wall."""
+    return _one_body(above_wall(_tissues(case, file, name), file.wall.z_mm))
+
+
+def _loaded_scan(case: Path, file: CaseFile, name: str) -> Volume:
+    """Read a scan under load in the same way, with what it shows below the place of the wall.
+
+    A wall that gives way lets tissue go there. Cut off, the cut would be taken for skin.
+    """
+    tissues = _tissues(case, file, name)
+    return _one_body(tissues)
+
+
+def _one_body(tissues: Volume) -> Volume:
+    # A scan has air around the body, which need not be searched for specks and holes.
+    return in_air(one_body(crop_to_body(tissues, margin_voxels=0)))
+
+
+def _tissues(case: Path, file: CaseFile, name: str) -> Volume:
     path = case.parent / name
     if not path.is_file():
         raise InputError(f"{case} names {name}, which is not in the folder.")
@@ -128,10 +146,7 @@ def _scan(case: Path, file: CaseFile, name: str) -> Volume:
             f"2 glandular, all of them, or what {case.name} says under labels. Relabel the "
             "scan, or segment what is missing."
         )
-    tissues = relabel(volume, {label: meanings[label] for label in found})
-    # A scan has air around the body, which need not be searched for specks and holes.
-    body = crop_to_body(above_wall(tissues, file.wall.z_mm), margin_voxels=0)
-    return in_air(one_body(body))
+    return relabel(volume, {label: meanings[label] for label in found})
 
 
 class CaseReader:

@@ -95,6 +95,10 @@ class ScannedCase:
             SETTINGS.pose.turn_sd_deg if turn_deg is None else turn_deg,
         )
 
+    def above_wall(self, labels: Volume) -> Volume:
+        """Return the part of a loaded scan where the body was at rest; see `above_wall`."""
+        return above_wall(labels, self.wall_mm)
+
     def problem(self, number: int, frame: Frame) -> Callable[[Values], Problem]:
         """Return the nominal model of one loaded scan, from the values of the free constants."""
         model = self.file.model
@@ -127,7 +131,7 @@ class ScannedCase:
             if lower is None or upper is None:
                 lower, upper = self._plates()
             return ForceControl(stated.force_n, lower, upper, device)
-        lower, upper = extent_mm(self.deformed[number], stated.axis)
+        lower, upper = extent_mm(self.above_wall(self.deformed[number]), stated.axis)
         if stated.plate_distance_mm is not None:
             spare = (upper - lower - stated.plate_distance_mm) / 2
             lower, upper = lower + spare, upper - spare

@@ -11,6 +11,8 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import fields, is_dataclass
+from functools import partial
+from types import FunctionType, MethodType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -71,7 +73,7 @@ class Cache:
 
     def __init__(self, capacity_bytes: int = CACHE_BYTES) -> None:
         self.capacity_bytes = capacity_bytes
-        self._values: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+        self._values: OrderedDict[Hashable, Any] = OrderedDict()
         self._making: dict[Hashable, threading.Lock] = {}
         self._lock = threading.Lock()
 
@@ -80,15 +82,15 @@ class Cache:
         with self._lock:
             if key in self._values:
                 self._values.move_to_end(key)
-                return cast(T, self._values[key][0])
+                return cast(T, self._values[key])
             making = self._making.setdefault(key, threading.Lock())
         with making:
             with self._lock:
                 if key in self._values:
-                    return cast(T, self._values[key][0])
+                    return cast(T, self._values[key])
             value = make()
             with self._lock:
-                self._values[key] = (value, size_bytes(value))
+                self._values[key] = value
                 self._making.pop(key, None)
                 self._evict()
         return value
@@ -100,8 +102,8 @@ class Cache:
 
     @property
     def used_bytes(self) -> int:
-        """Return what the arrays of all values take."""
-        return sum(size for _, size in self._values.values())
+        """Return what the arrays of all values take: each may have grown since it was made."""
+        return size_bytes(list(self._values.values()))
 
     def __len__(self) -> int:
         return len(self._values)
@@ -119,7 +121,7 @@ CACHE = Cache()
 
 
 def size_bytes(value: object) -> int:
-    """Count the bytes of all arrays within a value: dataclasses, containers, plain objects.
+    """Count the bytes of all arrays within a value: dataclasses, containers, functions, objects.
 
     An array that is held twice is counted once.
     """
@@ -143,8 +145,16 @@ def _parts(item: object) -> Iterable[object]:
         return item.values()
     if isinstance(item, list | tuple | set | frozenset):
         return item
-    if is_dataclass(item) and not isinstance(item, type):
-        return [getattr(item, field.name) for field in fields(item)]
-    if isinstance(item, type) or callable(item):
+    if isinstance(item, type | ModuleType):
         return ()
-    return vars(item).values() if hasattr(item, "__dict__") else ()
+    if isinstance(item, partial):
+        return (item.func, item.args, item.keywords)
+    if isinstance(item, FunctionType):
+        return [cell.cell_contents for cell in item.__closure__ or ()]
+    if isinstance(item, MethodType):
+        return (item.__self__,)
+    # Values that are computed when they are first asked for are no fields.
+    found = list(vars(item).values()) if hasattr(item, "__dict__") else []
+    if is_dataclass(item):
+        found += [getattr(item, field.name) for field in fields(item)]
+    return found

@@ -3,6 +3,7 @@
 import os
 import threading
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from distributed import Client
@@ -101,6 +102,37 @@ def test_bytes_are_found_wherever_arrays_hide_and_counted_once():
     parts = sum(a.nbytes for a in (matrix.data, matrix.indices, matrix.indptr))
     value = Part(KILOBYTE, ({"a": [KILOBYTE, kilobyte()]}, Plain(kilobyte()), matrix, "text", None))
     assert size_bytes(value) == 3 * 1024 + parts
+
+
+@dataclass(frozen=True, eq=False)
+class Later:
+    """Makes an array when it is first asked for one."""
+
+    seen: object
+
+    @cached_property
+    def found(self):
+        return kilobyte()
+
+
+def test_bytes_of_functions_and_of_what_is_computed_later_are_counted():
+    array = kilobyte()
+    value = Later(partial(lambda a, b: array, kilobyte(), b=kilobyte()))
+    assert size_bytes(value) == 3 * 1024
+    assert value.found.nbytes == 1024
+    assert size_bytes(value) == 4 * 1024
+
+
+def test_values_that_grow_make_older_ones_leave():
+    cache = Cache(capacity_bytes=4 * 1024)
+    for name in ("a", "b", "c"):
+        cache.get(name, lambda: Later(None))
+        assert cache.get(name, kilobyte).found.nbytes == 1024
+    assert (len(cache), cache.used_bytes) == (3, 3 * 1024)
+    cache.get("d", lambda: Later(kilobyte()))
+    assert cache.get("d", kilobyte).found.nbytes == 1024
+    cache.get("e", kilobyte)
+    assert [name in cache for name in "abcde"] == [False, False, True, True, True]
 
 
 def test_outside_of_dask_a_worker_is_host_and_process():

@@ -62,6 +62,18 @@ def test_a_body_that_is_shifted_overlaps_by_the_share_of_its_length():
         assert found[name].gsf == pytest.approx(np.log((1 - found[name].jc) * found[name].mhd_mm))
 
 
+@pytest.mark.parametrize("slices", [0, 2])
+def test_nothing_is_predicted_below_the_slices_of_a_scan(slices):
+    """A body whose lower end sinks by 2 mm, and a scan that has two more slices there or none."""
+    mesh, whole = box_mesh(), cuboid()
+    sunk = mesh.nodes * np.array([0.0, 0.0, 2 / 12]) - np.array([0.0, 0.0, 2.0])
+    values = np.concatenate([whole.values[:1]] * slices + [whole.values])
+    scan = Volume(values, whole.spacing_mm, (0.5, 0.5, 0.5 - slices))
+    found = predict(whole, mesh, sunk, scan)
+    assert found.origin_mm[2] == scan.origin_mm[2]
+    assert overlaps(found, scan)["outline"].jc == 1.0
+
+
 def test_the_jc_that_noise_leaves():
     """Two drawings of one ball differ as much as the area and the noise say."""
     z, y, x = np.mgrid[-36:37, -36:37, -36:37]

@@ -48,7 +48,9 @@ class Distances:
 
 
 def predict(labels: Volume, mesh: TetMesh, displacement_mm: FloatArray, observed: Volume) -> Volume:
-    """Return the body as the model deforms it, on the lattice of a scan.
+    """Return the body as the model deforms it, on the lattice of a scan, from where that begins.
+
+    Below the lowest slice in which a scan shows the body it may have been cut.
 
     Parameters
     ----------
@@ -65,7 +67,11 @@ def predict(labels: Volume, mesh: TetMesh, displacement_mm: FloatArray, observed
     InputError
         If the displacement does not fit the mesh or is not finite.
     """
-    return warp_labels(labels, mesh, displacement_mm, observed)
+    found = warp_labels(labels, mesh, displacement_mm, observed)
+    x, y, z = found.origin_mm
+    below = max(0, round((observed.origin_mm[2] - z) / found.spacing_mm[2]))
+    origin_mm = (x, y, z + below * found.spacing_mm[2])
+    return Volume(found.values[below:], found.spacing_mm, origin_mm) if below else found
 
 
 def overlaps(

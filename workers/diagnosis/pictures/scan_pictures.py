@@ -1,6 +1,6 @@
 """What the report shows of a body that was scanned: arrays to draw, rows to print."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +33,6 @@ def pictures_of_scans(
     summary: Summary,
     reference: Volume,
     observed: Sequence[Volume],
-    cut: Callable[[Volume], Volume],
     prepared: ReadPrepared,
     each: Each = map,
 ) -> tuple[Arrays, Summary]:
@@ -47,8 +46,6 @@ def pictures_of_scans(
         Of the diagnosis.
     reference, observed : Volume and sequence of Volume
         `Tissue` labels.
-    cut : callable
-        Takes off what the scans do not show below the chest wall.
     prepared : callable
         See `workers.diagnosis.preparation`.
     each : callable
@@ -65,7 +62,7 @@ def pictures_of_scans(
     finest = analysis.inverse.model.finest
     mesh = TetMesh(finest.nodes, finest.elements.tets)
     predicted = {
-        when: list(each(lambda u, scan: cut(predict(reference, mesh, u, scan)), us, observed))
+        when: list(each(lambda u, scan: predict(reference, mesh, u, scan), us, observed))
         for when, us in displacements.items()
     }
     fits = {"before": analysis.linear}

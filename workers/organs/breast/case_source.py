@@ -25,7 +25,7 @@ from workers.mechanics.pressed import Pressed
 from workers.organs.breast.case_acquisition import acquisition_of
 from workers.organs.breast.case_checks import check_case
 from workers.organs.breast.case_spec import CaseFile
-from workers.organs.breast.scanned_case import ScannedCase, above_wall
+from workers.organs.breast.scanned_case import ScannedCase
 from workers.scan_threads import Each
 from workers.spec import validated
 
@@ -126,7 +126,6 @@ class ScannedCaseSource:
             summary,
             case.reference,
             case.deformed,
-            lambda volume: above_wall(volume, case.wall_mm),
             prepared,
             each,
         )

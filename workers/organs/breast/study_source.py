@@ -217,7 +217,6 @@ class StudySource:
             summary,
             pieces.reference,
             [pieces.target],
-            lambda v: v,
             prepared,
             each,
         )

@@ -171,3 +171,29 @@ def test_scans_and_labels_too_large_draw_interfaces_outside_of_the_body() -> Non
     assert elsewhere == pytest.approx(np.array([[0.5, 0.0, 0.0, -0.1745]]), abs=1e-4)
     without = drawn_mm(points, normals, interface, None, scales | labels | motion)
     assert without == pytest.approx(np.array([[0.3, 0.3, -0.1, -0.1]]))
+
+
+def test_points_that_a_plate_presses_are_on_the_outline_whatever_was_drawn(
+    truth: Moved, noisy: tuple[FloatArray, FloatArray]
+) -> None:
+    """Every second one is: the model has it at its foot, the others as far off as they were drawn.
+
+    Who takes all for free counts what was drawn of the pressed ones as a gap.
+    """
+    points, normals = noisy
+    off = np.einsum("kc,kc->k", points - noisy_feet(points), normals)
+    feet = points - off[:, None] * normals
+    after = normals_after(feet, normals)
+    on_plate = np.arange(len(points)) % 2 == 0
+    amiss = 0.15 * np.cos(points[:, 0] / 14)
+    at_rest = np.where(on_plate[:, None], feet, points)
+    moved = (pressed(at_rest) + amiss[:, None] * after)[None]
+    outline, nothing = np.zeros(len(points), np.int32), np.zeros((1, len(points)))
+    still = Moved(truth.points, truth.interface, truth.displacement[:1])
+    share = on_plate[None].astype(float)
+    found = true_gap(points, outline, moved, after[None], still, nothing, share)
+    expected = np.sqrt(np.mean(amiss**2))
+    assert found.gap_mm == pytest.approx(expected, abs=0.004)
+    free = true_gap(points, outline, moved, after[None], still, nothing)
+    drawn = np.sqrt(np.mean((off * on_plate) ** 2))
+    assert free.gap_mm == pytest.approx(np.hypot(expected, drawn), rel=0.15)

@@ -162,7 +162,6 @@ def inverse_problem_of(
         noise=noise,
         covariance=covariance(points, noise, states),
         bias=np.zeros(len(points) * states),
-        voxel_mm=acquisition.reference.spacing_mm,
         pose_sd=acquisition.pose_sd,
     )
 

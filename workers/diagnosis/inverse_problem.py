@@ -151,8 +151,6 @@ class InverseProblem:
         From displacements of the nodes to those of the end of an arm of 1 mm, which
         stands on the surface at the point, less those of its foot. None where no point
         is a marker.
-    voxel_mm : tuple of float, optional
-        Edges of the voxels of the scan at rest along x, y and z, where it shows labels.
     pose_sd : tuple of float
         How far a scan may lie from where its header puts it: along each axis in mm, about each
         in degrees.
@@ -173,7 +171,6 @@ class InverseProblem:
     covariance: FloatArray
     bias: FloatArray
     arms: csr_matrix | None = None
-    voxel_mm: Triple | None = None
     is_segmented: bool = True
     learnt: LearntNoise | None = None
     anchors: Sequence[FloatArray] = ()

@@ -34,19 +34,19 @@ def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) ->
     )
 
 
-def planned_covariance(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
+def planned_covariance(inverse: InverseProblem) -> FloatArray:
     """Return that of scans that are not made yet, shape (m, m), in mm^2.
 
-    As it is stated, with poses, drawing and voxels; points are where the model puts them.
+    As it is stated, with poses and drawing; points are where the body is at rest.
     """
-    scans = len(inverse.scans)
-    drawn = covariance(inverse.points, inverse.noise, scans, _carried(inverse))
-    fixed = np.hstack([_drawing(inverse), voxel_steps(inverse, predictions)])
+    scans, points = len(inverse.scans), inverse.points
+    drawn = covariance(points, inverse.noise, scans) + _smoother(inverse, 1.0)
+    fixed = _drawing(inverse)
     if inverse.is_segmented:
-        moved, normals = [one.points for one in predictions], [one.normals for one in predictions]
-        poses = pose_columns(moved, normals, inverse.frame.centre_mm, *inverse.pose_sd)
-        fixed = np.hstack([poses, fixed])
-    return np.asarray(drawn + _smoother(inverse, 1.0) + fixed @ fixed.T)
+        centre_mm, at_rest = inverse.frame.centre_mm, ([points.points], [points.normals])
+        moved, normals = (one * scans for one in at_rest)
+        fixed = np.hstack([pose_columns(moved, normals, centre_mm, *inverse.pose_sd), fixed])
+    return np.asarray(drawn + fixed @ fixed.T)
 
 
 def _drawing(inverse: InverseProblem) -> FloatArray:

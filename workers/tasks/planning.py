@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 from storage.digest import digest
 from storage.errors import InputError
-from storage.values import FloatArray
 from workers.diagnosis.acquisition import Acquisition, inverse_problem_of
 from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.planning.candidate_loads import CandidateLoad, candidate_loads
@@ -27,8 +26,7 @@ from workers.tasks.code_version import code_version
 from workers.tasks.sources import SourceName, stored_planned
 from workers.tasks.task_store import Part, TaskStore
 
-# Arrays of a load beside those of the effects, which have the names of these.
-NOMINAL, POINTS, NORMALS, PRESSED = "nominal", "points", "normals", "pressed"
+NOMINAL = "nominal"
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +97,7 @@ def analyse_load(request: PlanRequest, number: int) -> LoadRecord:
         load = loads[number]
         found = load_sensitivity(unloaded, load.name, load.problem, _acquisition(request).effects)
         travel_mm = None if found is None else found.travel_mm
-        arrays = {} if found is None else _arrays(found)
+        arrays = {} if found is None else {NOMINAL: found.nominal, **found.columns}
         spent = time.perf_counter() - begun
         part.save(LoadRecord(load.name, found is not None, travel_mm, spent), arrays)
     return part.record(LoadRecord)
@@ -143,13 +141,8 @@ def _stored(request: PlanRequest, number: int) -> LoadSensitivity | None:
     record, arrays = _part(request, "load", number).load(LoadRecord)
     if record.travel_mm is None:
         return None
-    own = [arrays.pop(name) for name in (NOMINAL, POINTS, NORMALS, PRESSED)]
-    return LoadSensitivity(own[0], arrays, record.travel_mm, *own[1:])
-
-
-def _arrays(found: LoadSensitivity) -> dict[str, FloatArray]:
-    own = {NOMINAL: found.nominal, POINTS: found.points}
-    return own | {NORMALS: found.normals, PRESSED: found.pressed} | found.columns
+    columns = {name: values for name, values in arrays.items() if name != NOMINAL}
+    return LoadSensitivity(arrays[NOMINAL], columns, record.travel_mm)
 
 
 def _body(request: PlanRequest) -> tuple[InverseProblem, list[CandidateLoad]]:

@@ -8,10 +8,9 @@ import pytest
 from meant_case import NODES, SPACING_MM, at_distance, at_force, write_meant
 
 from storage.errors import InputError
-from storage.values import FloatArray
 from workers.diagnosis.acquisition import inverse_problem_of
 from workers.diagnosis.detectability import NONCENTRALITY
-from workers.diagnosis.inverse_problem import InverseProblem, Scan
+from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.nuisances import pose_columns
 from workers.diagnosis.planning.candidate_loads import (
     CandidateLoad,
@@ -33,9 +32,6 @@ from workers.diagnosis.planning.load_sensitivity import (
     load_sensitivity,
 )
 from workers.diagnosis.planning.plan import designs, make_plan
-from workers.diagnosis.scan_prediction import ComparedScan
-from workers.diagnosis.settings import SETTINGS
-from workers.diagnosis.voxel_steps import voxel_steps
 from workers.mechanics.effects.breast_catalogue import effect
 from workers.mechanics.fem.loads import DistanceControl, ForceControl, Wall
 from workers.mechanics.fem.solve import solve
@@ -54,7 +50,6 @@ SUSPECTS = [
     )
 ]
 LOW, HIGH = 0, 1
-SHOWN = Scan("", lambda values: None, lambda points, of: None)
 World = tuple[InverseProblem, list[CandidateLoad], dict[int, LoadSensitivity]]
 
 
@@ -186,40 +181,10 @@ def test_drawing_four_times_halves_what_the_drawing_adds(sliding: World) -> None
         assembled(unloaded, Design((LOW,), drawings=n), found, suspects)[0].covariance
         for n in (1, 4)
     )
-    at, steps = found[LOW], voxels_of(unloaded, [found[LOW]])
+    at = unloaded.points
     poses = pose_columns([at.points], [at.normals], unloaded.frame.centre_mm, *unloaded.pose_sd)
-    stays = unloaded.noise.nugget_mm**2 * np.eye(len(once)) + poses @ poses.T + steps
+    stays = unloaded.noise.nugget_mm**2 * np.eye(len(once)) + poses @ poses.T
     np.testing.assert_allclose(often - stays, (once - stays) / 4, atol=1e-12)
-
-
-def voxels_of(unloaded: InverseProblem, parts: list[LoadSensitivity]) -> FloatArray:
-    """The covariance of what voxels hide of faces that the plates make flat."""
-    scans = [replace(SHOWN, voxel_mm=unloaded.voxel_mm)] * len(parts)
-    k = len(unloaded.points)
-    inverse = replace(unloaded, scans=scans, bias=np.zeros(k * len(parts)))
-    steps = voxel_steps(inverse, [ComparedScan(p.points, np.zeros(k), p.normals) for p in parts])
-    return steps @ steps.T
-
-
-def test_a_pressed_face_is_as_uncertain_as_its_voxels(sliding: World) -> None:
-    """Its points lie on the plate: how they were drawn at rest is not in what the scan shows.
-
-    What the labels of the loaded scan hide of it is the same for all of them.
-    """
-    unloaded, _, found = sliding
-    part = found[HIGH]
-    covariance = assembled(unloaded, Design((HIGH,)), found, [effect("plate_tilt")])[0].covariance
-    noise, h = unloaded.noise, unloaded.voxel_mm[1]
-    on_plate = (part.pressed > 0.99) & (np.abs(part.normals[:, 1]) > 0.999)
-    assert on_plate.sum() > 10
-    poses = pose_columns([part.points], [part.normals], unloaded.frame.centre_mm, *unloaded.pose_sd)
-    variance = np.diag(covariance - poses @ poses.T)
-    own = noise.sd_mm**2 * (1 + SETTINGS.noise.smoother**2) + noise.nugget_mm**2
-    drawn = (SETTINGS.pose.drawing**2 + SETTINGS.noise.common**2) * noise.sd_mm**2
-    expected = own + drawn + h**2 / 12
-    assert variance[on_plate] == pytest.approx(expected, rel=0.05)
-    free = (part.pressed == 0) & (np.abs(part.normals).max(axis=1) < 0.8)
-    assert variance[free] == pytest.approx(own + drawn + noise.reference_sd_mm**2, rel=1e-6)
 
 
 def test_a_body_that_nothing_holds_is_noticed(sliding: World, tmp_path: Path) -> None:

@@ -19,12 +19,11 @@ from storage.values import BoolArray, FloatArray
 from workers.comparison.observation.interface import InterfacePoints
 from workers.diagnosis.detectability import confusion
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
-from workers.diagnosis.inverse_problem import FollowedPoints, InverseProblem, Scan, Values
+from workers.diagnosis.inverse_problem import InverseProblem, Scan, Values
 from workers.diagnosis.linearisation import Linearised, factored
 from workers.diagnosis.noise_parts import planned_covariance
 from workers.diagnosis.planning.load_sensitivity import LoadSensitivity
 from workers.diagnosis.planning.state_information import Detectability, detectability, separation
-from workers.diagnosis.scan_prediction import ComparedScan
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect, one_sided
 from workers.mechanics.fem.problem import Problem
@@ -167,10 +166,7 @@ def assembled(
         return np.concatenate([*(c[..., :k, :] for c in of), *last], axis=-2)
 
     nominal = rows([part.nominal for part in parts])
-    blocks = [
-        _scanned(unloaded, design, parts),
-        SETTINGS.plan.plates_sd_mm**2 * np.eye(len(plates)),
-    ]
+    blocks = [_scanned(unloaded, design), SETTINGS.plan.plates_sd_mm**2 * np.eye(len(plates))]
     sensitivities = [_print(e, rows([part.columns[e.name] for part in parts])) for e in effects]
     p = nominal.shape[1]
     if design.known is not None:
@@ -221,9 +217,7 @@ def plausible(effect: Effect) -> tuple[float, ...]:
     return effect.prior_sd[: effect.size_count]
 
 
-def _scanned(
-    unloaded: InverseProblem, design: Design, parts: Sequence[LoadSensitivity]
-) -> FloatArray:
+def _scanned(unloaded: InverseProblem, design: Design) -> FloatArray:
     """Return noise of the points of all states, as a diagnosis takes it, in mm^2.
 
     Independent drawings of one image average out; what voxels leave stays.
@@ -234,19 +228,12 @@ def _scanned(
         sd_mm=calmer * unloaded.noise.sd_mm,
         reference_sd_mm=calmer * unloaded.noise.reference_sd_mm,
     )
-    k, at_rest = len(unloaded.points), unloaded.points.points
-    scans = [
-        replace(
-            _NOISE_ONLY,
-            voxel_mm=unloaded.voxel_mm,
-            followed=FollowedPoints(at_rest, unloaded.at_points, part.pressed),
-        )
-        for part in parts
-    ]
-    inverse = replace(unloaded, noise=noise, scans=scans, bias=np.zeros(k * len(scans)))
-    return planned_covariance(
-        inverse, [ComparedScan(part.points, np.zeros(k), part.normals) for part in parts]
+    inverse = replace(
+        unloaded,
+        noise=noise,
+        scans=[_NOISE_ONLY] * len(design.states),
     )
+    return planned_covariance(inverse)
 
 
 def _print(effect: Effect, columns: FloatArray) -> EffectSensitivity:

@@ -5,10 +5,10 @@ gradient F a normal n of the body at rest becomes
 
 .. math:: n' = F^{-T} n / |F^{-T} n|
 
-(E. J. Nanson, Messenger of Math. 7 (1878) 182); what a plate presses faces as the plate does.
-One more row stands for the distance between the plates: how the contact areas move apart when
-something changes, each node weighted by its contact stiffness. Under a given force of flat plates
-that is by how much less the plates travel, up to what they press into the penalty.
+(E. J. Nanson, Messenger of Math. 7 (1878) 182). One more row stands for the distance
+between the plates: how the contact areas move apart when something changes, each node
+weighted by its contact stiffness. Under a given force of flat plates that is by how much
+less the plates travel, up to what they press into the penalty.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,6 @@ from workers.comparison.observation.interface import InterfacePoints
 from workers.diagnosis.acquisition import INTERFACES, ProblemBuilder
 from workers.diagnosis.gauss_newton import SolvedFit
 from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns, unknowns
-from workers.diagnosis.pressed_points import pressed_shares
 from workers.diagnosis.scan_prediction import PredictedScan, columns_of
 from workers.diagnosis.sensitivity_analysis import scan_sensitivity
 from workers.diagnosis.settings import SETTINGS
@@ -52,18 +51,11 @@ class LoadSensitivity:
         By the parameters of each effect; zero for one that does not act on this load.
     travel_mm : float
         By how much the plates have come closer; 0 for plates that are put at a distance.
-    points, normals : ndarray, shape (k, 3)
-        Where the points of the interfaces are under the load, in mm, and which way they face.
-    pressed : ndarray, shape (k,)
-        How far a plate presses each, 0 to 1; see `workers.diagnosis.pressed_points`.
     """
 
     nominal: FloatArray
     columns: dict[str, FloatArray]
     travel_mm: float
-    points: FloatArray
-    normals: FloatArray
-    pressed: FloatArray
 
 
 def load_sensitivity(
@@ -92,9 +84,7 @@ def load_sensitivity(
     if not at.solution.outcome.converged:
         return None
     scan = Scan(name, problem, _not_scanned)
-    nodes = unloaded.forward.pressed(at)
-    pressed = np.zeros(len(unloaded.points)) if nodes is None else pressed_shares(unloaded, nodes)
-    inverse, prediction = _with_plates(unloaded, scan, at, pressed)
+    inverse, prediction = _with_plates(unloaded, scan, at)
     fit = SolvedFit(free, free.mean, (prediction,), np.empty((0, 0)), 0.0, True, 0)
     columns = {}
     for effect in effects:
@@ -102,9 +92,7 @@ def load_sensitivity(
         if found is not None:
             columns[effect.name] = found
     jacobian = columns_of(inverse, prediction, _changes(problem, free))
-    travel_mm, k = at.states[-1].travel_mm, len(unloaded.points)
-    points, normals = prediction.points[:k], prediction.normals[:k]
-    return LoadSensitivity(jacobian, columns, travel_mm, points, normals, pressed)
+    return LoadSensitivity(jacobian, columns, at.states[-1].travel_mm)
 
 
 def deformed_normals(unloaded: InverseProblem, displacement_mm: FloatArray) -> FloatArray:
@@ -163,7 +151,7 @@ def _changes(problem: ProblemBuilder, free: Unknowns) -> list[Change]:
 
 
 def _with_plates(
-    unloaded: InverseProblem, scan: Scan, at: Equilibrium, pressed: FloatArray
+    unloaded: InverseProblem, scan: Scan, at: Equilibrium
 ) -> tuple[InverseProblem, PredictedScan]:
     """Return the points and the distance of the plates as one list, and where they have gone."""
     row, axis = plate_row(at)
@@ -178,15 +166,8 @@ def _with_plates(
     to_points = csr_matrix(vstack([unloaded.at_points, row]))
     inverse = replace(unloaded, points=points, at_points=to_points, scans=(scan,))
     followed = inverse.followed(scan)
-    normals = np.vstack([_flattened(deformed_normals(unloaded, u), pressed, axis), axis])
+    normals = np.vstack([deformed_normals(unloaded, u), axis])
     return inverse, PredictedScan(followed.moved(u), np.zeros(len(points)), normals, at, followed)
-
-
-def _flattened(normals: FloatArray, pressed: FloatArray, axis: FloatArray) -> FloatArray:
-    """Return normals of which those that a plate presses, 0 to 1, face as it does, (k, 3)."""
-    plate = np.sign(normals @ axis)[:, None] * axis
-    turned = (1.0 - pressed[:, None]) * normals + pressed[:, None] * plate
-    return np.asarray(turned / np.linalg.norm(turned, axis=1)[:, None])
 
 
 def _columns(inverse: InverseProblem, fit: SolvedFit, effect: Effect) -> FloatArray | None:

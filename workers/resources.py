@@ -12,7 +12,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import fields, is_dataclass
 from functools import partial
-from types import FunctionType, MethodType, ModuleType
+from types import CellType, FunctionType, MethodType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -150,7 +150,8 @@ def _parts(item: object) -> Iterable[object]:
     if isinstance(item, partial):
         return (item.func, item.args, item.keywords)
     if isinstance(item, FunctionType):
-        return [cell.cell_contents for cell in item.__closure__ or ()]
+        cells = item.__closure__ or ()
+        return [cell.cell_contents for cell in cells if cell != CellType()]
     if isinstance(item, MethodType):
         return (item.__self__,)
     # Values that are computed when they are first asked for are no fields.

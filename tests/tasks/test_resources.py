@@ -154,3 +154,13 @@ def test_a_dask_worker_computes_with_one_thread_and_knows_its_name(monkeypatch):
     assert threads == 1
     assert environment.items() >= WORKER_ENVIRONMENT.items()
     assert name == "0"
+
+
+def test_a_function_that_knows_what_is_not_made_yet_has_no_bytes_of_it():
+    def known():
+        return later
+
+    assert size_bytes(known) == 0
+    later = kilobyte()
+    assert size_bytes(known) == 1024
+    assert known() is later

@@ -79,10 +79,10 @@ def ranked(fits: Iterable[JointFit]) -> list[JointFit]:
     return sorted(fits, key=lambda one: -one.log_evidence)
 
 
-def near_best(ranked: Sequence[JointFit]) -> list[JointFit]:
-    """Return those that are worth another fit: not far behind the best."""
-    least = ranked[0].log_evidence - SETTINGS.joint_fits.far_behind
-    return [one for one in ranked if one.log_evidence >= least]
+def near_best(fits: Sequence[JointFit]) -> list[JointFit]:
+    """Return those of ranked fits that are worth another one: not far behind the best."""
+    least = fits[0].log_evidence - SETTINGS.joint_fits.far_behind
+    return [one for one in fits if one.log_evidence >= least]
 
 
 class _Extended(NamedTuple):

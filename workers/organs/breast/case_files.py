@@ -124,8 +124,7 @@ def _loaded_scan(case: Path, file: CaseFile, name: str) -> Volume:
 
     A wall that gives way lets tissue go there. Cut off, the cut would be taken for skin.
     """
-    tissues = _tissues(case, file, name)
-    return _one_body(tissues)
+    return _one_body(_tissues(case, file, name))
 
 
 def _one_body(tissues: Volume) -> Volume:

@@ -39,8 +39,9 @@ class ScannedCase:
     repeat : Volume or None
         A second segmentation of it.
     loaded : sequence of Volume
-        The same under each load; empty if the scans are not made, for which the body at rest
-        then stands: plates at a distance close around its middle.
+        The same under each load, with what went below the place of the wall; empty if the scans
+        are not made, for which the body at rest then stands: plates at a distance close around
+        its middle.
     where : str
         The path of the file, for messages.
     """

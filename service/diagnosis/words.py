@@ -188,7 +188,8 @@ def _left(gap: GapSummary) -> str:
         before = gap.held_out_before.gap_mm
         of = f" of {before:.2f} mm" if before >= NOTHING_MM else ""
         return f"On scans that it was not fitted to, it leaves {_rest(gap.held_out_after)}{of}."
-    return "" if gap.after is None else f"It leaves {_rest(gap.after)}."
+    where = ", in the scans that it was fitted to" if gap.not_judged else ""
+    return "" if gap.after is None else f"It leaves {_rest(gap.after)}{where}."
 
 
 def _rest(gap: GapEstimate) -> str:

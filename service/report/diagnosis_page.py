@@ -8,6 +8,7 @@ from service.diagnosis.run import FinishedDiagnosis
 from service.diagnosis.words import (
     NOT_EFFECTS,
     likely,
+    listed,
     millimetres,
     sentence,
     spoken,
@@ -181,6 +182,11 @@ def _warnings(summary: Summary) -> Iterator[str]:
     if loose:
         names = "; ".join(together(e) for e in loose)
         yield f"The refit of {names} did not converge: its evidence is a lower bound."
+    if summary.gap_mm.not_judged:
+        yield (
+            f"What the effect leaves of {listed(summary.gap_mm.not_judged)} is not judged by a "
+            "fit to the other scans: they do not hold how large it is."
+        )
     share = summary.gap_mm.held_out_share
     if share is not None and share.low < 0:
         yield (

@@ -256,6 +256,25 @@ def test_unseen_shrinkage_pools_what_single_states_say():
     assert whole.share == pytest.approx(less / whole.before.gap_mm**2, rel=1e-10)
 
 
+def test_a_state_that_the_others_do_not_hold_is_not_judged():
+    """An effect that only one state shows, and there a hundred times louder."""
+    noise = nominal_problem().covariance_factor @ np.random.default_rng(46).standard_normal(120)
+    nominal = replace(nominal_problem(), residual=known_gap() + noise)
+    column = 100.0 * catalogue()[1].columns * HIGH[:, None]
+    effect = nominal.freed(column, np.ones(1))
+    fitted = replace(effect, nominal_offset=np.append(nominal.nominal_offset, 2.0))
+    compared = Comparison(nominal, fitted, 1, draws=20)
+    whole, (low, high) = compared.unseen(STATE)
+    assert compared.shrinkage(LOW, HIGH).after.gap_mm > 50.0
+    assert high is None
+    assert low == whole == compared.shrinkage(HIGH, LOW)
+    own = np.hstack([column, 100.0 * catalogue()[1].columns * LOW[:, None]])
+    each = replace(
+        nominal.freed(own, np.ones(2)), nominal_offset=np.append(nominal.nominal_offset, [2.0, 2.0])
+    )
+    assert Comparison(nominal, each, 1, draws=20).unseen(STATE) == (None, [None, None])
+
+
 def test_no_share_is_claimed_of_a_gap_that_may_not_be_there():
     gaps = [GapEstimate(mm, 0.8 * mm, 1.2 * mm, 0.25, 800) for mm in (0.15, 0.08)]
     share = ShareEstimate(0.7, 0.4, 0.9)

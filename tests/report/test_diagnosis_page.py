@@ -208,6 +208,8 @@ def test_warnings() -> None:
     gap = summary()["gap_mm"]
     gap["held_out_share"] = {"share": 0.3, "low": -0.2, "high": 0.6}
     assert "take the cause for a lead" in render(found(summary(gap_mm=gap)))
+    gap = summary()["gap_mm"] | {"not_judged": ["80 N"]}
+    assert "What the effect leaves of 80 N is not judged" in render(found(summary(gap_mm=gap)))
     assert "note warn" not in render(found())
 
 

@@ -266,6 +266,10 @@ class GapSettings:
     # [numerics] Draws of the bootstrap and of the posterior, and the seed of their random numbers.
     draws: int = 400
     seed: int = 0
+    # [numerics] A scan that a fit to the others moves by more than so many times what the nominal
+    # model is off there is not judged by it: that far no linear model holds. Fits that reach
+    # stay below 1.5, one that does not moves its scan by 470 times.
+    unseen_reach: float = 3.0
     # [numerics] A hypothesis that is less probable has no part in the posterior: an interval of
     # nine in ten does not hear of it.
     heard: float = 0.01

@@ -9,7 +9,8 @@ It is a little wide for the share of one image, which moves along with its estim
 
 Fitted to some states and judged by the others, the same number is the held-out share. With
 each state judged by a fit to the others, all of them are seen, and none by its own fit (the
-cross-validation of M. Stone, J. R. Stat. Soc. B 36 (1974) 111).
+cross-validation of M. Stone, J. R. Stat. Soc. B 36 (1974) 111). Where the others do not hold what
+moves a state, the linear model would carry it anywhere: such a state is not judged.
 
 The noise cancels in the difference of both squares, which is known far better than either. So
 the square before is the one after, as `workers.diagnosis.gap` credits it, plus that difference.
@@ -120,8 +121,11 @@ class Comparison:
         """
         return self._compared([self._pair(train, judge)])
 
-    def unseen(self, states: IntArray) -> tuple[Shrinkage, list[Shrinkage]]:
+    def unseen(self, states: IntArray) -> tuple[Shrinkage | None, list[Shrinkage | None]]:
         """Return the share of fits that never saw what they are judged by, and of each of them.
+
+        None stands for a state that a fit to the others moves further than the linear model
+        holds, `unseen_reach` of the settings; without any that is judged, for all together.
 
         Parameters
         ----------
@@ -137,7 +141,16 @@ class Comparison:
         if len(every) < 2:
             raise InputError("To leave a state out, there must be two or more; found one.")
         pairs = [self._pair(states != one, states == one) for one in every]
-        return self._compared(pairs), [self._compared([pair]) for pair in pairs]
+        judged = [pair for pair in pairs if self._holds(pair)]
+        each = [self._compared([pair]) if self._holds(pair) else None for pair in pairs]
+        return self._compared(judged) if judged else None, each
+
+    def _holds(self, pair: Pair) -> bool:
+        """Return whether fits move what they are judged by as little as a linear model may."""
+        limit = SETTINGS.gap.unseen_reach**2 * (self.nominal.residual[pair[0].judge] ** 2).mean()
+        return all(
+            ((fit.residual - fit.problem.residual[fit.judge]) ** 2).mean() <= limit for fit in pair
+        )
 
     def _pair(self, train: BoolArray | None, judge: BoolArray | None) -> Pair:
         """Return the fits of both, with the scans where the whole fit with the effect puts them."""

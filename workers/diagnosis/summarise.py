@@ -211,15 +211,18 @@ def _with_held_out(
     if len(inverse.scans) < 2:
         return replace(inside, held_out="one scan only")
     whole, parts = comparison.unseen(inverse.rows)
+    by_name = dict(zip((scan.name for scan in inverse.scans), parts, strict=True))
+    inside = replace(inside, not_judged=tuple(n for n, part in by_name.items() if part is None))
+    if whole is None:
+        return replace(inside, held_out="no scan is held by a fit to the others")
     judged = _compared(whole)
-    each = {scan.name: _compared(part) for scan, part in zip(inverse.scans, parts, strict=True)}
     return replace(
         inside,
         held_out_before=judged.before,
         held_out_after=judged.after,
         held_out_share=judged.share,
         held_out="each scan judged by a fit to the others",
-        held_out_each=each,
+        held_out_each={n: _compared(part) for n, part in by_name.items() if part is not None},
     )
 
 

@@ -69,6 +69,8 @@ class GapSummary:
         How scans were held out, in words.
     held_out_each : mapping of str to GapShrinkage, optional
         By the name of the scan.
+    not_judged : tuple of str
+        Scans that are not judged by a fit to the others, for these do not hold what moves them.
     """
 
     before: GapEstimate
@@ -81,6 +83,7 @@ class GapSummary:
     held_out_share: ShareEstimate | None = None
     held_out: str | None = None
     held_out_each: Mapping[str, GapShrinkage] | None = None
+    not_judged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,11 +28,12 @@ def fitted(
         tried.append(float(z[0]))
         return ()
 
-    columns = np.ones((1, 1))
+    columns, moved = np.ones((1, 1)), np.zeros((1, 1, 3))
     monkeypatch.setattr(gauss_newton, "_predict_scans", predict)
+    monkeypatch.setattr(gauss_newton, "_starts", lambda *rest: [])
     monkeypatch.setattr(gauss_newton, "_cost", lambda i, u, z, p: cost(float(z[0])))
     monkeypatch.setattr(
-        gauss_newton, "_jacobians", lambda i, u, z, *rest: [ScanJacobian(z, columns)]
+        gauss_newton, "_jacobians", lambda i, u, z, *rest: [ScanJacobian(z, columns, moved)]
     )
     monkeypatch.setattr(
         gauss_newton, "_step", lambda i, u, z, *rest: (np.array([step(float(z[0]))]), expected)

@@ -16,6 +16,9 @@ class Forward(Protocol):
     def equilibrium(self, model: Any, problem: Any, start: Any = None) -> Any:
         """Return an equilibrium with its ``solution``; see `workers.mechanics.fem.solve`."""
 
+    def expecting(self, at: Any, moved_mm: FloatArray) -> Any:
+        """Return an equilibrium as a start, where nodes are expected to lie `moved_mm` further."""
+
     def tangents(self, at: Any, changes: Sequence[Any], tolerance: float) -> FloatArray:
         """Return derivatives of the displacement; see `workers.mechanics.fem.sensitivity`."""
 
@@ -35,6 +38,10 @@ class Tetrahedra:
 
     equilibrium = staticmethod(solve.equilibrium)
     tangents = staticmethod(sensitivity.tangents)
+
+    def expecting(self, at: Any, moved_mm: FloatArray) -> Any:
+        """See `Forward.expecting`."""
+        return at.expecting(moved_mm)
 
     def loosened(self, problem: Any, tolerance_mm: float, friction_steps: int) -> Any:
         """See `Forward.loosened`."""

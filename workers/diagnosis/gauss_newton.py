@@ -170,7 +170,8 @@ def fit(
         step, expected = _step(inverse, unknowns, z, predictions, J)
         if expected < tolerance:
             return SolvedFit(unknowns, z, predictions, J, cost, True, iteration)
-        found = _descend(inverse, unknowns, z, predictions, cost, step, length, each)
+        descent = _Descent(z, predictions, cost, length)
+        found = _descend(inverse, unknowns, descent, step, jacobians, each)
         if found is None and not all(jacobian.fresh for jacobian in jacobians):
             jacobians = None  # columns taken over from elsewhere may point uphill
             continue
@@ -266,16 +267,22 @@ def _step(
     return np.asarray(step * u.sd * length), float(-g @ step)
 
 
-def _places(
+def _starts(
+    inverse: InverseProblem,
     predictions: Sequence[PredictedScan],
-) -> tuple[list[Equilibrium | None], list[FloatArray | None]]:
-    """Return from where the next trial of a line search is solved and compared."""
-    return [v.at for v in predictions], [v.pose for v in predictions]
+    jacobians: Sequence[ScanJacobian],
+    change: FloatArray,
+) -> list[Equilibrium | None]:
+    """Return from where the scans are solved after a change of the parameters, (p,)."""
+    return [
+        inverse.forward.expecting(one.at, np.tensordot(change, jacobian.moved, 1))
+        for one, jacobian in zip(predictions, jacobians, strict=True)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    """A step that lowers the cost, and what part of the Gauss-Newton step it is."""
+    """Parameters with their cost, and what part of the Gauss-Newton step has led there."""
 
     z: FloatArray
     predictions: tuple[PredictedScan, ...]
@@ -286,20 +293,20 @@ class _Descent:
 def _descend(
     inverse: InverseProblem,
     u: Unknowns,
-    z: FloatArray,
-    predictions: Sequence[PredictedScan],
-    cost: float,
+    before: _Descent,
     step: FloatArray,
-    length: float,
+    jacobians: Sequence[ScanJacobian],
     each: Each,
 ) -> _Descent | None:
-    """Try shorter and shorter parts of a step, from `length` of it, until the cost falls."""
+    """Try shorter and shorter parts of a step, from the length before, until the cost falls."""
+    poses, length = [one.pose for one in before.predictions], before.length
     for _ in range(SETTINGS.fit.max_halvings):
-        trial = np.clip(z + length * step, u.lower, u.upper)
-        found = _predict_scans(inverse, u, trial, *_places(predictions), each)
+        z = np.clip(before.z + length * step, u.lower, u.upper)
+        starts = _starts(inverse, before.predictions, jacobians, z - before.z)
+        found = _predict_scans(inverse, u, z, starts, poses, each)
         if found is not None:
-            cost_there = _cost(inverse, u, trial, found)
-            if cost_there < cost:
-                return _Descent(trial, found, cost_there, length)
+            cost = _cost(inverse, u, z, found)
+            if cost < before.cost:
+                return _Descent(z, found, cost, length)
         length *= SETTINGS.fit.shortening
     return None

@@ -207,12 +207,12 @@ def _begin(parameter: Parameter, sd: float, expected: float, *, steep: bool = Fa
     """Return where the fit of a parameter begins, of which the screening expects a change.
 
     One that grows faster than its magnitude does so little near zero that a fit stays there: it
-    begins a prior standard deviation away at least.
+    begins some way off at least.
     """
     settings, neutral = SETTINGS.joint_fits, parameter.neutral or 0.0
     most = settings.most_start * sd
     if one_sided(parameter):
-        least = sd if steep else settings.least_start * sd
+        least = (settings.steep_start if steep else settings.least_start) * sd
         return neutral + float(np.clip(expected, least, most))
     return neutral + float(np.clip(settings.start * expected, -most, most))
 

@@ -141,11 +141,13 @@ def compared_points(
 class ScanJacobian:
     """Derivatives of one scan by all parameters, shape (k, p), and where they were taken.
 
-    Fresh unless a column was taken over from a place nearby.
+    `moved` is what the parameters do to the nodes, (p, n, 3), as far as tangents know it. Fresh
+    unless a column was taken over from a place nearby.
     """
 
     z: FloatArray
     columns: FloatArray
+    moved: FloatArray
     fresh: bool = True
 
 
@@ -163,8 +165,8 @@ def derivatives(
     good enough for other parameters, but that of friction comes from another simulation,
     unless `before` was taken at about the same friction.
     """
-    moved = _moved_columns(inverse, scan, unknowns, z, prediction)
-    found = _with_observed(inverse, unknowns, prediction, moved)
+    moved = _moved_nodes(inverse, scan, unknowns, z, prediction)
+    found = _columns_of_all(inverse, unknowns, z, prediction, moved)
     if FRICTION in unknowns.effects:
         at = unknowns.names.index(FRICTION.names[0])
         if (
@@ -174,33 +176,49 @@ def derivatives(
             # The place where that column was taken stays: it must not drift.
             found[:, at] = before.columns[:, at]
             z = np.where(np.arange(len(z)) == at, before.z, z)
-            return ScanJacobian(z, found, fresh=False)
+            return ScanJacobian(z, found, moved, fresh=False)
         found[:, at] = _by_solving(inverse, scan, unknowns, z, prediction, at)
-    return ScanJacobian(z, found)
+    return ScanJacobian(z, found, moved)
 
 
-def _moved_columns(
+def _moved_nodes(
     inverse: InverseProblem,
     scan: Scan,
     unknowns: Unknowns,
     z: FloatArray,
     prediction: PredictedScan,
 ) -> FloatArray:
-    """Return derivatives by all parameters that move the body, zero for friction."""
+    """Return what all parameters do to the nodes, (p, n, 3); nothing for friction."""
     changes = [_log_change(inverse, scan, unknowns, z, i) for i in range(len(unknowns.free))]
-    friction = None
+    moving = list(range(len(unknowns.free)))
     for effect in unknowns.effects:
-        if effect is FRICTION:
-            friction = len(changes)
-        elif effect.observation is None:
+        if effect.observation is None and effect is not FRICTION:
             base = problem_of(scan, unknowns, z, inverse.frame, leave_out=effect)
-            values = unknowns.of_effect(effect, z)
-            changes.extend(effect.changes(base, inverse.frame, values))
+            changes.extend(effect.changes(base, inverse.frame, unknowns.of_effect(effect, z)))
+            moving.extend(unknowns.names.index(name) for name in effect.names)
+    found = inverse.forward.tangents(prediction.at, changes, SETTINGS.fit.tangent_error)
+    moved = np.zeros((len(z), *found.shape[1:]))
+    moved[moving] = found
+    return moved
+
+
+def _columns_of_all(
+    inverse: InverseProblem,
+    unknowns: Unknowns,
+    z: FloatArray,
+    prediction: PredictedScan,
+    moved: FloatArray,
+) -> FloatArray:
+    """Return derivatives of the residual by all parameters, which move the nodes so."""
     observed = [
         (e, unknowns.of_effect(e, z)) for e in unknowns.effects if e.observation is not None
     ]
-    moved = columns_of(inverse, prediction, changes, observed)
-    return moved if friction is None else np.insert(moved, friction, 0.0, axis=1)
+    columns = _along_motions(inverse, prediction, moved, observed)
+    for effect, _ in observed:
+        first = unknowns.names.index(effect.names[0])
+        which = slice(first, first + len(effect.names))
+        columns[:, which] = observed_columns(inverse, effect, prediction)
+    return columns
 
 
 def _by_solving(
@@ -225,17 +243,29 @@ def columns_of(
     inverse: InverseProblem,
     prediction: PredictedScan,
     changes: Sequence[Change],
-    observed: Sequence[tuple[Effect, Mapping[str, float]]] = (),
     tolerance: float = RELATIVE_ERROR,
 ) -> FloatArray:
     """Return derivatives of the residual by changes of the problem, shape (k, c).
 
-    `observed` are the effects on the observation that act, with their values: a point that
-    moves is seen elsewhere. `tolerance` is that of `tangents`.
+    `tolerance` is that of `tangents`.
     """
-    dx = inverse.forward.tangents(prediction.at, changes, tolerance)
-    out = np.empty((len(prediction.residual), len(changes)))
-    for c, nodal in enumerate(dx):
+    moved = inverse.forward.tangents(prediction.at, changes, tolerance)
+    return _along_motions(inverse, prediction, moved)
+
+
+def _along_motions(
+    inverse: InverseProblem,
+    prediction: PredictedScan,
+    moved: FloatArray,
+    observed: Sequence[tuple[Effect, Mapping[str, float]]] = (),
+) -> FloatArray:
+    """Return derivatives of the residual along motions of the nodes, (c, n, 3): (k, c).
+
+    `observed` are the effects on the observation that act, with their values: a point that
+    moves is seen elsewhere.
+    """
+    out = np.empty((len(prediction.residual), len(moved)))
+    for c, nodal in enumerate(moved):
         out[:, c] = prediction.along_normals(nodal)
         for effect, values in observed:
             out[:, c] += _shift_along(inverse, prediction, effect, values, nodal)
@@ -293,18 +323,3 @@ def _log_change(
     behind[i] -= SETTINGS.fit.log_step
     plus, minus = (problem_of(scan, unknowns, at, inverse.frame) for at in (ahead, behind))
     return Change(plus, minus, 2 * SETTINGS.fit.log_step)
-
-
-def _with_observed(
-    inverse: InverseProblem, unknowns: Unknowns, prediction: PredictedScan, moved: FloatArray
-) -> FloatArray:
-    """Put the columns of effects on the observation where they belong."""
-    parts, at = [moved[:, : len(unknowns.free)]], len(unknowns.free)
-    for effect in unknowns.effects:
-        if effect.observation is None:
-            q = len(effect.names)
-            parts.append(moved[:, at : at + q])
-            at += q
-        else:
-            parts.append(observed_columns(inverse, effect, prediction))
-    return np.hstack(parts)

@@ -13,6 +13,7 @@ from workers.mechanics.fem import load_schedule, load_stepping
 from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Plate, Wall
 from workers.mechanics.fem.model import Model
 from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.fem.sensitivity import Change, tangents
 from workers.mechanics.fem.solve import equilibrium, solve
 
 FAT = {Tissue.FAT: Constants(0.01, 0.49, 0.03)}
@@ -78,6 +79,26 @@ def test_a_neighbour_leads_to_the_same_place_with_friction(model, near, wanted):
     assert apart < 1e-4
     free = solve(model, pressed(0.0, tilt_deg=1.0))
     assert np.abs(free.displacement_mm - rested.displacement_mm).max() > 0.05
+
+
+def test_an_expected_motion_saves_iterations_and_changes_nothing(model):
+    """Half a degree of tilt along its tangent; a motion that is absurd is not followed."""
+    start = equilibrium(model, pressed(tilt_deg=1.0))
+    wanted = pressed(tilt_deg=1.5)
+    change = Change(pressed(tilt_deg=1.01), pressed(tilt_deg=0.99), 0.02)
+    (along,) = tangents(start, [change])
+    plain = equilibrium(model, wanted, start).solution
+    expected = equilibrium(model, wanted, start.expecting(0.5 * along)).solution
+    absurd = equilibrium(model, wanted, start.expecting(-40.0 * along)).solution
+    assert expected.outcome.newton_iterations[-1] < plain.outcome.newton_iterations[-1]
+    assert absurd.outcome.newton_iterations == plain.outcome.newton_iterations
+    np.testing.assert_allclose(expected.displacement_mm, plain.displacement_mm, atol=1e-5)
+    np.testing.assert_allclose(absurd.displacement_mm, plain.displacement_mm, atol=1e-9)
+
+
+def test_with_steps_of_friction_no_motion_is_expected(model):
+    start = equilibrium(model, pressed(0.3))
+    assert start.expecting(np.ones_like(start.states[-1].x)) is start
 
 
 @pytest.mark.parametrize(

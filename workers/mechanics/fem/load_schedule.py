@@ -20,6 +20,8 @@ OVERLAP_MM = 0.5
 PROLONGED_OVERLAP_MM = 0.02
 # Less than this is no contact: rounding.
 TOUCH_MM = 1e-6
+# Newton steps of a travel alone; between flat plates three are enough.
+TRAVEL_STEPS = 6
 
 
 def load_stages(model: Model, problem: Problem) -> list[Stage]:
@@ -90,6 +92,33 @@ def bring_into_contact(level: Level, state: State, stage: Stage) -> State:
     overlap = OVERLAP_MM if state.travel_mm == 0.0 else PROLONGED_OVERLAP_MM
     touching = _first_touch_mm(level, x, stage)
     return state.moved_to(x, max(state.travel_mm, touching + overlap))
+
+
+def better_start(level: Level, state: State, stage: Stage, expected_mm: FloatArray) -> State:
+    """Return a state whose nodes are moved on as expected, (n, 3), or as it is: the lower energy.
+
+    Plates follow until they carry their force.
+    """
+    x = level.with_prescribed(state.x + expected_mm, stage.fraction)
+    there = bring_into_contact(level, state.moved_to(x, state.travel_mm), stage)
+    there = _carried(level, there, stage)
+    energies = [level.energy(one, stage).potential for one in (there, state)]
+    return there if energies[0] < energies[1] else state
+
+
+def _carried(level: Level, state: State, stage: Stage) -> State:
+    """Move force-controlled plates to where they carry their force, the body held as it is."""
+    if stage.force_n is None:
+        return state
+    for _ in range(TRAVEL_STEPS):
+        _, contact = level.contact(state, stage)
+        if contact.travel_stiffness <= 0:
+            break
+        closed = (stage.force_n - contact.travel_force) / contact.travel_stiffness
+        state = state.moved_to(state.x, state.travel_mm + closed)
+        if abs(closed) < level.problem.tolerance_mm:
+            break
+    return state
 
 
 def _set_down(level: Level, x: FloatArray, stage: Stage) -> FloatArray:

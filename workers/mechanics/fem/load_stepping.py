@@ -9,6 +9,7 @@ from storage.values import FloatArray
 from workers.mechanics.fem.level import Level
 from workers.mechanics.fem.level_equilibrium import solve_balanced, solve_level
 from workers.mechanics.fem.load_schedule import (
+    better_start,
     bring_into_contact,
     coarsest_increments,
     load_schedules,
@@ -30,10 +31,15 @@ MAX_ITERATIONS_FROM_NEIGHBOUR = 40
 
 @dataclass(frozen=True, eq=False)
 class ConvergedStage:
-    """The end of one stage: a state and a linear solver for each level, coarse to fine."""
+    """The end of one stage: a state and a linear solver for each level, coarse to fine.
+
+    `expected_mm`, shape (n, 3), is how far the finest nodes are expected to move from there when
+    a problem nearby is solved.
+    """
 
     states: tuple[State, ...]
     solvers: tuple[LinearSolver, ...]
+    expected_mm: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +123,8 @@ class LoadStepping:
             begun, there = level.begin_step(states[-1], stage), near.states[-1]
             x = level.with_prescribed(there.x, stage.fraction)
             start = bring_into_contact(level, begun.moved_to(x, there.travel_mm), stage)
+            if near.expected_mm is not None:
+                start = better_start(level, start, stage, near.expected_mm)
             start = level.update_history(start, stage)
             factory, limit = solver_factory(near.solvers[:-1]), MAX_ITERATIONS_FROM_NEIGHBOUR
             result = solve_balanced(level, start, stage, factory, tolerance, limit)

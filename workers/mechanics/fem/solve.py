@@ -8,6 +8,7 @@ steps, and every step ends in equilibrium on every mesh.
 
 from dataclasses import dataclass, replace
 
+from storage.values import FloatArray
 from workers.mechanics.fem.level import Level
 from workers.mechanics.fem.load_stepping import ConvergedStage, LoadStepping
 from workers.mechanics.fem.model import Model
@@ -49,6 +50,16 @@ class Equilibrium:
     def solvers(self) -> tuple[LinearSolver, ...]:
         """Linear solvers of the last stage, one for each level, at its last tangent."""
         return self.path[-1].solvers
+
+    def expecting(self, moved_mm: FloatArray) -> "Equilibrium":
+        """Return it as the start of a problem whose nodes lie about `moved_mm`, (n, 3), further.
+
+        The tangents times a change of the problem, for instance. With several stages, whose ways
+        nobody knows, it is the same one.
+        """
+        if len(self.path) != 1:
+            return self
+        return replace(self, path=(replace(self.path[0], expected_mm=moved_mm),))
 
 
 def solve(model: Model, problem: Problem) -> Solution:

@@ -80,6 +80,10 @@ class CorneaForward:
             u, reason = np.zeros_like(base.prepared.mesh.nodes_mm), str(error)
         return CorneaEquilibrium(problem, PlaneSolution(_padded(u), Ending(not reason, reason)), at)
 
+    def expecting(self, at: CorneaEquilibrium, moved_mm: FloatArray) -> CorneaEquilibrium:
+        """Return the equilibrium itself: nothing begins there."""
+        return at
+
     def tangents(
         self, at: CorneaEquilibrium, changes: Sequence[Change], tolerance: float = 0.0
     ) -> FloatArray:

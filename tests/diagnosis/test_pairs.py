@@ -79,7 +79,7 @@ def test_a_fit_of_what_grows_with_its_square_begins_away_from_zero(monkeypatch):
 
     monkeypatch.setattr("workers.diagnosis.joint_fit.fit", watched)
     found = fit_jointly(analysis, [EDGE])
-    assert begun[0] >= EDGE.prior_sd[0]
+    assert begun[0] >= SETTINGS.joint_fits.steep_start * EDGE.prior_sd[0]
     assert found is not None
     assert found.fit.values()["plate_edge"] == pytest.approx(2.0, abs=0.1)
 

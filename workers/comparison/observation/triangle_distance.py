@@ -67,7 +67,8 @@ def distances(
     for z_step in (1, -1):
         _sweep(rough, rough_step, np.float32(reach**2), z_step, nearest, squared)
     start, content = elements_of_nodes(triangles, len(points))
-    _refine(points, triangles, start, content, step, NEAR * float(step.max()), nearest, squared)
+    near = min(NEAR * float(step.max()), reach)
+    _refine(points, triangles, start, content, step, near, nearest, squared)
     return np.minimum(np.sqrt(squared, out=squared), np.float32(band), out=squared)
 
 
@@ -225,8 +226,14 @@ def _is_welcome(
 ) -> bool:
     """Say whether any voxel of a block would take the vertex that its neighbour has now.
 
-    Most offers are in vain. As nothing is written here, eight are looked at together.
+    Most offers are in vain. As nothing is written here, eight are looked at together; far from
+    the surface no neighbour has anything to offer.
     """
+    offered = 0
+    for x in range(first, end):
+        offered |= source_squared[x + side] < reach2
+    if offered == 0:
+        return False
     welcome = 0
     for x in range(first, end):
         d = _squared(source[x + side], points, step, z, y, x)

@@ -103,6 +103,7 @@ def summary(**changes: Any) -> Json:
             "held_out_share": held["share"],
             "held_out": "each scan judged by a fit to the others",
             "held_out_each": {"40 N": held, "80 N": held},
+            "not_judged": [],
         },
         "where": WHERE,
         "constants": {
@@ -146,6 +147,7 @@ def nothing(kind: str, **changes: Any) -> Json:
         "after": None,
         "held_out_before": None,
         "held_out_after": None,
+        "not_judged": [],
     }
     constants = {"E_fat_kpa": {"before": 10.0, "after": None}}
     told = {
@@ -196,6 +198,7 @@ VERDICTS = {
             "held_out_before": None,
             "held_out_after": None,
             "held_out": "one scan only",
+            "not_judged": [],
         }
     ),
 }

@@ -7,7 +7,7 @@ import numpy as np
 from workers.mechanics.fem.equilibrium_check import equilibrium_fault
 from workers.mechanics.fem.level import Level, without_laws
 from workers.mechanics.fem.multigrid import LinearSolverFactory
-from workers.mechanics.fem.newton import MAX_ITERATIONS, Result, minimise
+from workers.mechanics.fem.newton import LOOSEST, MAX_ITERATIONS, Result, minimise
 from workers.mechanics.fem.states import Stage, State
 
 # Updates of friction and follower pressure before giving up.
@@ -28,11 +28,12 @@ def solve_level(
     factory: LinearSolverFactory,
     tolerance_mm: float,
     max_iterations: int = MAX_ITERATIONS,
+    forcing: float = LOOSEST,
 ) -> Result:
     """Find the equilibrium near `start`, forces without an energy brought up to date.
 
     Friction and follower pressure are held while the energy is minimised, then updated,
-    until an update moves no node by more than `tolerance_mm`.
+    until an update moves no node by more than `tolerance_mm`. For `forcing` see `minimise`.
     """
     if level.constants.laws and not np.isfinite(level.energy(start, stage).potential):
         # The law knows no inverted element; a neo-Hookean body finds a start without any.
@@ -40,9 +41,9 @@ def solve_level(
         found = minimise(relaxed, start.with_eigenvector(None), stage, factory, tolerance_mm)
         start = start.moved_to(found.state.x, found.state.travel_mm)
     if level.is_conservative(start):
-        return minimise(level, start, stage, factory, tolerance_mm, max_iterations)
+        return minimise(level, start, stage, factory, tolerance_mm, max_iterations, forcing)
     near = max(FIRST_TOLERANCE_MM, tolerance_mm)
-    result = minimise(level, start, stage, factory, near, max_iterations)
+    result = minimise(level, start, stage, factory, near, max_iterations, forcing)
     newton, cg = result.iterations, result.cg_iterations
     moved = np.inf
     for _ in range(MAX_UPDATES):
@@ -67,13 +68,14 @@ def solve_balanced(
     factory: LinearSolverFactory,
     tolerance_mm: float,
     max_iterations: int = MAX_ITERATIONS,
+    forcing: float = LOOSEST,
 ) -> Result:
     """Find the equilibrium near `start` on the finest mesh, its forces balanced.
 
     `solve_level` ends where steps are short. From a good start they are so at once in a slender
     or stiff body, whose forces need not be balanced then: it is solved on, more exactly.
     """
-    result = solve_level(level, start, stage, factory, tolerance_mm, max_iterations)
+    result = solve_level(level, start, stage, factory, tolerance_mm, max_iterations, forcing)
     for _ in range(MAX_TIGHTENINGS):
         if result.reason or not _fault(level, result.state, stage):
             break

@@ -17,7 +17,7 @@ from workers.mechanics.fem.load_schedule import (
 )
 from workers.mechanics.fem.model import Model
 from workers.mechanics.fem.multigrid import LinearSolver, solver_factory
-from workers.mechanics.fem.newton import Result
+from workers.mechanics.fem.newton import LOOSEST, TIGHTEST, Result
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.states import History, Stage, State
 
@@ -123,11 +123,13 @@ class LoadStepping:
             begun, there = level.begin_step(states[-1], stage), near.states[-1]
             x = level.with_prescribed(there.x, stage.fraction)
             start = bring_into_contact(level, begun.moved_to(x, there.travel_mm), stage)
+            forcing = LOOSEST
             if near.expected_mm is not None:
                 start = better_start(level, start, stage, near.expected_mm)
+                forcing = TIGHTEST
             start = level.update_history(start, stage)
             factory, limit = solver_factory(near.solvers[:-1]), MAX_ITERATIONS_FROM_NEIGHBOUR
-            result = solve_balanced(level, start, stage, factory, tolerance, limit)
+            result = solve_balanced(level, start, stage, factory, tolerance, limit, forcing)
             if result.reason or result.linear is None:
                 states = (*states[:-1], result.state)
                 break

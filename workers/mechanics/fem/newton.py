@@ -64,16 +64,17 @@ def minimise(
     factory: LinearSolverFactory,
     tolerance_mm: float,
     max_iterations: int = MAX_ITERATIONS,
+    forcing: float = LOOSEST,
 ) -> Result:
     """Find the equilibrium nearest to `start`.
 
     Friction and follower pressure are held. Converged when a full step moves no node by
-    more than `tolerance_mm`.
+    more than `tolerance_mm`. The first step is solved to a relative residual of `forcing`:
+    `TIGHTEST` from a start that may be so near that this step is the last.
     """
     state = start
     energy = level.energy(state, stage)
     cg_total, residual, last_residual = 0, np.inf, np.inf
-    forcing = LOOSEST
     linear: LinearSolver | None = None
     # `convex`: no descent otherwise, for good; `cautious`: for this step.
     convex = cautious = False

@@ -103,7 +103,7 @@ def test_tasks_and_store_say_what_one_process_says(
     expected = to_json(summarise(reached, effects, "small"))
     stored = to_json(diagnosed[1].summary)
     told = {k: v for k, v in stored.items() if k not in ("overlap", "cause_map")}
-    # Tangents are solved to a relative error of 1e-5, from other starts than here. Which columns a
+    # Tangents are solved to a relative error of 1e-4, from other starts than here. Which columns a
     # low rank keeps of the smooth field hangs on the last digits of the normals: a tenth of a nat.
     assert flat(told).keys() == flat(expected).keys()
     for key, value in flat(expected).items():

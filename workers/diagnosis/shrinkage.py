@@ -141,8 +141,9 @@ class Comparison:
         if len(every) < 2:
             raise InputError("To leave a state out, there must be two or more; found one.")
         pairs = [self._pair(states != one, states == one) for one in every]
-        judged = [pair for pair in pairs if self._holds(pair)]
-        each = [self._compared([pair]) if self._holds(pair) else None for pair in pairs]
+        held = [pair if self._holds(pair) else None for pair in pairs]
+        judged = [pair for pair in held if pair is not None]
+        each = [None if pair is None else self._compared([pair]) for pair in held]
         return self._compared(judged) if judged else None, each
 
     def _holds(self, pair: Pair) -> bool:

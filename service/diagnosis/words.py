@@ -127,7 +127,7 @@ def sentence(summary: Summary) -> str:
 
 
 def noise(summary: Summary) -> str:
-    """Say whether noise is stated too small or too large; nothing if it is not."""
+    """Say whether noise is stated too small or too large, or uneven; nothing if it is not."""
     said = []
     for one in summary.noise or ():
         ratio = one.learnt_mm / one.stated_mm if one.stated_mm > 0 else 1.0
@@ -136,6 +136,12 @@ def noise(summary: Summary) -> str:
             said.append(
                 f"The noise of the {one.interface} interface is stated too {wrong}: "
                 f"{one.stated_mm:.2f} mm, where its residuals show {one.learnt_mm:.2f} mm."
+            )
+        least, most = one.least_mm or one.learnt_mm, one.most_mm or one.learnt_mm
+        if most > SETTINGS.noise.uneven_ratio * least:
+            said.append(
+                f"The {one.interface} interface is drawn less exactly in one part of the body than "
+                f"in another: with {least:.2f} to {most:.2f} mm of noise."
             )
     return " ".join(said)
 

@@ -25,6 +25,7 @@ from workers.diagnosis.scan_prediction import (
     predict_scan,
 )
 from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.uneven_noise import with_uneven_noise
 from workers.diagnosis.unmatched_points import matched
 from workers.mechanics.fem.model import Model
 from workers.scan_threads import Each
@@ -192,8 +193,9 @@ def with_learnt_noise(
         learnt = believed(parts)
     else:
         amplitude, length = SETTINGS.noise.learning_field
+        places = np.tile(inverse.points.points, (len(inverse.scans), 1))
         field = smooth_columns(
-            np.tile(inverse.points.points, (len(inverse.scans), 1)),
+            places,
             np.concatenate([one.normals for one in predictions]),
             inverse.rows,
             np.full(parts.size, amplitude),
@@ -204,8 +206,9 @@ def with_learnt_noise(
         centre_mm = inverse.frame.centre_mm
         moved, normals = [v.points for v in predictions], [v.normals for v in predictions]
         poses = pose_columns(moved, normals, centre_mm, *inverse.pose_sd)
-        known = np.hstack([columns, poses])
-        found = learnt_states(parts, known, residuals(inverse, predictions), field)
+        known, residual = np.hstack([columns, poses]), residuals(inverse, predictions)
+        parts = with_uneven_noise(parts, places, np.hstack([known, field]), residual)
+        found = learnt_states(parts, known, residual, field)
         learnt = LearntNoise(parts, tuple(found))
     return replace(inverse, learnt=learnt, covariance=learnt.covariance)
 

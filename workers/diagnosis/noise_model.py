@@ -37,6 +37,10 @@ class NoiseParts:
         Nuisances.
     numerical : ndarray, shape (m, r)
         Numerical error, of the size that is believed.
+    uneven : ndarray, shape (m,), optional
+        By how much the segmentation errs more at each residual than in the middle of the body,
+        which `stated` contains; see `workers.diagnosis.uneven_noise`. None where that is not
+        learnt.
 
     Raises
     ------
@@ -49,6 +53,7 @@ class NoiseParts:
     groups: IntArray
     fixed: FloatArray
     numerical: FloatArray
+    uneven: FloatArray | None = None
 
     def __post_init__(self) -> None:
         m = len(self.groups)
@@ -64,6 +69,11 @@ class NoiseParts:
     def size(self) -> int:
         """Number of residuals m."""
         return len(self.groups)
+
+    @property
+    def factors(self) -> FloatArray:
+        """Deviation at each residual over that in the middle of the body, shape (m,)."""
+        return np.ones(self.size) if self.uneven is None else self.uneven
 
     def scatter(self, length: int, scales: FloatArray, numerical: float) -> FloatArray:
         """Return the covariance of segmentation and numerical error, shape (m, m)."""

@@ -39,6 +39,9 @@ class NoiseSettings:
     # 2 either way costs a nat and a half. And how far that of one interface lies from the others'.
     scale_log_sd: float = 0.405
     interface_log_sd: float = 0.2
+    # [prior] ln of how much larger the deviation is at either end of the body than in its middle,
+    # along each axis: a factor of 1.5 from end to end is one standard deviation.
+    uneven_sd: float = 0.2
     # [prior] Correlation lengths over the stated one, and the deviation of their logarithm.
     lengths: tuple[float, ...] = (0.7, 1.0, 1.4)
     length_log_sd: float = 0.34
@@ -63,6 +66,8 @@ class NoiseSettings:
     elsewhere: float = 1.0
     # [prior] Stated or measured noise that differs from what is learnt by this factor is said.
     misstated: float = 1.25
+    # [prior] So is noise that is this many times larger in one part of the body than in another.
+    uneven_ratio: float = 1.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,11 +74,14 @@ def _noise(inverse: InverseProblem) -> tuple[InterfaceNoise, ...] | None:
     """Return how exactly each interface is drawn; None where noise was measured."""
     if inverse.learnt is None or not inverse.is_segmented:
         return None
-    stated, scales = inverse.noise.sd_mm, inverse.learnt.states[0].scales
-    return tuple(
-        InterfaceNoise(one.name, stated, float(stated * scale))
-        for one, scale in zip(INTERFACES, scales, strict=False)
-    )
+    parts, stated = inverse.learnt.parts, inverse.noise.sd_mm
+    scales = inverse.learnt.states[0].scales
+    found = []
+    for number, (one, scale) in enumerate(zip(INTERFACES, scales, strict=False)):
+        sd_mm = stated * scale * parts.factors[parts.groups == number]
+        ends = float(sd_mm.min()), float(sd_mm.max())
+        found.append(InterfaceNoise(one.name, stated, float(stated * scale), *ends))
+    return tuple(found)
 
 
 def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:

@@ -88,11 +88,17 @@ class GapSummary:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceNoise:
-    """How exactly an interface is drawn, as stated and as its residuals show: deviations in mm."""
+    """How exactly an interface is drawn, as stated and as its residuals show: deviations in mm.
+
+    `learnt_mm` holds in the middle of the body, `least_mm` and `most_mm` where it is drawn best
+    and worst.
+    """
 
     interface: str
     stated_mm: float
     learnt_mm: float
+    least_mm: float | None = None
+    most_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from workers.diagnosis.inverse_problem import InverseProblem
 from workers.diagnosis.noise_model import LearntNoise, NoiseParts, NoiseState
 from workers.diagnosis.noise_parts import noise_lengths, stated_covariances
 from workers.diagnosis.pressed_points import with_pressed_points
+from workers.diagnosis.uneven_noise import with_factors
 
 
 def noise_arrays(inverse: InverseProblem) -> Arrays:
@@ -25,7 +26,10 @@ def noise_arrays(inverse: InverseProblem) -> Arrays:
         raise ValueError("the noise is learnt with the calibration")
     anchors = {"noise_anchors": np.stack(inverse.anchors)} if inverse.anchors else {}
     pressed = np.stack([inverse.followed(scan).pressed for scan in inverse.scans])
-    return anchors | {
+    uneven = {} if learnt.parts.uneven is None else {"noise_uneven": learnt.parts.uneven}
+    return {
+        **anchors,
+        **uneven,
         "noise_pressed": pressed,
         "noise_fixed": learnt.parts.fixed,
         "noise_numerical": learnt.parts.numerical,
@@ -47,6 +51,8 @@ def with_stored_noise(inverse: InverseProblem, arrays: Arrays) -> InverseProblem
         fixed=arrays["noise_fixed"],
         numerical=arrays["noise_numerical"],
     )
+    if "noise_uneven" in arrays:
+        parts = with_factors(parts, arrays["noise_uneven"])
     rows = zip(
         arrays["noise_state_lengths"].tolist(),
         arrays["noise_state_scales"],

@@ -93,6 +93,15 @@ def test_false_alarms_count_controls_and_hidden_effects() -> None:
     assert scored(nothing())["false_alarms"].met is True
 
 
+def test_false_alarms_are_sure_or_doubted() -> None:
+    doubted = nothing(answer="none-of-these", probabilities={"none-of-these": 0.6, "no-gap": 0.3})
+    sure = nothing(answer="none-of-these", probabilities={"none-of-these": 0.95, "no-gap": 0.03})
+    named = nothing(answer="effect", primary=("plate_tilt",), probabilities={"plate_tilt": 0.92})
+    found = scored(nothing(), doubted, sure, named)
+    assert value(found, "false_alarms") == (0.75, 4)
+    assert value(found, "sure_alarms") == (0.5, 4)
+
+
 def test_a_hidden_effect_that_leaves_a_gap_is_to_be_named() -> None:
     force = {"effects": ("plate_force",), "families": ("loading",)}
     controls = [nothing(true_before_mm=0.10)]

@@ -9,6 +9,7 @@ from storage.values import FloatArray
 from workers.diagnosis import gauss_newton
 from workers.diagnosis.inverse_problem import FreeConstant, Unknowns, unknowns
 from workers.diagnosis.scan_prediction import ScanJacobian
+from workers.diagnosis.secant_curvature import LocalModel
 from workers.diagnosis.settings import SETTINGS
 
 ONE = unknowns([FreeConstant("E_fat", np.exp(-1.0), np.exp(1.0))], [])
@@ -35,8 +36,10 @@ def fitted(
     monkeypatch.setattr(
         gauss_newton, "_jacobians", lambda i, u, z, *rest: [ScanJacobian(z, columns, moved)]
     )
+    flat = LocalModel(np.zeros((1, 1)), np.zeros(1), np.zeros(1), np.ones((1, 1)))
+    monkeypatch.setattr(gauss_newton, "_local_model", lambda *rest: flat)
     monkeypatch.setattr(
-        gauss_newton, "_step", lambda i, u, z, *rest: (np.array([step(float(z[0]))]), expected)
+        gauss_newton, "_step", lambda u, z, *rest: (np.array([step(float(z[0]))]), expected)
     )
     found = gauss_newton.fit(None, ONE, np.array([1.0]), [])  # type: ignore[arg-type]
     assert found is not None

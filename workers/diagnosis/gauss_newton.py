@@ -17,6 +17,7 @@ from workers.diagnosis.scan_prediction import (
     derivatives,
     predict_scan,
 )
+from workers.diagnosis.secant_curvature import LocalModel, SecantCurvature
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.fem.solve import Equilibrium
 from workers.scan_threads import Each
@@ -163,33 +164,46 @@ def fit(
     jacobians: list[ScanJacobian] | None = None
     placed = any(effect.place is not None for effect in unknowns.effects)
     tolerance = SETTINGS.fit.place_tolerance if placed else SETTINGS.fit.tolerance
-    length = 1.0
+    length, secant, stalls = 1.0, SecantCurvature.unknown(len(z)), 0
     for iteration in range(1, max_iterations + 1):
         jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
+        fresh = all(jacobian.fresh for jacobian in jacobians)
         J = np.vstack([jacobian.columns for jacobian in jacobians])
-        step, expected = _step(inverse, unknowns, z, predictions, J)
+        model = _local_model(inverse, unknowns, z, predictions, J)
+        secant = secant.renewed(model) if fresh else secant.forgotten()
+        step, expected = _step(unknowns, z, model.gradient, secant.curvature(model))
         if expected < tolerance:
             return SolvedFit(unknowns, z, predictions, J, cost, True, iteration)
         descent = _Descent(z, predictions, cost, length)
         found = _descend(inverse, unknowns, descent, step, jacobians, each)
-        if found is None and not all(jacobian.fresh for jacobian in jacobians):
+        if found is None and not fresh:
             jacobians = None  # columns taken over from elsewhere may point uphill
             continue
         at_rest = expected < SETTINGS.fit.at_rest
-        if found is None:
-            return SolvedFit(unknowns, z, predictions, J, cost, at_rest, iteration)
-        fall = cost - found.cost
+        fall = 0.0 if found is None else cost - found.cost
         settled = fall < tolerance
-        z, predictions, cost = found.z, found.predictions, found.cost
-        further = fall > SETTINGS.fit.underrated * expected
-        length = (
-            SETTINGS.fit.further if further else min(1.0, found.length / SETTINGS.fit.shortening)
-        )
-        if settled:
+        if found is not None:
+            was_used = secant.is_used
+            secant = secant.stepped(model, (found.z - z) / unknowns.sd, fall)
+            z, predictions, cost = found.z, found.predictions, found.cost
+            same = secant.is_used == was_used
+            length = _next_length(found.length, fall, expected) if same else 1.0
+        stalls = stalls + 1 if settled else 0
+        stuck = not secant.is_known or (found is None and secant.is_used)
+        if settled and (at_rest or stuck or stalls > SETTINGS.fit.stalls):
             break
+        if settled and not secant.is_used:
+            secant, length = secant.used(), 1.0
     jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
     J = np.vstack([jacobian.columns for jacobian in jacobians])
     return SolvedFit(unknowns, z, predictions, J, cost, settled and at_rest, iteration)
+
+
+def _next_length(length: float, fall: float, expected: float) -> float:
+    """Return with which part of the next step to begin, after one that made the cost fall."""
+    if fall > SETTINGS.fit.underrated * expected:
+        return SETTINGS.fit.further
+    return min(1.0, length / SETTINGS.fit.shortening)
 
 
 def _predict_scans(
@@ -237,34 +251,39 @@ def _cost(
     return float(white @ noise.cleared(white) + (((z - u.mean) / u.sd) ** 2).sum())
 
 
-def _step(
+def _local_model(
     inverse: InverseProblem,
     u: Unknowns,
     z: FloatArray,
     predictions: Sequence[PredictedScan],
     J: FloatArray,
-) -> tuple[FloatArray, float]:
-    """Return the Gauss-Newton step, and by how much the cost should fall.
-
-    Parameters at a bound that push outwards stay there.
-    """
+) -> LocalModel:
     noise = PosedNoise(inverse, predictions)
     A = noise.whiten(J) * u.sd
     rho = noise.cleared(noise.whiten(residuals(inverse, predictions)))
     curvature = A.T @ noise.cleared(A) + np.eye(len(z))
+    return LocalModel(A, rho, A.T @ rho + (z - u.mean) / u.sd, curvature)
+
+
+def _step(
+    u: Unknowns, z: FloatArray, gradient: FloatArray, curvature: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return the step to where the cost should be least, and by how much it should fall.
+
+    Parameters at a bound that push outwards stay there.
+    """
     held = np.zeros(len(z), bool)
     while True:
-        g = A.T @ rho + (z - u.mean) / u.sd
         go = np.flatnonzero(~held)
         step = np.zeros(len(z))
-        step[go] = -np.linalg.solve(curvature[np.ix_(go, go)], g[go])
+        step[go] = -np.linalg.solve(curvature[np.ix_(go, go)], gradient[go])
         blocked = ((z <= u.lower) & (step < 0)) | ((z >= u.upper) & (step > 0))
         if not (blocked & ~held).any():
             break
         held |= blocked
     longest = float(np.abs(step).max(initial=0.0))
     length = min(1.0, SETTINGS.fit.longest_step / longest if longest else 1.0)
-    return np.asarray(step * u.sd * length), float(-g @ step)
+    return np.asarray(step * u.sd * length), float(-gradient @ step)
 
 
 def _starts(

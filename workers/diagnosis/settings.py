@@ -86,6 +86,9 @@ class FitSettings:
     # [principle] Where no step falls, or one by less than that, the fit has converged if less than
     # this fall was expected: half a nat.
     at_rest: float = 1.0
+    # [cost] How often in a row a step may fall by less, where more was expected, before a fit ends
+    # without having converged.
+    stalls: int = 2
     # [numerics] Longest step of a parameter in prior standard deviations.
     longest_step: float = 1.5
     # [numerics] Relative error of tangents: of a tilt and a lump 1e-5 changes evidence by less

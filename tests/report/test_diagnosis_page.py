@@ -74,6 +74,23 @@ def test_a_pattern_without_size_is_not_called_a_gap_of_zero() -> None:
     assert said.endswith("leaves nothing that stands out of the noise (at most 0.15 mm).")
 
 
+def test_noise_that_is_stated_wrongly_or_uneven_is_said() -> None:
+    def said(stated: float, learnt: float, least: float, most: float) -> str:
+        noise = {"interface": "outline", "stated_mm": stated, "learnt_mm": learnt}
+        ends = {"least_mm": least, "most_mm": most}
+        return sentence_of(summary(noise=[noise | ends])).removeprefix(sentence_of(summary()))
+
+    assert said(0.3, 0.35, 0.30, 0.40) == ""
+    assert said(0.2, 0.3, 0.28, 0.32) == (
+        " The noise of the outline interface is stated too small: 0.20 mm, where its residuals "
+        "show 0.30 mm."
+    )
+    assert said(0.3, 0.3, 0.22, 0.41) == (
+        " The outline interface is drawn less exactly in one part of the body than in another: "
+        "with 0.22 to 0.41 mm of noise."
+    )
+
+
 def test_two_effects_at_once_are_both_named() -> None:
     both = sentence_of(summary(primary=["plate_tilt", "plate_flex"]))
     assert "The cause is plate tilt (5.48 ± 0.27 deg, probability > 99 %) and plate flex (" in both

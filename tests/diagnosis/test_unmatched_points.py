@@ -24,8 +24,11 @@ BESIDE_MM = 8.0
 PIECE = [40, 41, 222]  # points of tissue that the second scan does not show
 
 
-def columns():
-    return smooth_columns(*layout(K), np.full(2 * K, 3.2), 20.0, 0.8, 0.1)
+NOTHING = np.zeros((2 * K, 0))
+
+
+def smooth():
+    return smooth_columns(*layout(K), np.full(2 * K, 0.8), 20.0, 0.8, 0.1)
 
 
 def scanned(seed, noise=1.0, gap_mm=0.0):
@@ -39,9 +42,9 @@ def scanned(seed, noise=1.0, gap_mm=0.0):
 def test_only_missing_pieces_are_left_out(noise):
     for seed in range(3):
         residual = scanned(seed, noise)
-        assert matched(POINTS, STATED, columns(), residual, BESIDE_MM).all()
+        assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
         residual[[K + p for p in PIECE]] += [8.0, -6.0, 12.0]
-        shown = matched(POINTS, STATED, columns(), residual, BESIDE_MM)
+        shown = matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM)
         np.testing.assert_array_equal(np.flatnonzero(~shown), PIECE)
 
 
@@ -49,9 +52,9 @@ def test_a_gap_of_millimetres_is_not_taken_for_them():
     for gap_mm in (0.5, 2.0, 4.0):
         residual = scanned(5, gap_mm=gap_mm)
         assert np.abs(residual).max() > 2.4 * gap_mm
-        assert matched(POINTS, STATED, columns(), residual, BESIDE_MM).all()
+        assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
         residual[PIECE[0]] += 8.0
-        shown = matched(POINTS, STATED, columns(), residual, BESIDE_MM)
+        shown = matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM)
         np.testing.assert_array_equal(np.flatnonzero(~shown), PIECE[:1])
 
 
@@ -63,7 +66,7 @@ def test_what_lies_beside_them_is_left_out_too():
     residual = scanned(1)
     residual[PIECE[0]] += 9.0
     residual[beside] = 1.6  # half off, as at the rim of a piece
-    shown = matched(POINTS, STATED, columns(), residual, BESIDE_MM)
+    shown = matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM)
     assert set(np.flatnonzero(~shown)) == {PIECE[0], *beside.tolist()}
 
 
@@ -80,18 +83,18 @@ def test_neighbours_that_are_off_together_in_all_scans_are_left_out():
         residual = scanned(seed)
         for scan in (0, 1):
             residual[scan * K + two] = -4.0 * deviation_mm
-        shown = matched(POINTS, STATED, columns(), residual, BESIDE_MM)
+        shown = matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM)
         np.testing.assert_array_equal(np.flatnonzero(~shown), np.sort(two))
         residual[K + two] = deviation_mm
         residual[two] = -3.0 * deviation_mm
-        assert matched(POINTS, STATED, columns(), residual, BESIDE_MM).all()
+        assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
 
 
 def test_where_much_is_far_off_that_is_no_error_of_drawing():
     residual = scanned(2)
     many = np.random.default_rng(1).choice(K, K // 8, replace=False)
     residual[many] += 8.0
-    assert matched(POINTS, STATED, columns(), residual, BESIDE_MM).all()
+    assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
 
 
 def test_a_piece_that_is_missing_whole_is_left_out_whole():
@@ -103,7 +106,28 @@ def test_a_piece_that_is_missing_whole_is_left_out_whole():
     points = replace(POINTS, part=part)
     for seed, gap_mm in ((1, 0.0), (2, 2.0)):
         residual = scanned(seed, gap_mm=gap_mm)
-        assert matched(points, STATED, columns(), residual, BESIDE_MM).all()
+        assert matched(points, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
         residual[K + piece] += 15.0
-        shown = matched(points, STATED, columns(), residual, BESIDE_MM)
+        shown = matched(points, STATED, NOTHING, smooth(), residual, BESIDE_MM)
         np.testing.assert_array_equal(np.flatnonzero(~shown), np.sort(piece))
+
+
+def test_a_few_points_where_no_others_are_near_are_left_out_too():
+    """Two neighbours within a hole of 16 mm around them: a free displacement follows them."""
+    points, _ = ellipsoid(K)
+    away = np.linalg.norm(points - points[PIECE[0]], axis=1)
+    two = np.argsort(away)[:2]
+    kept = np.flatnonzero((away > 16.0) | np.isin(np.arange(K), two))
+    rows = np.concatenate([kept, K + kept])
+    some, field = POINTS.of(kept), smooth()[rows]
+    stated, nothing = STATED[np.ix_(rows, rows)], NOTHING[rows]
+    lone = np.flatnonzero(np.isin(kept, two))
+    for seed in range(3):
+        residual = scanned(seed)[rows]
+        assert matched(some, stated, nothing, field, residual, BESIDE_MM).all()
+        both = np.concatenate([lone, len(kept) + lone])
+        residual[both] -= 4.5
+        shown = matched(some, stated, nothing, field, residual, BESIDE_MM)
+        np.testing.assert_array_equal(np.flatnonzero(~shown), lone)
+    bent = scanned(3, gap_mm=3.0)[rows]
+    assert matched(some, stated, nothing, field, bent, BESIDE_MM).all()

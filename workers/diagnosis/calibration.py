@@ -95,16 +95,16 @@ def _matched(inverse: InverseProblem, at: SolvedFit) -> BoolArray:
         np.tile(inverse.points.points, (len(inverse.scans), 1)),
         np.concatenate(normals),
         inverse.rows,
-        np.full(len(inverse.rows), SETTINGS.unmatched.freer * max(field.amplitudes_mm)),
+        np.full(len(inverse.rows), max(field.amplitudes_mm)),
         field.middle_length_mm,
         field.state_correlation.between(inverse.directions),
         SETTINGS.smooth_field.rank_tolerance,
     )
     poses = pose_columns(moved, normals, centre_mm, *inverse.pose_sd)
-    columns = np.hstack([at.jacobian * at.unknowns.sd, poses, smooth])
+    columns = np.hstack([at.jacobian * at.unknowns.sd, poses])
     beside_mm = SETTINGS.unmatched.beside_lengths * field.middle_length_mm
     left = residuals(inverse, at.predictions)
-    return matched(inverse.points, inverse.covariance, columns, left, beside_mm)
+    return matched(inverse.points, inverse.covariance, columns, smooth, left, beside_mm)
 
 
 def _pressed(inverse: InverseProblem, predictions: Sequence[PredictedScan]) -> list[FloatArray]:

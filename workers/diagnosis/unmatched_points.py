@@ -8,12 +8,17 @@ Robust Statistics, 1981). What lies far off such a fit has no counterpart. Nor h
 interface, and neighbours, that lie far off what all other points say of their place: a piece that
 only the scan at rest has is off in every other one, each time by what a single point might be. One
 such point of 12 mm among a thousand speaks against every cause in the catalogue with certainty.
+
+A displacement that is all but free follows a few points where no others are near. So groups of few
+that lie far off what constants and poses explain are judged once more by all others, under a
+displacement of common size.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.special import gammaincc, log_ndtr
 
@@ -31,6 +36,7 @@ def matched(
     points: InterfacePoints,
     covariance: FloatArray,
     columns: FloatArray,
+    smooth: FloatArray,
     residual: FloatArray,
     beside_mm: float,
 ) -> BoolArray:
@@ -43,7 +49,9 @@ def matched(
     covariance : ndarray, shape (s k, s k)
         Of the noise, as it is stated, in mm^2.
     columns : ndarray, shape (s k, q)
-        What may move the residuals, per prior standard deviation.
+        What constants and poses do to the residuals, per prior standard deviation.
+    smooth : ndarray, shape (s k, r)
+        The same of a displacement that nobody listed, of common size.
     residual : ndarray, shape (s k,)
         In mm.
     beside_mm : float
@@ -52,8 +60,8 @@ def matched(
     settings = SETTINGS.unmatched
     scans = len(residual) // len(points)
     interface = np.tile(points.interface, scans)
-    fit = _Fit(columns, residual, covariance, interface, np.ones(len(residual)), residual)
-    fit = fit.reweighted(_huber)
+    plain = _Fit(columns, residual, covariance, interface, np.ones(len(residual)), residual)
+    fit = replace(plain, columns=np.hstack([columns, settings.freer * smooth])).reweighted(_huber)
     alone = np.zeros((scans, len(points)), np.bool_)
     for piece in _small_pieces(points):
         alone[:, piece] = fit.judged_by_others(piece, scans).is_far
@@ -67,7 +75,33 @@ def matched(
         for one in np.flatnonzero(outliers).tolist():
             alone[scan, around[one]] |= far[scan, around[one]] > settings.beside
     shown = np.asarray(~alone.any(axis=0))
+    plain = plain.of(shown)
+    groups = _far_groups(points, plain, shown, beside_mm)
+    if groups:
+        usual = _as_large_as_seen(smooth, plain.away - fit.away) * smooth
+        common = replace(plain, columns=np.hstack([columns, usual])).of(shown)
+        for group in groups:
+            shown[group] &= not common.judged_by_others(group, scans).is_improbable
     return shown if shown.mean() > 1 - settings.most else np.ones_like(shown)
+
+
+def _far_groups(
+    points: InterfacePoints, plain: "_Fit", shown: BoolArray, beside_mm: float
+) -> list[IntArray]:
+    """Return groups of few neighbours that lie far off what constants and poses explain."""
+    far = (np.abs(plain.away) / plain.scale).reshape(-1, len(points)).max(axis=0)
+    which = np.flatnonzero(shown & (far > SETTINGS.unmatched.far)).astype(np.int32)
+    tree = KDTree(points.points[which].reshape(-1, 3))
+    near = tree.sparse_distance_matrix(tree, beside_mm)
+    count, label = connected_components(near, directed=False)
+    groups = [which[label == number] for number in range(count)]
+    return [group for group in groups if len(group) <= SETTINGS.unmatched.small_piece]
+
+
+def _as_large_as_seen(smooth: FloatArray, displacement: FloatArray) -> float:
+    """Return how much larger than common a displacement is, (s k,); at least one."""
+    common = float(np.sqrt((smooth**2).sum(axis=1).mean()))
+    return max(1.0, float(np.sqrt((displacement**2).mean())) / common)
 
 
 def _improbable_together(fit: "_Fit", far: FloatArray, around: Sequence[IntArray]) -> BoolArray:
@@ -153,6 +187,12 @@ class _Fit:
             away = self.residual - self.columns @ found
             at, before = replace(at, away=away, weights=weights), scale
         return at
+
+    def of(self, shown: BoolArray) -> "_Fit":
+        """Return the fit to some of the points alone, shape (k,)."""
+        use = np.tile(shown, len(self.residual) // len(shown)).astype(np.float64)
+        fit = replace(self, use=use).reweighted(_huber)
+        return fit.reweighted(_biweight)
 
     def judged_by_others(self, piece: IntArray, scans: int) -> _Judged:
         """Return what some points leave of the fit of all others, in all scans."""

@@ -130,7 +130,7 @@ def _alarms(records: Records) -> Iterable[Metric]:
         "false_alarms", "False alarms on controls and hidden effects", alarms, _at_most(0.05)
     )
     sure = share([r.named or r.probabilities.get(NONE_OF_THESE, 0.0) >= SURE for r in silent])
-    yield _metric("sure_alarms", f"Of these with {100 * SURE:.0f} % and more", sure)
+    yield _metric("sure_alarms", f"False alarms with {100 * SURE:.0f} % and more", sure)
     named = [r for r in records if r.named]
     acts = share([r.right_first for r in named])
     yield _metric("named_right", "An effect that is named acts", acts, _at_least(0.95))

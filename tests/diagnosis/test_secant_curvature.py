@@ -7,7 +7,8 @@ from scipy.optimize import minimize
 from workers.diagnosis import gauss_newton
 from workers.diagnosis.inverse_problem import FreeConstant, unknowns
 from workers.diagnosis.scan_prediction import ScanJacobian
-from workers.diagnosis.secant_curvature import LEAST_CURVATURE, LocalModel, SecantCurvature
+from workers.diagnosis.secant_curvature import LocalModel, SecantCurvature
+from workers.diagnosis.settings import SETTINGS
 
 P = 4
 FREE = unknowns([FreeConstant(f"E_{i}", np.exp(-1.0), np.exp(1.0)) for i in range(P)], [])
@@ -105,7 +106,9 @@ def test_it_is_used_where_it_would_have_told_the_last_step_better():
 def test_the_curvature_stays_positive():
     model = Bent(9).model(np.zeros(P))
     saddle = SecantCurvature(-100.0 * np.eye(P), is_used=True)
-    assert np.linalg.eigvalsh(saddle.curvature(model))[0] == pytest.approx(LEAST_CURVATURE)
+    assert np.linalg.eigvalsh(saddle.curvature(model))[0] == pytest.approx(
+        SETTINGS.fit.least_curvature
+    )
     assert np.array_equal(SecantCurvature(saddle.missing).curvature(model), model.curvature)
 
 

@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from linear_world import NOISE_MM, ellipsoid, layout, mode
 
-from tests.diagnosis.linear_world import NOISE_MM, ellipsoid, layout, mode
 from workers.diagnosis.noise_model import NoiseParts
 from workers.diagnosis.nuisances import smooth_columns
 from workers.diagnosis.settings import SETTINGS

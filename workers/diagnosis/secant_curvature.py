@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from storage.values import FloatArray
+from workers.diagnosis.settings import SETTINGS
 
-# The prior alone has a curvature of one; a step in a direction that has none is not to be trusted.
-LEAST_CURVATURE = 0.5
 SMALLEST = 1e-12
 
 
@@ -112,5 +111,5 @@ class SecantCurvature:
         if not self.is_used:
             return model.curvature
         bent = model.curvature + self.missing
-        lacks = LEAST_CURVATURE - float(np.linalg.eigvalsh(bent)[0])
+        lacks = SETTINGS.fit.least_curvature - float(np.linalg.eigvalsh(bent)[0])
         return bent + max(lacks, 0.0) * np.eye(len(bent))

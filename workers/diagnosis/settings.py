@@ -89,6 +89,9 @@ class FitSettings:
     # [cost] How often in a row a step may fall by less, where more was expected, before a fit ends
     # without having converged.
     stalls: int = 2
+    # [principle] The prior alone has a curvature of one: a step along a direction with less, as the
+    # steps before seem to show, is not to be trusted.
+    least_curvature: float = 0.5
     # [numerics] Longest step of a parameter in prior standard deviations.
     longest_step: float = 1.5
     # [numerics] Relative error of tangents: of a tilt and a lump 1e-5 changes evidence by less

@@ -69,7 +69,10 @@ def diagnose(
     from service.fork_server import forked_workers
 
     scheduler, processes = cluster_options(scheduler, workers)
-    with forked_workers(scheduler, "service.diagnosis.worker_imports"):  # while we import, too
+    with (
+        stop_requests() as requests,  # from the first line that is printed on
+        forked_workers(scheduler, "service.diagnosis.worker_imports"),  # while we import, too
+    ):
         from service.diagnosis.run import finished, request_for
         from storage.errors import InputError
         from workers.tasks.sources import is_plannable, open_source
@@ -85,10 +88,9 @@ def diagnose(
         request = request_for(opened, store_place(store), nodes)
         began, when = time.monotonic(), datetime.now(UTC).isoformat()
         stored = finished(request) is not None
-        with stop_requests() as requests:
-            diagnosis = _diagnosed(request, source, processes, scheduler, requests)
-            if diagnosis is not None and _to_be_planned(diagnosis.summary, source, plan):
-                diagnosis = _with_plan(diagnosis, source, request, processes, scheduler, requests)
+        diagnosis = _diagnosed(request, source, processes, scheduler, requests)
+        if diagnosis is not None and _to_be_planned(diagnosis.summary, source, plan):
+            diagnosis = _with_plan(diagnosis, source, request, processes, scheduler, requests)
     if diagnosis is None:
         raise interrupted()
     from service.report.diagnosis_files import write_diagnosis

@@ -48,14 +48,16 @@ def plan(
     from service.fork_server import forked_workers
 
     scheduler, processes = cluster_options(scheduler, workers)
-    with forked_workers(scheduler, "workers.tasks.planning"):  # while we import, too
+    with (
+        stop_requests() as requests,  # from the first line that is printed on
+        forked_workers(scheduler, "workers.tasks.planning"),  # while we import, too
+    ):
         from service.diagnosis.planning import request_plan
         from storage.typed_json import to_json
 
         print_understood(source)
         request = request_plan(source, store_place(store), nodes)
-        with stop_requests() as requests:
-            summary = planned(request, processes, scheduler, requests)
+        summary = planned(request, processes, scheduler, requests)
     if summary is None:
         raise interrupted()
     page = _write(summary, out or RUNS / folder_name(source) / "plan.html")

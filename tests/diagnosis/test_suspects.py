@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workers.diagnosis.diagnosis import Diagnosis, advance, diagnose
+from workers.diagnosis.diagnosis import Diagnosis, advance, diagnose, rests_on
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.screening import ScreeningResult
@@ -81,7 +81,9 @@ def test_no_effect_is_accused_that_was_not_fitted(monkeypatch, simulated: bool) 
 
     def weighed_up(analysis, known, joint_fits):
         fitted_at_weighing.append(set(joint_fits))
-        return SimpleNamespace(primary=("rigid_motion",)), ()
+        return SimpleNamespace(
+            primary=("rigid_motion",), hidden=(), hypotheses={(("rigid_motion",), False): 0.9}
+        ), ()
 
     analysis: Any = SimpleNamespace(screening=[], sensitivities=[])
     monkeypatch.setattr("workers.diagnosis.diagnosis._weighed_up", weighed_up)
@@ -93,6 +95,21 @@ def test_no_effect_is_accused_that_was_not_fitted(monkeypatch, simulated: bool) 
     assert isinstance(reached, Diagnosis)
     assert fitted_at_weighing == [set(), {("rigid_motion",)} if simulated else set()]
     assert set(reached.joint_fits) == fitted_at_weighing[1]
+
+
+def test_what_hides_is_fitted_where_something_speaks_for_it():
+    """Alone, and beside the likeliest effect that does not hide; creep is too improbable for it."""
+    reached: Any = SimpleNamespace(
+        primary=("growth",),
+        hidden=("plate_force", "creep"),
+        probabilities={"plate_force": 0.4, "creep": 0.05, "growth": 0.5},
+        hypotheses={(("plate_tilt",), False): 0.01, (("growth",), False): 0.5},
+    )
+    pair = ("plate_tilt", "growth")
+    wanted = rests_on(reached, [("plate_tilt",), ("growth",), pair])
+    assert wanted == [("plate_force",), ("growth", "plate_force")]
+    assert rests_on(reached, [("plate_tilt",), pair, *wanted]) == [("plate_tilt", "plate_force")]
+    assert rests_on(reached, []) == [("growth",), ("plate_force",)]
 
 
 class Left:

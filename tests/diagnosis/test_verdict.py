@@ -188,6 +188,15 @@ def test_what_hides_is_neither_accused_nor_acquitted():
     )
 
 
+def test_an_effect_beside_one_that_hides_is_accused():
+    """What hides explains more than the effect does, and both together more than either."""
+    alone = Hypothesis(("a",), -94.0), Hypothesis(("d",), -89.0)
+    assert weigh(*alone, hiding={"d"}).kind == "no-gap"
+    found = weigh(*alone, Hypothesis(("a", "d"), -80.0), hiding={"d"})
+    assert (found.kind, found.primary, found.hidden) == ("effect", ("a",), ("d",))
+    assert min(found.probabilities["a"], found.probabilities["d"]) > 0.99
+
+
 def test_wrong_input_is_named():
     with pytest.raises(InputError, match=r"no family of \['e'\]"):
         weigh(Hypothesis(("e",), -80.0))

@@ -7,15 +7,17 @@
                            v            |
                        second reading of the noise, where the best one is far from the first
 
-No effect is accused that was not fitted: if the verdict names one, it is fitted and all are weighed
-again. Screening may miss a motion that all scans share, which poses take up one by one.
+The verdict rests on fits: an effect that it names is fitted and all are weighed again, for
+screening may miss a motion that all scans share, which poses take up one by one. So is one that
+hides in the constants and yet has something that speaks for it, alone and beside the best that does
+not hide: it would otherwise stand for what another effect leaves.
 
 `diagnose` is a generator: it yields the joint fits that it wants and is sent them, or a second
 reading and is sent the analysis that it gives. Who fits, where, and whether a fit is stored already
 is no business of this file.
 """
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Collection, Generator, Sequence
 from dataclasses import dataclass
 
 from workers.diagnosis.form_error import acting_or_alike
@@ -93,10 +95,10 @@ def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
     joint_fits |= yield from _fitted(pairs(analysis, known, list(joint_fits.values())))
     joint_fits |= yield from _fitted(triples(analysis, known, list(joint_fits.values())))
     reached, hypotheses = _weighed_up(analysis, known, joint_fits)
-    tried: set[str] = set()
-    while unfitted := _unfitted(reached.primary, joint_fits) - tried:
-        tried |= unfitted
-        joint_fits |= yield from _fitted([(known[name],) for name in sorted(unfitted)])
+    tried: set[tuple[str, ...]] = set()
+    while missing := [names for names in rests_on(reached, joint_fits) if names not in tried]:
+        tried |= set(missing)
+        joint_fits |= yield from _fitted([tuple(known[n] for n in names) for names in missing])
         reached, hypotheses = _weighed_up(analysis, known, joint_fits)
     return Diagnosis(analysis, reached, joint_fits, hypotheses)
 
@@ -113,9 +115,16 @@ def _weighed_up(
     return verdict(hypotheses, families, analysis.hidden, odds), hypotheses
 
 
-def _unfitted(accused: Iterable[str], joint_fits: Iterable[tuple[str, ...]]) -> set[str]:
-    """Return accused effects that were never fitted: nobody asked how far their form may err."""
-    return set(accused) - {name for names in joint_fits for name in names}
+def rests_on(reached: Verdict, joint_fits: Collection[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Return the effects, by name, that a verdict rests on and that were not fitted."""
+    fitted = {name for names in joint_fits for name in names}
+    found: list[tuple[str, ...]] = [(name,) for name in sorted(set(reached.primary) - fitted)]
+    doubt = 1.0 - SETTINGS.verdict.credible
+    likely = [name for name in reached.hidden if reached.probabilities[name] > doubt]
+    alone = [names for names in joint_fits if len(names) == 1 and names[0] not in reached.hidden]
+    best = sorted(alone, key=lambda names: -reached.hypotheses[names, False])[:1]
+    found += [(*names, hidden) for hidden in likely for names in [(), *best]]
+    return [names for names in found if names not in joint_fits]
 
 
 def advance(course: Course, answer: Answer | None = None) -> Wanted | Diagnosis:

@@ -168,10 +168,11 @@ def _with_hidden(hypotheses: Sequence[Hypothesis], hidden: Sequence[str]) -> lis
     """Return hypotheses of which effects that hide have at least the evidence of what hides them.
 
     The constants take such an effect up, so a fit with it is as good as one without. The little
-    that they leave of it may speak for it, but not loudly enough to accuse it.
+    that they leave of it may speak for it, but not loudly enough to accuse it. Beside others it
+    has what its fit says.
     """
     nothing = next(h for h in hypotheses if not h.effects)
-    kept = [h for h in hypotheses if not set(h.effects) & set(hidden)]
+    kept = [h for h in hypotheses if len(h.effects) != 1 or h.effects[0] not in hidden]
     own = {h.effects[0]: h.log_evidence for h in hypotheses if len(h.effects) == 1}
     least = nothing.log_evidence
     return kept + [Hypothesis((name,), max(own.get(name, least), least)) for name in hidden]

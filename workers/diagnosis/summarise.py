@@ -146,7 +146,7 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
         {names: one.fit for names, one in diagnosis.joint_fits.items()},
         diagnosis.verdict.hypotheses,
         None if best is None else best.fit,
-        _meshed_mm(inverse),
+        SETTINGS.gap.undrawn * _meshed_mm(inverse),
     )
     noise_mm, floor_mm = gap(registered).noise_mm, _floor_mm(inverse, analysis.linear)
     before = _drawn_gap(drawn.before_mm, noise_mm, len(drawn.before))
@@ -235,15 +235,15 @@ def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
     The noise that was fitted; what the mesh leaves, as large as what a finer one has taken
     off; that the body is meshed as it was segmented; and some more, which nobody can count.
     """
-    fitted = SETTINGS.gap.floor_factor * LinearFit(nominal).floor_mm
-    return float(np.hypot(fitted, _meshed_mm(inverse)))
+    whole = np.hypot(LinearFit(nominal).floor_mm, _meshed_mm(inverse))
+    return SETTINGS.gap.floor_factor * float(whole)
 
 
 def _meshed_mm(inverse: InverseProblem) -> float:
-    """Return what every model misses: the mesh, the body as it was segmented, and some more."""
+    """Return what every model misses that can be counted: mesh, and body as it was segmented."""
     mesh = np.sqrt((inverse.bias**2).mean())
     drawn = SETTINGS.gap.drawn_noises * inverse.noise.reference_sd_mm
-    return SETTINGS.gap.floor_factor * float(np.hypot(mesh, drawn))
+    return float(np.hypot(mesh, drawn))
 
 
 def _where(inverse: InverseProblem, fit: LinearFit) -> Iterator[RegionGap]:

@@ -58,31 +58,43 @@ def matched(
         How far around a point that is far off others may be off for the same reason.
     """
     settings = SETTINGS.unmatched
-    scans = len(residual) // len(points)
-    interface = np.tile(points.interface, scans)
+    interface = np.tile(points.interface, len(residual) // len(points))
     plain = _Fit(columns, residual, covariance, interface, np.ones(len(residual)), residual)
-    fit = replace(plain, columns=np.hstack([columns, settings.freer * smooth])).reweighted(_huber)
-    alone = np.zeros((scans, len(points)), np.bool_)
-    for piece in _small_pieces(points):
-        alone[:, piece] = fit.judged_by_others(piece, scans).is_far
-    fit = replace(fit, use=np.where(alone.ravel(), 0.0, 1.0)).reweighted(_biweight)
-    far = (np.abs(fit.away) / fit.scale).reshape(scans, -1)
-    alone |= far > settings.far
-    tree = KDTree(points.points)
-    around = [np.array(near, np.int32) for near in tree.query_ball_point(points.points, beside_mm)]
-    alone |= _improbable_together(fit, far, around)
-    for scan, outliers in enumerate(alone):
-        for one in np.flatnonzero(outliers).tolist():
-            alone[scan, around[one]] |= far[scan, around[one]] > settings.beside
-    shown = np.asarray(~alone.any(axis=0))
+    free = replace(plain, columns=np.hstack([columns, settings.freer * smooth]))
+    free, off = _off_all_others(points, free.reweighted(_huber), beside_mm)
+    shown = np.asarray(~off.any(axis=0))
     plain = plain.of(shown)
     groups = _far_groups(points, plain, shown, beside_mm)
     if groups:
-        usual = _as_large_as_seen(smooth, plain.away - fit.away) * smooth
+        usual = _as_large_as_seen(smooth, plain.away - free.away) * smooth
         common = replace(plain, columns=np.hstack([columns, usual])).of(shown)
         for group in groups:
-            shown[group] &= not common.judged_by_others(group, scans).is_improbable
+            shown[group] &= not common.judged_by_others(group, len(off)).is_improbable
     return shown if shown.mean() > 1 - settings.most else np.ones_like(shown)
+
+
+def _off_all_others(
+    points: InterfacePoints, fit: "_Fit", beside_mm: float
+) -> tuple["_Fit", BoolArray]:
+    """Return a fit without what lies far off it, and which points do in each scan, (s, k).
+
+    Small pieces as a whole; then single points, neighbours that are improbable together, and what
+    is beside either.
+    """
+    settings, scans = SETTINGS.unmatched, len(fit.residual) // len(points)
+    off = np.zeros((scans, len(points)), np.bool_)
+    for piece in _small_pieces(points):
+        off[:, piece] = fit.judged_by_others(piece, scans).is_far
+    fit = replace(fit, use=np.where(off.ravel(), 0.0, 1.0)).reweighted(_biweight)
+    far = (np.abs(fit.away) / fit.scale).reshape(scans, -1)
+    off |= far > settings.far
+    tree = KDTree(points.points)
+    around = [np.array(near, np.int32) for near in tree.query_ball_point(points.points, beside_mm)]
+    off |= _improbable_together(fit, far, around)
+    for scan, outliers in enumerate(off):
+        for one in np.flatnonzero(outliers).tolist():
+            off[scan, around[one]] |= far[scan, around[one]] > settings.beside
+    return fit, off
 
 
 def _far_groups(

@@ -122,8 +122,21 @@ def millimetres(gap: Interval | None) -> str:
 
 
 def sentence(summary: Summary) -> str:
-    """Say the verdict in a sentence or two, and what is wrong with the stated noise."""
-    return f"{_verdict(summary)} {noise(summary)}".rstrip()
+    """Say the verdict in a sentence or two, what may hide, and what is wrong with the noise."""
+    return " ".join(filter(None, (_verdict(summary), hidden(summary), noise(summary))))
+
+
+def hidden(summary: Summary) -> str:
+    """Say which effects scans speak for with certainty, though the constants all but hide them."""
+    sure = [n for n in summary.absorbed if _is_sure(summary, n)]
+    if not sure:
+        return ""
+    each = listed([_magnitude(summary, name) for name in sure])
+    return f"The scans speak for {each}, which other constants all but hide: check it otherwise."
+
+
+def _is_sure(summary: Summary, name: str) -> bool:
+    return summary.effect(name).probability >= SETTINGS.verdict.credible
 
 
 def noise(summary: Summary) -> str:

@@ -1,5 +1,6 @@
 """The page of a diagnosis: self-contained, and true to the numbers."""
 
+import copy
 import json
 import re
 import subprocess
@@ -72,6 +73,20 @@ def test_a_pattern_without_size_is_not_called_a_gap_of_zero() -> None:
     said = sentence_of(summary(gap_mm=gap))
     assert said.startswith("Model and data differ by less than the noise, but not at random.")
     assert said.endswith("leaves nothing that stands out of the noise (at most 0.15 mm).")
+
+
+def test_what_hides_is_said_where_the_scans_are_sure_of_it() -> None:
+    def said(probability: float) -> str:
+        changed = copy.deepcopy(summary())
+        (force,) = (one for one in changed["effects"] if one["name"] == "plate_force")
+        force |= {"probability": probability, "magnitude": 0.431, "sd": 0.064}
+        return sentence_of(changed).removeprefix(sentence_of(summary()))
+
+    assert said(0.6) == ""
+    assert said(0.95) == (
+        " The scans speak for plate force (0.431 ± 0.064, probability 95 %), which other "
+        "constants all but hide: check it otherwise."
+    )
 
 
 def test_noise_that_is_stated_wrongly_or_uneven_is_said() -> None:

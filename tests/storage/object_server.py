@@ -2,6 +2,8 @@
 
 import logging
 import os
+import random
+import socket
 import uuid
 from urllib.request import Request, urlopen
 
@@ -18,7 +20,7 @@ class ObjectServer:
     """Moto's server in a thread, reached over HTTP at a port of this machine."""
 
     def __init__(self) -> None:
-        self._port, self._running = 0, None
+        self._port, self._running = _steady_port(), None
         logging.getLogger("werkzeug").setLevel(logging.ERROR)
 
     @property
@@ -30,7 +32,6 @@ class ObjectServer:
 
         self._running = ThreadedMotoServer("127.0.0.1", self._port, verbose=False)
         self._running.start()
-        self._port = self._running.get_host_and_port()[1]
 
     def stop(self) -> None:
         if self._running is not None:
@@ -43,6 +44,15 @@ class ObjectServer:
         url = f"{self.environment['AWS_ENDPOINT_URL']}/{name}"
         with urlopen(Request(url, method="PUT")):
             return name
+
+
+def _steady_port() -> int:
+    """Return a free port that the system hands to nobody: it is still free after a stop."""
+    while True:
+        port = random.randrange(20000, 30000)
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)):
+                return port
 
 
 def started() -> ObjectServer:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from workers.diagnosis.diagnosis import Diagnosis, advance, diagnose, rests_on
+from workers.diagnosis.diagnosis import Diagnosis, advance, diagnose, unfitted
 from workers.diagnosis.effect_sensitivity import EffectSensitivity
 from workers.diagnosis.nominal_analysis import NominalAnalysis
 from workers.diagnosis.screening import ScreeningResult
@@ -106,10 +106,10 @@ def test_what_hides_is_fitted_where_something_speaks_for_it():
         hypotheses={(("plate_tilt",), False): 0.01, (("growth",), False): 0.5},
     )
     pair = ("plate_tilt", "growth")
-    wanted = rests_on(reached, [("plate_tilt",), ("growth",), pair])
+    wanted = unfitted(reached, [("plate_tilt",), ("growth",), pair])
     assert wanted == [("plate_force",), ("growth", "plate_force")]
-    assert rests_on(reached, [("plate_tilt",), pair, *wanted]) == [("plate_tilt", "plate_force")]
-    assert rests_on(reached, []) == [("growth",), ("plate_force",)]
+    assert unfitted(reached, [("plate_tilt",), pair, *wanted]) == [("plate_tilt", "plate_force")]
+    assert unfitted(reached, []) == [("growth",), ("plate_force",)]
 
 
 class Left:

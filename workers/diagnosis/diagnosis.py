@@ -96,7 +96,7 @@ def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
     joint_fits |= yield from _fitted(triples(analysis, known, list(joint_fits.values())))
     reached, hypotheses = _weighed_up(analysis, known, joint_fits)
     tried: set[tuple[str, ...]] = set()
-    while missing := [names for names in rests_on(reached, joint_fits) if names not in tried]:
+    while missing := [names for names in unfitted(reached, joint_fits) if names not in tried]:
         tried |= set(missing)
         joint_fits |= yield from _fitted([tuple(known[n] for n in names) for names in missing])
         reached, hypotheses = _weighed_up(analysis, known, joint_fits)
@@ -115,7 +115,7 @@ def _weighed_up(
     return verdict(hypotheses, families, analysis.hidden, odds), hypotheses
 
 
-def rests_on(reached: Verdict, joint_fits: Collection[tuple[str, ...]]) -> list[tuple[str, ...]]:
+def unfitted(reached: Verdict, joint_fits: Collection[tuple[str, ...]]) -> list[tuple[str, ...]]:
     """Return the effects, by name, that a verdict rests on and that were not fitted."""
     fitted = {name for names in joint_fits for name in names}
     found: list[tuple[str, ...]] = [(name,) for name in sorted(set(reached.primary) - fitted)]

@@ -269,7 +269,7 @@ class GapSettings:
     # [hard set 17, open cases] As much of it is not in what is drawn of constants, forms and
     # fields: on 60 bodies of the hard world intervals hold 48 true gaps with none of it, 46 with
     # this and 41 with 1.3. Models of nine bodies of FEBio with the right effect miss some 0.12 to
-    # 0.19 mm, where 0.09 to 0.14 is said with this and 0.11 to 0.18 with 1.3.
+    # 0.19 mm, where 0.09 to 0.15 is said with this and 0.11 to 0.18 with 1.3.
     undrawn: float = 0.8
     # [set 4] By this part of it the variance of the noise is wrong from case to case, as one
     # standard deviation: the mean square of residuals scatters by 6 % where theory says 4 %.

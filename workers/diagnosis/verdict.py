@@ -8,6 +8,7 @@ likeness, the more probably the more of the evidence the field has: that counts 
 1. No gap if that is the most probable cause. An effect that hides in the nominal parameters (see
    `workers.diagnosis.detectability.hides`) has at least the probability that it had beside no
    gap, and counts for it: these scans cannot show it, and it is neither accused nor acquitted.
+   Beside an effect that does not hide it counts for that one.
 2. None of these if that is.
 3. Else the effect, or, if more than one cause is needed to hold 90 % of the probability, what
    cannot be told apart.

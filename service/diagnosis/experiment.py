@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 
-from service.diagnosis.words import measured, spoken
+from service.diagnosis.words import difference, measured, spoken
 from workers.diagnosis.summary import Summary
 
 # A relative change of a constant that is not worth a line.
@@ -12,13 +12,14 @@ LEAST_MM = 0.01
 
 
 def experiment_lines(summary: Summary) -> Iterator[str]:
-    """Yield constants, what hides in them, and states to come; nothing for scans."""
+    """Yield constants, forces, what hides, and states to come; nothing for scans."""
     if summary.predictions is None:
         return
     for name, constant in summary.constants.items():
         values = [v for v in (constant.before, constant.after) if v is not None]
         said = [f"{v:.0f} kPa" if name.endswith("_kpa") else f"{v:.3g}" for v in values]
         yield f"{name.removesuffix('_kpa')}: {', with what was found '.join(said)}"
+    yield from _force_lines(summary)
     for effect in summary.hidden or ():
         for name, kpa in effect.constants_kpa.items():
             if abs(kpa["with"] / kpa["without"] - 1) < SMALL:
@@ -34,6 +35,21 @@ def experiment_lines(summary: Summary) -> Iterator[str]:
             parts = zip(point.displacement_mm, point.sd_mm, strict=True)
             moved = ", ".join(measured(value, max(sd, LEAST_MM), "mm") for value, sd in parts)
             yield f"  {point.name}: {moved}"
+        for one in state.reactions:
+            force = measured(one.force_n, one.sd_n, "N")
+            yield f"  force on {one.region} along {one.axis}: {force}"
+
+
+def _force_lines(summary: Summary) -> Iterator[str]:
+    """Yield a line for each force that was read."""
+    for state in summary.markers or ():
+        for one in state.reactions:
+            left = one.before_n if one.after_n is None else one.after_n
+            read = measured(one.force_n, one.sd_n, "N")
+            yield (
+                f"Force on {one.region} along {one.axis} at {state.state}: {read}; the model is "
+                f"off by {difference(left, one.sd_n)} N"
+            )
 
 
 def _size(values: Mapping[str, float]) -> str:

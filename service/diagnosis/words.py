@@ -73,10 +73,29 @@ def measured(value: float | None, sd: float | None, unit: str) -> str:
     """
     if value is None or sd is None:
         return NONE
-    digits = max(0, 1 - math.floor(math.log10(sd))) if sd > 0 else 3
+    digits = _digits(sd)
     if digits > MOST_DIGITS:
         return f"{number(value, 3)} ± {number(sd, 2)} {unit}".rstrip()
     return f"{signed(value, digits)} ± {sd:.{digits}f} {unit}".rstrip()
+
+
+def difference(value: float, sd: float) -> str:
+    """Return a number with its sign, as exact as its standard deviation.
+
+    Examples
+    --------
+    >>> difference(-0.0123, 0.02), difference(0.25, 0.1), difference(2.1e-6, 1e-6)
+    ('−0.012', '+0.25', '+2·10⁻⁶')
+    """
+    digits = _digits(sd)
+    if digits > MOST_DIGITS:
+        return ("+" if value > 0 else "") + number(value, 2)
+    return signed(value, digits, "+")
+
+
+def _digits(sd: float) -> int:
+    """Return how many digits behind the point show two figures of a standard deviation."""
+    return max(0, 1 - math.floor(math.log10(sd))) if sd > 0 else 3
 
 
 def signed(value: float, digits: int, plus: str = "") -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.words import measured, signed, spoken
+from service.diagnosis.words import difference, measured, signed, spoken
 from service.formatting import NONE, number
 from workers.diagnosis.summary import PredictedPoint, Summary, Triple
 
@@ -22,6 +22,17 @@ class MarkerRow:
     state: str
     name: str
     moved: str
+    before: str
+    after: str
+
+
+@dataclass(frozen=True)
+class ForceRow:
+    """One reading of a load cell, and what the model leaves of it, in N."""
+
+    state: str
+    place: str
+    force: str
     before: str
     after: str
 
@@ -56,6 +67,15 @@ class ExpectedRow:
     moved: tuple[str, str, str]
 
 
+@dataclass(frozen=True)
+class ExpectedForceRow:
+    """The force in N that moves a region in a state that was not measured."""
+
+    state: str
+    place: str
+    force: str
+
+
 def markers(summary: Summary) -> list[MarkerRow]:
     """Return a row for each marker of each state."""
     return [
@@ -68,6 +88,21 @@ def markers(summary: Summary) -> list[MarkerRow]:
         )
         for state in summary.markers or ()
         for point in state.points
+    ]
+
+
+def forces(summary: Summary) -> list[ForceRow]:
+    """Return a row for each reading of each state."""
+    return [
+        ForceRow(
+            state.state,
+            f"{one.region} along {one.axis}",
+            measured(one.force_n, one.sd_n, ""),
+            difference(one.before_n, one.sd_n),
+            NONE if one.after_n is None else difference(one.after_n, one.sd_n),
+        )
+        for state in summary.markers or ()
+        for one in state.reactions
     ]
 
 
@@ -105,6 +140,17 @@ def expected(summary: Summary) -> list[ExpectedRow]:
         ExpectedRow(state.state, point.name, _deviating(point))
         for state in summary.predictions or ()
         for point in state.points
+    ]
+
+
+def expected_forces(summary: Summary) -> list[ExpectedForceRow]:
+    """Return a row for each force of each state to come."""
+    return [
+        ExpectedForceRow(
+            state.state, f"{one.region} along {one.axis}", measured(one.force_n, one.sd_n, "")
+        )
+        for state in summary.predictions or ()
+        for one in state.reactions
     ]
 
 

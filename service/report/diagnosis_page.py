@@ -107,8 +107,10 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "further": [(o.name, worth(o)) for o in summary.next_acquisitions or ()],
         "markers": experiment.markers(summary),
         "states": experiment.states(summary),
+        "forces": experiment.forces(summary),
         "hidden": experiment.hidden(summary),
         "expected": experiment.expected(summary),
+        "expected_forces": experiment.expected_forces(summary),
         "maps": []
         if summary.markers is not None
         else list(where.maps(maps, scans, accused, summary.surfaces)),

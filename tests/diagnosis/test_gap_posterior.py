@@ -53,7 +53,7 @@ def analysis_of(nominal):
     factor = noise._factors[0]
     return SimpleNamespace(
         nominal=nominal,
-        inverse=None,
+        inverse=SimpleNamespace(is_place=np.ones(len(nominal.at), bool)),
         hidden=set(),
         noise=noise,
         fields=[factor @ columns for columns in fields],

@@ -10,6 +10,7 @@ from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, TetMesh
 from workers.comparison.observation.point_interpolation import interpolation
 from workers.diagnosis.anchored_scan import anchored
+from workers.diagnosis.force_readings import at_points_with_forces
 from workers.diagnosis.gauss_newton import Fit, SolvedFit, fit
 from workers.diagnosis.inverse_problem import InverseProblem, Scan, unknowns
 from workers.diagnosis.noise_learning import learnt_states
@@ -215,5 +216,6 @@ def with_learnt_noise(
 
 def interpolation_of(model: Model, inverse: InverseProblem) -> csr_matrix:
     """Return the matrix from displacements of another mesh's nodes to those of the points."""
-    finest = model.finest
-    return interpolation(TetMesh(finest.nodes, finest.elements.tets), inverse.points.points)
+    finest, own = model.finest, inverse.points.points[~inverse.is_force]
+    mesh = TetMesh(finest.nodes, finest.elements.tets)
+    return at_points_with_forces(interpolation(mesh, own), int(inverse.is_force.sum()))

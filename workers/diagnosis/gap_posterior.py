@@ -88,14 +88,14 @@ def draw_gaps(
     weights = _of_fitted(probabilities, known, analysis.hidden, analysis.noise.has_field)
     counts = _shared_out(settings.draws, np.array(list(weights.values())))
     models = [analysis.nominal] + ([] if accused is None else [accused])
-    residuals = [model.residual(analysis.inverse) for model in models]
+    residuals, place = [m.residual(analysis.inverse) for m in models], analysis.inverse.is_place
     drawn: list[list[FloatArray]] = [[] for _ in models]
     for (names, field), count in zip(weights, counts, strict=True):
         if not count:
             continue
         true = _Beliefs(analysis, known[names], bool(names), field).draw(count, rng)
         for own, residual in zip(drawn, residuals, strict=True):
-            own.append(residual[:, None] - true)
+            own.append((residual[:, None] - true)[place])
     floors = floor_mm * parts_of_floor(rng, settings.draws)
     each = [np.hstack(parts) for parts in drawn]
     return GapDraws(each[0], each[1] if accused is not None else None, floors)

@@ -11,6 +11,7 @@ from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray, Triple
 from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise
+from workers.diagnosis.force_readings import FORCE
 from workers.diagnosis.forward import Forward, Tetrahedra
 from workers.diagnosis.linearisation import factored
 from workers.diagnosis.noise_model import LearntNoise
@@ -220,6 +221,16 @@ class InverseProblem:
         middle = {one.name: float(np.exp(one.log_mean)) for one in self.free}
         found = np.array([self.forward.direction(scan.problem(middle)) for scan in self.scans])
         return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
+
+    @property
+    def is_force(self) -> BoolArray:
+        """Which points are readings of forces, of which there is no gap in mm, shape (k,)."""
+        return np.asarray(self.points.interface == FORCE)
+
+    @property
+    def is_place(self) -> BoolArray:
+        """Which residuals are distances, shape (s k,)."""
+        return np.tile(~self.is_force, len(self.scans))
 
     @cached_property
     def rows(self) -> IntArray:

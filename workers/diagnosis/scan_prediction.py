@@ -118,7 +118,8 @@ def compare_with_scan(
         if effect.observation is not None and effect is not RIGID_MOTION:
             values = unknowns.of_effect(effect, z)
             places = _seen_by(effect, inverse, followed, at)
-            r = r + effect.shift(places, normals, tissues, values, inverse.frame)
+            shift = effect.shift(places, normals, tissues, values, inverse.frame)
+            r = r + np.where(inverse.is_force, 0.0, shift)
     return PredictedScan(points, r, normals, at, followed, pose)
 
 
@@ -283,7 +284,8 @@ def _shift_along(
     here = _seen_by(effect, inverse, prediction.followed, prediction.at)
     step = _moves(effect, inverse, prediction.followed, u)
     rest = prediction.normals, tissues_of(inverse), values, inverse.frame
-    return effect.shift(here + step, *rest) - effect.shift(here, *rest)
+    change = effect.shift(here + step, *rest) - effect.shift(here, *rest)
+    return np.where(inverse.is_force, 0.0, change)
 
 
 def observed_columns(
@@ -293,7 +295,8 @@ def observed_columns(
     if effect.observation is None:
         raise ValueError(f"{effect.name} acts on the body")
     places = _seen_by(effect, inverse, prediction.followed, prediction.at)
-    return effect.observation(places, prediction.normals, tissues_of(inverse), inverse.frame)
+    rest = prediction.normals, tissues_of(inverse), inverse.frame
+    return np.where(inverse.is_force[:, None], 0.0, effect.observation(places, *rest))
 
 
 def _seen_by(

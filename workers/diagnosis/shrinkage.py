@@ -80,6 +80,8 @@ class Comparison:
         The same seed gives the same interval.
     floor_mm : float
         As for `workers.diagnosis.gap.gap`.
+    judged : ndarray of bool, shape (m,), optional
+        Residuals that are distances; all.
     registered : int
         So many parameters, the last of both fits, say where the scans lie: the fit with the
         effect to all residuals sets them in both.
@@ -99,6 +101,7 @@ class Comparison:
         seed: int,
         floor_mm: float = 0.0,
         registered: int = 0,
+        judged: BoolArray | None = None,
         draws: int = SETTINGS.gap.draws,
     ) -> None:
         if nominal.size != effect.size or draws < 20:
@@ -108,6 +111,7 @@ class Comparison:
             )
         self.nominal, self.effect, self.seed = nominal, effect, seed
         self.floor_mm, self.registered, self.draws = floor_mm, registered, draws
+        self.judged = np.ones(nominal.size, np.bool_) if judged is None else judged
 
     def shrinkage(
         self, train: BoolArray | None = None, judge: BoolArray | None = None
@@ -119,7 +123,7 @@ class Comparison:
         train, judge : ndarray of bool, shape (m,), optional
             Residuals to fit to and to judge by; all, which is the in-sample share.
         """
-        return self._compared([self._pair(train, judge)])
+        return self._compared([self._pair(train, self.judged if judge is None else judge)])
 
     def unseen(self, states: IntArray) -> tuple[Shrinkage | None, list[Shrinkage | None]]:
         """Return the share of fits that never saw what they are judged by, and of each of them.
@@ -140,7 +144,7 @@ class Comparison:
         every = np.unique(states)
         if len(every) < 2:
             raise InputError("To leave a state out, there must be two or more; found one.")
-        pairs = [self._pair(states != one, states == one) for one in every]
+        pairs = [self._pair(states != one, self.judged & (states == one)) for one in every]
         held = [pair if self._holds(pair) else None for pair in pairs]
         judged = [pair for pair in held if pair is not None]
         each = [None if pair is None else self._compared([pair]) for pair in held]

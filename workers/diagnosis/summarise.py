@@ -148,7 +148,8 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
         None if best is None else best.fit,
         SETTINGS.gap.undrawn * _meshed_mm(inverse),
     )
-    noise_mm, floor_mm = gap(registered).noise_mm, _floor_mm(inverse, analysis.linear)
+    noise_mm = gap(registered, inverse.is_place).noise_mm
+    floor_mm = _floor_mm(inverse, analysis.linear)
     before = _drawn_gap(drawn.before_mm, noise_mm, len(drawn.before))
     alone = GapSummary(before, noise_mm, floor_mm, None, None, None)
     if best is None or drawn.after_mm is None:
@@ -160,7 +161,8 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
     )
     fits = analysis.linear_with_poses, best.fit.linearised_with_poses(inverse)
     seed, poses = SETTINGS.gap.seed, inverse.nuisance_count
-    comparison = Comparison(*fits, seed, floor_mm=floor_mm, registered=poses)
+    place = inverse.is_place
+    comparison = Comparison(*fits, seed, floor_mm=floor_mm, registered=poses, judged=place)
     inside = replace(alone, after=after, share=share)
     return known_shares(_with_held_out(inside, inverse, comparison), diagnosis.verdict.set90)
 
@@ -235,13 +237,14 @@ def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
     The noise that was fitted; what the mesh leaves, as large as what a finer one has taken
     off; that the body is meshed as it was segmented; and some more, which nobody can count.
     """
-    whole = np.hypot(LinearFit(nominal).floor_mm, _meshed_mm(inverse))
+    fitted = LinearFit(nominal, judge=inverse.is_place)
+    whole = np.hypot(fitted.floor_mm, _meshed_mm(inverse))
     return SETTINGS.gap.floor_factor * float(whole)
 
 
 def _meshed_mm(inverse: InverseProblem) -> float:
     """Return what every model misses that can be counted: mesh, and body as it was segmented."""
-    mesh = np.sqrt((inverse.bias**2).mean())
+    mesh = np.sqrt((inverse.bias[inverse.is_place] ** 2).mean())
     drawn = SETTINGS.gap.drawn_noises * inverse.noise.reference_sd_mm
     return float(np.hypot(mesh, drawn))
 

@@ -253,12 +253,25 @@ class MarkerResidual:
 
 
 @dataclass(frozen=True, slots=True)
+class ReactionResidual:
+    """The force on a region along an axis, as it was read, with what the models leave of it."""
+
+    region: str
+    axis: str
+    force_n: float
+    sd_n: float
+    before_n: float
+    after_n: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class MarkerState:
     """All points of one state; `repeats_mm` is how far two recordings differ, None for one."""
 
     state: str
     repeats_mm: float | None
     points: tuple[MarkerResidual, ...]
+    reactions: tuple[ReactionResidual, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,11 +293,22 @@ class PredictedPoint:
 
 
 @dataclass(frozen=True, slots=True)
+class PredictedReaction:
+    """The force that a region needs along an axis, and how surely the fit knows it."""
+
+    region: str
+    axis: str
+    force_n: float
+    sd_n: float
+
+
+@dataclass(frozen=True, slots=True)
 class PredictedState:
-    """All points of a state that was not measured."""
+    """All points of a state that was not measured, and the forces that move it."""
 
     state: str
     points: tuple[PredictedPoint, ...]
+    reactions: tuple[PredictedReaction, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from experiments import SIZE, described, write
 from storage.errors import InputError
 from workers.comparison.observation.point_interpolation import interpolation
 from workers.diagnosis.calibration import calibrate
+from workers.diagnosis.forward import Tetrahedra
 from workers.mechanics.fem.loads import DisplacementField, Hold, NoPlates
 from workers.mechanics.fem.model import prepare
 from workers.mechanics.fem.problem import Problem
@@ -163,7 +164,9 @@ def test_noise_of_the_boundary_moves_all_points_as_is_said(tmp_path):
     problem = source.problem(source.spec.states[0])({"E": 0.1, "compressibility": 0.3})
     points = grid()[grid()[:, 2] > 16]
     at = interpolation(mesh.finest.mesh, points)
-    expected = boundary_covariance(model, at, [problem], sd_mm)
+    expected = boundary_covariance(
+        Tetrahedra(), model, lambda u: (at @ u).ravel(), [problem], sd_mm
+    )
     (hold,) = problem.holds
     known = np.array(hold.displacement_mm.displacement_mm)
     start, moved = equilibrium(model, problem), []

@@ -22,7 +22,7 @@ from storage.values import FloatArray
 from workers.mechanics.fem import sparse_products
 from workers.mechanics.fem.external_forces import dirichlet_conditions, pressure_derivative
 from workers.mechanics.fem.frictional_contact import PlateFriction
-from workers.mechanics.fem.level import Energy, Level
+from workers.mechanics.fem.level import Energy, Level, Tangent
 from workers.mechanics.fem.load_schedule import bring_into_contact, friction_fractions, stage_at
 from workers.mechanics.fem.model import Model
 from workers.mechanics.fem.multigrid import linear_solver, solver_factory
@@ -72,24 +72,69 @@ def tangents(
     InputError
         If `at` did not converge.
     """
+    if not changes:
+        return np.empty((0, *at.solution.displacement_mm.shape))
+    return _solved(_linearisation(at), changes, tolerance)[1]
+
+
+def tangents_with_reactions(
+    at: Equilibrium, changes: Sequence[Change], tolerance: float = RELATIVE_ERROR
+) -> tuple[FloatArray, FloatArray]:
+    """Return also how the forces change that hold the held nodes.
+
+    Parameters
+    ----------
+    at, changes, tolerance
+        See `tangents`; without friction and follower pressure.
+
+    Returns
+    -------
+    moved : ndarray, shape (k, n, 3)
+        As `tangents` has it.
+    reactions : ndarray, shape (k, n, 3)
+        In N per unit of the parameter, zero where a node is free; see `reactions`.
+
+    Raises
+    ------
+    InputError
+        If `at` did not converge.
+    """
+    if not changes:
+        return (np.empty((0, *at.solution.displacement_mm.shape)),) * 2
+    here = _linearisation(at)
+    right, moved = _solved(here, changes, tolerance)
+    return moved, np.stack([here.reactions(r, u) for r, u in zip(right, moved, strict=True)])
+
+
+def reactions(at: Equilibrium) -> FloatArray:
+    """Return the forces on the body that hold its held nodes, shape (n, 3), in N."""
+    level, state = at.levels[-1], at.states[-1]
+    force = level.force(state, level.energy(state, at.stage), at.stage)
+    return np.where(level.free > 0, 0.0, force)
+
+
+def _linearisation(at: Equilibrium) -> "_Linearisation":
     if not at.solution.outcome.converged:
         raise InputError(
             "Only an equilibrium has tangents; this simulation did not converge: "
             f"{at.solution.outcome.reason}."
         )
-    if not changes:
-        return np.empty((0, *at.solution.displacement_mm.shape))
-    here = _Linearisation(at)
-    right = [here.right_side(change) for change in changes]
+    return _Linearisation(at)
+
+
+def _solved(
+    here: "_Linearisation", changes: Sequence[Change], tolerance: float
+) -> tuple[list["_RightSide"], FloatArray]:
+    """Return what each change leaves out of balance, and how the nodes follow, (k, n, 3)."""
+    right, at = [here.right_side(change) for change in changes], here.at
     if at.levels[-1].is_conservative(at.states[-1]):
         solutions = list(here.solve_symmetric(right, tolerance))
     else:
         # GMRES measures residuals, which say less of the displacement than errors do.
         solutions = [here.solve_nonsymmetric(r, tolerance / 10) for r in right]
     free = at.levels[-1].free > 0
-    return np.stack(
-        [np.where(free, u, r.prescribed) for u, r in zip(solutions, right, strict=True)]
-    )
+    moved = [np.where(free, u, r.prescribed) for u, r in zip(solutions, right, strict=True)]
+    return right, np.stack(moved)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,11 +149,14 @@ class _RightSide:
         On the plates.
     prescribed : ndarray, shape (n, 3)
         How held places move, in mm per unit of the parameter.
+    unbalanced : ndarray, shape (n, 3)
+        What the change adds to the forces on nodes that stay where they are, held ones too.
     """
 
     force: FloatArray
     plate: float
     prescribed: FloatArray
+    unbalanced: FloatArray
 
 
 class _Linearisation:
@@ -127,12 +175,18 @@ class _Linearisation:
     def right_side(self, change: Change) -> _RightSide:
         """Return what a unit of the parameter leaves out of balance, with its sign turned."""
         ahead, behind = (self._forces(p) for p in (change.plus, change.minus))
-        b = -(ahead[0] - behind[0]) / change.step * self.level.free
+        unbalanced = (ahead[0] - behind[0]) / change.step
+        b = -unbalanced * self.level.free
         plate = -(ahead[1] - behind[1]) / change.step
         prescribed = self._prescribed(change)
         if prescribed.any():
             b -= self._stiffness_times(prescribed) * self.level.free
-        return _RightSide(b, plate, prescribed)
+        return _RightSide(b, plate, prescribed, unbalanced)
+
+    def reactions(self, right: _RightSide, moved: FloatArray) -> FloatArray:
+        """Return how the forces on held nodes change as all nodes move so, shape (n, 3)."""
+        change = right.unbalanced + self._stiffness_times(moved)
+        return np.where(self.level.free > 0, 0.0, change)
 
     def _forces(self, problem: Problem) -> tuple[FloatArray, float]:
         """Return the out-of-balance force of nodes and plates under another problem."""
@@ -259,11 +313,11 @@ class _Linearisation:
         return np.where(level.free > 0, 0.0, prescribed)
 
     def _stiffness_times(self, u: FloatArray) -> FloatArray:
-        """Return the force on the nodes of a displacement `u` of held places.
+        """Return the force on the nodes of a displacement `u`, that of held places included.
 
         The plates feel nothing of it: held nodes take no part in their coupling.
         """
-        _, t = self.level.linearise(self.state, self.energy, self.stage, everywhere=True)
+        t = self._whole_tangent
         g = self.level.model.graph
         matrix = g.start.view(np.uint32), g.neighbour.view(np.uint32), t.rows
         x, y = np.zeros((2, len(u), 4))
@@ -271,6 +325,12 @@ class _Linearisation:
         sparse_products.set_pressure(*matrix, x)
         sparse_products.multiply(*matrix, x, y)
         return y[:, :3]
+
+    @cached_property
+    def _whole_tangent(self) -> Tangent:
+        """The tangent with the rows and columns of held nodes."""
+        _, found = self.level.linearise(self.state, self.energy, self.stage, everywhere=True)
+        return found
 
     def solve_symmetric(self, right: Sequence[_RightSide], tolerance: float) -> FloatArray:
         """Solve for all right sides at once, shape (k, n, 3)."""

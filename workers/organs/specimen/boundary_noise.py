@@ -11,45 +11,43 @@ point follows as the model says. What is left changes sign
 from point to point and fades within their distance; it is left out.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.sparse import csr_matrix
 
 from storage.errors import InputError
 from storage.values import FloatArray
+from workers.diagnosis.forward import Forward
 from workers.mechanics.fem.loads import DisplacementField, Hold
 from workers.mechanics.fem.model import Model
 from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.sensitivity import Change, tangents
-from workers.mechanics.fem.solve import equilibrium
+from workers.mechanics.fem.sensitivity import RELATIVE_ERROR, Change
 
 # Singular values below this part of the largest are those of points in a plane.
 FLAT = 1e-9
 
 
 def boundary_covariance(
-    model: Model, at_points: csr_matrix, problems: Sequence[Problem], sd_mm: float
+    forward: Forward,
+    model: Model,
+    compared: Callable[[FloatArray], FloatArray],
+    problems: Sequence[Problem],
+    sd_mm: float,
 ) -> FloatArray:
-    """Return the covariance that measured boundaries add, shape (3 s k, 3 s k).
+    """Return the covariance that measured boundaries add, shape (s m, s m).
 
     Parameters
     ----------
+    forward : Forward
     model : Model
-        Of n nodes.
-    at_points : csr_matrix, shape (k, n)
-        From nodes to the points that are compared.
+    compared : callable
+        From displacements of the nodes to what is compared of them in one state, shape (m,).
     problems : sequence of Problem
         Of the s states, with constants in the middle of what is plausible.
     sd_mm : float
         Of a component of a point of the field; states err apart.
-
-    Returns
-    -------
-    ndarray
-        Row ``3 (s k + i) + c`` is component c of point i in state s.
 
     Raises
     ------
@@ -58,7 +56,7 @@ def boundary_covariance(
     """
     blocks = []
     for problem in problems:
-        at = equilibrium(model, problem)
+        at = forward.equilibrium(model, problem)
         if not at.solution.outcome.converged:
             raise InputError(
                 "A state was not solved at the middle of the plausible constants: "
@@ -70,9 +68,9 @@ def boundary_covariance(
             if isinstance(hold.displacement_mm, DisplacementField)
             for change in affine_changes(problem, number, hold.displacement_mm, sd_mm)
         ]
-        columns = np.zeros((len(changes), 3 * at_points.shape[0]))
-        for row, u in zip(columns, tangents(at, changes), strict=True):
-            row[:] = (at_points @ u).ravel()
+        moved = forward.tangents(at, changes, RELATIVE_ERROR)
+        nothing = compared(np.zeros_like(at.solution.displacement_mm))
+        columns = np.array([compared(u) for u in moved]).reshape(-1, len(nothing))
         blocks.append(columns.T @ columns)
     return np.asarray(block_diag(*blocks))
 

@@ -1,6 +1,6 @@
 """What the file of an experiment was understood to say, as rows for a reader."""
 
-from workers.organs.specimen.spec import LoadsSpec, MaterialSpec, SpecimenSpec
+from workers.organs.specimen.spec import LoadsSpec, MaterialSpec, SpecimenSpec, StateSpec
 
 
 def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:
@@ -19,7 +19,10 @@ def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:
         rows.append(("markers", f"{len(markers.markers)}, sd {markers.sd_mm:g} mm"))
     if field is not None:
         rows.append(("field of displacements", f"sd {field.sd_mm:g} mm"))
-    states = ((f"state {s.name}", f"{_loads(s)}; {', '.join(s.files)}") for s in spec.states)
+    states = (
+        (f"state {s.name}", "; ".join([_loads(s), *_reactions(s), ", ".join(s.files)]))
+        for s in spec.states
+    )
     return [*rows, *states, *((f"to predict: {p.name}", _loads(p)) for p in spec.predict)]
 
 
@@ -31,6 +34,13 @@ def _material(material: MaterialSpec) -> str:
         f"{material.law}, E searched from {low:g} to {high:g} kPa, nu {nus}, "
         f"{material.density_kg_per_m3:g} kg/m3"
     )
+
+
+def _reactions(state: StateSpec) -> list[str]:
+    return [
+        f"{r.region} pushed along {r.axis} with {r.force_n:g} N, sd {r.sd_n:g} N"
+        for r in state.reactions
+    ]
 
 
 def _loads(loads: LoadsSpec) -> str:

@@ -27,11 +27,15 @@ class Prediction:
     moved_mm, sd_mm : ndarray, shape (k, 3)
         In the frame of the body. The standard deviation is that of the fitted parameters;
         another recording scatters on top of it.
+    force_mm, force_sd_mm : ndarray, shape (c,)
+        The same of what load cells would read, as the displacements that stand for it.
     """
 
     name: str
     moved_mm: FloatArray
     sd_mm: FloatArray
+    force_mm: FloatArray
+    force_sd_mm: FloatArray
 
 
 def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[Prediction]:
@@ -51,7 +55,7 @@ def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[P
     InputError
         If a state cannot be simulated.
     """
-    spread = posterior_factor(inverse, fit)
+    spread, force = posterior_factor(inverse, fit), inverse.is_force
     found = []
     for scan in states:
         at = _view(inverse, scan, fit, fit.z, None)
@@ -60,7 +64,8 @@ def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[P
             z = np.clip(fit.z + direction, fit.unknowns.lower, fit.unknowns.upper)
             parts.append((_view(inverse, scan, fit, z, at.at).residual - at.residual) / STEP)
         sd = np.sqrt((np.array(parts) ** 2).sum(axis=0))
-        found.append(Prediction(scan.name, at.residual.reshape(-1, 3), sd.reshape(-1, 3)))
+        moved, moved_sd = (one[~force].reshape(-1, 3) for one in (at.residual, sd))
+        found.append(Prediction(scan.name, moved, moved_sd, at.residual[force], sd[force]))
     return found
 
 

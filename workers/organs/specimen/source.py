@@ -14,6 +14,8 @@ from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.point_interpolation import interpolation
 from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.force_readings import at_points_with_forces
+from workers.diagnosis.forward import Tetrahedra
 from workers.diagnosis.gauss_newton import Fit
 from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan
 from workers.diagnosis.pictures.scan_pictures import Displacements
@@ -29,6 +31,14 @@ from workers.mechanics.fem.problem import Problem
 from workers.organs.specimen.body import FARTHEST_MM, Body, arms
 from workers.organs.specimen.boundary_noise import boundary_covariance
 from workers.organs.specimen.confounded_effects import confounded_effects
+from workers.organs.specimen.load_cells import (
+    ForwardWithCells,
+    LoadCell,
+    covariance_with,
+    load_cells,
+    readings_mm,
+    with_load_cells,
+)
 from workers.organs.specimen.marker_data import Observed
 from workers.organs.specimen.mesh_error import part_of_compliance
 from workers.organs.specimen.prediction import predict
@@ -48,8 +58,8 @@ class Components:
 
     Parameters
     ----------
-    seen_mm : ndarray, shape (k, 3)
-        Observed displacements of k points.
+    seen_mm : ndarray, shape (m,)
+        Observed: x, y and z of each point, one after another, and what load cells stand for.
     """
 
     seen_mm: FloatArray
@@ -59,7 +69,7 @@ class Components:
     ) -> tuple[FloatArray, FloatArray]:
         """See `Scan.compare`."""
         moved = ((points - reference.points) * reference.normals).sum(axis=1)
-        return moved - self.seen_mm.ravel(), reference.normals
+        return moved - self.seen_mm, reference.normals
 
 
 class SpecimenSource:
@@ -150,6 +160,11 @@ class SpecimenSource:
             known_nu=all(isinstance(m.nu, float) for m in spec.materials.values()),
         )
 
+    @cached_property
+    def load_cells(self) -> tuple[LoadCell, ...]:
+        """What reads the forces that move regions."""
+        return load_cells(self.spec, self.observed.sd_mm)
+
     def check(self) -> None:
         """Do nothing: an experiment is checked where its files are read."""
 
@@ -160,23 +175,27 @@ class SpecimenSource:
         hierarchy = self.body.mesh(nodes)
         model, observed = prepare(hierarchy), self.observed
         mesh, softer = hierarchy.finest.mesh, self.part_of_compliance(nodes)
-        at = interpolation(mesh, observed.points_mm, FARTHEST_MM)
-        return InverseProblem(
+        cells, states = self.load_cells, self.spec.states
+        own = _thrice(interpolation(mesh, observed.points_mm, FARTHEST_MM))
+        points = with_load_cells(components(observed.points_mm), cells)
+        problem = InverseProblem(
             model=model,
             frame=frame_of(mesh.nodes),
-            points=components(observed.points_mm),
-            at_points=_thrice(at),
+            points=points,
+            at_points=at_points_with_forces(own, len(cells)),
             free=self.free,
             scans=[
-                Scan(state.name, self.problem(state, softer), Components(moved))
-                for state, moved in zip(self.spec.states, observed.moved_mm, strict=True)
+                Scan(state.name, self.problem(state, softer), self._compared(moved, state))
+                for state, moved in zip(states, observed.moved_mm, strict=True)
             ],
             noise=SegmentationNoise(observed.sd_mm, 1.0, 0.0, observed.sd_mm),
-            covariance=observed.covariance + self._boundary_covariance(model, at),
-            bias=np.zeros(len(observed.covariance)),
+            covariance=covariance_with(observed.covariance, self.spec, cells),
+            bias=np.zeros(len(states) * len(points)),
             arms=self._arms(mesh),
             is_segmented=False,
+            forward=ForwardWithCells(cells) if cells else Tetrahedra(),
         )
+        return self._with_boundary_noise(problem)
 
     def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> Model | None:
         """Return another mesh of the same body, to see what the mesh adds.
@@ -216,9 +235,10 @@ class SpecimenSource:
             If such a state cannot be simulated.
         """
         softer = self.part_of_compliance(len(inverse.model.finest.nodes))
-        still = Components(np.zeros_like(self.observed.points_mm))
+        still = Components(np.zeros(len(inverse.points)))
         states = [Scan(s.name, self.problem(s, softer), still) for s in self.spec.predict]
-        return predicted_states(self.observed, predict(inverse, fit, states))
+        found = predict(inverse, fit, states)
+        return predicted_states(self.observed, self.spec, self.load_cells, found)
 
     def describe(
         self,
@@ -233,7 +253,7 @@ class SpecimenSource:
         fit = best.fit if best is not None else analysis.nominal
         return {}, replace(
             summary,
-            markers=marker_states(self.observed, self.scans, diagnosis),
+            markers=marker_states(self.observed, self.spec, diagnosis),
             hidden=confounded_effects(diagnosis, self.effects),
             predictions=self.predictions(analysis.inverse, fit),
         )
@@ -262,7 +282,8 @@ class SpecimenSource:
         if markers is None:
             return None
         stated = [marker.outward for marker in markers.markers.values()]
-        return _thrice(arms(mesh, self.observed.points_mm, stated, self.observed.names))
+        own = _thrice(arms(mesh, self.observed.points_mm, stated, self.observed.names))
+        return at_points_with_forces(own, len(self.load_cells))
 
     def _heaviest(self) -> Problem:
         """Return the last state with its weight, of a material in the middle of its interval."""
@@ -274,12 +295,23 @@ class SpecimenSource:
         """Constants in the middle of their intervals."""
         return {free.name: float(np.exp(free.log_mean)) for free in self.free}
 
-    def _boundary_covariance(self, model: Model, at: csr_matrix) -> FloatArray | float:
-        """See `workers.organs.specimen.boundary_noise`; 0 where no boundary was measured."""
+    def _compared(self, moved_mm: FloatArray, state: StateSpec) -> Components:
+        """Return what a state is compared with: components of points, then load cells."""
+        return Components(np.append(moved_mm.ravel(), readings_mm(state, self.load_cells)))
+
+    def _with_boundary_noise(self, problem: InverseProblem) -> InverseProblem:
+        """Add what measured boundaries do; see `workers.organs.specimen.boundary_noise`."""
         if not self.spec.measured_regions:
-            return 0.0
+            return problem
+
+        def compared(moved_mm: FloatArray) -> FloatArray:
+            along = (problem.at_points @ moved_mm) * problem.points.normals
+            return np.asarray(along.sum(axis=1))
+
         problems = [self.problem(state)(self._middle) for state in self.spec.states]
-        return boundary_covariance(model, at, problems, self.observed.sd_mm)
+        sd_mm = self.observed.sd_mm
+        added = boundary_covariance(problem.forward, problem.model, compared, problems, sd_mm)
+        return replace(problem, covariance=problem.covariance + added)
 
 
 SOURCES = {SpecimenSource.kind: SpecimenSource.from_content}

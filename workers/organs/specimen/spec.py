@@ -139,6 +139,15 @@ class MoveSpec(Door):
         return self
 
 
+class ReactionSpec(Door):
+    """The force that moves a region along an axis, as a load cell reads it: that on the body."""
+
+    region: str
+    axis: Axis
+    force_n: Finite
+    sd_n: Positive
+
+
 class LoadsSpec(Door):
     """What acts in one state; gravity is said once for all of them."""
 
@@ -156,6 +165,20 @@ class StateSpec(LoadsSpec):
 
     name: Annotated[str, Field(min_length=1)]
     files: Annotated[tuple[str, ...], Field(min_length=1)]
+    reactions: tuple[ReactionSpec, ...] = ()
+
+    @model_validator(mode="after")
+    def _reactions_of_moves(self) -> Self:
+        moved = [(move.region, axis) for move in self.moves for axis in move.axes]
+        read = [(one.region, one.axis) for one in self.reactions]
+        for region, axis in read:
+            if (region, axis) not in moved:
+                raise ValueError(
+                    f"state {self.name} has a reaction of {region} along {axis}, which does not "
+                    "move there: list it under moves, or give the force under forces"
+                )
+        _once(f"reactions of state {self.name}", [f"{r} along {a}" for r, a in read])
+        return self
 
 
 class PredictSpec(LoadsSpec):
@@ -259,6 +282,9 @@ class SpecimenSpec(Door):
         _all_known("material", (self.body.labels or {}).values(), self.materials)
         if self.body.labels is None and len(self.materials) > 1:
             raise ValueError("several materials need body.labels, which label carries which")
+        read = [[(one.region, one.axis) for one in state.reactions] for state in self.states]
+        if any(one != read[0] for one in read):
+            raise ValueError("reactions must be the same in all states, in the same order")
         _once("states", [one.name for one in self.states] + [one.name for one in self.predict])
         return self
 

@@ -1,6 +1,6 @@
 """What was observed and what is expected of each point of a specimen, as rows of a summary."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -10,34 +10,39 @@ from workers.diagnosis.summary import (
     MarkerResidual,
     MarkerState,
     PredictedPoint,
+    PredictedReaction,
     PredictedState,
+    ReactionResidual,
     Triple,
 )
+from workers.organs.specimen.load_cells import LoadCell, load_cells
 from workers.organs.specimen.marker_data import Observed
 from workers.organs.specimen.prediction import Prediction
+from workers.organs.specimen.spec import PredictSpec, SpecimenSpec
 
 
 def marker_states(
-    observed: Observed, states: Sequence[str], diagnosis: Diagnosis
+    observed: Observed, spec: SpecimenSpec, diagnosis: Diagnosis
 ) -> tuple[MarkerState, ...]:
     """Return what the points of each state have done, and what the models leave of it.
 
     Parameters
     ----------
     observed : Observed
-    states : sequence of str
-        Names.
+    spec : SpecimenSpec
     diagnosis : Diagnosis
     """
-    shape = observed.moved_mm.shape
-    before = diagnosis.analysis.linear.residual.reshape(shape)
-    after = None
+    inverse, shape = diagnosis.analysis.inverse, observed.moved_mm.shape
+    whole, place = diagnosis.analysis.linear.residual, inverse.is_place
+    before, forces = whole[place].reshape(shape), whole[~place]
+    after, forces_after = None, None
     if diagnosis.best is not None:
-        fitted = diagnosis.best.fit.linearised(diagnosis.analysis.inverse)
-        after = fitted.residual.reshape(shape)
+        whole = diagnosis.best.fit.linearised(inverse).residual
+        after, forces_after = whole[place].reshape(shape), whole[~place]
+    reactions = _reactions(spec, observed.sd_mm, forces, forces_after)
     return tuple(
         MarkerState(
-            state,
+            state.name,
             None if np.isnan(observed.repeats_mm[s]) else observed.repeats_mm[s],
             tuple(
                 MarkerResidual(
@@ -48,15 +53,19 @@ def marker_states(
                 )
                 for i, name in enumerate(observed.names)
             ),
+            reactions[s],
         )
-        for s, state in enumerate(states)
+        for s, state in enumerate(spec.states)
     )
 
 
 def predicted_states(
-    observed: Observed, predictions: Sequence[Prediction]
+    observed: Observed,
+    spec: SpecimenSpec,
+    cells: Sequence[LoadCell],
+    predictions: Sequence[Prediction],
 ) -> tuple[PredictedState, ...]:
-    """Return where the points of each state that was not measured are expected."""
+    """Return where the points of each state that was not measured are expected, and its forces."""
     return tuple(
         PredictedState(
             one.name,
@@ -64,9 +73,48 @@ def predicted_states(
                 PredictedPoint(name, _triple(moved), _triple(sd))
                 for name, moved, sd in zip(observed.names, one.moved_mm, one.sd_mm, strict=True)
             ),
+            tuple(_predicted_reactions(spec, state, cells, one)),
         )
-        for one in predictions
+        for one, state in zip(predictions, spec.predict, strict=True)
     )
+
+
+def _reactions(
+    spec: SpecimenSpec, sd_mm: float, before_mm: FloatArray, after_mm: FloatArray | None
+) -> list[tuple[ReactionResidual, ...]]:
+    """Return those of each state; residuals of all cells and states stand for forces, in mm."""
+    cells = load_cells(spec, sd_mm)
+    shape = len(spec.states), len(cells)
+    before = before_mm.reshape(shape)
+    after = None if after_mm is None else after_mm.reshape(shape)
+    return [
+        tuple(
+            ReactionResidual(
+                one.region,
+                one.axis,
+                one.force_n,
+                one.sd_n,
+                float(before[s, c] / cell.mm_per_n),
+                None if after is None else float(after[s, c] / cell.mm_per_n),
+            )
+            for c, (one, cell) in enumerate(zip(state.reactions, cells, strict=True))
+        )
+        for s, state in enumerate(spec.states)
+    ]
+
+
+def _predicted_reactions(
+    spec: SpecimenSpec, state: PredictSpec, cells: Sequence[LoadCell], predicted: Prediction
+) -> Iterator[PredictedReaction]:
+    """Yield the forces of the regions that move in a state to come."""
+    moved = {(move.region, axis) for move in state.moves for axis in move.axes}
+    read = zip(
+        spec.states[0].reactions, cells, predicted.force_mm, predicted.force_sd_mm, strict=True
+    )
+    for one, cell, force_mm, sd_mm in read:
+        if (one.region, one.axis) in moved:
+            values = float(force_mm / cell.mm_per_n), float(sd_mm / cell.mm_per_n)
+            yield PredictedReaction(one.region, one.axis, *values)
 
 
 def _triple(values: FloatArray) -> Triple:

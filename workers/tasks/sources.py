@@ -68,10 +68,12 @@ def open_source(path: Path) -> Source:
     reader = _reader_of(path)
     if reader is not None:
         return reader.read(path)
+    missing = "" if path.exists() else "there is nothing at that path; "
     raise InputError(
-        f"{path} cannot be diagnosed: expected a folder with case.json or case.yaml and its "
-        "scans, or the folder of a study that `palpate run` has made. `palpate new diagnosis "
-        "NAME` writes a case."
+        f"{path} cannot be diagnosed: {missing}expected a folder with case.json or case.yaml and "
+        "its scans, the file of a bench experiment, or the folder of a study that `palpate run` "
+        "has made. `palpate new diagnosis NAME` writes a case, `palpate new experiment NAME` an "
+        "experiment."
     )
 
 

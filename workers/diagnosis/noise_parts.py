@@ -40,7 +40,8 @@ def planned_covariance(inverse: InverseProblem) -> FloatArray:
     As it is stated, with poses and drawing; points are where the body is at rest.
     """
     scans, points = len(inverse.scans), inverse.points
-    drawn = covariance(points, inverse.noise, scans) + _smoother(inverse, 1.0)
+    carried = np.ones((scans, len(points)))
+    drawn = covariance(points, inverse.noise, scans) + _smoother(inverse, 1.0, carried)
     fixed = _drawing(inverse)
     if inverse.is_segmented:
         centre_mm, at_rest = inverse.frame.centre_mm, ([points.points], [points.normals])
@@ -65,12 +66,13 @@ def noise_lengths(inverse: InverseProblem) -> tuple[float, ...]:
 def stated_covariances(inverse: InverseProblem) -> tuple[FloatArray, ...]:
     """Return that of the observation for each correlation length, shape (m, m)."""
     if not inverse.is_segmented:
-        return (inverse.covariance + _smoother(inverse, 1.0),)
+        return (inverse.covariance + _smoother(inverse, 1.0, _carried(inverse)),)
     found = []
     for factor in noise_lengths(inverse):
         noise = replace(inverse.noise, correlation_mm=factor * inverse.noise.correlation_mm)
-        drawn = covariance(inverse.points, noise, len(inverse.scans), _carried(inverse))
-        found.append(drawn + _smoother(inverse, factor))
+        carried = _carried(inverse)
+        drawn = covariance(inverse.points, noise, len(inverse.scans), carried)
+        found.append(drawn + _smoother(inverse, factor, carried))
     return tuple(found)
 
 
@@ -79,12 +81,17 @@ def _carried(inverse: InverseProblem) -> FloatArray:
     return 1.0 - np.stack([inverse.followed(scan).pressed for scan in inverse.scans])
 
 
-def _smoother(inverse: InverseProblem, factor: float) -> FloatArray:
-    """Return what of each scan's noise is smoother than its correlation length says."""
-    settings, noise = SETTINGS.noise, inverse.noise
+def _smoother(inverse: InverseProblem, factor: float, carried: FloatArray) -> FloatArray:
+    """Return what of the noise of every scan, of the one at rest too, is smoother than is said.
+
+    `carried` is the part of the error at rest that points carry to each scan, shape (s, k).
+    """
+    settings, noise, scans = SETTINGS.noise, inverse.noise, len(inverse.scans)
     smooth = correlation(inverse.points, settings.smoother_lengths * factor * noise.correlation_mm)
-    variance = (settings.smoother * noise.sd_mm) ** 2
-    return np.asarray(np.kron(np.eye(len(inverse.scans)), variance * smooth), np.float64)
+    at_rest = noise.reference_sd_mm * carried.ravel()
+    found = np.kron(np.eye(scans), noise.sd_mm**2 * smooth)
+    found += np.tile(smooth, (scans, scans)) * np.outer(at_rest, at_rest)
+    return np.asarray(settings.smoother**2 * found)
 
 
 def _numerical(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:

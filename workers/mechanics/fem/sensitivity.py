@@ -72,9 +72,10 @@ def tangents(
     InputError
         If `at` did not converge.
     """
+    _refuse_unconverged(at)
     if not changes:
         return np.empty((0, *at.solution.displacement_mm.shape))
-    return _solved(_linearisation(at), changes, tolerance)[1]
+    return _solved(_Linearisation(at), changes, tolerance)[1]
 
 
 def tangents_with_reactions(
@@ -99,9 +100,10 @@ def tangents_with_reactions(
     InputError
         If `at` did not converge.
     """
+    _refuse_unconverged(at)
     if not changes:
         return (np.empty((0, *at.solution.displacement_mm.shape)),) * 2
-    here = _linearisation(at)
+    here = _Linearisation(at)
     right, moved = _solved(here, changes, tolerance)
     return moved, np.stack([here.reactions(r, u) for r, u in zip(right, moved, strict=True)])
 
@@ -113,13 +115,12 @@ def reactions(at: Equilibrium) -> FloatArray:
     return np.where(level.free > 0, 0.0, force)
 
 
-def _linearisation(at: Equilibrium) -> "_Linearisation":
+def _refuse_unconverged(at: Equilibrium) -> None:
     if not at.solution.outcome.converged:
         raise InputError(
             "Only an equilibrium has tangents; this simulation did not converge: "
             f"{at.solution.outcome.reason}."
         )
-    return _Linearisation(at)
 
 
 def _solved(

@@ -7,7 +7,9 @@ import numpy as np
 
 from service.diagnosis.words import difference, measured, signed, spoken
 from service.formatting import NONE, number
-from workers.diagnosis.summary import PredictedPoint, Summary, Triple
+from storage.values import Triple
+from workers.diagnosis.experiment_summary import PredictedPoint
+from workers.diagnosis.summary import Summary
 
 # Axes by how far a point has moved are told to a hundredth of a millimetre.
 DIGITS = 2

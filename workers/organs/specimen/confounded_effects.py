@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.experiment_summary import ConfoundedEffect
 from workers.diagnosis.gauss_newton import Fit, fit
 from workers.diagnosis.inverse_problem import unknowns
 from workers.diagnosis.linearisation import Linearised
-from workers.diagnosis.summary import ConfoundedEffect
 from workers.mechanics.effects.base import Effect
 from workers.units import KPA
 

@@ -114,7 +114,7 @@ def covariance_with(
 
 
 @dataclass(frozen=True, eq=False)
-class ReadEquilibrium:
+class EquilibriumWithCells:
     """An equilibrium whose solution has one more node for each cell; see `ForwardWithCells`."""
 
     at: Equilibrium
@@ -138,28 +138,30 @@ class ForwardWithCells(Tetrahedra):
         self.cells = tuple(cells)
 
     def equilibrium(  # type: ignore[override]
-        self, model: Any, problem: Problem, start: Equilibrium | ReadEquilibrium | None = None
-    ) -> ReadEquilibrium:
+        self, model: Any, problem: Problem, start: Equilibrium | EquilibriumWithCells | None = None
+    ) -> EquilibriumWithCells:
         """See `Forward.equilibrium`."""
-        at = equilibrium(model, problem, start.at if isinstance(start, ReadEquilibrium) else start)
+        at = equilibrium(
+            model, problem, start.at if isinstance(start, EquilibriumWithCells) else start
+        )
         solution, held = at.solution, np.zeros((1, *at.solution.displacement_mm.shape))
         if solution.outcome.converged:
             held = reactions(at)[None]
         nodes = np.concatenate([solution.displacement_mm, self._read(at, held)[0]])
-        return ReadEquilibrium(at, replace(solution, displacement_mm=nodes))
+        return EquilibriumWithCells(at, replace(solution, displacement_mm=nodes))
 
-    def expecting(self, at: ReadEquilibrium, moved_mm: FloatArray) -> Equilibrium:
+    def expecting(self, at: EquilibriumWithCells, moved_mm: FloatArray) -> Equilibrium:
         """See `Forward.expecting`."""
         return at.at.expecting(moved_mm[: len(moved_mm) - len(self.cells)])
 
     def tangents(  # type: ignore[override]
-        self, at: ReadEquilibrium, changes: Sequence[Change], tolerance: float
+        self, at: EquilibriumWithCells, changes: Sequence[Change], tolerance: float
     ) -> FloatArray:
         """See `Forward.tangents`."""
         moved, forces = tangents_with_reactions(at.at, changes, tolerance)
         return np.concatenate([moved, self._read(at.at, forces)], axis=1)
 
-    def pressed(self, at: ReadEquilibrium) -> BoolArray | None:
+    def pressed(self, at: EquilibriumWithCells) -> BoolArray | None:
         """See `Forward.pressed`."""
         return super().pressed(at.at)
 

@@ -14,6 +14,7 @@ from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.point_interpolation import interpolation
 from workers.diagnosis.diagnosis import Diagnosis
+from workers.diagnosis.experiment_summary import PredictedState
 from workers.diagnosis.force_readings import at_points_with_forces
 from workers.diagnosis.forward import Tetrahedra
 from workers.diagnosis.gauss_newton import Fit
@@ -21,7 +22,7 @@ from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan
 from workers.diagnosis.pictures.scan_pictures import Displacements
 from workers.diagnosis.preparation import ReadPrepared
 from workers.diagnosis.source import SourceContent
-from workers.diagnosis.summary import PredictedState, Summary
+from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.effects.specimen_catalogue import specimen_effects
 from workers.mechanics.fem.fields import frame_of
@@ -253,7 +254,7 @@ class SpecimenSource:
         fit = best.fit if best is not None else analysis.nominal
         return {}, replace(
             summary,
-            markers=marker_states(self.observed, self.spec, diagnosis),
+            markers=marker_states(self.observed, self.spec, self.load_cells, diagnosis),
             hidden=confounded_effects(diagnosis, self.effects),
             predictions=self.predictions(analysis.inverse, fit),
         )

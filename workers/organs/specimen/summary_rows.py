@@ -4,25 +4,24 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from storage.values import FloatArray
+from storage.values import FloatArray, Triple
 from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.summary import (
+from workers.diagnosis.experiment_summary import (
     MarkerResidual,
     MarkerState,
     PredictedPoint,
     PredictedReaction,
     PredictedState,
     ReactionResidual,
-    Triple,
 )
-from workers.organs.specimen.load_cells import LoadCell, load_cells
+from workers.organs.specimen.load_cells import LoadCell
 from workers.organs.specimen.marker_data import Observed
 from workers.organs.specimen.prediction import Prediction
 from workers.organs.specimen.spec import PredictSpec, SpecimenSpec
 
 
 def marker_states(
-    observed: Observed, spec: SpecimenSpec, diagnosis: Diagnosis
+    observed: Observed, spec: SpecimenSpec, cells: Sequence[LoadCell], diagnosis: Diagnosis
 ) -> tuple[MarkerState, ...]:
     """Return what the points of each state have done, and what the models leave of it.
 
@@ -30,6 +29,7 @@ def marker_states(
     ----------
     observed : Observed
     spec : SpecimenSpec
+    cells : sequence of LoadCell
     diagnosis : Diagnosis
     """
     inverse, shape = diagnosis.analysis.inverse, observed.moved_mm.shape
@@ -39,7 +39,7 @@ def marker_states(
     if diagnosis.best is not None:
         whole = diagnosis.best.fit.linearised(inverse).residual
         after, forces_after = whole[place].reshape(shape), whole[~place]
-    reactions = _reactions(spec, observed.sd_mm, forces, forces_after)
+    reactions = _reactions(spec, cells, forces, forces_after)
     return tuple(
         MarkerState(
             state.name,
@@ -80,10 +80,12 @@ def predicted_states(
 
 
 def _reactions(
-    spec: SpecimenSpec, sd_mm: float, before_mm: FloatArray, after_mm: FloatArray | None
+    spec: SpecimenSpec,
+    cells: Sequence[LoadCell],
+    before_mm: FloatArray,
+    after_mm: FloatArray | None,
 ) -> list[tuple[ReactionResidual, ...]]:
     """Return those of each state; residuals of all cells and states stand for forces, in mm."""
-    cells = load_cells(spec, sd_mm)
     shape = len(spec.states), len(cells)
     before = before_mm.reshape(shape)
     after = None if after_mm is None else after_mm.reshape(shape)

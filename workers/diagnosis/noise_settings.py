@@ -20,10 +20,10 @@ class NoiseSettings:
     # [null replicates] A part of every scan's noise, of the one at rest too, is smoother than its
     # correlation length says: its size in standard deviations, its length in correlation lengths.
     # On 30 bodies of the hard world that lack nothing what scans err by, apart from what the model
-    # does, is likelier by 28 nats in all than with 0.25 and 3 and none of it at rest, where noise
+    # does, is likelier by 27 nats in all than with 0.25 and 3 and none of it at rest, where noise
     # of 0.3 mm and more has it; 0.3 to 0.35 and 2 to 2.5 are as good.
-    smoother: float = 0.33
-    smoother_lengths: float = 2.2
+    smoother: float = 0.30
+    smoother_lengths: float = 2.5
     # [sets 10 and 11, hard sets 7 and 8] Skin, in N/mm, that the screening finds on bodies without
     # one, and how it scatters, where the scan at rest was drawn with so much error: on ten that
     # lack nothing 0 to 107 N/m, 42 in the mean, along two directions, and 45 to 123 along one. See

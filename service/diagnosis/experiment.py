@@ -37,7 +37,7 @@ def experiment_lines(summary: Summary) -> Iterator[str]:
             yield f"  {point.name}: {moved}"
         for one in state.reactions:
             force = measured(one.force_n, one.sd_n, "N")
-            yield f"  force on {one.region} along {one.axis}: {force}"
+            yield f"  force on {one.place}: {force}"
 
 
 def _force_lines(summary: Summary) -> Iterator[str]:
@@ -47,7 +47,7 @@ def _force_lines(summary: Summary) -> Iterator[str]:
             left = one.before_n if one.after_n is None else one.after_n
             read = measured(one.force_n, one.sd_n, "N")
             yield (
-                f"Force on {one.region} along {one.axis} at {state.state}: {read}; the model is "
+                f"Force on {one.place} at {state.state}: {read}; the model is "
                 f"off by {difference(left, one.sd_n)} N"
             )
 

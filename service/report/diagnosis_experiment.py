@@ -98,7 +98,7 @@ def forces(summary: Summary) -> list[ForceRow]:
     return [
         ForceRow(
             state.state,
-            f"{one.region} along {one.axis}",
+            one.place,
             measured(one.force_n, one.sd_n, ""),
             difference(one.before_n, one.sd_n),
             NONE if one.after_n is None else difference(one.after_n, one.sd_n),
@@ -148,9 +148,7 @@ def expected(summary: Summary) -> list[ExpectedRow]:
 def expected_forces(summary: Summary) -> list[ExpectedForceRow]:
     """Return a row for each force of each state to come."""
     return [
-        ExpectedForceRow(
-            state.state, f"{one.region} along {one.axis}", measured(one.force_n, one.sd_n, "")
-        )
+        ExpectedForceRow(state.state, one.place, measured(one.force_n, one.sd_n, ""))
         for state in summary.predictions or ()
         for one in state.reactions
     ]

@@ -30,6 +30,11 @@ class ReactionResidual:
     before_n: float
     after_n: float | None
 
+    @property
+    def place(self) -> str:
+        """Where it acts, as a reader is told."""
+        return f"{self.region} along {self.axis}"
+
 
 @dataclass(frozen=True, slots=True)
 class MarkerState:
@@ -67,6 +72,11 @@ class PredictedReaction:
     axis: str
     force_n: float
     sd_n: float
+
+    @property
+    def place(self) -> str:
+        """Where it acts, as a reader is told."""
+        return f"{self.region} along {self.axis}"
 
 
 @dataclass(frozen=True, slots=True)

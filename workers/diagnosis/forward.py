@@ -36,8 +36,13 @@ class Forward(Protocol):
 class Tetrahedra:
     """See `Forward`: the solver of `workers.mechanics.fem`."""
 
-    equilibrium = staticmethod(solve.equilibrium)
-    tangents = staticmethod(sensitivity.tangents)
+    def equilibrium(self, model: Any, problem: Any, start: Any = None) -> Any:
+        """See `Forward.equilibrium`."""
+        return solve.equilibrium(model, problem, start)
+
+    def tangents(self, at: Any, changes: Sequence[Any], tolerance: float) -> FloatArray:
+        """See `Forward.tangents`."""
+        return sensitivity.tangents(at, changes, tolerance)
 
     def expecting(self, at: Any, moved_mm: FloatArray) -> Any:
         """See `Forward.expecting`."""

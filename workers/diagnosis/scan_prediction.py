@@ -119,7 +119,7 @@ def compare_with_scan(
             values = unknowns.of_effect(effect, z)
             places = _seen_by(effect, inverse, followed, at)
             shift = effect.shift(places, normals, tissues, values, inverse.frame)
-            r = r + np.where(inverse.is_force, 0.0, shift)
+            r = r + _of_places(inverse, shift)
     return PredictedScan(points, r, normals, at, followed, pose)
 
 
@@ -285,7 +285,7 @@ def _shift_along(
     step = _moves(effect, inverse, prediction.followed, u)
     rest = prediction.normals, tissues_of(inverse), values, inverse.frame
     change = effect.shift(here + step, *rest) - effect.shift(here, *rest)
-    return np.where(inverse.is_force, 0.0, change)
+    return _of_places(inverse, change)
 
 
 def observed_columns(
@@ -296,7 +296,12 @@ def observed_columns(
         raise ValueError(f"{effect.name} acts on the body")
     places = _seen_by(effect, inverse, prediction.followed, prediction.at)
     rest = prediction.normals, tissues_of(inverse), inverse.frame
-    return np.where(inverse.is_force[:, None], 0.0, effect.observation(places, *rest))
+    return _of_places(inverse, effect.observation(places, *rest))
+
+
+def _of_places(inverse: InverseProblem, shift: FloatArray) -> FloatArray:
+    """Return what an effect on the observation does, (k, ...): load cells are not looked at."""
+    return np.where(inverse.is_force.reshape(-1, *[1] * (shift.ndim - 1)), 0.0, shift)
 
 
 def _seen_by(

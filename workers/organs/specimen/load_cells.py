@@ -3,25 +3,20 @@
 A load cell is one more point, whose displacement is the force that it reads: the noise of its
 reading counts as much as that of a point of the field. So whatever asks how constants and effects
 move the points asks how they change the forces, too. Load cells lie far from the body and from
-each other, so nothing that is smooth in space relates them.
+each other, so nothing that is smooth in space relates them. What a model says they read is found
+in `workers.organs.specimen.load_cell_forces`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from storage.values import BoolArray, FloatArray
+from storage.values import FloatArray
 from workers.comparison.observation.interface import InterfacePoints
 from workers.diagnosis.force_readings import FORCE
-from workers.diagnosis.forward import Tetrahedra
-from workers.mechanics.fem.outcome import Solution
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.regions import Region, nodes_in
-from workers.mechanics.fem.sensitivity import Change, reactions, tangents_with_reactions
-from workers.mechanics.fem.solve import Equilibrium, equilibrium
+from workers.mechanics.fem.regions import Region
 from workers.organs.specimen.problem import AXES, region_of
 from workers.organs.specimen.spec import SpecimenSpec, StateSpec
 
@@ -111,64 +106,3 @@ def covariance_with(
     order = np.hstack([number, read]).ravel()
     whole = block_diag(covariance, np.diag(variances.ravel()))
     return np.asarray(whole[np.ix_(order, order)])
-
-
-@dataclass(frozen=True, eq=False)
-class EquilibriumWithCells:
-    """An equilibrium whose solution has one more node for each cell; see `ForwardWithCells`."""
-
-    at: Equilibrium
-    solution: Solution
-
-    @property
-    def problem(self) -> Problem:
-        """The problem that was solved."""
-        return self.at.problem
-
-
-class ForwardWithCells(Tetrahedra):
-    """See `workers.diagnosis.forward.Forward`; load cells are nodes beyond those of the mesh.
-
-    Parameters
-    ----------
-    cells : sequence of LoadCell
-    """
-
-    def __init__(self, cells: Sequence[LoadCell]) -> None:
-        self.cells = tuple(cells)
-
-    def equilibrium(  # type: ignore[override]
-        self, model: Any, problem: Problem, start: Equilibrium | EquilibriumWithCells | None = None
-    ) -> EquilibriumWithCells:
-        """See `Forward.equilibrium`."""
-        at = equilibrium(
-            model, problem, start.at if isinstance(start, EquilibriumWithCells) else start
-        )
-        solution, held = at.solution, np.zeros((1, *at.solution.displacement_mm.shape))
-        if solution.outcome.converged:
-            held = reactions(at)[None]
-        nodes = np.concatenate([solution.displacement_mm, self._read(at, held)[0]])
-        return EquilibriumWithCells(at, replace(solution, displacement_mm=nodes))
-
-    def expecting(self, at: EquilibriumWithCells, moved_mm: FloatArray) -> Equilibrium:
-        """See `Forward.expecting`."""
-        return at.at.expecting(moved_mm[: len(moved_mm) - len(self.cells)])
-
-    def tangents(  # type: ignore[override]
-        self, at: EquilibriumWithCells, changes: Sequence[Change], tolerance: float
-    ) -> FloatArray:
-        """See `Forward.tangents`."""
-        moved, forces = tangents_with_reactions(at.at, changes, tolerance)
-        return np.concatenate([moved, self._read(at.at, forces)], axis=1)
-
-    def pressed(self, at: EquilibriumWithCells) -> BoolArray | None:
-        """See `Forward.pressed`."""
-        return super().pressed(at.at)
-
-    def _read(self, at: Equilibrium, forces: FloatArray) -> FloatArray:
-        """Return what the cells read of forces on the nodes, (b, n, 3): (b, c, 3), in mm."""
-        found, level = np.zeros((len(forces), len(self.cells), 3)), at.levels[-1].model
-        for number, cell in enumerate(self.cells):
-            inside = nodes_in(cell.region, level.nodes, level.edge_mm)
-            found[:, number, cell.axis] = cell.mm_per_n * forces[:, inside, cell.axis].sum(axis=1)
-        return found

@@ -32,8 +32,8 @@ from workers.mechanics.fem.problem import Problem
 from workers.organs.specimen.body import FARTHEST_MM, Body, arms
 from workers.organs.specimen.boundary_noise import boundary_covariance
 from workers.organs.specimen.confounded_effects import confounded_effects
+from workers.organs.specimen.load_cell_forces import TetrahedraWithCells
 from workers.organs.specimen.load_cells import (
-    ForwardWithCells,
     LoadCell,
     covariance_with,
     load_cells,
@@ -194,7 +194,7 @@ class SpecimenSource:
             bias=np.zeros(len(states) * len(points)),
             arms=self._arms(mesh),
             is_segmented=False,
-            forward=ForwardWithCells(cells) if cells else Tetrahedra(),
+            forward=TetrahedraWithCells(cells) if cells else Tetrahedra(),
         )
         return self._with_boundary_noise(problem)
 

@@ -1,0 +1,72 @@
+"""What the model says that load cells read: forces that hold regions, as nodes beyond the mesh."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from storage.values import BoolArray, FloatArray
+from workers.diagnosis.forward import Tetrahedra
+from workers.mechanics.fem.outcome import Solution
+from workers.mechanics.fem.problem import Problem
+from workers.mechanics.fem.regions import nodes_in
+from workers.mechanics.fem.sensitivity import Change, reactions, tangents_with_reactions
+from workers.mechanics.fem.solve import Equilibrium
+from workers.organs.specimen.load_cells import LoadCell
+
+
+@dataclass(frozen=True, eq=False)
+class EquilibriumWithCells:
+    """An equilibrium whose solution has one more node for each cell; see `TetrahedraWithCells`."""
+
+    at: Equilibrium
+    solution: Solution
+
+    @property
+    def problem(self) -> Problem:
+        """The problem that was solved."""
+        return self.at.problem
+
+
+class TetrahedraWithCells(Tetrahedra):
+    """See `workers.diagnosis.forward.Forward`; load cells are nodes beyond those of the mesh.
+
+    Parameters
+    ----------
+    cells : sequence of LoadCell
+    """
+
+    def __init__(self, cells: Sequence[LoadCell]) -> None:
+        self.cells = tuple(cells)
+
+    def equilibrium(self, model: Any, problem: Any, start: Any = None) -> EquilibriumWithCells:
+        """See `Forward.equilibrium`."""
+        begun = start.at if isinstance(start, EquilibriumWithCells) else start
+        at = super().equilibrium(model, problem, begun)
+        solution, held = at.solution, np.zeros((1, *at.solution.displacement_mm.shape))
+        if solution.outcome.converged:
+            held = reactions(at)[None]
+        nodes = np.concatenate([solution.displacement_mm, self._read(at, held)[0]])
+        return EquilibriumWithCells(at, replace(solution, displacement_mm=nodes))
+
+    def expecting(self, at: Any, moved_mm: FloatArray) -> Any:
+        """See `Forward.expecting`."""
+        return super().expecting(at.at, moved_mm[: len(moved_mm) - len(self.cells)])
+
+    def tangents(self, at: Any, changes: Sequence[Change], tolerance: float) -> FloatArray:
+        """See `Forward.tangents`."""
+        moved, forces = tangents_with_reactions(at.at, changes, tolerance)
+        return np.concatenate([moved, self._read(at.at, forces)], axis=1)
+
+    def pressed(self, at: Any) -> BoolArray | None:
+        """See `Forward.pressed`."""
+        return super().pressed(at.at)
+
+    def _read(self, at: Equilibrium, forces: FloatArray) -> FloatArray:
+        """Return what the cells read of forces on the nodes, (b, n, 3): (b, c, 3), in mm."""
+        found, level = np.zeros((len(forces), len(self.cells), 3)), at.levels[-1].model
+        for number, cell in enumerate(self.cells):
+            inside = nodes_in(cell.region, level.nodes, level.edge_mm)
+            found[:, number, cell.axis] = cell.mm_per_n * forces[:, inside, cell.axis].sum(axis=1)
+        return found

@@ -191,6 +191,9 @@ def _others(records: Records, floor: float | None) -> Iterable[Metric]:
     unlike = _none_of_these([r for r in in_sight if r.group == "unlike"])
     title = "Unlike any effect, visible: none of these"
     yield _metric("unlike_visible", title, unlike, _at_least(0.80))
+    careful = share([r.is_careful for r in in_sight if r.group == "unlike"])
+    title = "Unlike any effect, visible: none of these, or a doubt"
+    yield _metric("unlike_careful", title, careful, _at_least(0.85))
     unlike = _none_of_these([r for r in records if r.group == "unlike"])
     yield _metric("unlike", "Unlike any effect, all: none of these", unlike)
     family = share([r.right_family for r in in_sight if r.group == "relative"])

@@ -154,6 +154,11 @@ class CaseRecord:
         return self.right_first
 
     @property
+    def is_careful(self) -> bool:
+        """Return whether the answer sees a gap and claims no effect as sure."""
+        return self.answer in (NONE_OF_THESE, "cannot-be-told-apart")
+
+    @property
     def true_share(self) -> float | None:
         """Return by how much the effects accused truly shrink the gap's square."""
         before, after = self.true_before_mm, self.true_after_mm

@@ -168,13 +168,16 @@ def test_out_of_the_catalogue() -> None:
         nothing(),
         unlike("none-of-these", 0.3),
         unlike("effect", 0.3),
+        unlike("cannot-be-told-apart", 0.3),
+        unlike("no-gap", 0.3),
         unlike("no-gap", 0.1),
         relative,
         relative,
         strange,
     )
-    assert value(found, "unlike_visible") == (0.5, 2)
-    assert value(found, "unlike") == (1 / 3, 3)
+    assert value(found, "unlike_visible") == (1 / 4, 4)
+    assert value(found, "unlike_careful") == (2 / 4, 4)
+    assert value(found, "unlike") == (1 / 5, 5)
     assert value(found, "relatives") == (2 / 3, 3)
     assert relative.right
     assert not relative.covered  # no cause of the catalogue is true of it

@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator, Mapping
 
-from service.diagnosis.words import difference, measured, spoken
+from service.diagnosis.words import difference, least_length, measured, spoken
 from workers.diagnosis.summary import Summary
 
 # A relative change of a constant that is not worth a line.
 SMALL = 0.02
-# A standard deviation below this is printed as this.
-LEAST_MM = 0.01
+# Points of a state that are printed; the page has all.
+SHOWN = 12
 
 
 def experiment_lines(summary: Summary) -> Iterator[str]:
@@ -29,12 +29,15 @@ def experiment_lines(summary: Summary) -> Iterator[str]:
                 f"{kpa['with']:.0f} kPa instead of {kpa['without']:.0f} kPa: these states cannot "
                 "tell the two apart."
             )
+    least_mm = least_length(summary.gap_mm)
     for state in summary.predictions:
         yield f"Expected at {state.state}, along x, y and z of the body:"
-        for point in state.points:
+        for point in state.points[:SHOWN]:
             parts = zip(point.displacement_mm, point.sd_mm, strict=True)
-            moved = ", ".join(measured(value, max(sd, LEAST_MM), "mm") for value, sd in parts)
+            moved = ", ".join(measured(value, max(sd, least_mm), "mm") for value, sd in parts)
             yield f"  {point.name}: {moved}"
+        if len(state.points) > SHOWN:
+            yield f"  and {len(state.points) - SHOWN} further points: see the page, or --json"
         for one in state.reactions:
             force = measured(one.force_n, one.sd_n, "N")
             yield f"  force on {one.place}: {force}"

@@ -9,9 +9,9 @@ from workers.diagnosis.settings import SETTINGS
 from workers.diagnosis.summary import GapEstimate, GapSummary, Summary
 
 MOST_DIGITS = 4
-# A gap that would be printed as zero.
-NOTHING_MM = 0.005
-# The smallest upper limit of a gap that is printed.
+# A gap below this, and below this part of the noise, is as good as none.
+NOTHING_MM, NOTHING_OF_NOISE = 0.005, 0.1
+# The smallest upper limit of a gap that is printed; where noise is smaller, its size.
 LEAST_MM = 0.01
 NOT_EFFECTS = {"no-gap": "no gap", "none-of-these": "none of these"}
 DOUBTS = {"no-gap": "mere noise", "none-of-these": "something that is not listed"}
@@ -137,7 +137,26 @@ def millimetres(gap: Interval | None) -> str:
     """
     if gap is None:
         return NONE
-    return f"{gap.gap_mm:.2f} mm ({gap.low_mm:.2f} to {gap.high_mm:.2f})"
+    middle, low, high = (length(v, gap.high_mm) for v in (gap.gap_mm, gap.low_mm, gap.high_mm))
+    return f"{middle} mm ({low} to {high})"
+
+
+def length(mm: float, beside: float | None = None) -> str:
+    """Return a length in mm to a hundredth; with two figures where it, or what it stands beside,
+    is smaller than that.
+
+    Examples
+    --------
+    >>> length(0.2684), length(0.0), length(0.00123), length(0.00004, beside=0.00123)
+    ('0.27', '0.00', '0.0012', '0.0000')
+    """
+    digits = decimals(mm if beside is None else beside)
+    return number(mm, 2) if digits > MOST_DIGITS + 1 else f"{mm:.{digits}f}"
+
+
+def decimals(mm: float) -> int:
+    """Return how many digits behind the point show a hundredth, or two figures of what is less."""
+    return _digits(mm) if 0 < mm < LEAST_MM else 2
 
 
 def sentence(summary: Summary) -> str:
@@ -185,10 +204,10 @@ def _verdict(summary: Summary) -> str:
         most = gap.before.high_mm
         return (
             "Model and data agree: what is left between them is no more than noise. A gap larger "
-            f"than {max(most, LEAST_MM):.2f} mm is unlikely."
+            f"than {length(max(most, least_length(gap)))} mm is unlikely."
         )
     differ = f"Model and data differ by {millimetres(gap.before)} beyond the noise"
-    if gap.before.gap_mm < NOTHING_MM:
+    if _is_nothing(gap.before, gap):
         differ = "Model and data differ by less than the noise, but not at random"
     if summary.verdict == "none-of-these":
         return (
@@ -223,14 +242,24 @@ def _magnitude(summary: Summary, name: str) -> str:
 def _left(gap: GapSummary) -> str:
     """Say what the effect leaves, judged where it was not fitted if there is such a scan."""
     if gap.held_out_after is not None and gap.held_out_before is not None:
-        before = gap.held_out_before.gap_mm
-        of = f" of {before:.2f} mm" if before >= NOTHING_MM else ""
-        return f"On scans that it was not fitted to, it leaves {_rest(gap.held_out_after)}{of}."
+        before = gap.held_out_before
+        of = "" if _is_nothing(before, gap) else f" of {length(before.gap_mm)} mm"
+        rest = _rest(gap.held_out_after, gap)
+        return f"On scans that it was not fitted to, it leaves {rest}{of}."
     where = ", in the scans that it was fitted to" if gap.not_judged else ""
-    return "" if gap.after is None else f"It leaves {_rest(gap.after)}{where}."
+    return "" if gap.after is None else f"It leaves {_rest(gap.after, gap)}{where}."
 
 
-def _rest(gap: GapEstimate) -> str:
-    if gap.gap_mm < NOTHING_MM:
-        return f"nothing that stands out of the noise (at most {gap.high_mm:.2f} mm)"
-    return millimetres(gap)
+def _rest(left: GapEstimate, gap: GapSummary) -> str:
+    if _is_nothing(left, gap):
+        return f"nothing that stands out of the noise (at most {length(left.high_mm)} mm)"
+    return millimetres(left)
+
+
+def _is_nothing(one: GapEstimate, gap: GapSummary) -> bool:
+    return one.gap_mm < min(NOTHING_MM, NOTHING_OF_NOISE * gap.noise_floor)
+
+
+def least_length(gap: GapSummary) -> float:
+    """Return the smallest length in mm that is said to be known."""
+    return min(LEAST_MM, gap.noise_floor)

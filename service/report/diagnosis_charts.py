@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from service.diagnosis.words import likely
+from service.diagnosis.words import length, likely
 from service.formatting import MINUS
 from service.report.svg import Mark, Scale, Svg, horizontal_axis, legend, text_width
 from workers.diagnosis.summary import GapEstimate
@@ -65,7 +65,7 @@ def gaps(rows: Sequence[Judged], noise_mm: float, effect: str, width: float) -> 
     marks: list[tuple[Mark, str, str]] = [("box", "bar-before", "nominal model")]
     if effect:
         marks.append(("box", "bar-after", f"with {effect}"))
-    marks.append(("dashed", "limit", "noise of one point of the segmentation"))
+    marks.append(("dashed", "limit", "noise of one point"))
     most = 1.05 * max(noise_mm, *(row.before.high_mm for row in rows))
     bars = _Bars([row.title for row in rows], marks, width, (0.0, most), 56.0)
     for number, row in enumerate(rows):
@@ -75,7 +75,7 @@ def gaps(rows: Sequence[Judged], noise_mm: float, effect: str, width: float) -> 
             y = bars.middle(number) + (place - (len(both) - 1) / 2) * (BAR_PX + 3)
             bars.bar(y, 0.0, gap.gap_mm, class_)
             bars.interval(y, gap.low_mm, gap.high_mm)
-            bars.beside(y, gap.high_mm, f"{gap.gap_mm:.2f}")
+            bars.beside(y, gap.high_mm, length(gap.gap_mm, gap.high_mm))
     bars.limit(noise_mm)
     return bars.finished("gap beyond the noise, mm")
 

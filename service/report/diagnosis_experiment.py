@@ -5,16 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.words import difference, measured, signed, spoken
+from service.diagnosis.words import (
+    decimals,
+    difference,
+    least_length,
+    length,
+    measured,
+    signed,
+    spoken,
+)
 from service.formatting import NONE, number
 from storage.values import Triple
 from workers.diagnosis.experiment_summary import PredictedPoint
 from workers.diagnosis.summary import Summary
-
-# Axes by how far a point has moved are told to a hundredth of a millimetre.
-DIGITS = 2
-# A standard deviation below this is printed as this.
-LEAST_MM = 0.01
 
 
 @dataclass(frozen=True)
@@ -80,13 +83,14 @@ class ExpectedForceRow:
 
 def markers(summary: Summary) -> list[MarkerRow]:
     """Return a row for each marker of each state."""
+    digits = decimals(summary.gap_mm.noise_floor)
     return [
         MarkerRow(
             state.state,
             point.name,
-            _triple(point.displacement_mm),
-            _triple(point.before_mm),
-            _triple(point.after_mm),
+            _triple(point.displacement_mm, digits),
+            _triple(point.before_mm, digits),
+            _triple(point.after_mm, digits),
         )
         for state in summary.markers or ()
         for point in state.points
@@ -115,7 +119,7 @@ def states(summary: Summary) -> list[StateRow]:
             state.state,
             _rms([point.before_mm for point in state.points]),
             _rms([point.after_mm for point in state.points]),
-            NONE if state.repeats_mm is None else f"{state.repeats_mm:.2f}",
+            NONE if state.repeats_mm is None else length(state.repeats_mm),
         )
         for state in summary.markers or ()
     ]
@@ -138,8 +142,9 @@ def hidden(summary: Summary) -> list[HiddenRow]:
 
 def expected(summary: Summary) -> list[ExpectedRow]:
     """Return a row for each marker of each state to come."""
+    least_mm = least_length(summary.gap_mm)
     return [
-        ExpectedRow(state.state, point.name, _deviating(point))
+        ExpectedRow(state.state, point.name, _deviating(point, least_mm))
         for state in summary.predictions or ()
         for point in state.points
     ]
@@ -154,13 +159,13 @@ def expected_forces(summary: Summary) -> list[ExpectedForceRow]:
     ]
 
 
-def _triple(values: Triple | None) -> str:
-    return NONE if values is None else ", ".join(signed(v, DIGITS) for v in values)
+def _triple(values: Triple | None, digits: int) -> str:
+    return NONE if values is None else ", ".join(signed(v, digits) for v in values)
 
 
-def _deviating(point: PredictedPoint) -> tuple[str, str, str]:
+def _deviating(point: PredictedPoint, least_mm: float) -> tuple[str, str, str]:
     x, y, z = (
-        measured(value, max(sd, LEAST_MM), "")
+        measured(value, max(sd, least_mm), "")
         for value, sd in zip(point.displacement_mm, point.sd_mm, strict=True)
     )
     return x, y, z
@@ -170,4 +175,4 @@ def _rms(residuals: Sequence[Triple | None]) -> str:
     known = [triple for triple in residuals if triple is not None]
     if len(known) < len(residuals):
         return NONE
-    return f"{np.sqrt(np.mean(np.square(known))):.2f}"
+    return length(float(np.sqrt(np.mean(np.square(known)))))

@@ -7,6 +7,7 @@ from service.diagnosis.advice import undecided, worth
 from service.diagnosis.run import FinishedDiagnosis
 from service.diagnosis.words import (
     NOT_EFFECTS,
+    length,
     likely,
     listed,
     millimetres,
@@ -17,6 +18,7 @@ from service.diagnosis.words import (
 from service.report import diagnosis_experiment as experiment
 from service.report import diagnosis_tables as tables
 from service.report import diagnosis_where as where
+from service.report.diagnosis_arrows import arrow_pictures
 from service.report.diagnosis_charts import Cause, Evidence, Judged, evidence, gaps, probabilities
 from service.report.diagnosis_consequence import next_step, quotable
 from service.report.diagnosis_made import Origin
@@ -87,6 +89,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "name": summary.case,
         "verdict": sentence(summary),
         "lead": _lead(summary),
+        "loaded": _loaded(summary),
         "quote": quotable(summary),
         "next_step": next_step(summary, origin.made.command),
         "provenance": diagnosis_provenance(origin.made, versions()),
@@ -106,6 +109,9 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "advice": _advice(summary),
         "further": [(o.name, worth(o)) for o in summary.next_acquisitions or ()],
         "markers": experiment.markers(summary),
+        "arrows": list(arrow_pictures(maps, scans, accused, summary.gap_mm.noise_floor))
+        if summary.markers is not None
+        else [],
         "states": experiment.states(summary),
         "forces": experiment.forces(summary),
         "hidden": experiment.hidden(summary),
@@ -127,18 +133,22 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
     }
 
 
+def _loaded(summary: Summary) -> str:
+    return "scans" if summary.markers is None else "states"
+
+
 def _lead(summary: Summary) -> str:
-    noise = summary.gap_mm.noise_floor
+    noise = length(summary.gap_mm.noise_floor)
     if summary.markers is not None:
         return (
             f"Model and measurement were compared at {summary.points // 3} points in every loaded "
             "state, after the constants had been fitted. The measurement alone makes one component "
-            f"err by {noise:.2f} mm; a gap is what differs beyond that. Intervals hold with 90 %."
+            f"err by {noise} mm; a gap is what differs beyond that. Intervals hold with 90 %."
         )
     return (
         f"Model and scans were compared at {summary.points} points on {summary.compared}, "
         f"in every loaded scan, after the constants had been fitted. {_left_out(summary)}The "
-        f"segmentation alone makes a point err by {noise:.2f} mm; a gap is what differs beyond "
+        f"segmentation alone makes a point err by {noise} mm; a gap is what differs beyond "
         "that. Intervals hold with 90 %."
     )
 
@@ -166,13 +176,14 @@ def _advice(summary: Summary) -> str:
 
 def _tiles(summary: Summary) -> list[tuple[str, str, str]]:
     gap = summary.gap_mm
-    tiles = [("Gap, nominal model", f"{gap.before.gap_mm:.2f}", "mm")]
+    tiles = [("Gap, nominal model", length(gap.before.gap_mm, gap.before.high_mm), "mm")]
     if gap.after is not None:
-        tiles.append(("Gap with the effect", f"{gap.after.gap_mm:.2f}", "mm"))
+        tiles.append(("Gap with the effect", length(gap.after.gap_mm, gap.after.high_mm), "mm"))
     if gap.held_out_after is not None and gap.held_out_before is not None:
-        change = f"{gap.held_out_before.gap_mm:.2f} → {gap.held_out_after.gap_mm:.2f}"
+        held = gap.held_out_before, gap.held_out_after
+        change = " → ".join(length(one.gap_mm, one.high_mm) for one in held)
         tiles.append(("On unseen scans", change, "mm"))
-    tiles.append(("Noise of a point", f"{gap.noise_floor:.2f}", "mm"))
+    tiles.append(("Noise of a point", length(gap.noise_floor), "mm"))
     tiles.append(
         ("Evidence for a gap", f"{summary.alarm:.1f}", f"alarm at {summary.threshold:.1f}")
     )
@@ -199,7 +210,7 @@ def _warnings(summary: Summary) -> Iterator[str]:
 
 def _gap_picture(summary: Summary, accused: str) -> Picture:
     gap = summary.gap_mm
-    rows = [Judged("all scans, whatever the cause", gap.before, gap.after)]
+    rows = [Judged(f"all {_loaded(summary)}, whatever the cause", gap.before, gap.after)]
     for name, held in (gap.held_out_each or {}).items():
         rows.append(Judged(f"{name}, not fitted to it", held.before, held.after))
     said = "; ".join(

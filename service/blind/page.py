@@ -73,7 +73,7 @@ def _tiles(metrics: Sequence[Metric]) -> list[tuple[str, str, str]]:
     titles = {
         "false_alarms": "False alarms",
         "named_right": "Named effects that act",
-        "first_visible": "Visible effects table",
+        "first_visible": "Visible effects that come first",
         "covered": "In the 90 % set",
     }
     by_key = {f.key: f for f in metrics}

@@ -161,7 +161,12 @@ def decimals(mm: float) -> int:
 
 def sentence(summary: Summary) -> str:
     """Say the verdict in a sentence or two, what may hide, and what is wrong with the noise."""
-    return " ".join(filter(None, (_verdict(summary), hidden(summary), noise(summary))))
+    return " ".join(filter(None, (headline(summary), noise(summary))))
+
+
+def headline(summary: Summary) -> str:
+    """Say the verdict in a sentence or two, and what may hide."""
+    return " ".join(filter(None, (_verdict(summary), hidden(summary))))
 
 
 def hidden(summary: Summary) -> str:

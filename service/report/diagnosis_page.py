@@ -7,11 +7,12 @@ from service.diagnosis.advice import undecided, worth
 from service.diagnosis.run import FinishedDiagnosis
 from service.diagnosis.words import (
     NOT_EFFECTS,
+    headline,
     length,
     likely,
     listed,
     millimetres,
-    sentence,
+    noise,
     spoken,
     together,
 )
@@ -87,7 +88,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
     accused = together(summary.primary) if summary.primary else ""
     return {
         "name": summary.case,
-        "verdict": sentence(summary),
+        "verdict": headline(summary),
         "lead": _lead(summary),
         "loaded": _loaded(summary),
         "quote": quotable(summary),
@@ -191,6 +192,8 @@ def _tiles(summary: Summary) -> list[tuple[str, str, str]]:
 
 
 def _warnings(summary: Summary) -> Iterator[str]:
+    if wrong := noise(summary):
+        yield wrong
     loose = [r.effects for r in summary.refits if not r.converged]
     if loose:
         names = "; ".join(together(e) for e in loose)

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from diagnosis_at_hand import VERDICTS, found, nothing, summary, typed
+from diagnosis_at_hand import VERDICTS, found, gap, nothing, summary, typed
 from pages import Page
 
 from service.diagnosis.words import sentence
@@ -104,6 +104,30 @@ def test_noise_that_is_stated_wrongly_or_uneven_is_said() -> None:
         " The outline interface is drawn less exactly in one part of the body than in another: "
         "with 0.22 to 0.41 mm of noise."
     )
+
+
+def test_noise_that_is_stated_wrongly_is_a_warning_and_no_part_of_the_headline() -> None:
+    noise = {"interface": "outline", "stated_mm": 0.2, "learnt_mm": 0.3}
+    even = {"least_mm": 0.3, "most_mm": 0.3}
+    shown = render(found(summary(noise=[noise | even])))
+    (warned,) = re.findall(r'<p class="note warn">([^<]*)</p>', shown)
+    assert warned.startswith("The noise of the outline interface is stated too small")
+    assert shown.count("stated too small") == 1
+
+
+def test_a_gap_of_micrometres_is_told_where_noise_is_smaller_still() -> None:
+    gaps_mm = summary()["gap_mm"] | {
+        "noise_floor": 0.0012,
+        "before": gap(0.0031, 0.0027, 0.0035),
+        "after": None,
+        "held_out_before": None,
+        "held_out_after": None,
+    }
+    told = sentence_of(summary(gap_mm=gaps_mm))
+    assert told.startswith("Model and data differ by 0.0031 mm (0.0027 to 0.0035) beyond the noise")
+    # Under a tenth of a millimetre of noise the same gap is none.
+    told = sentence_of(summary(gap_mm=gaps_mm | {"noise_floor": 0.1}))
+    assert told.startswith("Model and data differ by less than the noise, but not at random")
 
 
 def test_two_effects_at_once_are_both_named() -> None:

@@ -20,20 +20,26 @@ class MarkerResidual:
 
 
 @dataclass(frozen=True, slots=True)
-class ReactionResidual:
-    """The force on a region along an axis, as it was read, with what the models leave of it."""
+class Reaction:
+    """The force on a region along an axis, and how surely it is known."""
 
     region: str
     axis: str
     force_n: float
     sd_n: float
-    before_n: float
-    after_n: float | None
 
     @property
     def place(self) -> str:
         """Where it acts, as a reader is told."""
         return f"{self.region} along {self.axis}"
+
+
+@dataclass(frozen=True, slots=True)
+class ReactionResidual(Reaction):
+    """A force as it was read, with what the models leave of it."""
+
+    before_n: float
+    after_n: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,24 +71,9 @@ class PredictedPoint:
 
 
 @dataclass(frozen=True, slots=True)
-class PredictedReaction:
-    """The force that a region needs along an axis, and how surely the fit knows it."""
-
-    region: str
-    axis: str
-    force_n: float
-    sd_n: float
-
-    @property
-    def place(self) -> str:
-        """Where it acts, as a reader is told."""
-        return f"{self.region} along {self.axis}"
-
-
-@dataclass(frozen=True, slots=True)
 class PredictedState:
     """All points of a state that was not measured, and the forces that move it."""
 
     state: str
     points: tuple[PredictedPoint, ...]
-    reactions: tuple[PredictedReaction, ...] = ()
+    reactions: tuple[Reaction, ...] = ()

@@ -10,8 +10,8 @@ from workers.diagnosis.experiment_summary import (
     MarkerResidual,
     MarkerState,
     PredictedPoint,
-    PredictedReaction,
     PredictedState,
+    Reaction,
     ReactionResidual,
 )
 from workers.organs.specimen.load_cells import LoadCell
@@ -107,7 +107,7 @@ def _reactions(
 
 def _predicted_reactions(
     spec: SpecimenSpec, state: PredictSpec, cells: Sequence[LoadCell], predicted: Prediction
-) -> Iterator[PredictedReaction]:
+) -> Iterator[Reaction]:
     """Yield the forces of the regions that move in a state to come."""
     moved = {(move.region, axis) for move in state.moves for axis in move.axes}
     read = zip(
@@ -116,7 +116,7 @@ def _predicted_reactions(
     for one, cell, force_mm, sd_mm in read:
         if (one.region, one.axis) in moved:
             values = float(force_mm / cell.mm_per_n), float(sd_mm / cell.mm_per_n)
-            yield PredictedReaction(one.region, one.axis, *values)
+            yield Reaction(one.region, one.axis, *values)
 
 
 def _triple(values: FloatArray) -> Triple:

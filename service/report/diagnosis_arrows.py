@@ -38,7 +38,8 @@ class Misfits:
     points : ndarray, shape (k, 3)
         At rest, in mm.
     before, after : ndarray, shape (s, k, 3)
-        From where a point is to where the nominal model, and the one with the effect, put it.
+        From where a point is to where the nominal model, and the one with the effect, put it;
+        `after` is None where no effect is accused.
     """
 
     points: FloatArray

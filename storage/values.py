@@ -45,6 +45,11 @@ class Volume:
         Distance of voxel centres along x, y and z; > 0.
     origin_mm : tuple of float
         Centre of the voxel ``values[0, 0, 0]`` as (x, y, z).
+    frame_uid : str
+        Frame of reference of these coordinates, as DICOM names it; empty if the file names none.
+    place_known : bool
+        Whether the file states where its voxels are. False if origin or orientation had to be
+        assumed: such a volume cannot be compared with another one as it is.
 
     Raises
     ------
@@ -55,6 +60,8 @@ class Volume:
     values: NDArray[Any]
     spacing_mm: Triple
     origin_mm: Triple = (0.0, 0.0, 0.0)
+    frame_uid: str = ""
+    place_known: bool = True
 
     def __post_init__(self) -> None:
         if self.values.ndim != 3:

@@ -14,7 +14,7 @@ from storage.errors import StoreError
 from storage.stores import Store
 from storage.values import Tissue, Triple, Volume
 
-OWN = ("spacing_mm", "origin_mm", "labels", "shape", "dtype")
+OWN = ("spacing_mm", "origin_mm", "frame_uid", "place_known", "labels", "shape", "dtype")
 LABELS = {str(int(tissue)): tissue.name.lower() for tissue in Tissue}
 
 
@@ -49,6 +49,8 @@ def save_volume(
         "labels": LABELS if _are_tissues(volume) else None,
         "shape": list(values.shape),
         "dtype": values.dtype.name,
+        **({"frame_uid": volume.frame_uid} if volume.frame_uid else {}),
+        **({} if volume.place_known else {"place_known": False}),
     }
     save_arrays(store.layout.volume(digest), {"values": values}, attributes)
 
@@ -64,7 +66,13 @@ def load_volume(store: Store, digest: str) -> Volume:
         If a newer version of Palpate wrote it.
     """
     arrays, meta = load_arrays(store.layout.volume(digest), ["values"])
-    return Volume(arrays["values"], _triple(meta["spacing_mm"]), _triple(meta["origin_mm"]))
+    return Volume(
+        arrays["values"],
+        _triple(meta["spacing_mm"]),
+        _triple(meta["origin_mm"]),
+        frame_uid=str(meta.get("frame_uid", "")),
+        place_known=bool(meta.get("place_known", True)),
+    )
 
 
 def volume_meta(store: Store, digest: str) -> dict[str, Any]:
@@ -75,7 +83,8 @@ def volume_meta(store: Store, digest: str) -> dict[str, Any]:
     dict
         What was given as `meta`, and ``spacing_mm`` and ``origin_mm`` (x, y, z),
         ``labels`` (name by label; None if the values are no tissues), ``shape``
-        (nz, ny, nx) and ``dtype``.
+        (nz, ny, nx) and ``dtype``; ``frame_uid`` and ``place_known`` where they differ from
+        the defaults of `Volume`.
 
     Raises
     ------

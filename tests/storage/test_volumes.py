@@ -39,6 +39,20 @@ def test_voxels_spacing_and_origin_come_back_bit_for_bit(store):
     assert read.on_lattice_of(volume, tolerance=1e-15)
 
 
+def test_the_frame_of_reference_and_an_unknown_place_are_kept(store):
+    values = labels().values
+    save_volume(store, "v", Volume(values, (1, 2, 3), frame_uid="1.2.840.1", place_known=False))
+    read = load_volume(store, "v")
+    assert read.frame_uid == "1.2.840.1"
+    assert not read.place_known
+
+
+def test_a_volume_stored_without_a_frame_has_a_known_place(store):
+    save_volume(store, "v", labels())
+    assert not {"frame_uid", "place_known"} & set(volume_meta(store, "v"))
+    assert load_volume(store, "v").place_known
+
+
 @pytest.mark.parametrize("dtype", [np.uint16, np.int16, np.float32])
 def test_compartments_and_grey_values_have_no_label_names(store, dtype):
     values = (np.arange(60).reshape(3, 4, 5) - 3).astype(dtype)

@@ -1,6 +1,7 @@
 # Every target sets itself up: a virtual environment in .venv, once.
 #
 #   make demo        a small search on this machine, and its report
+#   make quick       style and the unit tests that need no cluster, in under two minutes
 #   make test        style, types, import rules and all quick tests
 #   make test-slow   the tests that take minutes or run at full scale
 #   make bench       figures: how long things take here
@@ -15,7 +16,7 @@ READY := $(VENV)/.ready
 PYTHON ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow bench docs lint format constraints clean
+.PHONY: help demo quick test test-slow bench docs lint format constraints clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -23,6 +24,10 @@ help:
 demo: $(READY)
 	$(BIN)/palpate run examples/demo.yaml --study runs/demo
 	$(BIN)/palpate report runs/demo
+
+quick: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/pytest -q -m "not slow" -n 2 --dist loadfile tests/body tests/comparison tests/search tests/storage
 
 test: lint
 	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile

@@ -1,98 +1,54 @@
-"""Writes the pages that are made from the code: the commands, and the names of `palpate`.
+"""Pages that are generated from the code and from records, and a search that needs no server.
 
-MkDocs calls `on_files` and `on_page_markdown` (mkdocs.yml, `hooks`).
+MkDocs calls `on_files`, `on_page_markdown` and `on_post_build` (mkdocs.yml, `hooks`).
 """
 
-import inspect
+import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
 
-WIDTH = 96
-COMMANDS_HEAD = """# Commands
+from generate_commands import commands_page  # noqa: E402
+from generate_keys import keys_page  # noqa: E402
+from generate_names import public_names  # noqa: E402
+from generate_validation import validation_page  # noqa: E402
 
-What `palpate COMMAND --help` prints, for every command. Every command that reads prints JSON with
-`--json`. Exit codes: 0 done; 1 a fault of Palpate, with its traceback; 2 something to put right,
-said in one message; 130 interrupted.
-"""
+GENERATED = ("reference/commands.md", "reference/keys.md", "explanation/validation.md")
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add commands.md, which no file holds."""
+    """Add the generated pages, which are not stored in any file."""
     from mkdocs.structure.files import File
 
-    files.append(File.generated(config, "commands.md", content=commands_page()))
+    made = (commands_page(), keys_page(), validation_page())
+    for name, content in zip(GENERATED, made, strict=True):
+        files.append(File.generated(config, name, content=content))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """End python.md with the public names and their docstrings."""
-    if page.file.src_uri == "python.md":
-        return markdown + "\n" + "\n".join(_names())
+    """Append the public names and their docstrings to reference/python.md."""
+    if page.file.src_uri == "reference/python.md":
+        return markdown + "\n" + "\n".join(public_names())
     return markdown
 
 
-def commands_page() -> str:
-    """Return the help of every command as Markdown."""
-    import typer
+def on_post_build(config: Any) -> None:
+    """Put the search index into a script.
 
-    from service.cli import app
-
-    lines = [COMMANDS_HEAD]
-    for path, command in _commands(typer.main.get_command(app), ()):
-        lines += [f"## {' '.join(path)}", "", "```", _help(path, command), "```", ""]
-    return "\n".join(lines)
-
-
-def _commands(group: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    for name, command in group.commands.items():
-        here = (*path, name)
-        if hasattr(command, "commands"):
-            yield from _commands(command, here)
-        else:
-            yield here, command
-
-
-def _help(path: tuple[str, ...], command: Any) -> str:
-    context = command.make_context(
-        " ".join(("palpate", *path)), ["--help"], resilient_parsing=True, max_content_width=WIDTH
+    MkDocs fetches its index, which browsers refuse for pages opened from disk.
+    """
+    search = Path(config.site_dir, "search")
+    index = json.loads((search / "search_index.json").read_text())
+    pages = [{key: doc[key] for key in ("location", "title", "text")} for doc in index["docs"]]
+    scripts = (
+        (search / "lunr.js").read_text(),
+        f"var searchPages = {json.dumps(pages)};",
+        (HERE / ".theme" / "search.js").read_text(),
     )
-    context.terminal_width = WIDTH
-    return str(command.get_help(context)).rstrip()
-
-
-def _names() -> Iterator[str]:
-    import palpate
-
-    for name in sorted(palpate.__all__, key=str.lower):
-        if name.startswith("_"):
-            continue
-        value = getattr(palpate, name)
-        yield f"### {name}\n"
-        yield _block(name, value)
-        if inspect.isclass(value) and value.__module__.startswith("palpate"):
-            for member, function in inspect.getmembers(value, _is_public):
-                if member.startswith("_") or member not in vars(value):
-                    continue
-                yield f"#### {name}.{member}\n"
-                yield _block(member, function)
-
-
-def _block(name: str, value: Any) -> str:
-    return f"```\n{_signature(name, value)}\n\n{inspect.getdoc(value) or ''}\n```\n"
-
-
-def _is_public(value: Any) -> bool:
-    return inspect.isfunction(value) or inspect.ismethod(value) or isinstance(value, property)
-
-
-def _signature(name: str, value: Any) -> str:
-    if isinstance(value, property):
-        return name
-    try:
-        return f"{name}{inspect.signature(value)}"
-    except (TypeError, ValueError):
-        return name
+    (search / "main.js").write_text("\n".join(scripts))
+    for unused in ("worker.js", "lunr.js", "search_index.json"):
+        (search / unused).unlink()

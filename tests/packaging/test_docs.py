@@ -37,11 +37,13 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_page_is_in_the_navigation(site: Path) -> None:
-    pages = {path.stem for path in (ROOT / "docs").glob("*.md")} | {"commands"}
-    built = {path.stem for path in site.glob("*.html")} - {"404"}
-    assert built == pages
+    docs = ROOT / "docs"
+    pages = {path.relative_to(docs).with_suffix("") for path in docs.rglob("*.md")}
+    pages |= {Path("reference/commands"), Path("reference/keys"), Path("explanation/validation")}
+    built = {path.relative_to(site).with_suffix("") for path in site.rglob("*.html")}
+    assert built - {Path("404")} == pages
     front = (site / "index.html").read_text()
-    assert all(f'href="{page}.html"' in front for page in pages - {"index"})
+    assert all(f'href="{page}.html"' in front for page in pages - {Path("index")})
 
 
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
@@ -60,13 +62,22 @@ def test_a_load_would_be_seen() -> None:
 
 def test_what_pages_show_is_there(site: Path) -> None:
     shown = re.compile(r'<(?:img|script|link)\b[^>]*?(?:src|href)="([^"#]+)"')
-    for page in set(site.glob("*.html")) - {site / "404.html"}:  # which a server shows anywhere
+    for page in set(site.rglob("*.html")) - {site / "404.html"}:  # which a server shows anywhere
         for name in shown.findall(page.read_text()):
-            assert name.startswith("data:") or (site / name.split("?")[0]).is_file(), (page, name)
+            file = page.parent / name.split("?")[0]
+            assert name.startswith("data:") or file.is_file(), (page, name)
+
+
+def test_prose_stays_within_its_budget() -> None:
+    def words(*files: Path) -> int:
+        return sum(len(file.read_text().split()) for file in files)
+
+    assert words(ROOT / "README.md") <= 800
+    assert words(*(ROOT / "docs").rglob("*.md")) <= 15_000
 
 
 def test_every_command_is_in_the_reference(site: Path) -> None:
-    text = (site / "commands.html").read_text()
+    text = (site / "reference" / "commands.html").read_text()
     from service.cli import app
 
     names = [command.name for command in app.registered_commands]

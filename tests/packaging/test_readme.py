@@ -1,12 +1,12 @@
-"""The shell blocks of README.md run as they are printed, in the order in which they stand.
+"""The shell blocks of README.md and docs/ run as printed, file by file, in order.
 
-A block is marked in README by an HTML comment on the line before it::
+A block is marked by an HTML comment on the line before it::
 
     <!-- runs -->      in the folder of a checkout, with the command on the path
     <!-- slow -->      the same, but it takes minutes
     <!-- needs X -->   not here: it needs X (another machine, scans of one's own, a network)
 
-A block without a mark fails: somebody has to say which it is.
+A block without a mark fails.
 """
 
 import os
@@ -29,33 +29,55 @@ PACKAGES = ("palpate", "service", "workers", "storage", "tests")
 
 @dataclass(frozen=True)
 class Block:
-    """Lines of a shell, and what its mark says."""
+    """Lines of a shell, the file they are in, and their mark."""
 
+    file: str
     mark: str
     text: str
 
 
+FILES = ("README.md", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "docs").rglob("*.md")))
 BLOCKS = [
-    Block(match["mark"] or "", match["text"])
-    for match in BLOCK.finditer((ROOT / "README.md").read_text())
+    Block(file, match["mark"] or "", match["text"])
+    for file in FILES
+    for match in BLOCK.finditer((ROOT / file).read_text())
 ]
 
 
 def test_every_block_is_marked() -> None:
-    assert len(BLOCKS) > 5
+    assert len(BLOCKS) > 20
     for block in BLOCKS:
-        assert re.fullmatch(r"runs|slow|needs .+", block.mark), block.text
+        assert re.fullmatch(r"runs|slow|needs .+", block.mark), (block.file, block.text)
 
 
-def test_every_command_that_is_named_exists() -> None:
+@pytest.mark.parametrize("file", FILES)
+def test_names_only_commands_that_exist(file: str) -> None:
     from service.cli import app
 
     known = {command.name for command in app.registered_commands}
     known |= {group.name for group in app.registered_groups}
-    readme = (ROOT / "README.md").read_text()
-    named = set(re.findall(r"(?:^|`)palpate ([a-z][a-z-]+)", readme, re.MULTILINE))
-    assert len(named) > 8
-    assert named <= known
+    text = (ROOT / file).read_text()
+    assert set(re.findall(r"(?:^|`)palpate ([a-z][a-z-]+)", text, re.MULTILINE)) <= known
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_every_link_and_picture_exists(file: str) -> None:
+    text = (ROOT / file).read_text()
+    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
+        if "://" in target or target in generated_pages(file):
+            continue
+        assert (ROOT / file).parent.joinpath(target).exists(), target
+
+
+def generated_pages(file: str) -> set[str]:
+    """Return the links from a file to the pages that only the built site has."""
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        from generate import GENERATED
+    finally:
+        sys.path.remove(str(ROOT / "docs"))
+    here = (ROOT / file).parent
+    return {os.path.relpath(ROOT / "docs" / page, here) for page in GENERATED}
 
 
 @pytest.fixture
@@ -98,17 +120,18 @@ def run(block: Block, checkout: Path) -> None:
     assert done.returncode == 0, f"{block.text}\n{done.stdout}\n{done.stderr}"
 
 
-def test_the_quick_blocks_run_as_printed(checkout: Path) -> None:
-    quick = [block for block in BLOCKS if block.mark == "runs"]
-    assert quick
-    for block in quick:
-        run(block, checkout)
+@pytest.mark.parametrize("file", sorted({b.file for b in BLOCKS if b.mark == "runs"}))
+def test_quick_blocks_run_as_printed(file: str, checkout: Path) -> None:
+    for block in BLOCKS:
+        if block.file == file and block.mark == "runs":
+            run(block, checkout)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(2 * LIMIT_S)
-def test_all_blocks_run_as_printed(checkout: Path) -> None:
-    """Documented: pytest -m slow tests/packaging/test_readme.py; some ten minutes."""
+@pytest.mark.parametrize("file", FILES)
+def test_all_blocks_run_as_printed(file: str, checkout: Path) -> None:
+    """Documented: pytest -m slow tests/packaging/test_readme.py; half an hour."""
     for block in BLOCKS:
-        if block.mark in ("runs", "slow"):
+        if block.file == file and block.mark in ("runs", "slow"):
             run(block, checkout)

@@ -1,0 +1,100 @@
+"""The reference of the files' keys: name, type, default and description, from the models."""
+
+import inspect
+import re
+import types
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+
+HEAD = """# Keys of the files
+
+Every key of a study, a diagnosis and a bench experiment, generated from the models that check the
+files. A key that is not listed is refused. `palpate new` writes a file of each kind with comments;
+`palpate parameters` lists the constants and effects that a study may hold or search.
+"""
+
+
+def keys_page() -> str:
+    """Return the keys of every kind of file as Markdown."""
+    from service.spec import study_of
+    from workers.organs.breast.case_spec import CaseFile
+    from workers.organs.specimen.spec import SpecimenSpec
+
+    files = (
+        ("A study of a breast", study_of("breast")),
+        ("A study of a cornea", study_of("cornea")),
+        ("A diagnosis of scans", CaseFile),
+        ("A bench experiment", SpecimenSpec),
+    )
+    lines = [HEAD]
+    for title, model in files:
+        lines += [f"## {title}", "", "| key | value | default | meaning |", "|---|---|---|---|"]
+        lines += [*_rows(model, ""), ""]
+    return "\n".join(lines)
+
+
+def _rows(model: type[BaseModel], prefix: str) -> Iterator[str]:
+    described = _described(model)
+    for name, field in model.model_fields.items():
+        key = f"{prefix}{field.alias or name}"
+        inner = _model_in(field.annotation)
+        default = "required" if field.is_required() else _text(field.get_default())
+        kind = "" if inner else _kind(field.annotation)
+        yield f"| `{key}` | {kind} | {default} | {described.get(name, '')} |"
+        if inner is not None:
+            yield from _rows(inner, f"{key}{_many(field.annotation)}.")
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """Return the model that a value, or each entry of a list or mapping, consists of."""
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+        return annotation
+    found = (_model_in(part) for part in get_args(annotation) if part is not type(None))
+    return next((model for model in found if model is not None), None)
+
+
+def _many(annotation: Any) -> str:
+    return "[]" if get_origin(annotation) in (list, tuple) else ""
+
+
+def _kind(annotation: Any) -> str:
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _kind(parts[0])
+    if origin is Literal:
+        return ", ".join(f"`{value}`" for value in parts)
+    if origin in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(_kind(p) for p in parts if p is not type(None)))
+    if origin in (list, tuple):
+        inside = dict.fromkeys(_kind(part) for part in parts if part is not Ellipsis)
+        return f"list of {' or '.join(inside)}"
+    if origin is not None:
+        return "mapping"
+    return {str: "text", int: "whole number", float: "number", bool: "true or false"}.get(
+        annotation, "text"
+    )
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, BaseModel):
+        return ""
+    return f"`{value}`" if not isinstance(value, bool) else f"`{str(value).lower()}`"
+
+
+def _described(model: type[BaseModel]) -> dict[str, str]:
+    """Return the descriptions in the parameters section of a docstring, by name."""
+    text = inspect.getdoc(model) or ""
+    section = re.search(r"Parameters\n-+\n(?P<body>.*?)(?:\n\n[A-Z]\w+\n-+|\Z)", text, re.DOTALL)
+    found: dict[str, str] = {}
+    names: list[str] = []
+    for line in section["body"].splitlines() if section else ():
+        if line and not line.startswith(" "):
+            names = [name.strip() for name in line.split(" : ")[0].split(",")]
+            continue
+        for name in names:
+            found[name] = f"{found.get(name, '')} {line.strip()}".strip().replace("|", "\\|")
+    return found

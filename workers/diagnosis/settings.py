@@ -4,7 +4,7 @@ Sources are named in brackets: [principle] follows from theory or is a conventio
 [prior] is a belief stated before any data; [numerics] is an accuracy or a bound of an algorithm;
 [cost] bounds what is computed; [null replicates] was set on bodies that lack nothing, drawn by the
 blind solver with other seeds than any sealed set; [set 4], [hard set 5] were set after those blind
-sets of docs/explanation/validation.md had been opened, so that these are no test of it; [open cases] was set while
+sets had been opened, so that these are no test of it; [open cases] was set while
 looking at the open cases of FEBio; [by hand] was chosen when that part was built, and no record
 says on what.
 

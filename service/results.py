@@ -166,6 +166,8 @@ class StudyResults:
         What the fitted body tells; see `workers.organs.registry.Findings`. Maybe empty.
     identification : Identification or None
         How well the image determines each constant; None until the search has stopped.
+    unverified_records : int
+        Records of the journal without a checksum, which an earlier version wrote.
     """
 
     folder: Path
@@ -188,6 +190,7 @@ class StudyResults:
     store: str | None
     findings: Mapping[str, Any] = field(default_factory=dict)
     identification: Identification | None = None
+    unverified_records: int = 0
 
     @property
     def name(self) -> str:

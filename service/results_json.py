@@ -50,6 +50,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "facts": results.body_facts,
         "target_kind": results.target_kind,
         "sessions": results.sessions,
+        "unverified_records": results.unverified_records,
         "versions": results.versions,
         "store": results.store,
         "folder": str(results.folder),

@@ -17,6 +17,12 @@ from service.identification import (
     identification_from_tangents,
 )
 from service.local_model import SearchedConstants
+from service.recorded_generations import (
+    RecordedGeneration,
+    RecordedGenerations,
+    best_in,
+    finite,
+)
 from service.results import (
     CandidateResults,
     EvaluationCounts,
@@ -27,22 +33,14 @@ from service.results import (
     StudyResults,
     StudyState,
 )
-from service.search.base import Generation
-from service.search_replay import (
-    PendingGeneration,
-    SearchReplay,
-    best_of,
-    best_searched,
-    equally_good,
-)
+from service.search_replay import best_of, best_searched, equally_good
 from service.spec import StudySpec
-from service.steady_replay import replayed
 from service.study_log import StudyLog, read_study
-from storage.errors import InputError
+from storage.errors import InputError, JournalError
 from storage.journal import Journal
 from storage.layout import StudyLayout
-from storage.plain import loads
 from storage.records import EvaluationRecord
+from storage.seal import unseal
 from workers.spec import validated
 
 
@@ -81,6 +79,7 @@ def study_results(folder: Path) -> StudyResults:
         store=None if session is None else session.store,
         findings=_findings(folder),
         identification=_identification(spec, log, best),
+        unverified_records=log.unverified,
     )
 
 
@@ -99,16 +98,12 @@ def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
         if best is None:
             raise _no_such("best candidate", folder, "no candidate has a score yet")
         candidate = best.candidate
-    generations = [pending for pending, _ in _replayed(spec, log)]
-    by_candidate = {g.first + i: g for g in generations for i in range(len(g.proposal.genes))}
-    if candidate not in by_candidate:
-        count = f"its candidates are 0 to {len(by_candidate) - 1} so far"
-        raise _no_such(f"candidate {candidate}", folder, count)
-    generation = by_candidate[candidate]
-    origin = candidate
-    while (before := by_candidate[origin].carried_from(origin)) is not None:
-        origin = before
-    genes, ending = generation.genes(candidate), log.endings.get(origin)
+    recorded = RecordedGenerations(spec, log)
+    generation = recorded.generation_of(candidate)
+    if generation is None:
+        raise _no_such(f"candidate {candidate}", folder, _known_candidates(recorded, log))
+    origin = recorded.evaluated_as(candidate)
+    genes, ending = dict(generation.genes[candidate]), log.endings.get(origin)
     return CandidateResults(spec, candidate, generation.number, origin, genes, ending)
 
 
@@ -117,13 +112,31 @@ def is_running(folder: Path) -> bool:
     return Journal.is_being_written(StudyLayout(folder).journal)
 
 
+def _known_candidates(recorded: RecordedGenerations, log: StudyLog) -> str:
+    if log.proposals or not log.endings:
+        return f"its candidates are 0 to {recorded.candidates - 1} so far"
+    return (
+        f"its journal has the endings of candidates {min(log.endings)} to {max(log.endings)}; the "
+        "version that wrote it did not record which candidates were carried over"
+    )
+
+
 def _no_such(what: str, folder: Path, why: str) -> InputError:
     return InputError(f"The study {folder} has no {what}: {why}.")
 
 
 def _findings(folder: Path) -> Mapping[str, Any]:
     path = StudyLayout(folder).findings
-    return dict(loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+    if not path.is_file():
+        return {}
+    try:
+        found, _ = unseal(path.read_bytes())
+    except ValueError as error:
+        raise JournalError(
+            f"{path} is damaged: {error}. Remove it: the findings are left out then, and the rest "
+            "of the study can be read."
+        ) from error
+    return found
 
 
 def _last_sign(folder: Path) -> datetime:
@@ -137,14 +150,6 @@ def _state(folder: Path, log: StudyLog) -> StudyState:
     if is_running(folder):
         return "running"
     return "interrupted" if log.end is None else "stopped"
-
-
-def _replayed(
-    spec: StudySpec, log: StudyLog
-) -> Iterable[tuple[PendingGeneration, Generation | None]]:
-    if spec.search.steady:
-        return replayed(spec.steady_search, log.endings)
-    return SearchReplay(spec.search_strategy, spec.search.space).replay(log.endings)
 
 
 def _before_polish(spec: StudySpec, log: StudyLog) -> EvaluationRecord | None:
@@ -197,21 +202,25 @@ def _identification(
 
 
 def _generations(spec: StudySpec, log: StudyLog) -> Iterable[GenerationResult]:
-    for pending, generation in _replayed(spec, log):
-        ended = sum(candidate in log.endings for candidate in pending.candidates)
-        scores = None if generation is None else _scores(pending, generation)
-        yield GenerationResult(pending.number, len(pending.candidates), ended, scores)
+    recorded = RecordedGenerations(spec, log)
+    for generation in recorded.generations:
+        scores = recorded.scores(generation)
+        yield GenerationResult(
+            generation.number,
+            generation.evaluations,
+            generation.ended(log.endings),
+            None if scores is None else _scores(generation, scores),
+        )
 
 
-def _scores(pending: PendingGeneration, generation: Generation) -> GenerationScores:
-    index = generation.best
-    finite = generation.scores[np.isfinite(generation.scores)]
+def _scores(generation: RecordedGeneration, scores: Mapping[int, float]) -> GenerationScores:
+    best, known = best_in(scores), finite(scores)
     return GenerationScores(
-        best=float(generation.scores[index]),
-        mean=float(finite.mean()) if len(finite) else None,
-        best_candidate=pending.first + index,
-        best_genes=pending.genes(pending.first + index),
-        failed=int(np.isposinf(generation.scores).sum()),
+        best=scores[best],
+        mean=float(np.mean(known)) if known else None,
+        best_candidate=best,
+        best_genes=dict(generation.genes[best]),
+        failed=sum(np.isposinf(score) for score in scores.values()),
     )
 
 

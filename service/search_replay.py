@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from service.search.base import Generation, Proposal, Search, Stopped
 from service.search.space import Space
 from storage.errors import JournalError
-from storage.records import EvaluationRecord
+from storage.records import EvaluationRecord, ProposalRecord
 from storage.status import Status
 
 # Candidates whose (1 - JC) MHD is at most a tenth above the best one's are equally good.
@@ -54,6 +54,16 @@ class PendingGeneration:
         origin = self.proposal.carried[candidate - self.first]
         return None if origin is None else self.first - len(self.proposal.genes) + origin
 
+    def record(self) -> ProposalRecord:
+        """Return the record of this generation for the journal."""
+        carried = {
+            str(self.first + index): origin
+            for index in range(len(self.proposal.genes))
+            if (origin := self.carried_from(self.first + index)) is not None
+        }
+        genes = tuple(tuple(map(float, row)) for row in self.proposal.genes)
+        return ProposalRecord(self.number, self.first, tuple(self.space.names), genes, carried)
+
     def check(self, record: EvaluationRecord) -> None:
         """Refuse a record that belongs to another search.
 
@@ -66,9 +76,10 @@ class PendingGeneration:
         if dict(record.genes) != expected:
             raise JournalError(
                 f"Candidate {record.candidate} has the genes {dict(record.genes)} in the journal, "
-                f"but this search proposes {expected}. The journal was written by another study "
-                "or another version of the search: start a new study; evaluations in the store "
-                "are used again."
+                f"but this search proposes {expected}: it has changed since, so the study cannot "
+                "be continued. What was computed can still be read with `palpate status`, `show` "
+                "and `report`. To search on, run the study under another name: evaluations in the "
+                "store are used again."
             )
 
 

@@ -26,14 +26,16 @@ from service.versions import versions
 from storage.atomic import write_file
 from storage.journal import Journal
 from storage.places import Location, place_of
-from storage.plain import dumps
+from storage.plain import dumps, to_plain
 from storage.records import (
     EndRecord,
     EvaluationRecord,
     GenerationRecord,
     IdentificationRecord,
+    ProposalRecord,
     SessionRecord,
 )
+from storage.seal import seal
 from storage.stores import Store, open_store
 from workers.organs.registry import organ_named
 
@@ -164,6 +166,8 @@ class _Run:
         search = SearchReplay(self.spec.search_strategy, self.spec.search.space)
         while isinstance(pending := search.propose(), PendingGeneration):
             self.hooks.generation_begun(pending.number, len(pending.candidates))
+            if pending.number not in self.log.proposals:
+                self._append(pending.record())
             evaluation.evaluate(pending)
             generation = search.complete(pending, self.endings)
             evaluation.keep_volumes(pending, generation)
@@ -227,7 +231,7 @@ class _Run:
         before = work.compare_with_target(at, at.body["volume"])
         after = work.compare_with_target(at, best.digest)
         found = evaluation.findings(best.candidate)
-        write_file(self.study.folder.layout.findings, dumps(found).encode())
+        write_file(self.study.folder.layout.findings, seal(dumps(to_plain(found))).encode())
         reason, elapsed_s = stopped.reason, self._elapsed_s()
         return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)
 
@@ -247,7 +251,12 @@ class _Run:
             self._append(IdentificationRecord(best.candidate, fit, why))
 
     def _append(
-        self, record: SessionRecord | GenerationRecord | IdentificationRecord | EndRecord
+        self,
+        record: SessionRecord
+        | ProposalRecord
+        | GenerationRecord
+        | IdentificationRecord
+        | EndRecord,
     ) -> None:
         self.journal.append(record.to_json())
 

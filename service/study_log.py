@@ -13,6 +13,7 @@ from storage.records import (
     EndRecord,
     EvaluationRecord,
     IdentificationRecord,
+    ProposalRecord,
     SessionRecord,
     StudyRecord,
     record_of,
@@ -37,6 +38,11 @@ class StudyLog:
         What the image tells of the constants, once that is known.
     session_seconds : tuple of float
         Wall time of each run, as far as it noted it: at its last complete generation.
+    proposals : mapping of int to ProposalRecord
+        By number of the generation; empty for a search without generations, and for journals of
+        versions that did not record them.
+    unverified : int
+        Records without a checksum: an earlier version wrote them.
     """
 
     study: StudyRecord | None = None
@@ -45,6 +51,8 @@ class StudyLog:
     end: EndRecord | None = None
     identification: IdentificationRecord | None = None
     session_seconds: tuple[float, ...] = ()
+    proposals: Mapping[int, ProposalRecord] = field(default_factory=dict)
+    unverified: int = 0
 
     @classmethod
     def read(cls, journal: Path) -> Self:
@@ -63,8 +71,11 @@ class StudyLog:
         sessions: list[SessionRecord] = []
         endings: dict[int, EvaluationRecord] = {}
         session_seconds: list[float] = []
-        for line in Journal.read(journal):
+        proposals: dict[int, ProposalRecord] = {}
+        unverified = 0
+        for line, verified in Journal.lines(journal):
             record = record_of(line)
+            unverified += not verified
             if isinstance(record, StudyRecord):
                 study = record
             elif isinstance(record, SessionRecord):
@@ -76,6 +87,8 @@ class StudyLog:
                 endings[record.candidate] = record
             elif isinstance(record, IdentificationRecord):
                 identification = record
+            elif isinstance(record, ProposalRecord):
+                proposals[record.number] = record
             else:
                 if session_seconds:
                     session_seconds[-1] = record.elapsed_s
@@ -86,7 +99,16 @@ class StudyLog:
                 f"{journal} does not begin with its study: its head was cut off. Start a new "
                 "study; evaluations in the store are used again."
             )
-        return cls(study, tuple(sessions), endings, end, identification, tuple(session_seconds))
+        return cls(
+            study=study,
+            sessions=tuple(sessions),
+            endings=endings,
+            end=end,
+            identification=identification,
+            session_seconds=tuple(session_seconds),
+            proposals=proposals,
+            unverified=unverified,
+        )
 
     def wall_s(self, until: datetime) -> float:
         """Return the wall time of all runs.

@@ -1,7 +1,7 @@
 """Saves named arrays in one Zarr group: the form of everything large in a store.
 
 Format 3, zstd, published when complete. The group carries a CRC-32 of every array, because
-Zarr reads a chunk that is missing as zeros without a word.
+Zarr reads a missing chunk as zeros without an error, and a checksum of its description.
 """
 
 import math
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
 from storage.backend import ARRAYS_IN, DESCRIPTION, backend_of
+from storage.digest import digest
 from storage.errors import StoreError
 from storage.places import Place
 from storage.plain import from_plain, loads, to_plain
@@ -63,6 +64,7 @@ def save_arrays(
         "meta": to_plain(meta or {}),
         "crc32": {name: _crc32(array) for name, array in arrays.items()},
     }
+    attributes["checksum"] = _checksum(attributes)
 
     def fill(group: zarr.Group) -> None:
         for name, array in arrays.items():
@@ -156,7 +158,14 @@ def _attributes(path: Place) -> dict[str, Any]:
         raise _damaged(path, f"its description cannot be read: {error!r}") from error
     if not all(isinstance(attributes.get(key), dict) for key in ("meta", "crc32")):
         raise _damaged(path, "its description is incomplete")
+    if attributes.get("checksum", _checksum(attributes)) != _checksum(attributes):
+        raise _damaged(path, "the checksum of its description is wrong")
     return attributes
+
+
+def _checksum(attributes: Mapping[str, Any]) -> str:
+    """Return the checksum of a description; those of earlier versions carry none."""
+    return digest(*(attributes[key] for key in ("schema_version", "meta", "crc32")))
 
 
 def _damaged(path: Place, what: str) -> StoreError:

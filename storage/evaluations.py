@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from storage.errors import StoreError
-from storage.plain import dumps, from_plain, loads, to_plain
+from storage.plain import dumps, from_plain, to_plain
+from storage.seal import seal, unseal
 from storage.stores import Store, check_schema
 from storage.task_records import EvaluationResult
 
@@ -31,7 +32,7 @@ def save_evaluation(store: Store, digest: str, record: Mapping[str, Any]) -> Non
         If the place cannot be written.
     """
     text = dumps({"schema_version": SCHEMA_VERSION, "record": to_plain(record)})
-    store.backend.write(store.layout.evaluation(digest), text.encode() + b"\n")
+    store.backend.write(store.layout.evaluation(digest), seal(text).encode() + b"\n")
 
 
 def load_evaluation(store: Store, digest: str) -> EvaluationResult | None:
@@ -46,13 +47,13 @@ def load_evaluation(store: Store, digest: str) -> EvaluationResult | None:
     """
     path = store.layout.evaluation(digest)
     try:
-        written = loads(store.backend.read(path))
+        written, _ = unseal(store.backend.read(path))
         check_schema(written["schema_version"], SCHEMA_VERSION, path)
         return cast(EvaluationResult, from_plain(dict(written["record"])))
     except FileNotFoundError:
         return None
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(
-            f"{path} is damaged ({error!r}). Remove that file and run the study again: this "
+            f"{path} is damaged: {error}. Remove that file and run the study again: this "
             "evaluation is computed again."
         ) from error

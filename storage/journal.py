@@ -24,6 +24,7 @@ from storage.atomic import hint, sync
 from storage.errors import JournalError
 from storage.plain import dumps, loads
 from storage.records import SCHEMA_VERSION
+from storage.seal import ChecksumError, seal, unseal
 from storage.stores import check_schema
 
 BLOCK = 65_536
@@ -89,7 +90,7 @@ class Journal:
             return
         if self._handle < 0:
             raise JournalError(f"{self.path} has been closed; open it again to append.")
-        data = "".join(dumps(record) + "\n" for record in records).encode()
+        data = "".join(seal(dumps(record)) + "\n" for record in records).encode()
         try:
             self._check_file()
             _write_all(self._handle, data)
@@ -109,12 +110,21 @@ class Journal:
     def read(path: Path | str) -> Iterator[dict[str, Any]]:
         """Give every whole record in order; another process may be writing meanwhile.
 
-        A journal that is not there yet has no records.
+        See `Journal.lines`.
+        """
+        return (record for record, _ in Journal.lines(path))
+
+    @staticmethod
+    def lines(path: Path | str) -> Iterator[tuple[dict[str, Any], bool]]:
+        """Give every whole record in order, and whether its checksum was verified.
+
+        A journal that is not there yet has no records. Records of earlier versions carry no
+        checksum.
 
         Raises
         ------
         JournalError
-            If a line is damaged, or the file cannot be read.
+            If a line is damaged, its checksum is wrong, or the file cannot be read.
         NewerSchemaError
             If a newer version of Palpate wrote a record.
         """
@@ -247,15 +257,17 @@ def _whole_bytes(handle: int) -> int:
     return 0
 
 
-def _parse(line: bytes, path: Path, number: int) -> dict[str, Any]:
+def _parse(line: bytes, path: Path, number: int) -> tuple[dict[str, Any], bool]:
     try:
-        record = loads(line)
-        if not isinstance(record, dict):
-            raise ValueError("not an object")
-        if "schema_version" in record:
-            check_schema(record["schema_version"], SCHEMA_VERSION, f"{path}, line {number},")
-        return record
+        try:
+            record, verified = unseal(line)
+        except ChecksumError:
+            _check_schema(loads(line), path, number)  # a newer version may sum up in another way
+            raise
+        _check_schema(record, path, number)
+        return record, verified
     except ValueError as error:
+        what = error if isinstance(error, ChecksumError) else f"not a JSON record ({error})"
         kept = f"the {number - 1} lines before it are" if number > 2 else "the line before it is"
         advice = (
             f"{kept} intact: move the journal aside and keep them with `head -n {number - 1} OLD > "
@@ -264,6 +276,11 @@ def _parse(line: bytes, path: Path, number: int) -> dict[str, Any]:
             else "move the journal aside"
         )
         raise JournalError(
-            f"{path}, line {number}: not a JSON record ({error}). To resume, {advice}, then run "
+            f"{path}, line {number}: {what}. To resume, {advice}, then run "
             "the study again; evaluations in the store are not computed again."
         ) from error
+
+
+def _check_schema(record: Mapping[str, Any], path: Path, number: int) -> None:
+    if "schema_version" in record:
+        check_schema(record["schema_version"], SCHEMA_VERSION, f"{path}, line {number},")

@@ -4,6 +4,7 @@
 
     study         first line: what was asked, and with which versions
     session       a run of the study begins: versions, store, and what was prepared
+    proposal      a generation is proposed: the genes of its candidates, and who is carried over
     evaluation    one line for each ending of a candidate, in order of arrival
     generation    all scores of a generation are known
     identification  what the image tells of the constants, from the tangents at the best candidate
@@ -133,6 +134,44 @@ class SessionRecord(_JournalRecord):
 
     def __post_init__(self) -> None:
         _restore_numbers(self, "prepared", "target")
+
+
+@dataclass(frozen=True)
+class ProposalRecord(_JournalRecord):
+    """The candidates of a generation, as the search proposed them.
+
+    With it a journal can be read without the search that wrote it.
+
+    Parameters
+    ----------
+    number : int
+        Of the generation, from 0.
+    first : int
+        Number of its first candidate.
+    names : tuple of str
+        Of the genes.
+    genes : tuple of tuple of float
+        A row for each candidate.
+    carried : mapping of str to int
+        Candidates that are not evaluated anew, and the candidate of the generation before whose
+        ending they have.
+    """
+
+    kind: ClassVar[str] = "proposal"
+
+    number: int
+    first: int
+    names: tuple[str, ...]
+    genes: tuple[tuple[float, ...], ...]
+    carried: Mapping[str, int]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "genes", tuple(tuple(map(float, row)) for row in self.genes))
+        if not (_is_count(self.number, 0) and _is_count(self.first, 0)):
+            _refuse(f"generation {self.number} begins with candidate {self.first}")
+        if any(len(row) != len(self.names) for row in self.genes):
+            _refuse(f"generation {self.number} has candidates without {', '.join(self.names)}")
 
 
 @dataclass(frozen=True)
@@ -312,6 +351,7 @@ class EvaluationRecord(_JournalRecord):
 JournalRecord = (
     StudyRecord
     | SessionRecord
+    | ProposalRecord
     | EvaluationRecord
     | GenerationRecord
     | IdentificationRecord
@@ -322,6 +362,7 @@ _KINDS: dict[str, type[JournalRecord]] = {
     for made in (
         StudyRecord,
         SessionRecord,
+        ProposalRecord,
         EvaluationRecord,
         GenerationRecord,
         IdentificationRecord,

@@ -52,14 +52,21 @@ def _rows(results: "StudyResults") -> list[tuple[str, str]]:
     runs = "1 run" if results.sessions == 1 else f"{results.sessions} runs"
     time = f"{clock(results.wall_s)} in {runs}"
     rows.append(("time", time if results.sessions else "body and target are being prepared"))
+    if results.unverified_records:
+        rows.append(("records", unverified_text(results.unverified_records)))
     return rows
+
+
+def unverified_text(records: int) -> str:
+    """Return how many records of a journal carry no checksum, and why."""
+    return f"{records} without a checksum, written by an earlier version: they cannot be verified"
 
 
 def _generations_text(results: "StudyResults") -> str:
     complete = len(results.complete_generations)
     text = f"{complete} of {results.spec.search.generations} complete"
-    last = results.generations[-1]
-    if last.scores is None:
+    last = results.generations[-1] if results.generations else None
+    if last is not None and last.scores is None:
         text += f"; {last.ended} of {last.evaluations} candidates of the next"
     return text
 

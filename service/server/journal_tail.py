@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from storage.errors import InputError, JournalError
-from storage.plain import loads
+from storage.seal import unseal
 
 READ_BYTES = 256 * 1024
 
@@ -74,16 +74,13 @@ class JournalTail:
 
     def _parsed(self, line: bytes) -> dict[str, Any]:
         try:
-            record = loads(line)
-            if isinstance(record, dict):
-                return record
-            reason = "not an object"
+            record, _ = unseal(line)
         except ValueError as error:
-            reason = str(error)
-        raise JournalError(
-            f"{self.path}: not a JSON record after byte {self.offset} ({reason}). The journal "
-            "is damaged; `palpate status` says how to mend it."
-        )
+            raise JournalError(
+                f"{self.path} is damaged after byte {self.offset}: {error}. "
+                "`palpate status` says how to repair it."
+            ) from error
+        return record
 
     def _begins_line(self) -> bool:
         try:

@@ -19,6 +19,7 @@ from stand_ins import (
     Inline,
     assert_each_ran_once,
     executions,
+    rewrite,
     run,
     set_manners,
     small_spec,
@@ -305,7 +306,7 @@ def test_genes_that_the_search_would_not_propose_are_refused(folder: Path) -> No
     lines = [json.loads(line) for line in journal_of(folder).read_text().splitlines()]
     tampered = next(line for line in lines if line.get("candidate") == 5)
     tampered["genes"]["E_fat_kpa"] += 1e-9
-    journal_of(folder).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    rewrite(journal_of(folder), lines)
     with pytest.raises(JournalError, match="Candidate 5"):
         run(folder, Inline())
 

@@ -5,10 +5,11 @@ import math
 from pathlib import Path
 
 import pytest
-from stand_ins import SPEC, Inline, executions, run, small_spec
+from stand_ins import SPEC, Inline, executions, rewrite, run, small_spec
 
 from service.results_json import candidate_json, study_json
 from service.results_reader import candidate_results, is_running, study_results
+from service.search_replay import PendingGeneration, SearchReplay
 from service.study import Study
 from service.study_log import StudyLog
 from storage.errors import InputError
@@ -106,7 +107,7 @@ def test_a_perfect_score_is_a_text(tmp_path: Path) -> None:
     lines = [json.loads(line) for line in journal.read_text().splitlines()]
     told = next(line for line in lines if line.get("candidate") == 3)
     told["score"]["gsf"] = "-inf"
-    journal.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    rewrite(journal, lines)
     assert StudyLog.read(journal).endings[3].score["gsf"] == -math.inf  # type: ignore[index]
     found = study_json(study_results(folder))
     assert found["score"]["gsf"] == "-inf"
@@ -158,6 +159,7 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "facts": ["tissue_ml"],
     "target_kind": None,
     "sessions": None,
+    "unverified_records": None,
     "versions": None,
     "store": None,
     "folder": None,
@@ -200,6 +202,9 @@ def test_a_candidate_without_an_ending_is_waiting(tmp_path: Path) -> None:
     study = Study(small_spec(), folder)
     with study.folder.open() as journal:
         study.folder.begin(journal)
+        proposed = SearchReplay(study.spec.search_strategy, study.spec.search.space).propose()
+        assert isinstance(proposed, PendingGeneration)
+        journal.append(proposed.record().to_json())
     record = candidate_json(candidate_results(folder, 3))
     assert list(record) == CANDIDATE_KEYS
     assert record["status"] == "waiting"

@@ -1,0 +1,71 @@
+"""A finished study stays readable when the search that found it has changed."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from stand_ins import SPEC, Inline, run, small_spec
+
+import palpate
+from service.report.study_data import read_study_data
+from service.results_json import candidate_json, study_json
+from service.results_reader import candidate_results, study_results
+from service.search import operators
+from service.search.cma_search import CmaSearch
+from storage.errors import JournalError
+from storage.layout import StudyLayout
+
+CMA = SPEC.replace("  population: 12", "  strategy: cma\n  population: 12")
+
+
+def everything_of(folder: Path) -> dict[str, Any]:
+    """All that status, report, show, page and Python read."""
+    study = study_json(study_results(folder))
+    last = study["generations"][-1]["number"] * 12 - 1
+    shown = [candidate_json(candidate_results(folder, number)) for number in (None, 0, 13, last)]
+    page = read_study_data(folder, quick=True)
+    columns = palpate.Study.open(folder).candidates()
+    return {
+        "study": study,
+        "shown": shown,
+        "endings": [ending.to_json() for ending in page.endings],
+        "python": {name: repr(column.tolist()) for name, column in columns.items()},
+    }
+
+
+def test_everything_reads_after_a_mutation_step_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "runs" / "demo"
+    run(folder, Inline())
+    before = everything_of(folder)
+
+    original = operators.AdaptiveFeasible.__call__
+
+    def another_step(*args: Any) -> Any:
+        return np.clip(original(*args) * 1.01, 5.0, 20.0)
+
+    monkeypatch.setattr(operators.AdaptiveFeasible, "__call__", another_step)
+    assert everything_of(folder) == before
+    journal = StudyLayout(folder).journal
+    lines = journal.read_text().splitlines(keepends=True)
+    ends = ('"kind":"end"', '"kind":"identification"')
+    cut = [line for line in lines if not any(end in line for end in ends)]
+    journal.write_text("".join(cut))
+    with pytest.raises(JournalError, match="can still be read with `palpate status`"):
+        run(folder, Inline())
+
+
+def test_a_cma_study_reads_without_cma(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "runs" / "demo"
+    run(folder, Inline(), small_spec(CMA))
+    before = everything_of(folder)
+    monkeypatch.setitem(sys.modules, "cma", None)
+
+    def not_asked(*_: Any) -> Any:
+        raise AssertionError("reading asked the search")
+
+    monkeypatch.setattr(CmaSearch, "propose", not_asked)
+    assert everything_of(folder) == before

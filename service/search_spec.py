@@ -40,7 +40,9 @@ class SearchSpec(Door):
     `service.search.steady`.
     """
 
-    parameters: Annotated[dict[str, Bounds], Field(min_length=1)]
+    parameters: Annotated[dict[str, Bounds], Field(min_length=1)] = Field(
+        description="lower and upper bound of each searched constant, such as [5, 20]"
+    )
     strategy: Literal["genetic", "least-squares", "genetic+least-squares", "cma"] = "genetic"
     starts: Annotated[int, Field(ge=1, le=100)] = 3
     levels: tuple[LevelSpec, ...] | None = None

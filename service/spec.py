@@ -35,6 +35,7 @@ from storage.digest import digest
 from storage.errors import InputError
 from storage.task_records import FreeParameter
 from workers.mechanics.parameters import unknown_name
+from workers.missing_keys import missing
 from workers.organs.registry import DEFAULT, MODULES, organ_named
 from workers.spec import (
     CaseSpec,
@@ -58,11 +59,11 @@ class StudySpec(Door):
     than ``deadline_s`` is tried once more, then it has failed; see `workers.tasks.deadline`.
     """
 
-    name: Name
-    case: SerializeAsAny[CaseSpec]
-    target: SerializeAsAny[TargetSpec]
+    name: Name = Field(description="the study's folder is runs/NAME")
+    case: SerializeAsAny[CaseSpec] = Field(description="the undeformed body, its model and load")
+    target: SerializeAsAny[TargetSpec] = Field(description="the deformed body to be explained")
     score: SerializeAsAny[ScoreSpec] = ScoreSpec()
-    search: SearchSpec
+    search: SearchSpec = Field(description="the searched parameters and the strategy")
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
     keep: Literal["best", "elites", "all"] = "best"
     deadline_s: Positive | None = None
@@ -76,6 +77,20 @@ class StudySpec(Door):
             study: Any = study_of(_organ_in(data)).model_validate(data)
             return cast(Self, study)
         return handler(data)
+
+    @classmethod
+    def record_for(cls, data: Any) -> type[Door]:
+        """Return the study of the organ that `data` names."""
+        return study_of(_organ_in(data)) if isinstance(data, Mapping) else cls
+
+    @model_validator(mode="after")
+    def _load_is_stated_for_an_image(self) -> Self:
+        """Refuse the load of an image to be a default: only the user knows it."""
+        if self.target.is_image and (lacking := self.case.unstated_load):
+            raise missing(
+                f"{lacking}: this key is missing: the load under which the target was imaged"
+            )
+        return self
 
     @model_validator(mode="after")
     def _parameters_fit_the_case(self) -> Self:
@@ -225,8 +240,8 @@ def study_of(organ: str) -> type[StudySpec]:
     made: type[StudySpec] = create_model(
         f"{organ.capitalize()}Study",
         __base__=StudySpec,
-        case=(doors.case_spec, ...),
-        target=(doors.target_spec, ...),
+        case=(doors.case_spec, StudySpec.model_fields["case"]),
+        target=(doors.target_spec, StudySpec.model_fields["target"]),
         score=(doors.score_spec, doors.score_spec()),
     )
     return made

@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from storage.errors import InputError
 from workers.mechanics.parameters import Vocabulary, unknown_name
+from workers.missing_keys import is_missing, missing, missing_text, without_empty_keys
 
 
 def checked(check: Callable[[Any], object]) -> AfterValidator:
@@ -35,12 +36,20 @@ def require_one_of(record: BaseModel, first: str, second: str) -> None:
     Raises
     ------
     ValueError
-        If both keys are given, or neither.
+        If both keys are given.
+    PydanticCustomError
+        If neither is given: one of them is missing.
     """
     given = [key for key in (first, second) if getattr(record, key) is not None]
-    if len(given) != 1:
-        found = "both" if given else "neither"
-        raise ValueError(f"give exactly one of {first} and {second}, found {found}")
+    if len(given) == 2:
+        raise ValueError(f"give exactly one of {first} and {second}, found both")
+    if not given:
+        raise missing(f"give exactly one of {_explained(record, first, second)}, found neither")
+
+
+def _explained(record: BaseModel, *keys: str) -> str:
+    about = {key: type(record).model_fields[key].description for key in keys}
+    return " and ".join(f"{key} ({text})" if text else key for key, text in about.items())
 
 
 Identifiable = Literal["absolute", "ratio"]
@@ -50,7 +59,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Door(BaseModel):
-    """A frozen record that refuses unknown keys."""
+    """A frozen record that refuses unknown keys; an empty key counts as left out."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -63,7 +72,13 @@ class Door(BaseModel):
                 raise ValueError(
                     "; ".join(unknown_name("key", k, cls.model_fields) for k in unknown)
                 )
+            return without_empty_keys(cls, data)
         return data
+
+    @classmethod
+    def record_for(cls, data: Any) -> "type[Door]":
+        """Return the class whose keys `data` has: this one, if no subclass knows better."""
+        return cls
 
 
 class CaseSpec(Door):
@@ -74,7 +89,7 @@ class CaseSpec(Door):
     """
 
     organ: str
-    reference: Door
+    reference: Door = Field(description="the undeformed body")
     constants: dict[str, float] = Field(default_factory=dict)
 
     @property
@@ -91,6 +106,11 @@ class CaseSpec(Door):
         InputError
             If a name in `constants` is unknown or a value is not admissible.
         """
+
+    @property
+    def unstated_load(self) -> str:
+        """Return the key of the load that this case leaves to a default, or ""."""
+        return "" if "load" in self.model_fields_set else "case.load"
 
     @property
     def mesh_nodes(self) -> int | None:
@@ -132,6 +152,11 @@ class TargetSpec(Door):
     """The deformed body to be explained: simulated with hidden constants, or imaged."""
 
     constants: dict[str, float] | None = None
+
+    @property
+    def is_image(self) -> bool:
+        """Return whether the deformed body was imaged, not simulated."""
+        return self.constants is None
 
 
 class ScoreSpec(Door):
@@ -176,12 +201,20 @@ def validated(model: type[Record], data: Any, where: str = "") -> Record:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        head = f"{where} does not make sense" if where else "This does not make sense"
-        raise InputError(f"{head}:\n{explain(error)}") from error
+        keys = model.record_for(data) if issubclass(model, Door) else model
+        raise InputError(f"{_head(error, where or 'This')}:\n{explain(error, keys)}") from error
 
 
-def explain(error: ValidationError) -> str:
+def _head(error: ValidationError, where: str) -> str:
+    if all(is_missing(dict(e)) for e in error.errors(include_url=False)):
+        return f"{where} is not finished. Fill in what is missing"
+    return f"{where} does not make sense"
+
+
+def explain(error: ValidationError, model: type[BaseModel] = BaseModel) -> str:
     """Say what is wrong, one line for each key: its path, what was expected, what was found.
+
+    `model` describes the keys that are missing.
 
     Examples
     --------
@@ -193,7 +226,7 @@ def explain(error: ValidationError) -> str:
     ...     print(explain(error))
       force_n: Input should be greater than 0, found -3
     """
-    return "\n".join(_line(dict(e)) for e in error.errors(include_url=False))
+    return "\n".join(_line(dict(e), model) for e in error.errors(include_url=False))
 
 
 # Lists that refer to lists can be longer than any memory when they are written out.
@@ -202,12 +235,12 @@ _SHORT.maxdict = _SHORT.maxlist = _SHORT.maxtuple = 10
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 60, 60
 
 
-def _line(error: dict[str, Any]) -> str:
+def _line(error: dict[str, Any], model: type[BaseModel]) -> str:
     path = ".".join(str(part) for part in error["loc"]) or "the whole"
+    if is_missing(error):
+        return f"  {path}: {missing_text(error, model)}"
     if error["type"] == "value_error":
         return f"  {path}: {error['ctx']['error']}"
-    if error["type"] == "missing":
-        return f"  {path}: this key is missing"
     found = _SHORT.repr(error["input"])
     found = found if len(found) <= 60 else f"{found[:57]}..."
     return f"  {path}: {error['msg']}, found {found}"

@@ -52,4 +52,7 @@ def new(
     if not path.parent.is_dir():
         raise InputError(f"The folder {path.parent} does not exist: make it first.")
     write_file(path, template(kind.value, name).encode())
-    typer.echo(f"Wrote {path}. Edit it, then: palpate {kind.command} {quote(str(path))}")
+    typer.echo(
+        f"Wrote {path}. Fill in the keys that are marked required, then: "
+        f"palpate {kind.command} {quote(str(path))}"
+    )

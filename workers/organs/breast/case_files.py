@@ -116,7 +116,8 @@ def _data(path: Path) -> Mapping[str, Any]:
 
 def _scan(case: Path, file: CaseFile, name: str) -> Volume:
     """Read a scan at rest as one body of `Tissue` labels, in air and above the chest wall."""
-    return _one_body(above_wall(_tissues(case, file, name), file.wall.z_mm))
+    tissues, wall_mm = _tissues(case, file, name), file.wall.z_mm
+    return _one_body(tissues if wall_mm is None else above_wall(tissues, wall_mm))
 
 
 def _loaded_scan(case: Path, file: CaseFile, name: str) -> Volume:

@@ -13,13 +13,23 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from storage.values import Triple
 from workers.mechanics.parameters import unknown_name
+from workers.missing_keys import missing
+from workers.organs.breast import default_physics as physics
 from workers.spec import Door, Finite, NotNegative, Positive, require_one_of
 
 ALONG_X: Triple = (1.0, 0.0, 0.0)
 ALONG_Y: Triple = (0.0, 1.0, 0.0)
 AXES = {"x": ALONG_X, "y": ALONG_Y}
 # Names at the door of the constants of the model, and inside it.
-CONSTANTS = {"E_fat_kpa": "E_fat", "E_glandular_kpa": "E_gl", "eta_kpa": "eta"}
+CONSTANTS = {
+    "E_fat_kpa": "E_fat",
+    "E_glandular_kpa": "E_gl",
+    "eta_kpa": "eta",
+    "eta_fat_kpa": "eta_fat",
+    "eta_glandular_kpa": "eta_glandular",
+}
+# Stiffness of the fibres: one value for both tissues, or one for each.
+ONE_FIBRE, FIBRE_OF_EACH = {"eta_kpa"}, {"eta_fat_kpa", "eta_glandular_kpa"}
 # By how much the given places of the plates may differ from the given distance.
 DISTANCE_SLACK_MM = 0.5
 
@@ -70,11 +80,11 @@ class CaseModel(Door):
         Anywhere in the body; from the chest wall to the nipple is z.
     """
 
-    law: Literal["neo-hookean", "fibre-neo-hookean"] = "fibre-neo-hookean"
-    nu: Annotated[float, Field(gt=0, lt=0.5)] = 0.49
-    fibres: Literal["tension-only", "literal"] = "tension-only"
-    fibre_invariant: Literal["I4", "isochoric"] = "isochoric"
-    fibre_direction: tuple[Finite, Finite, Finite] = (0.0, 0.0, 1.0)
+    law: physics.Law = physics.LAW
+    nu: Annotated[float, Field(gt=0, lt=0.5)] = physics.NU
+    fibres: physics.Fibres = physics.FIBRES
+    fibre_invariant: physics.FibreInvariant = physics.FIBRE_INVARIANT
+    fibre_direction: tuple[Finite, Finite, Finite] = physics.FIBRE_DIRECTION
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -91,16 +101,17 @@ class CaseModel(Door):
 
 
 class CaseWall(Door):
-    """The chest wall: where it is, and what holds the body along it.
+    """The chest wall: its position, and what holds the body along it.
 
     Away from the wall nothing moves. Along it the body is held, or on springs: force per
-    area and displacement, of which zero lets it slide.
+    area and displacement, of which zero lets it slide. Without `z_mm` the wall is where the
+    body begins in the scan at rest, as in a study.
     """
 
-    z_mm: Finite
-    held: bool = False
-    kx_kpa_per_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
-    ky_kpa_per_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    z_mm: Finite | None = None
+    held: bool = physics.WALL_HELD
+    kx_kpa_per_mm: NotNegative = physics.WALL_SPRING_KPA_PER_MM
+    ky_kpa_per_mm: NotNegative = physics.WALL_SPRING_KPA_PER_MM
 
     @model_validator(mode="after")
     def _held_or_sprung(self) -> Self:
@@ -110,13 +121,15 @@ class CaseWall(Door):
 
 
 class CasePlates(Door):
-    """Where the plates start along the direction of compression."""
+    """Where the plates start along the direction of compression; by default at the body."""
 
-    lower_mm: Finite
-    upper_mm: Finite
+    lower_mm: Finite | None = None
+    upper_mm: Finite | None = None
 
     @model_validator(mode="after")
     def _ascending(self) -> Self:
+        if self.lower_mm is None or self.upper_mm is None:
+            return self
         if not self.lower_mm < self.upper_mm:
             raise ValueError(
                 f"lower_mm ({self.lower_mm:g}) must be less than upper_mm ({self.upper_mm:g})"
@@ -130,8 +143,8 @@ class CaseNoise(Door):
     `in_scans` says which of them err: all, or only the loaded ones.
     """
 
-    sd_mm: Positive
-    correlation_mm: Positive
+    sd_mm: Positive = Field(description="error of a drawn boundary, standard deviation in mm")
+    correlation_mm: Positive = Field(description="length in mm over which errors are alike")
     in_scans: Literal["all", "loaded"] = "all"
 
 
@@ -139,13 +152,15 @@ class CaseLoad(Door):
     """One loaded scan.
 
     Plates start at `lower_mm` and `upper_mm` along their axis if the force is known; without
-    them where `plates` says. With `plate_distance_mm` they end there; by default where the
-    body in the scan does.
+    them where `plates` says, or at the body in the scan at rest. With `plate_distance_mm` they
+    end there; by default where the body in the scan does.
     """
 
-    file: str
-    force_n: Positive | None = None
-    plate_distance_mm: Positive | None = None
+    file: str = Field(description="the labels of the body under this load")
+    force_n: Positive | None = Field(None, description="the force on the plates, in N")
+    plate_distance_mm: Positive | None = Field(
+        None, description="the distance between the plates, in mm"
+    )
     axis: Axis = ALONG_Y
     lower_mm: Finite | None = None
     upper_mm: Finite | None = None
@@ -191,25 +206,29 @@ class CaseScans(Door):
     it, along and about each axis; without them the settings of the diagnosis do.
     """
 
-    reference: str
+    reference: str = Field(description="the labels of the body at rest")
     reference_repeat: str | None = None
     pose_sd_mm: NotNegative | None = None
     pose_sd_deg: NotNegative | None = None
     labels: dict[int, LabelName] = Field(default_factory=_usual_labels)
-    loads: Annotated[tuple[CaseLoad, ...], Field(min_length=1)]
+    loads: Annotated[tuple[CaseLoad, ...], Field(min_length=1)] = Field(
+        description="one entry for each loaded scan, with its file and its force or distance"
+    )
 
 
 class CaseFile(Door):
     """A breast that was scanned at rest and under load, to be diagnosed."""
 
     organ: Literal["breast"] = "breast"
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1)] = Field(description="a name for the report")
     model: CaseModel = CaseModel()
-    wall: CaseWall
+    wall: CaseWall = CaseWall()
     plates: CasePlates | None = None
-    constants: dict[str, Constant]
+    constants: dict[str, Constant] = Field(
+        description="a value that is held, such as 10, or an interval to search, such as [5, 20]"
+    )
     noise: CaseNoise | None = None
-    scans: CaseScans
+    scans: CaseScans = Field(description="the scan at rest and the scans under load")
 
     @model_validator(mode="before")
     @classmethod
@@ -225,33 +244,32 @@ class CaseFile(Door):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        missing = {"E_fat_kpa", "E_glandular_kpa"} - set(self.constants)
-        if self.model.law == "fibre-neo-hookean":
-            missing |= {"eta_kpa"} - set(self.constants)
-        elif "eta_kpa" in self.constants:
-            raise ValueError("constants: eta_kpa is for fibres, but model.law is neo-hookean")
-        if missing:
-            raise ValueError(
-                f"constants: no value of {', '.join(sorted(missing))}: hold it, as in "
-                "E_fat_kpa: 10, or give an interval to search, as in E_fat_kpa: [7, 14]"
-            )
+        self._check_constants()
         if not self.free:
             raise ValueError(
                 "constants: all are held, at least one is to be searched, as in E_fat_kpa: [7, 14]"
             )
-        if self.noise is None and self.scans.reference_repeat is None:
-            raise ValueError(
-                "noise: give sd_mm and correlation_mm of the segmentation, or a second "
-                "segmentation of the reference scan as scans.reference_repeat"
-            )
-        for load in self.scans.loads:
-            placed = load.lower_mm is not None and load.upper_mm is not None
-            if load.force_n is not None and self.plates is None and not placed:
-                raise ValueError(
-                    f"plates: {load.file} is pressed with a force, so say where the plates start: "
-                    "plates: {lower_mm: -50, upper_mm: 50}"
-                )
         return self
+
+    def _check_constants(self) -> None:
+        given, fibres = set(self.constants), set(self.constants) & (ONE_FIBRE | FIBRE_OF_EACH)
+        if self.model.law == "neo-hookean" and fibres:
+            raise ValueError(
+                f"constants: {', '.join(sorted(fibres))} {'is' if len(fibres) == 1 else 'are'} "
+                "for fibres, but model.law is neo-hookean"
+            )
+        if ONE_FIBRE <= fibres and fibres != ONE_FIBRE:
+            raise ValueError(
+                "constants: give eta_kpa for both tissues, or eta_fat_kpa and eta_glandular_kpa"
+            )
+        wanted = {"E_fat_kpa", "E_glandular_kpa"}
+        if self.model.law != "neo-hookean":
+            wanted |= FIBRE_OF_EACH if fibres & FIBRE_OF_EACH else ONE_FIBRE
+        if lacking := sorted(wanted - given):
+            raise missing(
+                f"constants: no value of {', '.join(lacking)}: hold it, as in "
+                "E_fat_kpa: 10, or give an interval to search, as in E_fat_kpa: [7, 14]"
+            )
 
     @property
     def free(self) -> dict[str, tuple[float, float]]:

@@ -1,6 +1,8 @@
 """What a case was understood to say, as rows for a reader."""
 
 from workers.organs.breast.case_spec import CONSTANTS, CaseFile, CaseLoad
+from workers.organs.breast.scanned_case import stated_starts_mm
+from workers.organs.breast.study_noise import DRAWN_LENGTH_MM, DRAWN_VOXELS
 
 Rows = list[tuple[str, str]]
 
@@ -49,12 +51,13 @@ def _law(file: CaseFile) -> str:
 
 def _wall(file: CaseFile) -> str:
     wall = file.wall
+    place = "where the body at rest begins" if wall.z_mm is None else f"z = {wall.z_mm:g} mm"
     if wall.held:
-        return f"z = {wall.z_mm:g} mm, held in all directions"
+        return f"{place}, held in all directions"
     if not wall.kx_kpa_per_mm and not wall.ky_kpa_per_mm:
-        return f"z = {wall.z_mm:g} mm, held along z, slides along x and y"
+        return f"{place}, held along z, slides along x and y"
     return (
-        f"z = {wall.z_mm:g} mm, held along z, springs of {wall.kx_kpa_per_mm:g} kPa/mm along x and "
+        f"{place}, held along z, springs of {wall.kx_kpa_per_mm:g} kPa/mm along x and "
         f"{wall.ky_kpa_per_mm:g} kPa/mm along y"
     )
 
@@ -70,18 +73,21 @@ def _noise(file: CaseFile) -> str:
     if file.scans.reference_repeat is not None:
         return f"measured from {file.scans.reference_repeat}, a second segmentation at rest"
     if file.noise is None:
-        return "not stated"
+        return (
+            f"not stated: {DRAWN_VOXELS:g} voxels, correlated over {DRAWN_LENGTH_MM:g} mm, "
+            "in all scans"
+        )
     scans = "in all scans" if file.noise.in_scans == "all" else "in the loaded scans alone"
     return f"sd {file.noise.sd_mm:g} mm, correlated over {file.noise.correlation_mm:g} mm, {scans}"
 
 
 def _load(file: CaseFile, load: CaseLoad) -> str:
     text = f"{load.file}: {load.name}"
-    lower, upper = load.lower_mm, load.upper_mm
-    if load.force_n is not None and file.plates is not None and (lower is None or upper is None):
-        lower, upper = file.plates.lower_mm, file.plates.upper_mm
-    if lower is None and upper is None:
-        return f"{text}, plates where the body in the scan ends"
-    known = ((n, p) for n, p in (("lower", lower), ("upper", upper)) if p is not None)
-    verb = "start" if load.force_n is not None else "end"
+    starts = load.force_n is not None
+    placed = stated_starts_mm(file, load) if starts else (load.lower_mm, load.upper_mm)
+    if placed == (None, None):
+        where = "the scan at rest" if starts else "the scan"
+        return f"{text}, plates {'start' if starts else 'end'} at the body in {where}"
+    known = ((n, p) for n, p in zip(("lower", "upper"), placed, strict=True) if p is not None)
+    verb = "start" if starts else "end"
     return f"{text}, plates {verb} at " + " and ".join(f"{n} {p:g} mm" for n, p in known)

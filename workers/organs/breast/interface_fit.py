@@ -118,7 +118,7 @@ def observe_target(
     """
     lattice = in_coarser_voxels(target, FINEST_MM)
     rest, loaded = in_air(in_coarser_voxels(body, FINEST_MM)), in_air(lattice)
-    noise = study_noise(rest, loaded, imaged)
+    noise = study_noise(rest, loaded, imaged=imaged)
     interfaces = _shared(rest, loaded)
     margin = SETTINGS.points.wall_margin_mm
     clear_mm = SETTINGS.points.clear_noises * noise.sd_mm

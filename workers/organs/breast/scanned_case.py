@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
 from storage.values import BoolArray, Tissue, Triple, Volume
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.noise_estimation import from_repeat
@@ -18,11 +17,10 @@ from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.fem.fields import FibreField, Frame
 from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Load, Wall
 from workers.mechanics.fem.problem import Constants, Problem
-from workers.organs.breast.case_spec import CaseFile, CaseWall
+from workers.organs.breast.case_spec import CaseFile, CaseLoad, CasePlates, CaseWall
+from workers.organs.breast.study_noise import NUGGET_VOXELS, study_noise
 from workers.units import KPA, KPA_PER_MM
 
-# What voxels leave of an interface, see `workers.comparison.observation.noise`.
-NUGGET_VOXELS = 0.08
 # Points this near to the chest wall sit where the image was cut.
 WALL_MARGIN_MM = 4.0
 
@@ -77,12 +75,12 @@ class ScannedCase:
 
     @cached_property
     def noise(self) -> SegmentationNoise:
-        """Of the segmentation, every scan alike: as two of one image differ, or as stated."""
+        """Of the segmentation: as two of one image differ, as stated, or as in a study."""
         if self.repeat is not None:
             return from_repeat(self.reference, self.repeat, wall_margin_mm=WALL_MARGIN_MM)
         stated = self.file.noise
         if stated is None:
-            raise InputError(f"{self.where} says nothing of noise, and has no second segmentation.")
+            return study_noise(self.reference, *self.deformed, imaged=True)
         of_reference = stated.sd_mm if stated.in_scans == "all" else 0.0
         nugget = NUGGET_VOXELS * max(self.reference.spacing_mm)
         return SegmentationNoise(stated.sd_mm, stated.correlation_mm, of_reference, nugget)
@@ -112,8 +110,8 @@ class ScannedCase:
             known = held | dict(values)
             return Problem(
                 {
-                    Tissue.FAT: _constants(known, "E_fat", model.nu),
-                    Tissue.GLANDULAR: _constants(known, "E_gl", model.nu),
+                    Tissue.FAT: _constants(known, "E_fat", "eta_fat", model.nu),
+                    Tissue.GLANDULAR: _constants(known, "E_gl", "eta_glandular", model.nu),
                 },
                 load,
                 fibres=FibreField(axis=model.fibre_direction),
@@ -128,10 +126,7 @@ class ScannedCase:
         stated = self.loads[number]
         device = Device(stated.axis, frame.centre_mm)
         if stated.force_n is not None:
-            lower, upper = stated.lower_mm, stated.upper_mm
-            if lower is None or upper is None:
-                lower, upper = self._plates()
-            return ForceControl(stated.force_n, lower, upper, device)
+            return ForceControl(stated.force_n, *self.plate_starts_mm(stated), device)
         lower, upper = extent_mm(self.above_wall(self.deformed[number]), stated.axis)
         if stated.plate_distance_mm is not None:
             spare = (upper - lower - stated.plate_distance_mm) / 2
@@ -142,21 +137,36 @@ class ScannedCase:
             device,
         )
 
-    def _plates(self) -> tuple[float, float]:
-        plates = self.file.plates
-        if plates is None:
-            raise InputError(f"{self.where} does not say where the plates start.")
-        return plates.lower_mm, plates.upper_mm
+    def plate_starts_mm(self, load: CaseLoad) -> tuple[float, float]:
+        """Return where the plates of a force start: as stated, or at the body at rest."""
+        lower, upper = stated_starts_mm(self.file, load)
+        body = extent_mm(self.reference, load.axis)
+        return body[0] if lower is None else lower, body[1] if upper is None else upper
 
     @property
     def wall_mm(self) -> float:
-        """The z of the chest wall."""
-        return self.file.wall.z_mm
+        """The z of the chest wall: as stated, or the lower face of the body at rest."""
+        stated = self.file.wall.z_mm
+        return lower_face_mm(self.reference) if stated is None else stated
 
     @property
     def unloaded(self) -> "ScannedCase":
         """The same case before its loaded scans are made."""
         return ScannedCase(self.file, self.reference, self.repeat, [], self.where)
+
+
+def stated_starts_mm(file: CaseFile, load: CaseLoad) -> tuple[float | None, float | None]:
+    """Return the plate positions that a load states; if not both, those of `plates`."""
+    if load.lower_mm is not None and load.upper_mm is not None:
+        return load.lower_mm, load.upper_mm
+    plates = file.plates or CasePlates()
+    return plates.lower_mm, plates.upper_mm
+
+
+def lower_face_mm(labels: Volume) -> float:
+    """Return the z of the lower face of a body's first slice."""
+    first = int((labels.values != Tissue.AIR).any(axis=(1, 2)).argmax())
+    return float(labels.origin_mm[2] + (first - 0.5) * labels.spacing_mm[2])
 
 
 def above_wall(labels: Volume, wall_mm: float) -> Volume:
@@ -186,8 +196,9 @@ def _row_ends(there: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return np.concatenate([rows, rows]), np.concatenate([first, last])
 
 
-def _constants(values: Values, young: str, poisson: float) -> Constants:
-    return Constants(values[young], poisson, fibre_mpa=values.get("eta", 0.0))
+def _constants(values: Values, young: str, fibre: str, poisson: float) -> Constants:
+    fibre_mpa = values.get(fibre, values.get("eta", 0.0))
+    return Constants(values[young], poisson, fibre_mpa=fibre_mpa)
 
 
 def _wall(stated: CaseWall) -> Wall:

@@ -12,6 +12,7 @@ from workers.body.images.orient import parse_axes
 from workers.body.phantom.settings import BreastPhantom
 from workers.mechanics.effects.breast_catalogue import BREAST_MODEL
 from workers.mechanics.parameters import Vocabulary
+from workers.organs.breast import default_physics as physics
 from workers.spec import (
     CaseSpec,
     Door,
@@ -81,7 +82,9 @@ class PhantomSpec(Door):
 class ImageSpec(Door):
     """The keys that say how an image is read; see `workers.body.images.read.read_volume`."""
 
-    volume: str | None = None
+    volume: str | None = Field(
+        None, description="the segmented image: a file, a folder or a name in the store"
+    )
     labels: dict[int, TissueName] | None = None
     spacing_mm: SpacingMm | None = None
     axes: Axes | None = None
@@ -98,7 +101,7 @@ class ImageSpec(Door):
 class ReferenceSpec(ImageSpec):
     """The undeformed body: a phantom, or an image file, folder or volume of the store."""
 
-    phantom: PhantomSpec | None = None
+    phantom: PhantomSpec | None = Field(None, description="a generated breast")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -123,10 +126,10 @@ class MeshSpec(Door):
 class ModelSpec(Door):
     """What the model of the tissue contains."""
 
-    skin: Literal["none", "membrane", "layer"] = "none"
-    skin_thickness_mm: Positive = 1.5
-    fibres: Literal["tension-only", "literal"] = "tension-only"
-    fibre_invariant: Literal["I4", "isochoric"] = "I4"
+    skin: physics.Skin = physics.SKIN
+    skin_thickness_mm: Positive = physics.SKIN_THICKNESS_MM
+    fibres: physics.Fibres = physics.FIBRES
+    fibre_invariant: physics.FibreInvariant = physics.FIBRE_INVARIANT
 
 
 class PlateDistanceSpec(Door):
@@ -159,8 +162,10 @@ class LoadSpec(Door):
     cranio-caudal, 45 mediolateral oblique.
     """
 
-    force_n: Positive | None = None
-    plate_distance_mm: PlateDistanceSpec | None = None
+    force_n: Positive | None = Field(None, description="the force on the plates, in N")
+    plate_distance_mm: PlateDistanceSpec | None = Field(
+        None, description="{final: distance between the plates in mm}"
+    )
     oblique_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
     moving: Literal["upper", "both"] = "upper"
 
@@ -225,7 +230,9 @@ class BreastCase(CaseSpec):
 class BreastTarget(ImageSpec, TargetSpec):
     """The deformed body to be explained: simulated with hidden constants, or an image."""
 
-    constants: DoorConstants | None = None
+    constants: DoorConstants | None = Field(
+        None, description="the hidden value with which the target is simulated"
+    )
     mesh: MeshSpec | None = None
 
     @model_validator(mode="after")

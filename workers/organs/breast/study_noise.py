@@ -1,9 +1,10 @@
-"""What the interfaces of a study's volumes are taken to err by, where nobody states it."""
+"""Default noise of the interfaces of label volumes, for studies and diagnoses alike."""
 
 from storage.values import Volume
 from workers.comparison.observation.noise import SegmentationNoise
 
-# What an image that somebody has drawn is taken to err by, in voxels, and over which length.
+# Error of an image that somebody has drawn: half a voxel, since labels place a boundary no better,
+# and alike over 4 mm, an assumption. A second segmentation of the scan at rest measures both.
 DRAWN_VOXELS, DRAWN_LENGTH_MM = 0.5, 4.0
 # The same of labels that the model has moved: their voxels, and what its mesh cuts off the
 # body's rim (0.07 mm of a body of 1 mm voxels and 1,500 nodes).
@@ -11,15 +12,15 @@ MOVED_VOXELS, MOVED_LENGTH_VOXELS = 0.25, 2.0
 NUGGET_VOXELS = 0.08
 
 
-def study_noise(reference: Volume, target: Volume, imaged: bool) -> SegmentationNoise:
+def study_noise(reference: Volume, *loaded: Volume, imaged: bool) -> SegmentationNoise:
     """Return half a voxel over 4 mm for images, else what voxels leave of an interface.
 
     Parameters
     ----------
     imaged : bool
-        Whether the target is an image; else the model has made it.
+        Whether the loaded scans are images; else the model has made them.
     """
-    voxel = max(*reference.spacing_mm, *target.spacing_mm)
+    voxel = max(side for scan in (reference, *loaded) for side in scan.spacing_mm)
     nugget = NUGGET_VOXELS * voxel
     if imaged:
         drawn = DRAWN_VOXELS * voxel

@@ -52,8 +52,10 @@ class FrameSpec(Door):
     of a pair share. ``refraction: null`` leaves the posterior surface where it appears.
     """
 
-    file: str
-    pixel_mm: tuple[Positive, Positive]
+    file: str = Field(description="the picture of the section")
+    pixel_mm: tuple[Positive, Positive] = Field(
+        description="width and height of a pixel in mm, such as [0.0156, 0.0165]"
+    )
     first_pixel: Interval = (0.0, 0.0)
     refraction: RefractionSpec | None = RefractionSpec()
 
@@ -61,8 +63,8 @@ class FrameSpec(Door):
 class CorneaReference(Door):
     """The undeformed section, under the pressure of the eye: generated, or an image."""
 
-    section: GeneratedSectionSpec | None = None
-    frame: FrameSpec | None = None
+    section: GeneratedSectionSpec | None = Field(None, description="a generated section")
+    frame: FrameSpec | None = Field(None, description="a picture of the section")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -176,6 +178,13 @@ class CorneaCase(CaseSpec):
         """See `CaseSpec.parameters`."""
         return CORNEA
 
+    @property
+    def unstated_load(self) -> str:
+        """See `CaseSpec.unstated_load`."""
+        stated = self.load.model_fields_set if "load" in self.model_fields_set else set()
+        lacking = [f"case.load.{key}" for key in ("iop_mmhg", "jet") if key not in stated]
+        return " and ".join(lacking)
+
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
         """See `CaseSpec.complete`; pressures and jet are what the load states.
 
@@ -211,8 +220,10 @@ class CorneaCase(CaseSpec):
 class CorneaTarget(TargetSpec):
     """The deformed section to be explained: simulated with hidden constants, or an image."""
 
-    constants: DoorConstants | None = None
-    frame: FrameSpec | None = None
+    constants: DoorConstants | None = Field(
+        None, description="the hidden value with which the target is simulated"
+    )
+    frame: FrameSpec | None = Field(None, description="a picture of the section under the jet")
     mesh: MeshSpec | None = None
 
     @model_validator(mode="after")

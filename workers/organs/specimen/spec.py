@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from storage.errors import InputError
 from storage.values import Tissue, Triple
 from workers.mechanics.parameters import unknown_name
-from workers.spec import Door, Finite, Positive, validated
+from workers.spec import Door, Finite, Positive, require_one_of, validated
 
 FinitePoint = tuple[Finite, Finite, Finite]
 Poisson = Annotated[float, Field(gt=0, lt=0.5)]
@@ -33,8 +33,8 @@ class BodySpec(Door):
     data that hold them.
     """
 
-    box_mm: Sizes | None = None
-    mesh: str | None = None
+    box_mm: Sizes | None = Field(None, description="[x, y, z] of a block in mm")
+    mesh: str | None = Field(None, description="a mesh file: .stl, .vtk or .msh")
     mm_per_unit: Positive = 1.0
     voxel_mm: Positive | None = None
     labels: dict[int, str] | None = None
@@ -42,8 +42,7 @@ class BodySpec(Door):
 
     @model_validator(mode="after")
     def _one_body(self) -> Self:
-        if (self.box_mm is None) == (self.mesh is None):
-            raise ValueError("give exactly one of box_mm and mesh")
+        require_one_of(self, "box_mm", "mesh")
         if self.mesh is not None and self.voxel_mm is None:
             raise ValueError("a mesh needs voxel_mm, about a tenth of its thinnest part")
         if self.box_mm is not None and (self.voxel_mm or self.labels or self.label_array):
@@ -54,8 +53,8 @@ class BodySpec(Door):
 class BoxSpec(Door):
     """All points between two corners."""
 
-    lower: FinitePoint
-    upper: FinitePoint
+    lower: FinitePoint = Field(description="corner with the least x, y and z, in mm")
+    upper: FinitePoint = Field(description="corner with the largest x, y and z, in mm")
 
     @model_validator(mode="after")
     def _ascending(self) -> Self:
@@ -67,8 +66,8 @@ class BoxSpec(Door):
 class PlaneSpec(Door):
     """All points of a plane normal to an axis."""
 
-    axis: Axis
-    at_mm: Finite
+    axis: Axis = Field(description="x, y or z, normal to the plane")
+    at_mm: Finite = Field(description="position of the plane along the axis, in mm")
 
 
 class RegionSpec(Door):
@@ -79,8 +78,7 @@ class RegionSpec(Door):
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
-        if (self.box_mm is None) == (self.plane is None):
-            raise ValueError("give exactly one of box_mm and plane")
+        require_one_of(self, "box_mm", "plane")
         return self
 
 
@@ -88,9 +86,13 @@ class MaterialSpec(Door):
     """A material whose stiffness is searched in an interval, and Poisson's ratio in one of two."""
 
     law: Literal["neo-hookean"] = "neo-hookean"
-    E_kpa: tuple[Positive, Positive]
-    nu: Poisson | tuple[Poisson, Poisson]
-    density_kg_per_m3: Positive
+    E_kpa: tuple[Positive, Positive] = Field(
+        description="interval in which Young's modulus is searched, [lower, upper] in kPa"
+    )
+    nu: Poisson | tuple[Poisson, Poisson] = Field(
+        description="Poisson's ratio, or an interval in which it is searched"
+    )
+    density_kg_per_m3: Positive = Field(description="density in kg/m3, for its weight")
 
     @model_validator(mode="after")
     def _intervals(self) -> Self:
@@ -106,21 +108,20 @@ class MaterialSpec(Door):
 class HoldSpec(Door):
     """Where the body is held, and along which axes."""
 
-    region: str
+    region: str = Field(description="the name of a region that is held")
     axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ("x", "y", "z")
 
 
 class ForceSpec(Door):
     """A force or a hung mass on a region; it keeps its direction."""
 
-    region: str
-    force_n: FinitePoint | None = None
-    mass_g: Positive | None = None
+    region: str = Field(description="the name of the region that is loaded")
+    force_n: FinitePoint | None = Field(None, description="[x, y, z] in N")
+    mass_g: Positive | None = Field(None, description="a hung mass in g")
 
     @model_validator(mode="after")
     def _one_load(self) -> Self:
-        if (self.force_n is None) == (self.mass_g is None):
-            raise ValueError("give exactly one of force_n and mass_g")
+        require_one_of(self, "force_n", "mass_g")
         return self
 
 
@@ -163,8 +164,10 @@ class LoadsSpec(Door):
 class StateSpec(LoadsSpec):
     """One loaded state: what acts, and the files that say what was seen, one a repeat."""
 
-    name: Annotated[str, Field(min_length=1)]
-    files: Annotated[tuple[str, ...], Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1)] = Field(description="a name for the report")
+    files: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
+        description="the recordings of this state, one for each repeat"
+    )
     reactions: tuple[ReactionSpec, ...] = ()
 
     @model_validator(mode="after")
@@ -194,7 +197,7 @@ class MarkerSpec(Door):
     counts.
     """
 
-    at_mm: FinitePoint
+    at_mm: FinitePoint = Field(description="[x, y, z] in mm on the surface of the body at rest")
     outward: FinitePoint | None = None
 
     @model_validator(mode="after")
@@ -228,9 +231,15 @@ class MarkersSpec(Door):
     time: str = "t_s"
     column: str = "{marker}_{axis}_mm"
     mm_per_unit: Positive = 1.0
-    rest_s: Window
-    loaded_s: Window
-    markers: Annotated[dict[str, MarkerSpec], Field(min_length=1)]
+    rest_s: Window = Field(
+        description="[from, to] in s when nothing had moved yet; below zero from the end"
+    )
+    loaded_s: Window = Field(
+        description="[from, to] in s when nothing moved any more; below zero from the end"
+    )
+    markers: Annotated[dict[str, MarkerSpec], Field(min_length=1)] = Field(
+        description="the markers by the names in the recordings"
+    )
     frame: FrameSpec | None = None
     sd_mm: Positive = 0.1
     common_sd_mm: Positive | None = None
@@ -257,22 +266,27 @@ class SpecimenSpec(Door):
     """A bench experiment."""
 
     organ: Literal["specimen"]
-    name: Annotated[str, Field(min_length=1)]
-    body: BodySpec
-    regions: dict[str, RegionSpec]
-    materials: Annotated[dict[str, MaterialSpec], Field(min_length=1, max_length=len(MATERIALS))]
-    down: FinitePoint
+    name: Annotated[str, Field(min_length=1)] = Field(description="a name for the report")
+    body: BodySpec = Field(description="the specimen: a block, or a mesh file")
+    regions: dict[str, RegionSpec] = Field(
+        description="places that are held, loaded or moved: a plane or a box"
+    )
+    materials: Annotated[
+        dict[str, MaterialSpec], Field(min_length=1, max_length=len(MATERIALS))
+    ] = Field(description="the materials of the specimen")
+    down: FinitePoint = Field(description="direction of gravity, such as [0, -1, 0]")
     gravity: Literal["not modelled", "modelled"] = "not modelled"
     holds: tuple[HoldSpec, ...] = ()
     markers: MarkersSpec | None = None
     field: FieldSpec | None = None
-    states: Annotated[tuple[StateSpec, ...], Field(min_length=1)]
+    states: Annotated[tuple[StateSpec, ...], Field(min_length=1)] = Field(
+        description="the loaded states, each with its load and its files"
+    )
     predict: tuple[PredictSpec, ...] = ()
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:
-        if (self.markers is None) == (self.field is None):
-            raise ValueError("give exactly one of markers and field")
+        require_one_of(self, "markers", "field")
         if not np.linalg.norm(self.down) > 0:
             raise ValueError("down must not be zero: give the direction of gravity")
         self._check_boundary()

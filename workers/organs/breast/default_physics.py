@@ -1,0 +1,29 @@
+"""Default physics of a breast, for every study, diagnosis and plan that states no other.
+
+A blind set states its law itself, in words that a diagnosis reads; it has no defaults.
+
+The fibres feel their full stretch, ``I4``, as in the published law and in every study so far;
+the isochoric part, ``I4bar``, has to be stated.
+"""
+
+from typing import Literal
+
+from storage.values import Triple
+from workers.mechanics.fem.fields import WALL_TO_NIPPLE
+from workers.mechanics.parameters import BREAST
+
+Law = Literal["neo-hookean", "fibre-neo-hookean"]
+Fibres = Literal["tension-only", "literal"]
+FibreInvariant = Literal["I4", "isochoric"]
+Skin = Literal["none", "membrane", "layer"]
+
+LAW: Law = "fibre-neo-hookean"
+FIBRES: Fibres = "tension-only"
+FIBRE_INVARIANT: FibreInvariant = "I4"
+FIBRE_DIRECTION: Triple = WALL_TO_NIPPLE.axis
+SKIN: Skin = "none"
+SKIN_THICKNESS_MM = 1.5
+NU: float = BREAST.complete()["nu"]
+# Along the chest wall the body slides; away from it nothing moves.
+WALL_HELD = False
+WALL_SPRING_KPA_PER_MM = 0.0

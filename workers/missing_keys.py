@@ -3,15 +3,17 @@
 The text for a key is the ``description`` of its field.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from types import NoneType
 from typing import Any, get_args
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticCustomError
 
 MISSING = "missing"
+Pairs = tuple[tuple[str, str], ...]
+"""Pairs of keys of which exactly one has to be given."""
 
 
 def missing(text: str) -> PydanticCustomError:
@@ -55,13 +57,71 @@ def description_at(model: type[BaseModel], loc: Sequence[str | int]) -> str:
     >>> description_at(Case, ("scans", 0, "file"))
     'the label volume'
     """
-    about, inside = "", model
+    return _walk(model, loc)[1]
+
+
+def _record_at(model: type[BaseModel], loc: Sequence[str | int]) -> type[BaseModel]:
+    return _walk(model, loc)[0]
+
+
+def _walk(model: type[BaseModel], loc: Sequence[str | int]) -> tuple[type[BaseModel], str]:
+    """Return the record at the end of a path, and the last description on it."""
+    about = ""
     for key in loc:
-        field = inside.model_fields.get(key) if isinstance(key, str) else None
+        field = model.model_fields.get(key) if isinstance(key, str) else None
         if field is not None:
             about = field.description or ""
-            inside = _model_in(field.annotation) or BaseModel
-    return about
+            model = _model_in(field.annotation) or BaseModel
+    return model, about
+
+
+def missing_pairs(
+    model: type[BaseModel], data: Mapping[Any, Any], empty: Collection[str] = ()
+) -> list[str]:
+    """Return a line for each pair of `model.exactly_one` of which `data` holds neither key.
+
+    `empty` are keys that the file has without a value: of a pair the user meant these.
+    """
+    pairs: Pairs = getattr(model, "exactly_one", ())
+    return [
+        _neither(model, *((second, first) if second in empty else (first, second)), empty)
+        for first, second in pairs
+        if data.get(first) is None and data.get(second) is None
+    ]
+
+
+def errors_with_pairs(error: ValidationError, model: type[BaseModel]) -> list[Mapping[str, Any]]:
+    """Return the errors of pydantic, with the missing pairs of records that lack other keys too.
+
+    Pydantic checks the pairs of a record when all of its fields are there, but a user wants to
+    read once what is missing. A list that is short because its items are wrong is no error.
+    """
+    found: list[Mapping[str, Any]] = [dict(e) for e in error.errors(include_url=False)]
+    places = [e["loc"] for e in found]
+    kept = [e for e in found if not (e["type"] == "too_short" and _has_more(e["loc"], places))]
+    for e in [e for e in kept if e["type"] == MISSING and "ctx" not in e]:
+        place, data = e["loc"][:-1], e["input"]
+        empty = [key for key, value in data.items() if value is None]
+        new = [_missing_at(place, t) for t in missing_pairs(_record_at(model, place), data, empty)]
+        kept += [line for line in new if line not in kept]
+    return kept
+
+
+def _missing_at(place: tuple[Any, ...], text: str) -> Mapping[str, Any]:
+    return {"type": MISSING, "loc": place, "input": None, "ctx": {"text": text}}
+
+
+def _has_more(place: tuple[Any, ...], places: Sequence[tuple[Any, ...]]) -> bool:
+    return any(len(p) > len(place) and p[: len(place)] == place for p in places)
+
+
+def _neither(model: type[BaseModel], key: str, other: str, empty: Collection[str]) -> str:
+    """Return what belongs into `key`, which is empty, or into one of the two."""
+    fields = model.model_fields
+    if key in empty and other not in empty:
+        return f"{key} is missing: {fields[key].description or key}; or give {other}"
+    about = [f"{k} ({text})" if (text := fields[k].description) else k for k in (key, other)]
+    return f"give exactly one of {about[0]} and {about[1]}, found neither"
 
 
 @cache

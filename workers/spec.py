@@ -8,13 +8,21 @@ raises it as an `InputError`. The keys of one organ stand in its own ``spec.py``
 import reprlib
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from storage.errors import InputError
 from workers.mechanics.parameters import Vocabulary, unknown_name
-from workers.missing_keys import is_missing, missing, missing_text, without_empty_keys
+from workers.missing_keys import (
+    Pairs,
+    errors_with_pairs,
+    is_missing,
+    missing,
+    missing_pairs,
+    missing_text,
+    without_empty_keys,
+)
 
 
 def checked(check: Callable[[Any], object]) -> AfterValidator:
@@ -30,28 +38,6 @@ def checked(check: Callable[[Any], object]) -> AfterValidator:
     return AfterValidator(validate)
 
 
-def require_one_of(record: BaseModel, first: str, second: str) -> None:
-    """Refuse a record unless exactly one of two keys is given.
-
-    Raises
-    ------
-    ValueError
-        If both keys are given.
-    PydanticCustomError
-        If neither is given: one of them is missing.
-    """
-    given = [key for key in (first, second) if getattr(record, key) is not None]
-    if len(given) == 2:
-        raise ValueError(f"give exactly one of {first} and {second}, found both")
-    if not given:
-        raise missing(f"give exactly one of {_explained(record, first, second)}, found neither")
-
-
-def _explained(record: BaseModel, *keys: str) -> str:
-    about = {key: type(record).model_fields[key].description for key in keys}
-    return " and ".join(f"{key} ({text})" if text else key for key, text in about.items())
-
-
 Identifiable = Literal["absolute", "ratio"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -59,9 +45,13 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Door(BaseModel):
-    """A frozen record that refuses unknown keys; an empty key counts as left out."""
+    """A frozen record that refuses unknown keys; an empty key counts as left out.
+
+    Of each pair in `exactly_one` one key has to be given.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+    exactly_one: ClassVar[Pairs] = ()
 
     @model_validator(mode="before")
     @classmethod
@@ -74,6 +64,16 @@ class Door(BaseModel):
                 )
             return without_empty_keys(cls, data)
         return data
+
+    @model_validator(mode="after")
+    def _exactly_one_of_each_pair(self) -> Self:
+        given = {key for key in type(self).model_fields if getattr(self, key) is not None}
+        for first, second in self.exactly_one:
+            if given >= {first, second}:
+                raise ValueError(f"give exactly one of {first} and {second}, found both")
+        if lacking := missing_pairs(type(self), dict.fromkeys(given, True), self.model_fields_set):
+            raise missing("; ".join(lacking))
+        return self
 
     @classmethod
     def record_for(cls, data: Any) -> "type[Door]":
@@ -206,7 +206,7 @@ def validated(model: type[Record], data: Any, where: str = "") -> Record:
 
 
 def _head(error: ValidationError, where: str) -> str:
-    if all(is_missing(dict(e)) for e in error.errors(include_url=False)):
+    if all(is_missing(e) for e in errors_with_pairs(error, BaseModel)):
         return f"{where} is not finished. Fill in what is missing"
     return f"{where} does not make sense"
 
@@ -226,7 +226,7 @@ def explain(error: ValidationError, model: type[BaseModel] = BaseModel) -> str:
     ...     print(explain(error))
       force_n: Input should be greater than 0, found -3
     """
-    return "\n".join(_line(dict(e), model) for e in error.errors(include_url=False))
+    return "\n".join(_line(e, model) for e in errors_with_pairs(error, model))
 
 
 # Lists that refer to lists can be longer than any memory when they are written out.
@@ -235,10 +235,11 @@ _SHORT.maxdict = _SHORT.maxlist = _SHORT.maxtuple = 10
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 60, 60
 
 
-def _line(error: dict[str, Any], model: type[BaseModel]) -> str:
+def _line(error: Mapping[str, Any], model: type[BaseModel]) -> str:
     path = ".".join(str(part) for part in error["loc"]) or "the whole"
     if is_missing(error):
-        return f"  {path}: {missing_text(error, model)}"
+        text = missing_text(error, model)
+        return f"  {path}: {text}" if error["loc"] else f"  {text}"
     if error["type"] == "value_error":
         return f"  {path}: {error['ctx']['error']}"
     found = _SHORT.repr(error["input"])

@@ -6,16 +6,16 @@ not known is refused. A case in prose becomes one of these; see `case_prose`.
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from storage.values import Triple
 from workers.mechanics.parameters import unknown_name
-from workers.missing_keys import missing
+from workers.missing_keys import Pairs, missing
 from workers.organs.breast import default_physics as physics
-from workers.spec import Door, Finite, NotNegative, Positive, require_one_of
+from workers.spec import Door, Finite, NotNegative, Positive
 
 ALONG_X: Triple = (1.0, 0.0, 0.0)
 ALONG_Y: Triple = (0.0, 1.0, 0.0)
@@ -156,6 +156,8 @@ class CaseLoad(Door):
     end there; by default where the body in the scan does.
     """
 
+    exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
+
     file: str = Field(description="the labels of the body under this load")
     force_n: Positive | None = Field(None, description="the force on the plates, in N")
     plate_distance_mm: Positive | None = Field(
@@ -167,7 +169,6 @@ class CaseLoad(Door):
 
     @model_validator(mode="after")
     def _one_load(self) -> Self:
-        require_one_of(self, "force_n", "plate_distance_mm")
         if self.axis[2] or not any(self.axis):
             raise ValueError("axis must lie across z, such as x, y or [1, 1, 0]")
         if self.lower_mm is None or self.upper_mm is None:
@@ -258,7 +259,7 @@ class CaseFile(Door):
                 f"constants: {', '.join(sorted(fibres))} {'is' if len(fibres) == 1 else 'are'} "
                 "for fibres, but model.law is neo-hookean"
             )
-        if ONE_FIBRE <= fibres and fibres != ONE_FIBRE:
+        if fibres >= ONE_FIBRE and fibres != ONE_FIBRE:
             raise ValueError(
                 "constants: give eta_kpa for both tissues, or eta_fat_kpa and eta_glandular_kpa"
             )

@@ -1,7 +1,7 @@
 """What may be stated of a breast: the case, the target and the score of a study."""
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, Field, StringConstraints, model_validator
 
@@ -12,6 +12,7 @@ from workers.body.images.orient import parse_axes
 from workers.body.phantom.settings import BreastPhantom
 from workers.mechanics.effects.breast_catalogue import BREAST_MODEL
 from workers.mechanics.parameters import Vocabulary
+from workers.missing_keys import Pairs
 from workers.organs.breast import default_physics as physics
 from workers.spec import (
     CaseSpec,
@@ -22,7 +23,6 @@ from workers.spec import (
     ScoreSpec,
     TargetSpec,
     checked,
-    require_one_of,
 )
 from workers.units import FORCE_UNITS, KPA
 
@@ -101,11 +101,12 @@ class ImageSpec(Door):
 class ReferenceSpec(ImageSpec):
     """The undeformed body: a phantom, or an image file, folder or volume of the store."""
 
+    exactly_one: ClassVar[Pairs] = (("phantom", "volume"),)
+
     phantom: PhantomSpec | None = Field(None, description="a generated breast")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        require_one_of(self, "phantom", "volume")
         if self.phantom is not None:
             self._refuse_image_keys("a phantom")
         return self
@@ -114,13 +115,10 @@ class ReferenceSpec(ImageSpec):
 class MeshSpec(Door):
     """How fine the tetrahedra are: about so many nodes, or of this size."""
 
+    exactly_one: ClassVar[Pairs] = (("nodes", "element_size_mm"),)
+
     nodes: Annotated[int, Field(ge=100, le=5_000_000)] | None = None
     element_size_mm: Positive | None = None
-
-    @model_validator(mode="after")
-    def _one_measure(self) -> Self:
-        require_one_of(self, "nodes", "element_size_mm")
-        return self
 
 
 class ModelSpec(Door):
@@ -162,17 +160,14 @@ class LoadSpec(Door):
     cranio-caudal, 45 mediolateral oblique.
     """
 
+    exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
+
     force_n: Positive | None = Field(None, description="the force on the plates, in N")
     plate_distance_mm: PlateDistanceSpec | None = Field(
         None, description="{final: distance between the plates in mm}"
     )
     oblique_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
     moving: Literal["upper", "both"] = "upper"
-
-    @model_validator(mode="after")
-    def _one_control(self) -> Self:
-        require_one_of(self, "force_n", "plate_distance_mm")
-        return self
 
 
 class BreastCase(CaseSpec):
@@ -230,6 +225,8 @@ class BreastCase(CaseSpec):
 class BreastTarget(ImageSpec, TargetSpec):
     """The deformed body to be explained: simulated with hidden constants, or an image."""
 
+    exactly_one: ClassVar[Pairs] = (("constants", "volume"),)
+
     constants: DoorConstants | None = Field(
         None, description="the hidden value with which the target is simulated"
     )
@@ -237,7 +234,6 @@ class BreastTarget(ImageSpec, TargetSpec):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        require_one_of(self, "constants", "volume")
         if self.constants is not None:
             self._refuse_image_keys("constants")
         elif self.mesh is not None:

@@ -271,9 +271,7 @@ class StudySource:
 
     def _usual_noise(self) -> SegmentationNoise:
         pieces = self.pieces
-        return study_noise(
-            pieces.reference, pieces.target, imaged=pieces.target_mesh is None
-        )
+        return study_noise(pieces.reference, pieces.target, imaged=pieces.target_mesh is None)
 
 
 def from_study(study: FinishedStudy) -> StudySource:

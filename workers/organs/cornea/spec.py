@@ -1,12 +1,13 @@
 """What may be stated of a cornea: the case, the target and the score of a study."""
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from storage.errors import InputError
 from workers.mechanics.parameters import Vocabulary
+from workers.missing_keys import Pairs
 from workers.organs.cornea.constants import Convention
 from workers.organs.cornea.load import MPA_PER_MMHG, JetProfile
 from workers.organs.cornea.model import Kind, PrestressMethod
@@ -20,7 +21,6 @@ from workers.spec import (
     ScoreSpec,
     TargetSpec,
     checked,
-    require_one_of,
 )
 
 DoorConstants = Annotated[dict[str, float], checked(CORNEA.from_door)]
@@ -63,13 +63,10 @@ class FrameSpec(Door):
 class CorneaReference(Door):
     """The undeformed section, under the pressure of the eye: generated, or an image."""
 
+    exactly_one: ClassVar[Pairs] = (("section", "frame"),)
+
     section: GeneratedSectionSpec | None = Field(None, description="a generated section")
     frame: FrameSpec | None = Field(None, description="a picture of the section")
-
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
-        require_one_of(self, "section", "frame")
-        return self
 
 
 class MeshSpec(Door):
@@ -119,16 +116,13 @@ class JetSpec(Door):
     `workers.organs.cornea.load.CorneaLoad`.
     """
 
+    exactly_one: ClassVar[Pairs] = (("pressure_kpa", "pressure_mmhg"),)
+
     pressure_kpa: Zero | None = None
     pressure_mmhg: Zero | None = None
     diameter_mm: Positive = 3.0
     centre_mm: Finite = 0.0
     profile: JetProfileSpec | None = None
-
-    @model_validator(mode="after")
-    def _one_pressure(self) -> Self:
-        require_one_of(self, "pressure_kpa", "pressure_mmhg")
-        return self
 
     @property
     def pressure_mpa(self) -> float:
@@ -220,6 +214,8 @@ class CorneaCase(CaseSpec):
 class CorneaTarget(TargetSpec):
     """The deformed section to be explained: simulated with hidden constants, or an image."""
 
+    exactly_one: ClassVar[Pairs] = (("constants", "frame"),)
+
     constants: DoorConstants | None = Field(
         None, description="the hidden value with which the target is simulated"
     )
@@ -228,7 +224,6 @@ class CorneaTarget(TargetSpec):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        require_one_of(self, "constants", "frame")
         if self.frame is not None and self.mesh is not None:
             raise ValueError("a mesh is for a simulated target, but a frame is given: take it out")
         return self

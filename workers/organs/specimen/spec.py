@@ -6,7 +6,7 @@ block has one corner at the origin and its lowest face in z first.
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 import yaml
@@ -15,7 +15,8 @@ from pydantic import Field, model_validator
 from storage.errors import InputError
 from storage.values import Tissue, Triple
 from workers.mechanics.parameters import unknown_name
-from workers.spec import Door, Finite, Positive, require_one_of, validated
+from workers.missing_keys import Pairs
+from workers.spec import Door, Finite, Positive, validated
 
 FinitePoint = tuple[Finite, Finite, Finite]
 Poisson = Annotated[float, Field(gt=0, lt=0.5)]
@@ -33,6 +34,8 @@ class BodySpec(Door):
     data that hold them.
     """
 
+    exactly_one: ClassVar[Pairs] = (("box_mm", "mesh"),)
+
     box_mm: Sizes | None = Field(None, description="[x, y, z] of a block in mm")
     mesh: str | None = Field(None, description="a mesh file: .stl, .vtk or .msh")
     mm_per_unit: Positive = 1.0
@@ -42,7 +45,6 @@ class BodySpec(Door):
 
     @model_validator(mode="after")
     def _one_body(self) -> Self:
-        require_one_of(self, "box_mm", "mesh")
         if self.mesh is not None and self.voxel_mm is None:
             raise ValueError("a mesh needs voxel_mm, about a tenth of its thinnest part")
         if self.box_mm is not None and (self.voxel_mm or self.labels or self.label_array):
@@ -73,13 +75,10 @@ class PlaneSpec(Door):
 class RegionSpec(Door):
     """A place on the body: a box or a plane."""
 
+    exactly_one: ClassVar[Pairs] = (("box_mm", "plane"),)
+
     box_mm: BoxSpec | None = None
     plane: PlaneSpec | None = None
-
-    @model_validator(mode="after")
-    def _one_place(self) -> Self:
-        require_one_of(self, "box_mm", "plane")
-        return self
 
 
 class MaterialSpec(Door):
@@ -115,14 +114,11 @@ class HoldSpec(Door):
 class ForceSpec(Door):
     """A force or a hung mass on a region; it keeps its direction."""
 
+    exactly_one: ClassVar[Pairs] = (("force_n", "mass_g"),)
+
     region: str = Field(description="the name of the region that is loaded")
     force_n: FinitePoint | None = Field(None, description="[x, y, z] in N")
     mass_g: Positive | None = Field(None, description="a hung mass in g")
-
-    @model_validator(mode="after")
-    def _one_load(self) -> Self:
-        require_one_of(self, "force_n", "mass_g")
-        return self
 
 
 class MoveSpec(Door):
@@ -265,6 +261,8 @@ class FieldSpec(Door):
 class SpecimenSpec(Door):
     """A bench experiment."""
 
+    exactly_one: ClassVar[Pairs] = (("markers", "field"),)
+
     organ: Literal["specimen"]
     name: Annotated[str, Field(min_length=1)] = Field(description="a name for the report")
     body: BodySpec = Field(description="the specimen: a block, or a mesh file")
@@ -286,7 +284,6 @@ class SpecimenSpec(Door):
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Self:
-        require_one_of(self, "markers", "field")
         if not np.linalg.norm(self.down) > 0:
             raise ValueError("down must not be zero: give the direction of gravity")
         self._check_boundary()

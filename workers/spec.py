@@ -107,6 +107,16 @@ class CaseSpec(Door):
             If a name in `constants` is unknown or a value is not admissible.
         """
 
+    def understood(self, searched: Collection[str]) -> list[tuple[str, str]]:
+        """Return names and texts of the physics that a study rests on, defaults included.
+
+        Parameters
+        ----------
+        searched : collection of str
+            Names inside of the parameters that are not held.
+        """
+        return []
+
     @property
     def unstated_load(self) -> str:
         """Return the key of the load that this case leaves to a default, or ""."""

@@ -1,6 +1,12 @@
 """What a case or an experiment was understood to say, before anything runs."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from service.spec import StudySpec
 
 
 def print_understood(source: Path) -> None:
@@ -18,6 +24,15 @@ def print_understood(source: Path) -> None:
     if not rows:
         return
     print_table(make_console(stderr=True), None, rows, title="Understood:")
+
+
+def print_understood_study(spec: "StudySpec", console: "Console") -> None:
+    """Print the physics that a study rests on, its defaults included."""
+    from service.commands.tables import print_table
+
+    rows = spec.case.understood([parameter["name"] for parameter in spec.free_parameters])
+    if rows:
+        print_table(console, None, rows, title="Understood:")
 
 
 def folder_name(source: Path) -> str:

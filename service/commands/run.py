@@ -13,6 +13,7 @@ from service.commands.common import (
     load_spec,
     print_json,
 )
+from service.commands.echo import print_understood_study
 from service.commands.interrupts import interrupted, stop_requests
 from service.commands.settings import RUNS, cluster_options, stated_store
 
@@ -90,9 +91,11 @@ def run(
 
 
 def _look_first(study: "Study", accept_implausible: bool, *, elsewhere: bool) -> None:
-    """Refuse what cannot be meant, and print what is unusual."""
+    """Refuse what cannot be meant, and print the physics and what is unusual."""
+    from service.commands.tables import make_console
     from service.preflight import preflight
 
+    print_understood_study(study.spec, make_console(stderr=True))
     for warning in preflight(
         study.spec, study.store, accept_implausible=accept_implausible, elsewhere=elsewhere
     ):

@@ -1,6 +1,7 @@
 """What a case was understood to say, as rows for a reader."""
 
 from workers.organs.breast.case_spec import CONSTANTS, CaseFile, CaseLoad
+from workers.organs.breast.physics_words import law_text, wall_text
 from workers.organs.breast.scanned_case import stated_starts_mm
 from workers.organs.breast.study_noise import DRAWN_LENGTH_MM, DRAWN_VOXELS
 
@@ -43,23 +44,13 @@ def _law(file: CaseFile) -> str:
     model = file.model
     if model.law == "neo-hookean":
         return "neo-Hookean, without fibres"
-    pulled = "in tension only" if model.fibres == "tension-only" else "in compression as well"
-    stretch = "isochoric" if model.fibre_invariant == "isochoric" else "full (I4)"
-    direction = ", ".join(f"{c:g}" for c in model.fibre_direction)
-    return f"neo-Hookean, fibres along ({direction}) that act {pulled}, {stretch} stretch"
+    return law_text(model.fibres, model.fibre_invariant, model.fibre_direction)
 
 
 def _wall(file: CaseFile) -> str:
     wall = file.wall
     place = "where the body at rest begins" if wall.z_mm is None else f"z = {wall.z_mm:g} mm"
-    if wall.held:
-        return f"{place}, held in all directions"
-    if not wall.kx_kpa_per_mm and not wall.ky_kpa_per_mm:
-        return f"{place}, held along z, slides along x and y"
-    return (
-        f"{place}, held along z, springs of {wall.kx_kpa_per_mm:g} kPa/mm along x and "
-        f"{wall.ky_kpa_per_mm:g} kPa/mm along y"
-    )
+    return f"{place}, {wall_text(wall.held, wall.kx_kpa_per_mm, wall.ky_kpa_per_mm)}"
 
 
 def _constant(file: CaseFile, key: str) -> str:

@@ -11,9 +11,10 @@ from workers.body.images.labels import tissue_named
 from workers.body.images.orient import parse_axes
 from workers.body.phantom.settings import BreastPhantom
 from workers.mechanics.effects.breast_catalogue import BREAST_MODEL
-from workers.mechanics.parameters import Vocabulary
+from workers.mechanics.parameters import BREAST, Vocabulary
 from workers.missing_keys import Pairs
 from workers.organs.breast import default_physics as physics
+from workers.organs.breast.physics_words import law_text, wall_text
 from workers.spec import (
     CaseSpec,
     Door,
@@ -169,6 +170,20 @@ class LoadSpec(Door):
     oblique_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
     moving: Literal["upper", "both"] = "upper"
 
+    @property
+    def text(self) -> str:
+        """Return what presses, for a reader."""
+        turned = f", turned by {self.oblique_deg:g} degrees" if self.oblique_deg else ""
+        if self.force_n is not None:
+            return f"{self.force_n:g} N, from where the body at rest ends{turned}"
+        distance = self.plate_distance_mm or PlateDistanceSpec(final=1.0)
+        if distance.final is not None:
+            return f"{distance.final:g} mm apart{turned}"
+        return f"at {distance.lower:g} and {distance.upper:g} mm{turned}"
+
+
+_WALL = wall_text(physics.WALL_HELD, physics.WALL_SPRING_KPA_PER_MM, physics.WALL_SPRING_KPA_PER_MM)
+
 
 class BreastCase(CaseSpec):
     """A breast, its mesh, its model and its load."""
@@ -189,6 +204,25 @@ class BreastCase(CaseSpec):
     def mesh_nodes(self) -> int | None:
         """See `CaseSpec.mesh_nodes`."""
         return self.mesh.nodes
+
+    def understood(self, searched: Collection[str]) -> list[tuple[str, str]]:
+        """See `CaseSpec.understood`."""
+        model, skin = self.model, self.model.skin
+        rows = [
+            ("law", law_text(model.fibres, model.fibre_invariant, physics.FIBRE_DIRECTION)),
+            ("chest wall", f"where the body begins, {_WALL}"),
+            ("skin", "as fat" if skin == "none" else f"{skin}, {model.skin_thickness_mm:g} mm"),
+            ("plates", self.load.text),
+        ]
+        values, stated = self.complete(), BREAST_MODEL.from_door(self.constants)
+        held = [p for p in self.parameters if p.name in BREAST and p.name not in searched]
+        followed = [p for p in held if p.follows and p.name not in stated]
+        texts = [
+            f"{p.name} {p.unit.text(values[p.name])}{'' if p.name in stated else ' (default)'}"
+            for p in held
+            if p not in followed
+        ]
+        return [*rows, ("held", ", ".join(texts) or "nothing")]
 
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
         """See `CaseSpec.complete`."""

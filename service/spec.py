@@ -86,7 +86,8 @@ class StudySpec(Door):
     @model_validator(mode="after")
     def _load_is_stated_for_an_image(self) -> Self:
         """Refuse the load of an image to be a default: only the user knows it."""
-        if self.target.is_image and (lacking := self.case.unstated_load):
+        lacking = self.case.unstated_load(self.search.parameters)
+        if self.target.is_image and lacking:
             raise missing(
                 f"{lacking}: this key is missing: the load under which the target was imaged"
             )

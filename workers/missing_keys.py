@@ -120,8 +120,9 @@ def _neither(model: type[BaseModel], key: str, other: str, empty: Collection[str
     fields = model.model_fields
     if key in empty and other not in empty:
         return f"{key} is missing: {fields[key].description or key}; or give {other}"
-    about = [f"{k} ({text})" if (text := fields[k].description) else k for k in (key, other)]
-    return f"give exactly one of {about[0]} and {about[1]}, found neither"
+    about = [f"{k} is {text}" for k in (key, other) if (text := fields[k].description)]
+    explained = f": {', '.join(about)}" if about else ""
+    return f"give exactly one of {key} and {other}, found neither{explained}"
 
 
 @cache

@@ -117,9 +117,14 @@ class CaseSpec(Door):
         """
         return []
 
-    @property
-    def unstated_load(self) -> str:
-        """Return the key of the load that this case leaves to a default, or ""."""
+    def unstated_load(self, searched: Collection[str]) -> str:
+        """Return the keys of the load that this case leaves to a default, or "".
+
+        Parameters
+        ----------
+        searched : collection of str
+            Names of the searched parameters, as in a study file.
+        """
         return "" if "load" in self.model_fields_set else "case.load"
 
     @property

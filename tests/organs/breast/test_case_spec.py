@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from storage.errors import InputError
-from workers.organs.breast.case_spec import ALONG_X, CaseFile
+from workers.organs.breast.case_spec import ALONG_X, CaseFile, CaseWall
 from workers.spec import validated
 
 CASE: dict[str, Any] = {
@@ -63,17 +63,14 @@ def test_values_are_held_and_intervals_are_searched() -> None:
         ("wall.kx", 0.2, "did you mean 'kx_kpa_per_mm'"),
         ("wall.kx_kpa_per_mm", -1, "greater than or equal to 0"),
         ("wall.held", True, "no springs"),
-        ("wall", None, "wall: this key is missing"),
         ("plates.upper_mm", -60, "less than upper_mm"),
-        ("plates", None, "say where the plates start"),
         ("constants.E_fat", 10, "did you mean 'E_fat_kpa'"),
         ("constants.E_fat_kpa", [14, 7], "lower < upper"),
         ("constants.E_fat_kpa", "10 kPa", "10 kPa"),
         ("constants.E_fat_kpa", [0, 7], "above zero"),
         ("constants.E_fat_kpa", True, "above zero"),
-        ("constants.eta_kpa", None, "no value of eta_kpa"),
+        ("constants.eta_fat_kpa", 80, "eta_kpa for both tissues, or eta_fat_kpa and"),
         ("constants", {"E_fat_kpa": 1, "E_glandular_kpa": 2, "eta_kpa": 3}, "all are held"),
-        ("noise", None, "reference_repeat"),
         ("noise.sd", 1, "did you mean 'sd_mm'"),
         ("noise.in_scans", "reference", "'all' or 'loaded'"),
         ("scans.pose_sd_mm", -0.1, "greater than or equal to 0"),
@@ -95,6 +92,37 @@ def test_what_makes_no_sense_is_refused(path: str, value: Any, message: str) -> 
     with pytest.raises(InputError, match=r"case\.yaml does not make sense") as refused:
         validated(CaseFile, changed(path, value), "case.yaml")
     assert message in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("name", "name: this key is missing"),
+        ("constants.eta_kpa", "no value of eta_kpa"),
+        ("noise.sd_mm", "noise.sd_mm: this key is missing"),
+        ("scans.reference", "scans.reference: this key is missing"),
+        ("scans.loads.0.force_n", "exactly one of force_n and plate_distance_mm, found neither"),
+    ],
+)
+def test_a_required_key_that_is_left_out_is_missing(path: str, message: str) -> None:
+    with pytest.raises(InputError, match=r"case\.yaml is not finished") as refused:
+        validated(CaseFile, changed(path, None), "case.yaml")
+    assert message in str(refused.value)
+
+
+def test_each_tissue_may_have_fibres_of_its_own() -> None:
+    each = {"eta_fat_kpa": 90, "eta_glandular_kpa": [100, 200]}
+    case = validated(
+        CaseFile, changed("constants", {"E_fat_kpa": 10, "E_glandular_kpa": 30} | each)
+    )
+    assert case.held == {"E_fat": 10.0, "E_gl": 30.0, "eta_fat": 90.0}
+    assert case.free == {"eta_glandular": (100.0, 200.0)}
+
+
+@pytest.mark.parametrize("path", ["wall", "plates", "noise"])
+def test_what_the_scans_show_may_be_left_out(path: str) -> None:
+    case = validated(CaseFile, changed(path, None))
+    assert getattr(case, path) in (None, CaseWall())
 
 
 def test_a_law_without_fibres_takes_none_of_their_keys() -> None:

@@ -95,8 +95,6 @@ def test_a_case_cannot_be_changed():
             {"reference": PHANTOM, "constants": {"E_fat": 10}},
             "constants: unknown parameter 'E_fat': did you mean 'E_fat_kpa'?",
         ),
-        ({}, "reference: this key is missing"),
-        ({"reference": {}}, "reference: give exactly one of phantom and volume, found neither"),
         (
             {"reference": {"phantom": {}, "volume": "a.nrrd"}},
             "reference: give exactly one of phantom and volume, found both",
@@ -139,6 +137,19 @@ def test_a_wrong_case_is_told_where_and_what(data, told):
     message = refusal(BreastCase, data)
     assert message.startswith("study.yaml does not make sense:")
     assert told in message
+
+
+@pytest.mark.parametrize(
+    ("data", "lacking"),
+    [
+        ({}, "reference: this key is missing"),
+        ({"reference": {}}, "reference: give exactly one of phantom and volume, found neither"),
+    ],
+)
+def test_a_case_without_a_body_is_not_finished(data, lacking):
+    message = refusal(BreastCase, data)
+    assert message.startswith("study.yaml is not finished")
+    assert lacking in message
 
 
 def test_every_wrong_key_is_told_at_once():

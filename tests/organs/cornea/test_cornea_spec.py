@@ -80,7 +80,10 @@ def test_a_study_names_the_organ_by_its_doors(tmp_path: Path) -> None:
     (tmp_path / "frame.png").touch()
     text = """
 name: pair
-case: {organ: cornea, reference: {frame: {file: frame.png, pixel_mm: [0.0156, 0.0165]}}}
+case:
+  organ: cornea
+  reference: {frame: {file: frame.png, pixel_mm: [0.0156, 0.0165]}}
+  load: {jet: {pressure_kpa: 15}}
 target: {frame: {file: frame.png, pixel_mm: [0.0156, 0.0165]}}
 search: {parameters: {mu1_pa: [1, 40000], iop_mmhg: [8, 20]}}
 """

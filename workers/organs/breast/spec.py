@@ -193,7 +193,7 @@ class BreastCase(CaseSpec):
     mesh: MeshSpec = MeshSpec(nodes=20_000)
     model: ModelSpec = ModelSpec()
     load: LoadSpec = LoadSpec(force_n=100.0)
-    constants: DoorConstants = Field(default_factory=dict)
+    constants: DoorConstants = Field(default_factory=dict, description="a value that is held")
 
     @property
     def parameters(self) -> Vocabulary:

@@ -1,6 +1,6 @@
 """What may be stated of a cornea: the case, the target and the score of a study."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -164,7 +164,7 @@ class CorneaCase(CaseSpec):
     mesh: MeshSpec = MeshSpec()
     model: ModelSpec = ModelSpec()
     load: LoadSpec = LoadSpec()
-    constants: DoorConstants = Field(default_factory=dict)
+    constants: DoorConstants = Field(default_factory=dict, description="a value that is held")
     findings: FindingsSpec = FindingsSpec()
 
     @property
@@ -172,12 +172,12 @@ class CorneaCase(CaseSpec):
         """See `CaseSpec.parameters`."""
         return CORNEA
 
-    @property
-    def unstated_load(self) -> str:
+    def unstated_load(self, searched: Collection[str]) -> str:
         """See `CaseSpec.unstated_load`."""
         stated = self.load.model_fields_set if "load" in self.model_fields_set else set()
-        lacking = [f"case.load.{key}" for key in ("iop_mmhg", "jet") if key not in stated]
-        return " and ".join(lacking)
+        found = {"iop_mmhg": "iop_mmhg", "jet": "jet_pressure_kpa"}
+        keys = [key for key, name in found.items() if key not in stated and name not in searched]
+        return " and ".join(f"case.load.{key}" for key in keys)
 
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
         """See `CaseSpec.complete`; pressures and jet are what the load states.

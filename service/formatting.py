@@ -22,8 +22,8 @@ def number(value: float | None, digits: int = 4) -> str:
     --------
     >>> number(10.1234), number(12345678.0), number(float("inf")), number(None)
     ('10.12', '12345678', '∞', '–')
-    >>> number(-1.2e-10), number(5.27e18)
-    ('−1.20·10⁻¹⁰', '5.27·10¹⁸')
+    >>> number(-1.2e-10), number(5.27e18), number(99.6, 2)
+    ('−1.20·10⁻¹⁰', '5.27·10¹⁸', '100')
     """
     if value is None or math.isnan(value):
         return NONE
@@ -37,6 +37,7 @@ def number(value: float | None, digits: int = 4) -> str:
         text = f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
     else:
         text = f"{value:.{digits}g}"
+        text = f"{value:.0f}" if "e" in text else text  # 99.6 with two digits is 100, not 1e+02
     return text.replace("-", MINUS)
 
 
@@ -65,6 +66,17 @@ def percent(share: float | None, digits: int = 1) -> str:
     if not float(size):
         return f"{size} %"
     return f"{'+' if share > 0 else MINUS}{size} %"
+
+
+def share(part: float) -> str:
+    """Write a part as per cent with two digits, or all of them before the point.
+
+    Examples
+    --------
+    >>> share(1.5), share(0.0996), share(0.00123), share(-0.25), share(0.0)
+    ('150 %', '10 %', '0.12 %', '−25 %', '0 %')
+    """
+    return f"{number(100 * part, 2)} %"
 
 
 def duration(seconds: float) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from service.formatting import share
 from service.search.space import FloatArray
 from storage.task_records import FitJson
 from workers.mechanics.parameters import Parameter, Vocabulary
@@ -175,7 +176,7 @@ def _in_words(weights: Mapping[str, float], sd: float | None) -> str:
         ((n, w) for n, w in weights.items() if abs(w) >= LEAST_SHARE),
         key=lambda pair: -abs(pair[1]),
     )
-    known = "not seen at all" if sd is None else f"known to {100 * sd:.2g} %"
+    known = "not seen at all" if sd is None else f"known to {share(sd)}"
     if len(named) == 1:
         return f"{named[0][0]} alone, {known}"
     names = ", ".join(n for n, _ in named[:-1]) + f" and {named[-1][0]}"

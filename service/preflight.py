@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+from service.formatting import number
 from service.spec import StudySpec
 from storage.errors import InputError
 from storage.places import Place
@@ -123,7 +124,7 @@ def _far(where: str, parameter: Parameter, bounds: Bounds) -> str:
     low, high = _known(parameter)
     unit = f" {parameter.unit.symbol}".rstrip()
     ratio = bounds[0] / high if bounds[0] > high else bounds[1] / low
-    times = f"about {ratio:.2g} times" if ratio > 0 else "far from"
+    times = f"about {number(ratio, 2)} times" if ratio > 0 else "far from"
     return (
         f"{where}{unit} is {times} the known interval of {low:g} to {high:g}{unit} "
         f"({parameter.description}). Write values in {parameter.unit.symbol or 'plain numbers'}."

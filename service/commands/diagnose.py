@@ -182,7 +182,7 @@ def print_verdict(summary: "Summary", console: "Console") -> None:
     from service.commands.tables import print_table
     from service.diagnosis.advice import worth
     from service.diagnosis.experiment import experiment_lines
-    from service.diagnosis.words import likely, measured, sentence, spoken
+    from service.diagnosis.words import ADD_UP, likely, magnitude, sentence, spoken
 
     console.print(sentence(summary), soft_wrap=True)
     rows = [
@@ -191,10 +191,10 @@ def print_verdict(summary: "Summary", console: "Console") -> None:
     ]
     ranked = sorted(summary.effects, key=lambda e: -e.probability)
     for e in [e for e in ranked if e.name not in summary.absorbed][:SHOWN]:
-        magnitude = measured(e.magnitude, e.sd, e.unit)
         share = f"{100 * e.absorbed_share:.0f} %"
-        rows.append((spoken(e.name), likely(e.probability), magnitude, share))
+        rows.append((spoken(e.name), likely(e.probability), magnitude(e), share))
     print_table(console, ("cause", "probability", "magnitude", "absorbed"), rows, right=(1, 3))
+    console.print(ADD_UP, soft_wrap=True)
     if summary.absorbed:
         names = ", ".join(spoken(name) for name in summary.absorbed)
         console.print(

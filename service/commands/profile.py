@@ -13,6 +13,7 @@ from service.commands.common import (
     print_json,
 )
 from service.commands.settings import cluster_options
+from service.formatting import number
 
 if TYPE_CHECKING:
     from service.profile import Profile
@@ -59,14 +60,14 @@ def _print(found: "Profile") -> None:
     others = [gene for gene in found.points[0].genes if gene != found.gene]
     rows = [
         (
-            f"{p.value:.4g}",
+            number(p.value),
             "failed" if p.rise is None else f"{p.rise:.2f}",
             "-" if p.gsf is None else f"{p.gsf:.3f}",
-            *(f"{p.genes[gene]:.4g}" for gene in others),
+            *(number(p.genes[gene]) for gene in others),
         )
         for p in found.points
     ]
     headings = (found.gene, "rise", "GSF", *others)
     print_table(console, headings, rows, right=tuple(range(len(headings))))
-    ends = ["beyond" if v is None else f"{v:.4g}" for v in (found.lower, found.upper)]
+    ends = ["beyond" if v is None else number(v) for v in (found.lower, found.upper)]
     console.print(f"90 % interval of {found.gene} (rise below 2.71): {ends[0]} to {ends[1]}")

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from service.commands.common import JsonOption, StudyArgument, find_study, print_json
+from service.formatting import number, share
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -79,10 +80,10 @@ def _estimates(results: "StudyResults") -> tuple[tuple[str, ...], list[tuple[str
             constant = known.constants.get(name)
             interval = None if constant is None else constant.interval
             more.append(
-                "-" if interval is None else f"{interval.lower:.4g} to {interval.upper:.4g}"
+                "-" if interval is None else f"{number(interval.lower)} to {number(interval.upper)}"
             )
         if polished:
-            more.append("-" if e.before_polish is None else f"{e.before_polish:.4g}{unit}")
+            more.append("-" if e.before_polish is None else f"{number(e.before_polish)}{unit}")
         rows.append((name, estimate, *more, target, error, f"{e.lower:g} to {e.upper:g}{unit}"))
     return ("parameter", "estimate", *between, "target", "error", "searched"), rows
 
@@ -102,7 +103,7 @@ def _numbers(e: "ParameterEstimate | RatioEstimate", unit: str) -> tuple[str, st
     """Return estimate, target and error as texts."""
     error = e.relative_error
     return (
-        "-" if e.estimate is None else f"{e.estimate:.4g}{unit}",
-        "-" if e.target is None else f"{e.target:.4g}{unit}",
-        "-" if error is None else f"{100 * error:.2g} %",
+        "-" if e.estimate is None else f"{number(e.estimate)}{unit}",
+        "-" if e.target is None else f"{number(e.target)}{unit}",
+        "-" if error is None else share(error),
     )

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import JsonOption, StudyArgument, find_study, print_json
+from service.formatting import number
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,7 +48,7 @@ def _rows(results: "StudyResults") -> list[tuple[str, str]]:
         candidate, score = results.best.candidate, results.best.score
         rows.append(("best", f"candidate {candidate}: {score_text(score)}"))
         genes = quantities_at_door(results.spec.case.parameters, results.best.genes)
-        texts = (f"{name} {q.value:.4g} {q.unit}".rstrip() for name, q in genes.items())
+        texts = (f"{name} {number(q.value)} {q.unit}".rstrip() for name, q in genes.items())
         rows.append(("", ", ".join(texts)))
     runs = "1 run" if results.sessions == 1 else f"{results.sessions} runs"
     time = f"{clock(results.wall_s)} in {runs}"

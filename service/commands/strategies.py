@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import JsonOption, print_json
+from service.formatting import share
 from storage.errors import InputError
 
 if TYPE_CHECKING:
@@ -92,6 +93,6 @@ def summary(rows: "Sequence[Reached]") -> list[str]:
             f"| {strategy} | {len(own)} | {np.median(near):.3g}, {max(near):.3g} | "
             f"{np.median(seconds):.3g} | {np.median([r.evaluations for r in own]):.4g} | "
             f"{np.median([r.gsf for r in own]):.2f} | "
-            f"{', '.join(f'{e:.2g} %' for e in errors)} | {sum(held)} of {len(held)} |"
+            f"{', '.join(share(e / 100) for e in errors)} | {sum(held)} of {len(held)} |"
         )
     return found

@@ -75,9 +75,10 @@ def amounts(parameters: Sequence[ParameterPlan], which: Literal["minimum", "plau
     '–'
     """
     words = []
-    for unit in dict.fromkeys(p.unit for p in parameters):
-        own = [p for p in parameters if p.unit == unit]
-        known = [p.minimum if which == "minimum" else p.plausible for p in own]
+    shown = [p.shown for p in parameters]
+    for unit in dict.fromkeys(unit for *_, unit in shown):
+        own = [(least, size) for least, size, other in shown if other == unit]
+        known = [least if which == "minimum" else size for least, size in own]
         values = sorted(value for value in known if value is not None)
         if values:
             ends = dict.fromkeys(number(v, DIGITS) for v in (values[0], values[-1]))

@@ -6,13 +6,26 @@ from typing import Protocol
 
 from service.formatting import MINUS, NONE, number
 from workers.diagnosis.settings import SETTINGS
-from workers.diagnosis.summary import GapEstimate, GapSummary, Summary
+from workers.diagnosis.summary import (
+    EffectSummary,
+    GapEstimate,
+    GapSummary,
+    ParameterEstimate,
+    Summary,
+)
+from workers.mechanics.readings import ShownMagnitude
 
 MOST_DIGITS = 4
+# Bayes factors beyond this are not told apart by a reader.
+MOST_FACTOR = 1000
 # A gap below this, and below this part of the noise, is as good as none.
 NOTHING_MM, NOTHING_OF_NOISE = 0.005, 0.1
 # The smallest upper limit of a gap that is printed; where noise is smaller, its size.
 LEAST_MM = 0.01
+ADD_UP = (
+    "Causes can act together, and each probability counts every combination that the cause is "
+    "part of, so they may add up to more than 100 %."
+)
 NOT_EFFECTS = {"no-gap": "no gap", "none-of-these": "none of these"}
 DOUBTS = {"no-gap": "mere noise", "none-of-these": "something that is not listed"}
 
@@ -26,6 +39,20 @@ def spoken(name: str) -> str:
     ('plate tilt', 'none of these')
     """
     return NOT_EFFECTS.get(name, name.replace("_", " "))
+
+
+def bayes_factor(log: float) -> str:
+    """Return how many times more probable an effect makes the scans than none does.
+
+    Examples
+    --------
+    >>> bayes_factor(2.0), bayes_factor(-0.7), bayes_factor(12.34), bayes_factor(-50.0)
+    ('7.4', '0.50', '> 1000', '< 0.001')
+    """
+    if abs(log) > math.log(MOST_FACTOR):
+        return f"> {MOST_FACTOR}" if log > 0 else f"< {1 / MOST_FACTOR:g}"
+    factor = math.exp(log)
+    return f"{factor:.0f}" if factor >= 10 else f"{factor:#.2g}"
 
 
 def together(names: Sequence[str]) -> str:
@@ -79,6 +106,36 @@ def measured(value: float | None, sd: float | None, unit: str) -> str:
     return f"{signed(value, digits)} ± {sd:.{digits}f} {unit}".rstrip()
 
 
+def magnitude(one: ParameterEstimate | EffectSummary) -> str:
+    """Return a magnitude as a reader thinks of it, with its 90 % interval and the model's value.
+
+    Examples
+    --------
+    >>> nu = ShownMagnitude(0.4503, 0.431, 0.462, 0.49, "", "nu")
+    >>> magnitude(ParameterEstimate("ln_compressibility", 1.6, 0.2, "", nu))
+    'nu = 0.45 (0.43 to 0.46; model: 0.49)'
+    >>> magnitude(ParameterEstimate("tilt_depth_deg", 5.4838, 0.2712, "deg"))
+    '5.48 ± 0.27 deg'
+    """
+    if one.shown is None:
+        return measured(one.magnitude, one.sd, one.unit)
+    value, *detail = _shown(one.shown)
+    return f"{value} ({'; '.join(detail)})"
+
+
+def _shown(one: ShownMagnitude) -> list[str]:
+    """Return a value with its unit, its interval and the value of the model."""
+    digits = _digits((one.high - one.low) / 3, figures=1)
+
+    def text(value: float) -> str:
+        return number(value, 2) if digits > MOST_DIGITS else signed(value, digits)
+
+    name = f"{one.name} = " if one.name else ""
+    model = [] if one.neutral is None else [f"model: {number(one.neutral, 4)}"]
+    value = f"{name}{text(one.value)} {one.unit}".rstrip()
+    return [value, f"{text(one.low)} to {text(one.high)}", *model]
+
+
 def difference(value: float, sd: float) -> str:
     """Return a number with its sign, as exact as its standard deviation.
 
@@ -93,9 +150,9 @@ def difference(value: float, sd: float) -> str:
     return signed(value, digits, "+")
 
 
-def _digits(sd: float) -> int:
-    """Return how many digits behind the point show two figures of a standard deviation."""
-    return max(0, 1 - math.floor(math.log10(sd))) if sd > 0 else 3
+def _digits(sd: float, figures: int = 2) -> int:
+    """Return the decimals that show so many figures of a standard deviation."""
+    return max(0, figures - 1 - math.floor(math.log10(sd))) if sd > 0 else 3
 
 
 def signed(value: float, digits: int, plus: str = "") -> str:
@@ -240,7 +297,10 @@ def _cause(summary: Summary) -> str:
 
 def _magnitude(summary: Summary, name: str) -> str:
     effect = summary.effect(name)
-    how_much = measured(effect.magnitude, effect.sd, effect.unit)
+    if effect.shown is None:
+        how_much = measured(effect.magnitude, effect.sd, effect.unit)
+    else:
+        how_much = ", ".join(_shown(effect.shown))
     return f"{spoken(name)} ({how_much}, probability {likely(effect.probability)})"
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from service.diagnosis.advice import undecided, worth
 from service.diagnosis.run import FinishedDiagnosis
 from service.diagnosis.words import (
+    ADD_UP,
     NOT_EFFECTS,
     headline,
     length,
@@ -107,6 +108,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "about_causes": _about_causes(summary),
         "constants": tables.constants(summary.constants),
         "effects": tables.effects(summary.effects, summary.absorbed),
+        "add_up": ADD_UP,
         "advice": _advice(summary),
         "further": [(o.name, worth(o)) for o in summary.next_acquisitions or ()],
         "markers": experiment.markers(summary),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from service.diagnosis.words import likely, measured, millimetres, signed, spoken
+from service.diagnosis.words import bayes_factor, likely, magnitude, millimetres, signed, spoken
 from service.formatting import NONE, number, percent, signed_error, symbol
 from workers.diagnosis import summary as schema
 
@@ -143,7 +143,7 @@ def _fixed(value: float | None, digits: int) -> str:
 
 
 def _effect(e: schema.EffectSummary, hidden: bool) -> EffectRow:
-    magnitudes = tuple((_parameter(p), measured(p.magnitude, p.sd, p.unit)) for p in e.parameters)
+    magnitudes = tuple((parameter_name(p.parameter, p.unit), magnitude(p)) for p in e.parameters)
     share = f"{100 * e.absorbed_share:.0f} %"
     why = f"{share} of it looks like another choice of constants: the scans cannot show it"
     return EffectRow(
@@ -152,14 +152,20 @@ def _effect(e: schema.EffectSummary, hidden: bool) -> EffectRow:
         e.family,
         NONE if hidden else likely(e.probability),
         magnitudes,
-        number(e.log_bayes_factor, 3),
+        bayes_factor(e.log_bayes_factor),
         share,
         hidden,
         why if hidden else "",
     )
 
 
-def _parameter(p: schema.ParameterEstimate) -> str:
-    """Return the name of a parameter without its unit."""
-    ending = f"_{p.unit.lower().replace('/', '_per_')}" if p.unit else ""
-    return str(p.parameter).removesuffix(ending).replace("_", " ")
+def parameter_name(name: str, unit: str) -> str:
+    """Return the name of a parameter without its unit; of a logarithm, that of the ratio.
+
+    Examples
+    --------
+    >>> parameter_name("tilt_depth_deg", "deg"), parameter_name("inclusion_ln_ratio", "")
+    ('tilt depth', 'inclusion ratio')
+    """
+    ending = f"_{unit.lower().replace('/', '_per_')}" if unit else ""
+    return " ".join(part for part in name.removesuffix(ending).split("_") if part != "ln")

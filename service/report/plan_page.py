@@ -16,6 +16,7 @@ from service.diagnosis.plan_words import (
 )
 from service.diagnosis.words import spoken, together
 from service.formatting import NONE, number
+from service.report.diagnosis_tables import parameter_name
 from service.report.pictures import Picture, picture
 from service.report.plan_figures import alikeness, gains
 from service.report.template import filled
@@ -24,7 +25,6 @@ from storage.plain import to_plain
 from storage.typed_json import to_json
 from workers.diagnosis.planning.summary import (
     FurtherMeasurement,
-    ParameterPlan,
     PlannedEffect,
     PlanSummary,
 )
@@ -115,8 +115,9 @@ def _effect(e: PlannedEffect) -> EffectRow:
         e.family,
         e.summary,
         tuple(
-            (_parameter(p), _amount(p.minimum, p.unit), _amount(p.plausible, p.unit))
+            (parameter_name(p.parameter, p.unit), _amount(least, unit), _amount(size, unit))
             for p in e.parameters
+            for least, size, unit in [p.shown]
         ),
         f"{100 * e.absorbed_share:.0f} %",
         number(e.log_evidence, 3),
@@ -150,9 +151,3 @@ def _alikes(plan: PlanSummary) -> str:
 
 def _amount(value: float | None, unit: str) -> str:
     return NONE if value is None else f"{number(value, DIGITS)} {unit}".rstrip()
-
-
-def _parameter(p: ParameterPlan) -> str:
-    """Return the name of a parameter without its unit."""
-    ending = f"_{p.unit.lower().replace('/', '_per_')}" if p.unit else ""
-    return str(p.parameter).removesuffix(ending).replace("_", " ")

@@ -1,5 +1,6 @@
 """A diagnosis turned into plain numbers; see `workers.diagnosis.summary` for their schema."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -32,6 +33,8 @@ from workers.diagnosis.summary import (
 )
 from workers.diagnosis.verdict import NO_GAP
 from workers.mechanics.effects.base import Effect, one_sided
+from workers.mechanics.parameters import Parameter
+from workers.mechanics.readings import shown
 
 
 def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Summary:
@@ -102,6 +105,7 @@ def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
         log_bayes_factor=screened.log_bayes_factor,
         absorbed_share=screened.absorbed,
         refitted=names in diagnosis.joint_fits,
+        shown=lead.shown,
     )
 
 
@@ -114,6 +118,8 @@ def _parameters(
         analysis.noise, analysis.hypothesis(fitted.fit), fitted.fit.unknowns
     )
     screened = analysis.screening_by_name[effect.name]
+    needs_nu = any(p.reading.kind == "poisson" for p in effect.parameters)
+    nu = _poissons_ratio(diagnosis) if needs_nu else None
     found = []
     for i, parameter in enumerate(effect.parameters):
         if fitted and posterior:
@@ -125,13 +131,31 @@ def _parameters(
                 value = max(value, effect.neutral[parameter.name])
         else:
             continue
-        unit = parameter.unit
-        found.append(
-            ParameterEstimate(
-                parameter.door_name, unit.to_door(value), unit.to_door(sd), unit.symbol
-            )
-        )
+        found.append(_estimate_of(parameter, value, sd, nu, is_size=i < effect.size_count))
     return found
+
+
+def _estimate_of(
+    parameter: Parameter, value: float, sd: float, nu: float | None, *, is_size: bool
+) -> ParameterEstimate:
+    """Return a parameter at the door; the place of an effect has no neutral value."""
+    unit = parameter.unit
+    at_door, spread = unit.to_door(value), unit.to_door(sd)
+    neutral = unit.to_door(parameter.neutral or 0.0)
+    least = neutral if one_sided(parameter) else -math.inf
+    read = shown(parameter.reading, at_door, spread, neutral, unit.symbol, nu, least)
+    if not is_size:
+        read = replace(read, neutral=None)
+    return ParameterEstimate(parameter.door_name, at_door, spread, unit.symbol, read)
+
+
+def _poissons_ratio(diagnosis: Diagnosis) -> float | None:
+    """Return the nominal nu; None where tissues differ or the problem has none."""
+    analysis = diagnosis.analysis
+    problem = analysis.inverse.scans[0].problem(analysis.nominal.values())
+    tissues = getattr(problem, "constants", {}).values()
+    found = {constants.poisson for constants in tissues}
+    return found.pop() if len(found) == 1 else None
 
 
 def _in_deviations(parameter: ParameterEstimate) -> float:

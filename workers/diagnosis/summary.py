@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from workers.diagnosis.experiment_summary import ConfoundedEffect, MarkerState, PredictedState
 from workers.diagnosis.verdict import Kind
+from workers.mechanics.readings import ShownMagnitude
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +125,16 @@ class RegionGap:
 
 @dataclass(frozen=True, slots=True)
 class ParameterEstimate:
-    """A parameter of an effect, with its standard deviation, in its unit."""
+    """A parameter of an effect, with its standard deviation, in its unit.
+
+    `shown` is the same as a reader thinks of it; None in records of earlier versions.
+    """
 
     parameter: str
     magnitude: float
     sd: float
     unit: str
+    shown: ShownMagnitude | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +156,8 @@ class EffectSummary:
         What the constants hide of it, 0 to 1.
     refitted : bool
         Whether it was fitted together with the constants.
+    shown : ShownMagnitude, optional
+        The magnitude as a reader thinks of it; see `workers.mechanics.readings`.
     """
 
     name: str
@@ -164,6 +171,7 @@ class EffectSummary:
     log_bayes_factor: float
     absorbed_share: float
     refitted: bool
+    shown: ShownMagnitude | None = None
 
 
 @dataclass(frozen=True, slots=True)

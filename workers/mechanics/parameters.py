@@ -16,6 +16,7 @@ from difflib import get_close_matches
 from typing import TypeVar
 
 from storage.errors import InputError
+from workers.mechanics.readings import AS_IS, Reading
 from workers.units import KPA, NUMBER, Unit
 
 Bounds = tuple[float, float]
@@ -45,6 +46,8 @@ class Parameter:
         Whether the lower end of `admissible` is excluded as well.
     follows : str
         Name of the parameter whose value holds when this one is not stated.
+    reading : Reading
+        How a reader is shown its value.
 
     Raises
     ------
@@ -61,6 +64,7 @@ class Parameter:
     admissible: Bounds = (0.0, math.inf)
     open_lower: bool = True
     follows: str = ""
+    reading: Reading = AS_IS
 
     def __post_init__(self) -> None:
         self.check_bounds((self.lower, self.upper))

@@ -27,6 +27,8 @@ from workers.diagnosis.planning.summary import (
 from workers.diagnosis.settings import SETTINGS
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.fem.loads import ForceControl
+from workers.mechanics.parameters import Parameter
+from workers.mechanics.readings import shown_change
 
 
 def make_plan(
@@ -117,6 +119,15 @@ def designs(
     return found
 
 
+def _parameter(p: Parameter, least: float, sd: float) -> ParameterPlan:
+    """Return the least magnitude that is found, and a plausible one."""
+    minimum = p.unit.to_door(least) if np.isfinite(least) else None
+    plausible_size = p.unit.to_door(sd)
+    shown, unit = shown_change(p.reading, plausible_size, p.unit.symbol)
+    found = None if minimum is None else shown_change(p.reading, minimum, "")[0]
+    return ParameterPlan(p.door_name, p.unit.symbol, minimum, plausible_size, unit, found, shown)
+
+
 def _effect(effect: Effect, now: DesignEvaluation, i: int) -> PlannedEffect:
     row = now.rows[i]
     sizes = plausible(effect)
@@ -125,12 +136,7 @@ def _effect(effect: Effect, now: DesignEvaluation, i: int) -> PlannedEffect:
         family=effect.family,
         summary=effect.summary,
         parameters=tuple(
-            ParameterPlan(
-                parameter=p.door_name,
-                unit=p.unit.symbol,
-                minimum=p.unit.to_door(float(least)) if np.isfinite(least) else None,
-                plausible=p.unit.to_door(sd),
-            )
+            _parameter(p, float(least), sd)
             for p, least, sd in zip(effect.parameters, row.minimum, sizes, strict=False)
         ),
         absorbed_share=row.absorbed,

@@ -14,13 +14,24 @@ class ParameterPlan:
     """Magnitudes of a parameter in its unit.
 
     `minimum` is found with 80 % power at 1 % false alarms, None where nothing is visible;
-    `plausible` is a prior standard deviation.
+    `plausible` is a prior standard deviation. `shown_minimum` and `shown_plausible` are the same
+    as a reader thinks of them, in `shown_unit`; None in records of earlier versions.
     """
 
     parameter: str
     unit: str
     minimum: float | None
     plausible: float
+    shown_unit: str | None = None
+    shown_minimum: float | None = None
+    shown_plausible: float | None = None
+
+    @property
+    def shown(self) -> tuple[float | None, float | None, str]:
+        """Return least and plausible magnitude and their unit, for a reader."""
+        if self.shown_unit is None:
+            return self.minimum, self.plausible, self.unit
+        return self.shown_minimum, self.shown_plausible, self.shown_unit
 
 
 @dataclass(frozen=True, slots=True)

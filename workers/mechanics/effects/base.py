@@ -19,6 +19,7 @@ from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.sensitivity import Change
 from workers.mechanics.parameters import Parameter, Vocabulary
+from workers.mechanics.readings import AS_IS, Reading
 from workers.units import Unit
 
 Family = Literal[
@@ -282,20 +283,39 @@ def one_sided(parameter: Parameter) -> bool:
 
 
 def two_sided(
-    name: str, unit: Unit, reach: float, description: str, neutral: float = 0.0
+    name: str,
+    unit: Unit,
+    reach: float,
+    description: str,
+    neutral: float = 0.0,
+    reading: Reading = AS_IS,
 ) -> Parameter:
     """Make a parameter of either sign, searched from ``-reach`` to ``reach`` about `neutral`."""
+    lower, upper = neutral - reach, neutral + reach
     return Parameter(
-        name, unit, neutral - reach, neutral + reach, neutral, description, admissible=ANY
+        name, unit, lower, upper, neutral, description, admissible=ANY, reading=reading
     )
 
 
 def from_zero(
-    name: str, unit: Unit, reach: float, description: str, limit: float = math.inf
+    name: str,
+    unit: Unit,
+    reach: float,
+    description: str,
+    limit: float = math.inf,
+    reading: Reading = AS_IS,
 ) -> Parameter:
     """Make a parameter that is zero or positive, searched up to `reach` and below `limit`."""
     return Parameter(
-        name, unit, 0.0, reach, 0.0, description, admissible=(0.0, limit), open_lower=False
+        name,
+        unit,
+        0.0,
+        reach,
+        0.0,
+        description,
+        admissible=(0.0, limit),
+        open_lower=False,
+        reading=reading,
     )
 
 

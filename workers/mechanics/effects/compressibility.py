@@ -8,6 +8,7 @@ from workers.mechanics.effects.problem_changes import with_constants
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Constants, Problem
 from workers.mechanics.parameters import Parameter
+from workers.mechanics.readings import poisson
 from workers.units import NUMBER
 
 NAME = "ln_compressibility"
@@ -41,6 +42,7 @@ COMPRESSIBILITY = Effect(
             0.0,
             "ln of 1 - 2 nu over that of the model, at the same Young's modulus",
             admissible=ANY,
+            reading=poisson(),
         ),
     ),
     prior_sd=(0.5,),

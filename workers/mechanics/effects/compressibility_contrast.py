@@ -8,6 +8,7 @@ from workers.mechanics.effects.base import ANY, Effect, Values
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.parameters import Parameter
+from workers.mechanics.readings import poisson
 from workers.units import NUMBER
 
 NAME = "ln_compressibility_contrast"
@@ -36,6 +37,7 @@ COMPRESSIBILITY_CONTRAST = Effect(
             0.0,
             "ln of 1 - 2 nu of glandular tissue over that of the model",
             admissible=ANY,
+            reading=poisson("nu of glandular tissue"),
         ),
     ),
     prior_sd=(0.5,),

@@ -8,6 +8,7 @@ from workers.mechanics.effects.problem_changes import with_constants
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Constants, Problem
 from workers.mechanics.materials.base import Isochoric
+from workers.mechanics.readings import percent
 from workers.units import NUMBER
 
 NAME = "creep"
@@ -70,7 +71,14 @@ CREEP = Effect(
     family="global material",
     summary="The tissue has relaxed under the plates since its stiffness was assumed.",
     parameters=(
-        from_zero(NAME, NUMBER, 0.5, "part of all moduli that the tissue has lost", limit=1.0),
+        from_zero(
+            NAME,
+            NUMBER,
+            0.5,
+            "part of all moduli that the tissue has lost",
+            limit=1.0,
+            reading=percent("% of the stiffness lost"),
+        ),
     ),
     prior_sd=(0.2,),
     steps=(1e-3,),

@@ -7,6 +7,7 @@ from storage.values import Tissue
 from workers.mechanics.effects.base import Effect, Values, two_sided
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
+from workers.mechanics.readings import ratio
 from workers.units import NUMBER
 
 NAME = "ln_fibre_contrast"
@@ -32,7 +33,11 @@ FIBRE_CONTRAST = Effect(
     summary="Fibres of glandular tissue and of fat are not equally stiff.",
     parameters=(
         two_sided(
-            NAME, NUMBER, 2.0, "ln of the stiffness of glandular fibres over that of the model"
+            NAME,
+            NUMBER,
+            2.0,
+            "ln of the stiffness of glandular fibres over that of the model",
+            reading=ratio("times as stiff as the model's fibres"),
         ),
     ),
     prior_sd=(0.7,),

@@ -6,6 +6,7 @@ from workers.mechanics.effects.base import Effect, Values, two_sided
 from workers.mechanics.effects.problem_changes import plus
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
+from workers.mechanics.readings import Reading
 from workers.units import G
 
 NAMES = ("gravity_x", "gravity_y", "gravity_z")
@@ -23,7 +24,13 @@ GRAVITY_CHANGE = Effect(
     family="loading",
     summary="The body lay differently in the two scans, so gravity pulls another way.",
     parameters=tuple(
-        two_sided(name, G, 2.0, f"change of gravity along {name[-1]} between the scans")
+        two_sided(
+            name,
+            G,
+            2.0,
+            f"change of gravity along {name[-1]} between the scans",
+            reading=Reading(unit=f"times gravity along {name[-1]}"),
+        )
         for name in NAMES
     ),
     prior_sd=(0.3, 0.3, 0.3),

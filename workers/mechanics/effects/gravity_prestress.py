@@ -6,6 +6,7 @@ from workers.mechanics.effects.base import Effect, Values, two_sided
 from workers.mechanics.effects.problem_changes import plus
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
+from workers.mechanics.readings import Reading
 from workers.units import G
 
 NAME = "common_gravity"
@@ -26,7 +27,13 @@ PRESTRESS = Effect(
     family="loading",
     summary="Gravity pulled the same way in both scans and had stretched the imaged body.",
     parameters=(
-        two_sided(NAME, G, 1.0, "gravity along z in both scans: 1 prone, -1 supine, 0 upright"),
+        two_sided(
+            NAME,
+            G,
+            1.0,
+            "gravity along z in both scans: 1 prone, -1 supine, 0 upright",
+            reading=Reading(unit="times gravity along z"),
+        ),
     ),
     prior_sd=(0.5,),
     steps=(0.05,),

@@ -7,6 +7,7 @@ from storage.values import Tissue
 from workers.mechanics.effects.base import Effect, Values, two_sided
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.readings import ratio
 from workers.units import NUMBER
 
 NAMES = {Tissue.FAT: "ln_growth_fat", Tissue.GLANDULAR: "ln_growth_glandular"}
@@ -35,6 +36,7 @@ GROWTH = Effect(
             NUMBER,
             0.3,
             f"ln of the volume of {tissue.name.lower()} in the loaded scans over that at rest",
+            reading=ratio(f"times the volume of {tissue.name.lower()} at rest"),
         )
         for tissue, name in NAMES.items()
     ),

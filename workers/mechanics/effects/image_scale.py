@@ -6,6 +6,7 @@ from storage.values import FloatArray, IntArray
 from workers.mechanics.effects.base import Effect, two_sided
 from workers.mechanics.effects.problem_changes import unchanged
 from workers.mechanics.fem.fields import Frame
+from workers.mechanics.readings import percent
 from workers.units import NUMBER
 
 NAMES = ("scale_x", "scale_y", "scale_z")
@@ -26,7 +27,13 @@ IMAGE_SCALE = Effect(
     family="observation",
     summary="The loaded scans have another scale than the scan at rest.",
     parameters=tuple(
-        two_sided(name, NUMBER, 0.05, f"how much larger they show the body along {name[-1]}")
+        two_sided(
+            name,
+            NUMBER,
+            0.05,
+            f"how much larger they show the body along {name[-1]}",
+            reading=percent(f"% larger along {name[-1]}"),
+        )
         for name in NAMES
     ),
     prior_sd=(0.005,) * len(NAMES),

@@ -6,6 +6,7 @@ from storage.values import FloatArray, IntArray
 from workers.mechanics.effects.base import Effect, two_sided
 from workers.mechanics.effects.problem_changes import unchanged
 from workers.mechanics.fem.fields import Frame
+from workers.mechanics.readings import Reading
 from workers.units import NUMBER
 
 NAMES = ("shear_xy", "shear_xz", "shear_yz")
@@ -30,7 +31,11 @@ IMAGE_SHEAR = Effect(
     summary="The loaded scans are sheared against the scan at rest.",
     parameters=tuple(
         two_sided(
-            name, NUMBER, 0.05, f"how far they are moved along {name[-2]} by 1 mm of {name[-1]}"
+            name,
+            NUMBER,
+            0.05,
+            f"how far they are moved along {name[-2]} by 1 mm of {name[-1]}",
+            reading=Reading(unit=f"mm along {name[-2]} for each mm of {name[-1]}"),
         )
         for name in NAMES
     ),

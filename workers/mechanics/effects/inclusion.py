@@ -8,6 +8,7 @@ from workers.mechanics.effects.problem_changes import plus
 from workers.mechanics.fem.fields import Frame, Inclusion
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.parameters import Parameter
+from workers.mechanics.readings import ratio
 from workers.units import MM, NUMBER
 
 RATIO, RADIUS = "inclusion_ln_ratio", "inclusion_radius"
@@ -27,7 +28,13 @@ INCLUSION = Effect(
     family="local stiffness",
     summary="There is a lump, harder or softer than the tissue around it.",
     parameters=(
-        two_sided(RATIO, NUMBER, 2.7, "ln of the lump's stiffness over that of its surroundings"),
+        two_sided(
+            RATIO,
+            NUMBER,
+            2.7,
+            "ln of the lump's stiffness over that of its surroundings",
+            reading=ratio("times as stiff as its surroundings"),
+        ),
         *(
             two_sided(name, MM, 60.0, f"place of the lump along {name[-1]} from the body's middle")
             for name in PLACE

@@ -6,6 +6,7 @@ from dataclasses import replace
 from workers.mechanics.effects.base import Effect, Values, two_sided
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
+from workers.mechanics.readings import ratio
 from workers.units import NUMBER
 
 NAME = "ln_load"
@@ -26,7 +27,15 @@ LOAD_SCALE = Effect(
     name="load_scale",
     family="loading",
     summary="The forces are not what was written down: scales, friction, a lever arm.",
-    parameters=(two_sided(NAME, NUMBER, 0.3, "ln of the true forces over those stated"),),
+    parameters=(
+        two_sided(
+            NAME,
+            NUMBER,
+            0.3,
+            "ln of the true forces over those stated",
+            reading=ratio("times the stated forces"),
+        ),
+    ),
     prior_sd=(0.05,),
     steps=(1e-4,),
     transform=transform,

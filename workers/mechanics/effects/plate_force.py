@@ -8,6 +8,7 @@ from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.loads import ForceControl
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.parameters import Parameter
+from workers.mechanics.readings import ratio
 from workers.units import NUMBER
 
 NAME = "ln_plate_force"
@@ -35,6 +36,7 @@ PLATE_FORCE = Effect(
             0.0,
             "ln of the share of the plate's force that the breast carries",
             admissible=ANY,
+            reading=ratio("times the stated force"),
         ),
     ),
     prior_sd=(0.5,),

@@ -6,6 +6,7 @@ from workers.mechanics.effects.base import Effect, Values, from_zero
 from workers.mechanics.effects.problem_changes import with_device
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
+from workers.mechanics.readings import Reading
 from workers.units import NUMBER
 
 NAME = "friction"
@@ -20,7 +21,15 @@ FRICTION = Effect(
     name="plate_friction",
     family="boundary",
     summary="The skin does not slide freely along the plates.",
-    parameters=(from_zero(NAME, NUMBER, 1.0, "Coulomb's coefficient of skin on plate"),),
+    parameters=(
+        from_zero(
+            NAME,
+            NUMBER,
+            1.0,
+            "Coulomb's coefficient of skin on plate",
+            reading=Reading(name="coefficient"),
+        ),
+    ),
     prior_sd=(0.25,),
     steps=(0.001,),
     transform=transform,

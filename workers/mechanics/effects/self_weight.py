@@ -7,6 +7,7 @@ from workers.mechanics.effects.base import Effect, Values, from_zero
 from workers.mechanics.effects.problem_changes import plus
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Problem
+from workers.mechanics.readings import Reading
 from workers.units import G
 
 NAME = "self_weight"
@@ -36,7 +37,15 @@ def self_weight(down: Triple) -> Effect:
         name="self_weight",
         family="loading",
         summary="The body sags under its own weight, which the model has not.",
-        parameters=(from_zero(NAME, G, 1.5, "part of its weight that the body feels"),),
+        parameters=(
+            from_zero(
+                NAME,
+                G,
+                1.5,
+                "part of its weight that the body feels",
+                reading=Reading(unit="times its weight"),
+            ),
+        ),
         prior_sd=(1.0,),
         steps=(1e-2,),
         transform=AddGravity(down),

@@ -6,6 +6,7 @@ from dataclasses import replace
 from workers.mechanics.effects.base import Effect, Values, from_zero, two_sided
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Membrane, Problem
+from workers.mechanics.readings import ratio
 from workers.units import N_PER_M, NUMBER
 
 ADDED, FACTOR = "skin_added", "ln_skin"
@@ -59,7 +60,15 @@ SKIN_SCALED = Effect(
     name="skin_scaled",
     family="global material",
     summary="The skin of the model is too stiff or too soft, too thick or too thin.",
-    parameters=(two_sided(FACTOR, NUMBER, 1.5, "ln of E t of the skin over that of the model"),),
+    parameters=(
+        two_sided(
+            FACTOR,
+            NUMBER,
+            1.5,
+            "ln of E t of the skin over that of the model",
+            reading=ratio("times as stiff as the model's skin"),
+        ),
+    ),
     prior_sd=(0.5,),
     steps=(1e-4,),
     transform=scale,

@@ -5,6 +5,7 @@ from dataclasses import replace
 from workers.mechanics.effects.base import Effect, Values, two_sided
 from workers.mechanics.fem.fields import Frame, Gradient
 from workers.mechanics.fem.problem import Problem
+from workers.mechanics.readings import ratio
 from workers.units import NUMBER
 
 NAMES = ("ln_gradient_x", "ln_gradient_y", "ln_gradient_z")
@@ -22,7 +23,11 @@ STIFFNESS_GRADIENT = Effect(
     summary="Each tissue is stiffer on one side of the breast than on the other.",
     parameters=tuple(
         two_sided(
-            name, NUMBER, 1.0, f"ln of the stiffness from the middle to the end of {name[-1]}"
+            name,
+            NUMBER,
+            1.0,
+            f"ln of the stiffness from the middle to the end of {name[-1]}",
+            reading=ratio(f"times as stiff at the end of {name[-1]} as in the middle"),
         )
         for name in NAMES
     ),

@@ -6,6 +6,7 @@ from workers.mechanics.effects.base import Effect, Values, from_zero
 from workers.mechanics.effects.problem_changes import with_constants
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.fem.problem import Constants, Problem
+from workers.mechanics.readings import Reading
 from workers.units import NUMBER
 
 NAME = "stiffening"
@@ -24,7 +25,11 @@ STIFFENING = Effect(
     name="strain_stiffening",
     family="global material",
     summary="The tissue stiffens as it is strained, more than a neo-Hookean body does.",
-    parameters=(from_zero(NAME, NUMBER, 5.0, "c2/mu of Yeoh's law in all tissues"),),
+    parameters=(
+        from_zero(
+            NAME, NUMBER, 5.0, "c2/mu of Yeoh's law in all tissues", reading=Reading(name="c2/mu")
+        ),
+    ),
     prior_sd=(1.5,),
     steps=(1e-2,),
     transform=transform,

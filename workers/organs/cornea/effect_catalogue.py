@@ -11,6 +11,7 @@ from workers.mechanics.effects.base import Effect, Family, Values, from_zero, tw
 from workers.mechanics.effects.problem_changes import unchanged
 from workers.mechanics.fem.fields import Frame
 from workers.mechanics.parameters import Parameter
+from workers.mechanics.readings import percent, ratio
 from workers.organs.cornea.candidate import Candidate
 from workers.organs.cornea.diagnosed_problem import CorneaProblem, remodelled
 from workers.organs.cornea.load import JetProfile
@@ -142,7 +143,15 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         "jet_pressure_error",
         "loading",
         "The jet is stronger or weaker than it is said to be.",
-        (two_sided("jet_pressure_part", NUMBER, 0.3, "part by which the jet is stronger"),),
+        (
+            two_sided(
+                "jet_pressure_part",
+                NUMBER,
+                0.3,
+                "part by which the jet is stronger",
+                reading=ratio("times the stated pressure"),
+            ),
+        ),
         (0.1,),
         _of_load(
             lambda load, v: replace(
@@ -154,7 +163,15 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         "jet_width_error",
         "loading",
         "The jet is wider or narrower than it is said to be.",
-        (two_sided("jet_width_part", NUMBER, 0.3, "part by which the jet is wider"),),
+        (
+            two_sided(
+                "jet_width_part",
+                NUMBER,
+                0.3,
+                "part by which the jet is wider",
+                reading=ratio("times the stated width"),
+            ),
+        ),
         (0.1,),
         _of_load(
             lambda load, v: replace(
@@ -166,7 +183,15 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         "jet_profile",
         "loading",
         "The pressure of the jet is not uniform over its width.",
-        (two_sided("jet_peakedness", NUMBER, 1.0, "excess in the middle of the jet"),),
+        (
+            two_sided(
+                "jet_peakedness",
+                NUMBER,
+                1.0,
+                "excess in the middle of the jet",
+                reading=percent("% more in the middle of the jet"),
+            ),
+        ),
         (0.3,),
         _of_load(_jet_profile),
     ),
@@ -213,8 +238,20 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         "local stiffness",
         "The cornea is stiffer on one side, or stiffer outside than inside.",
         (
-            two_sided("through_depth", NUMBER, 1.5, "ln of posterior over anterior stiffness"),
-            two_sided("side_to_side", NUMBER, 1.5, "ln of right over left stiffness"),
+            two_sided(
+                "through_depth",
+                NUMBER,
+                1.5,
+                "ln of posterior over anterior stiffness",
+                reading=ratio("times as stiff inside as outside"),
+            ),
+            two_sided(
+                "side_to_side",
+                NUMBER,
+                1.5,
+                "ln of right over left stiffness",
+                reading=ratio("times as stiff on the right as on the left"),
+            ),
         ),
         (0.4, 0.4),
         _of_candidate(_graded),
@@ -254,7 +291,15 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         "plane_strain",
         "global material",
         "The cornea is held along its third direction, which the section does not show.",
-        (from_zero("plane_strain_share", NUMBER, 1.0, "part of the way to plane strain"),),
+        (
+            from_zero(
+                "plane_strain_share",
+                NUMBER,
+                1.0,
+                "part of the way to plane strain",
+                reading=percent("% of the way to plane strain"),
+            ),
+        ),
         (0.5,),
         _share("kind", "plane strain", "plane_strain_share"),
         step=0.02,
@@ -263,7 +308,15 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         "carried_prestress",
         "global material",
         "The cornea in the first image is stiffer by the stretch that it carries.",
-        (from_zero("carried_share", NUMBER, 1.0, "part of the way to a carried prestretch"),),
+        (
+            from_zero(
+                "carried_share",
+                NUMBER,
+                1.0,
+                "part of the way to a carried prestretch",
+                reading=percent("% of the way to a carried prestretch"),
+            ),
+        ),
         (0.5,),
         _share("prestress", "mulf", "carried_share"),
         step=0.02,

@@ -1,0 +1,177 @@
+"""Magnitudes are shown with a unit, a 90 % interval and the model's value, never as logarithms."""
+
+import io
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from diagnosis_at_hand import effect, parameter, summary
+from rich.console import Console
+
+from service.commands.diagnose import print_verdict
+from service.diagnosis.plan_words import amounts
+from service.diagnosis.words import ADD_UP, bayes_factor, headline, magnitude
+from service.formatting import number, share
+from service.report import diagnosis_tables as tables
+from service.report.diagnosis_tables import parameter_name
+from storage.typed_json import from_json, to_json
+from workers.diagnosis.planning.summary import ParameterPlan
+from workers.diagnosis.summary import ParameterEstimate, Summary
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS, BREAST_MODEL
+from workers.mechanics.effects.specimen_catalogue import specimen_effects
+from workers.mechanics.parameters import Parameter
+from workers.mechanics.readings import ShownMagnitude, shown, shown_change
+from workers.organs.cornea.effect_catalogue import CORNEA_EFFECTS
+
+DOWN = (0.0, -1.0, 0.0)
+EFFECTS: list[Effect] = [
+    *BREAST_EFFECTS,
+    *specimen_effects(DOWN, (0.0, 0.0, 0.0), None, True, True, True, True),
+    *CORNEA_EFFECTS,
+]
+PARAMETERS = {p.name: p for e in EFFECTS for p in e.parameters}
+
+
+def read(p: Parameter, value: float, sd: float, nu: float | None = 0.49) -> ShownMagnitude:
+    neutral = p.unit.to_door(p.neutral or 0.0)
+    return shown(p.reading, value, sd, neutral, p.unit.symbol, nu)
+
+
+def text(name: str, value: float, sd: float, nu: float | None = 0.49) -> str:
+    one = PARAMETERS[name]
+    read_as = read(one, value, sd, nu)
+    return magnitude(ParameterEstimate(one.door_name, value, sd, one.unit.symbol, read_as))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sd", "expected"),
+    [
+        ("gravity_z", 0.75, 0.05, "0.75 times gravity along z (0.67 to 0.83; model: 0)"),
+        ("ln_plate_force", math.log(0.75), 0.05, "0.75 times the stated force (0.69 to 0.81; "),
+        ("inclusion_ln_ratio", math.log(1.6), 0.1, "1.6 times as stiff as its surroundings (1.4"),
+        ("ln_compressibility", math.log(5), 0.2, "nu = 0.45 (0.43 to 0.46; model: 0.49)"),
+        ("ln_gradient_x", math.log(2), 0.1, "2.0 times as stiff at the end of x as in the middle"),
+        ("creep", 0.2, 0.05, "20 % of the stiffness lost (12 to 28; model: 0)"),
+        ("scale_y", 0.02, 0.002, "2.0 % larger along y (1.7 to 2.3; model: 0)"),
+        ("friction", 0.3, 0.05, "coefficient = 0.30 (0.22 to 0.38; model: 0)"),
+        ("tilt_depth", 5.4838, 0.2712, "5.5 deg (5.0 to 5.9; model: 0)"),
+        ("ln_growth_fat", math.log(1.1), 0.01, "1.10 times the volume of fat at rest (1.08 to "),
+        ("jet_pressure_part", math.log(0.8), 0.05, "0.80 times the stated pressure (0.74 to 0.87"),
+    ],
+)
+def test_a_magnitude_is_shown_in_the_units_that_a_reader_thinks_in(
+    name: str, value: float, sd: float, expected: str
+) -> None:
+    assert text(name, value, sd).startswith(expected)
+
+
+def test_nu_of_a_body_with_several_materials_is_shown_as_a_ratio() -> None:
+    said = text("ln_compressibility", math.log(5), 0.2, nu=None)
+    assert said.startswith("5 times the model's 1 − 2 nu (4 to 7; model: 1)")
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_no_parameter_is_shown_as_a_logarithm(name: str) -> None:
+    one = PARAMETERS[name]
+    logarithm = "ln" in name.split("_") or one.description.startswith("ln ")
+    assert not logarithm or one.reading.kind in ("ratio", "poisson")
+    said = read(one, one.unit.to_door(one.neutral or 0.0), 0.01)
+    assert "ln" not in f"{said.name} {said.unit}".split()
+    assert "ln" not in parameter_name(one.door_name, one.unit.symbol).split()
+    assert said.low <= said.value <= said.high
+    assert said.value == pytest.approx(said.neutral)
+    assert said.unit or said.name
+
+
+def test_the_shown_value_is_what_the_effect_does_to_nu() -> None:
+    from workers.mechanics.effects.compressibility import COMPRESSIBILITY
+    from workers.mechanics.fem.fields import Frame
+    from workers.mechanics.fem.loads import ForceControl
+    from workers.mechanics.fem.problem import Constants, Problem
+
+    problem = Problem({2: Constants(0.01, 0.49)}, ForceControl(10.0, -5.0, 5.0))
+    changed = COMPRESSIBILITY.apply(problem, {"ln_compressibility": 1.2}, Frame())
+    found = read(PARAMETERS["ln_compressibility"], 1.2, 0.1)
+    assert found.value == pytest.approx(changed.constants[2].poisson)
+
+
+def with_gravity(probability: float) -> Summary:
+    """Return a diagnosis of a weight that is shown as a reader thinks of it."""
+    found: Summary = from_json(Summary, summary())
+    lead = ShownMagnitude(0.7512, 0.669, 0.833, 0.0, "times gravity along z")
+    gravity = replace(found.effects[-1], name="gravity_change", probability=probability, shown=lead)
+    effects = (*found.effects[:-1], gravity)
+    return replace(found, effects=effects, primary=("gravity_change",), set90=("gravity_change",))
+
+
+def printed(found: Summary) -> str:
+    console = Console(file=io.StringIO(), width=200)
+    print_verdict(found, console)
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_the_headline_names_unit_interval_and_the_value_of_the_model() -> None:
+    assert (
+        "gravity change (0.75 times gravity along z, 0.67 to 0.83, model: 0, probability > 99 %)"
+    ) in headline(with_gravity(0.9956))
+
+
+def test_the_terminal_explains_why_probabilities_add_up_to_more_than_one() -> None:
+    said = printed(with_gravity(0.9956))
+    assert ADD_UP in said
+    assert "0.75 times gravity along z (0.67 to 0.83; model: 0)" in said
+
+
+def test_json_holds_what_is_shown_beside_what_is_fitted() -> None:
+    found = with_gravity(0.9956)
+    record: Any = to_json(found)
+    shown_effect = record["effects"][-1]
+    assert shown_effect["shown"]["unit"] == "times gravity along z"
+    assert shown_effect["shown"]["neutral"] == 0.0
+    assert shown_effect["magnitude"] == 5.4838
+    assert from_json(Summary, record) == found
+
+
+def test_a_record_of_an_earlier_version_is_shown_with_its_deviation() -> None:
+    row = tables.effects(
+        from_json(
+            Summary,
+            summary(
+                effects=[effect("old", "loading", 0.5, 0.0, parameter("a_mm", 5.48, 0.27, "mm"))]
+            ),
+        ).effects,
+        (),
+    )[0]
+    assert row.magnitudes == (("a", "5.48 ± 0.27 mm"),)
+
+
+def test_the_table_of_effects_shows_bayes_factors_not_their_logarithms() -> None:
+    row = tables.effects(from_json(Summary, summary()).effects, ())[0]
+    assert row.factor == "> 1000"
+    assert [bayes_factor(v) for v in (0.0, 3.0, -3.0)] == ["1.0", "20", "0.050"]
+
+
+def test_a_plan_shows_the_least_ratio_in_per_cent() -> None:
+    one = PARAMETERS["ln_plate_force"]
+    least, unit = shown_change(one.reading, math.log(1.13), "")
+    plan = ParameterPlan("ln_plate_force", "", math.log(1.13), 0.5, unit, least, 65.0)
+    assert amounts([plan], "minimum") == "13 %"
+
+
+@pytest.mark.parametrize(
+    ("part", "expected"),
+    [(1.5, "150 %"), (0.999, "100 %"), (0.0951, "9.5 %"), (23.0, "2300 %"), (0.0, "0 %")],
+)
+def test_shares_have_no_power_of_ten(part: float, expected: str) -> None:
+    assert share(part) == expected
+
+
+@pytest.mark.parametrize(("value", "digits"), [(99.6, 2), (999.7, 3), (9999.6, 4), (14790.0, 4)])
+def test_a_number_that_rounds_up_has_no_power_of_ten(value: float, digits: int) -> None:
+    assert number(value, digits) == f"{value:.0f}"
+
+
+def test_every_searched_parameter_of_a_study_has_a_unit_that_names_it() -> None:
+    assert all(p.reading.kind == "as is" for p in BREAST_MODEL if p.unit.symbol)

@@ -90,7 +90,7 @@ def shown(
     --------
     >>> change = shown(poisson(), 1.609437912, 0.2, 0.0, "", nu=0.49)
     >>> round(change.value, 3), round(change.low, 3), change.neutral, change.name
-    (0.45, 0.43, 0.49, 'nu')
+    (0.45, 0.431, 0.49, 'nu')
     >>> round(shown(ratio("times gravity"), 0.0, 0.1, 0.0, "").high, 3)
     1.179
     """
@@ -115,8 +115,8 @@ def shown_change(reading: Reading, size: float, unit: str) -> tuple[float, str]:
 
     Examples
     --------
-    >>> shown_change(ratio("times gravity"), 0.25, ""), shown_change(AS_IS, 2.0, "mm")
-    ((28.402541668774138, '%'), (2.0, 'mm'))
+    >>> shown_change(percent("% lost"), 0.25, ""), shown_change(AS_IS, 2.0, "mm")
+    ((25.0, '%'), (2.0, 'mm'))
     """
     if reading.kind == "as is":
         return size, unit

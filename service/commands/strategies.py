@@ -93,6 +93,6 @@ def summary(rows: "Sequence[Reached]") -> list[str]:
             f"| {strategy} | {len(own)} | {np.median(near):.3g}, {max(near):.3g} | "
             f"{np.median(seconds):.3g} | {np.median([r.evaluations for r in own]):.4g} | "
             f"{np.median([r.gsf for r in own]):.2f} | "
-            f"{', '.join(share(e / 100) for e in errors)} | {sum(held)} of {len(held)} |"
+            f"{', '.join(share(float(e) / 100) for e in errors)} | {sum(held)} of {len(held)} |"
         )
     return found

@@ -159,9 +159,9 @@ class CaseLoad(Door):
     exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
 
     file: str = Field(description="the labels of the body under this load")
-    force_n: Positive | None = Field(None, description="the force on the plates, in N")
+    force_n: Positive | None = Field(default=None, description="the force on the plates, in N")
     plate_distance_mm: Positive | None = Field(
-        None, description="the distance between the plates, in mm"
+        default=None, description="the distance between the plates, in mm"
     )
     axis: Axis = ALONG_Y
     lower_mm: Finite | None = None

@@ -84,7 +84,7 @@ class ImageSpec(Door):
     """The keys that say how an image is read; see `workers.body.images.read.read_volume`."""
 
     volume: str | None = Field(
-        None, description="the segmented image: a file, a folder or a name in the store"
+        default=None, description="the segmented image: a file, a folder or a name in the store"
     )
     labels: dict[int, TissueName] | None = None
     spacing_mm: SpacingMm | None = None
@@ -104,7 +104,7 @@ class ReferenceSpec(ImageSpec):
 
     exactly_one: ClassVar[Pairs] = (("phantom", "volume"),)
 
-    phantom: PhantomSpec | None = Field(None, description="a generated breast")
+    phantom: PhantomSpec | None = Field(default=None, description="a generated breast")
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -163,9 +163,9 @@ class LoadSpec(Door):
 
     exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
 
-    force_n: Positive | None = Field(None, description="the force on the plates, in N")
+    force_n: Positive | None = Field(default=None, description="the force on the plates, in N")
     plate_distance_mm: PlateDistanceSpec | None = Field(
-        None, description="{final: distance between the plates in mm}"
+        default=None, description="{final: distance between the plates in mm}"
     )
     oblique_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
     moving: Literal["upper", "both"] = "upper"
@@ -262,7 +262,7 @@ class BreastTarget(ImageSpec, TargetSpec):
     exactly_one: ClassVar[Pairs] = (("constants", "volume"),)
 
     constants: DoorConstants | None = Field(
-        None, description="the hidden value with which the target is simulated"
+        default=None, description="the hidden value with which the target is simulated"
     )
     mesh: MeshSpec | None = None
 

@@ -65,8 +65,8 @@ class CorneaReference(Door):
 
     exactly_one: ClassVar[Pairs] = (("section", "frame"),)
 
-    section: GeneratedSectionSpec | None = Field(None, description="a generated section")
-    frame: FrameSpec | None = Field(None, description="a picture of the section")
+    section: GeneratedSectionSpec | None = Field(default=None, description="a generated section")
+    frame: FrameSpec | None = Field(default=None, description="a picture of the section")
 
 
 class MeshSpec(Door):
@@ -217,9 +217,11 @@ class CorneaTarget(TargetSpec):
     exactly_one: ClassVar[Pairs] = (("constants", "frame"),)
 
     constants: DoorConstants | None = Field(
-        None, description="the hidden value with which the target is simulated"
+        default=None, description="the hidden value with which the target is simulated"
     )
-    frame: FrameSpec | None = Field(None, description="a picture of the section under the jet")
+    frame: FrameSpec | None = Field(
+        default=None, description="a picture of the section under the jet"
+    )
     mesh: MeshSpec | None = None
 
     @model_validator(mode="after")

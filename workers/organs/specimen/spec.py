@@ -36,8 +36,8 @@ class BodySpec(Door):
 
     exactly_one: ClassVar[Pairs] = (("box_mm", "mesh"),)
 
-    box_mm: Sizes | None = Field(None, description="[x, y, z] of a block in mm")
-    mesh: str | None = Field(None, description="a mesh file: .stl, .vtk or .msh")
+    box_mm: Sizes | None = Field(default=None, description="[x, y, z] of a block in mm")
+    mesh: str | None = Field(default=None, description="a mesh file: .stl, .vtk or .msh")
     mm_per_unit: Positive = 1.0
     voxel_mm: Positive | None = None
     labels: dict[int, str] | None = None
@@ -117,8 +117,8 @@ class ForceSpec(Door):
     exactly_one: ClassVar[Pairs] = (("force_n", "mass_g"),)
 
     region: str = Field(description="the name of the region that is loaded")
-    force_n: FinitePoint | None = Field(None, description="[x, y, z] in N")
-    mass_g: Positive | None = Field(None, description="a hung mass in g")
+    force_n: FinitePoint | None = Field(default=None, description="[x, y, z] in N")
+    mass_g: Positive | None = Field(default=None, description="a hung mass in g")
 
 
 class MoveSpec(Door):

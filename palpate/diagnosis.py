@@ -1,17 +1,18 @@
 """What a model lacks: the diagnosis of scans, of a study or of a bench experiment."""
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
 from service.cluster import open_cluster
 from service.dask_diagnosis import run_and_tell
 from service.diagnosis.run import FinishedDiagnosis as Diagnosis
-from service.diagnosis.run import finished, request_for
+from service.diagnosis.run import finished, request_for, with_caveats
 from service.dispatch import Dispatcher
 from service.report.diagnosis_page import render
 from storage.atomic import write_file
 from workers.diagnosis.settings import SETTINGS
-from workers.tasks.sources import open_source
+from workers.tasks.sources import check_source, open_source, source_caveats
 
 __all__ = ["Diagnosis", "diagnose"]
 
@@ -25,6 +26,7 @@ def diagnose(
     scheduler: str | None = None,
     store: str | Path = "runs/store",
     page: str | Path | None = None,
+    anyway: bool = False,
 ) -> Diagnosis:
     """Find out where simulated and real body differ, why, and by how much.
 
@@ -48,6 +50,8 @@ def diagnose(
         Folder that all workers see, or ``s3://BUCKET/PREFIX``.
     page : str or Path, optional
         Where the HTML page is written.
+    anyway : bool
+        Diagnose even though the inputs look implausible; the diagnosis says so.
 
     Returns
     -------
@@ -63,7 +67,9 @@ def diagnose(
         If the workers cannot do the work; what is finished is kept.
     """
     opened = open_source(Path(source))
-    opened.check()
+    findings = check_source(opened, anyway=anyway)
+    for finding in findings:
+        warnings.warn(finding.text, stacklevel=2)
     request = request_for(opened, store, nodes, effects=effects)
     diagnosis = finished(request)
     if diagnosis is None:
@@ -71,6 +77,7 @@ def diagnose(
             diagnosis = run_and_tell(
                 request, Dispatcher(cluster.client), Path(source), lambda step: None
             )
+    diagnosis = with_caveats(diagnosis, source_caveats(opened, findings))
     if page is not None:
         write_file(Path(page), render(diagnosis).encode())
     return diagnosis

@@ -66,6 +66,7 @@ class Service:
         priority: int = 0,
         key: str = "",
         accept_new_code: bool = False,
+        anyway: bool = False,
     ) -> "Job":
         """Queue a study; images of this machine that it names are uploaded first.
 
@@ -79,6 +80,8 @@ class Service:
             A text of your own; submitting the same key again gives the same job.
         accept_new_code : bool
             Continue although the code has changed since the study last ran.
+        anyway : bool
+            Run the study even though its inputs look implausible; its results say so.
 
         Raises
         ------
@@ -87,7 +90,7 @@ class Service:
         """
         data = with_uploaded_images(self.client, study)
         job = self.client.submit_study(
-            data, priority=priority, key=key, accept_new_code=accept_new_code
+            data, priority=priority, key=key, accept_new_code=accept_new_code, anyway=anyway
         )
         return Job(self.client, job)
 
@@ -97,6 +100,7 @@ class Service:
         *,
         nodes: int = 5000,
         effects: list[str] | None = None,
+        anyway: bool = False,
         priority: int = 0,
         key: str = "",
     ) -> "Job":
@@ -107,7 +111,7 @@ class Service:
         InputError
             If the folder holds nothing that can be uploaded.
         """
-        options: dict[str, Any] = {"nodes": nodes, "effects": effects}
+        options: dict[str, Any] = {"nodes": nodes, "effects": effects, "anyway": anyway}
         options |= {"priority": priority, "key": key}
         if isinstance(source, Job):
             return Job(self.client, self.client.submit_diagnosis(study=source.id, **options))

@@ -25,6 +25,7 @@ from service.study_log import read_study
 from storage.errors import InputError
 from storage.layout import StudyLayout
 from storage.values import Volume
+from workers.organs.study_checks import caveats_of
 from workers.spec import validated
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ class Study:
         store: str | Path | None = None,
         progress: bool = False,
         observers: Iterable[Observer] = (),
-        accept_implausible: bool = False,
+        anyway: bool = False,
     ) -> StudyResults:
         """Run the study to its end, or continue it from wherever it stands.
 
@@ -125,8 +126,8 @@ class Study:
             Show a progress bar.
         observers : iterable of Observer
             Are called at every generation and evaluation.
-        accept_implausible : bool
-            Run a study that looks as if it could not be meant so.
+        anyway : bool
+            Run the study even though its inputs look implausible; its results say so.
 
         Raises
         ------
@@ -146,13 +147,12 @@ class Study:
         loop = StudyLoop(self.spec, self.folder, store, observers=[*shown, *observers])
         if not loop.ended:
             if not loop.begun:
-                for warning in preflight(
-                    self.spec,
-                    loop.store,
-                    accept_implausible=accept_implausible,
-                    elsewhere=scheduler is not None,
-                ):
-                    warnings.warn(warning, stacklevel=2)
+                findings = preflight(
+                    self.spec, loop.store, anyway=anyway, elsewhere=scheduler is not None
+                )
+                for finding in findings:
+                    warnings.warn(finding.text, stacklevel=2)
+                loop.caveats = caveats_of(findings)
             with bar or nullcontext(), open_cluster(scheduler, workers) as cluster:
                 loop.hooks.add(DaskRecords(cluster.client))
                 loop.run(Dispatcher(cluster.client), cluster.dashboard)

@@ -113,6 +113,7 @@ class Client:
         priority: int = 0,
         key: str = "",
         accept_new_code: bool = False,
+        anyway: bool = False,
     ) -> JobView:
         """Queue a study; the text of its file, or its keys.
 
@@ -123,7 +124,8 @@ class Client:
         """
         given = study if isinstance(study, str) else dict(study)
         body = {"study": given, "priority": priority, "key": key}
-        return self._send(JobView, "/studies", body | {"accept_new_code": accept_new_code})
+        body |= {"accept_new_code": accept_new_code, "anyway": anyway}
+        return self._send(JobView, "/studies", body)
 
     def submit_diagnosis(
         self,
@@ -132,12 +134,13 @@ class Client:
         study: str | None = None,
         nodes: int = 5000,
         effects: list[str] | None = None,
+        anyway: bool = False,
         priority: int = 0,
         key: str = "",
     ) -> JobView:
         """Queue the diagnosis of an upload, or of a study of the service."""
         source = {"upload": upload} if study is None else {"study": study}
-        body = {"source": source, "nodes": nodes, "effects": effects}
+        body = {"source": source, "nodes": nodes, "effects": effects, "anyway": anyway}
         return self._send(JobView, "/diagnoses", body | {"priority": priority, "key": key})
 
     def jobs(self, **filters: str) -> list[JobView]:

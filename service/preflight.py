@@ -1,6 +1,7 @@
-"""Looks at a study before its first task: what cannot be meant is refused, with all reasons.
+"""Plausibility checks of a study before its first task.
 
-What is implausible is refused unless the user insists; what is only unusual is a warning.
+An implausible study is refused, with all reasons, unless the user insists; an unusual one is
+run with a warning.
 """
 
 import shutil
@@ -9,10 +10,9 @@ from pathlib import Path
 
 from service.formatting import number
 from service.spec import StudySpec
-from storage.errors import InputError
 from storage.places import Place
 from workers.mechanics.parameters import Bounds, Parameter
-from workers.organs.study_checks import Finding
+from workers.organs.study_checks import Finding, accept, refused
 from workers.tasks.study_checks import study_findings
 
 # An interval so many times off the known one is written in another unit: kPa for Pa or MPa.
@@ -29,46 +29,44 @@ USUAL_NODES = 20_000
 
 
 def preflight(
-    spec: StudySpec, store: Place, *, accept_implausible: bool = False, elsewhere: bool = False
-) -> list[str]:
-    """Return warnings about a study that is about to run for the first time.
+    spec: StudySpec, store: Place, *, anyway: bool = False, elsewhere: bool = False
+) -> list[Finding]:
+    """Check a study that is about to run for the first time.
 
     Parameters
     ----------
     spec : StudySpec
     store : Path or ObjectPath
         Where volumes and evaluations will go; images are brought there.
-    accept_implausible : bool
-        Warn of what would be refused otherwise.
+    anyway : bool
+        Accept what looks implausible.
     elsewhere : bool
         The workers are on other machines, which may see files that this one does not.
+
+    Returns
+    -------
+    list of Finding
+        What the user should know. `workers.organs.study_checks.caveats_of` gives the
+        statements that belong to the record of a study which was run anyway.
 
     Raises
     ------
     InputError
-        If the study cannot be meant as it stands, with every reason.
+        If the study is refused, with every reason.
     StoreError
         If the store cannot be used.
     """
     findings = list(_of_the_file(spec, store))
-    if not _refused(findings, accept_implausible):
-        bodies = study_findings(spec.case, spec.target, spec.score, str(store), elsewhere=elsewhere)
-        findings += bodies
-    refused = _refused(findings, accept_implausible)
-    if refused:
-        text = "\n".join(f"  {finding.text}" for finding in refused)
-        insist = (
-            "\nIf it is meant so: add --accept-implausible."
-            if all(finding.severity == "implausible" for finding in refused)
-            else ""
+    if not refused(findings, anyway):
+        findings += study_findings(
+            spec.case,
+            spec.target,
+            spec.score,
+            str(store),
+            searched=spec.case.parameters.bounds_from_door(spec.search.parameters),
+            elsewhere=elsewhere,
         )
-        raise InputError(f"The study {spec.name} is not run as it stands:\n{text}{insist}")
-    return [finding.text for finding in findings]
-
-
-def _refused(findings: list[Finding], accept_implausible: bool) -> list[Finding]:
-    accepted = {"warning", "implausible"} if accept_implausible else {"warning"}
-    return [finding for finding in findings if finding.severity not in accepted]
+    return accept(findings, f"The study {spec.name}", anyway=anyway)
 
 
 def _of_the_file(spec: StudySpec, store: Place) -> Iterator[Finding]:

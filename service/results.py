@@ -191,6 +191,7 @@ class StudyResults:
     findings: Mapping[str, Any] = field(default_factory=dict)
     identification: Identification | None = None
     unverified_records: int = 0
+    caveats: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:

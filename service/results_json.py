@@ -31,6 +31,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
     spec = results.spec
     record = {
         "study": results.name,
+        "caveats": list(results.caveats),
         "state": results.state,
         "stopped": results.stop_reason,
         "identifiable": results.identifiable,

@@ -80,6 +80,7 @@ def study_results(folder: Path) -> StudyResults:
         findings=_findings(folder),
         identification=_identification(spec, log, best),
         unverified_records=log.unverified,
+        caveats=log.caveats,
     )
 
 
@@ -220,7 +221,7 @@ def _scores(generation: RecordedGeneration, scores: Mapping[int, float]) -> Gene
         mean=float(np.mean(known)) if known else None,
         best_candidate=best,
         best_genes=dict(generation.genes[best]),
-        failed=sum(np.isposinf(score) for score in scores.values()),
+        failed=sum(score == np.inf for score in scores.values()),
     )
 
 

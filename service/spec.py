@@ -220,6 +220,8 @@ class StudySpec(Door):
         values = self.model_dump(mode="json")
         if self.deadline_s is None:
             del values["deadline_s"]
+        if values["target"].get("align") is None:
+            values["target"].pop("align", None)
         return values
 
     @property

@@ -84,6 +84,8 @@ class Study:
     ----------
     ended, begun : bool
         Whether its search has stopped; whether body and target were ever prepared.
+    caveats : tuple of str
+        Statements with which its results begin; set before `run`, and recorded with it.
     store : Path or ObjectPath
         Where volumes and evaluations go.
 
@@ -112,6 +114,7 @@ class Study:
         log = self.folder.check()
         self.ended = log.end is not None
         self.begun = bool(log.sessions)
+        self.caveats: tuple[str, ...] = ()
         self.store = place_of(store or self.folder.default_store(log))
         self._given_store = store
 
@@ -212,7 +215,16 @@ class _Run:
         self.study.folder.check_same(self.log, body, target)
         now = datetime.now(UTC).isoformat(timespec="seconds")
         self._append(
-            SessionRecord(now, store, versions(), body, target, workers, self._elapsed_s())
+            SessionRecord(
+                now,
+                store,
+                versions(),
+                body,
+                target,
+                workers,
+                self._elapsed_s(),
+                list(self.study.caveats) or None,
+            )
         )
         target_name = target["target"]
         return StudyWork(self.spec, self.tasks, self.store, self.dispatcher, body, target_name)

@@ -16,6 +16,7 @@ from storage.records import (
     ProposalRecord,
     SessionRecord,
     StudyRecord,
+    caveats_in,
     record_of,
 )
 
@@ -129,6 +130,11 @@ class StudyLog:
     def last_session(self) -> SessionRecord | None:
         """Return the run that began last; None if preparation has never been finished."""
         return self.sessions[-1] if self.sessions else None
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """Return the statements with which every result of the study begins."""
+        return caveats_in(self.sessions)
 
     @property
     def code(self) -> str:

@@ -15,7 +15,7 @@ be made, so none can be read either.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
@@ -120,9 +120,12 @@ class SessionRecord(_JournalRecord):
         Evaluations at once.
     seconds : float
         How long the preparation took.
+    caveats : sequence of str, optional
+        Statements with which every result begins, such as a plausibility check that failed.
     """
 
     kind: ClassVar[str] = "session"
+    left_out_if_none: ClassVar[frozenset[str]] = frozenset({"caveats"})
 
     began: str
     store: str
@@ -131,6 +134,7 @@ class SessionRecord(_JournalRecord):
     target: PreparedTarget
     workers: int
     seconds: float
+    caveats: Sequence[str] | None = None
 
     def __post_init__(self) -> None:
         _restore_numbers(self, "prepared", "target")
@@ -382,6 +386,17 @@ def record_of(line: Mapping[str, Any]) -> JournalRecord:
         If a newer version of Palpate wrote it.
     """
     return _KINDS.get(str(line.get("kind")), EvaluationRecord).from_json(line)
+
+
+def caveats_in(sessions: Iterable[SessionRecord]) -> tuple[str, ...]:
+    """Return the statements with which every result of a study begins, from its runs."""
+    stated: list[str] = []
+    for session in sessions:
+        stated += session.caveats or ()
+        if "motion" in session.target:
+            words = session.target["motion"]["words"]
+            stated.append(f"The target was aligned with the reference: moved by {words}.")
+    return tuple(dict.fromkeys(stated))
 
 
 def _restore_numbers(record: _JournalRecord, *names: str) -> None:

@@ -50,7 +50,8 @@ class PreparedTarget(TypedDict):
     """The deformed body that a search explains, by its digest in the store.
 
     A simulated target also has the solver's ``outcome``, the ``constants`` it was made with
-    (MPa) and the ``seconds`` of each stage.
+    (MPa) and the ``seconds`` of each stage. An image that was aligned has its ``motion``:
+    ``shift_mm`` and ``turn_deg`` along and about x, y and z, and both in ``words``.
     """
 
     target: str
@@ -58,6 +59,7 @@ class PreparedTarget(TypedDict):
     outcome: NotRequired[OutcomeJson]
     constants: NotRequired[dict[str, float]]
     seconds: NotRequired[dict[str, float]]
+    motion: NotRequired[Mapping[str, Any]]
 
 
 class PreparedLevel(TypedDict):

@@ -173,6 +173,11 @@ class TargetSpec(Door):
         """Return whether the deformed body was imaged, not simulated."""
         return self.constants is None
 
+    @property
+    def is_aligned(self) -> bool:
+        """Return whether an image is moved into the frame of the undeformed body first."""
+        return False
+
 
 class ScoreSpec(Door):
     """What is compared: the base of every organ's score."""

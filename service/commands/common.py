@@ -10,7 +10,10 @@ from service.commands.settings import RUNS
 from storage.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from service.spec import StudySpec
+    from workers.organs.study_checks import Finding
 
 AllOption = Annotated[bool, typer.Option("--all", help="Constants at their neutral values, too.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON record on standard output.")]
@@ -42,6 +45,13 @@ SchedulerOption = Annotated[
         show_default=False,
     ),
 ]
+AnywayOption = Annotated[
+    bool,
+    typer.Option(
+        "--anyway",
+        help="Continue although a plausibility check fails; the results begin with that.",
+    ),
+]
 StudyArgument = Annotated[
     Path | None,
     typer.Argument(
@@ -50,6 +60,12 @@ StudyArgument = Annotated[
         show_default=False,
     ),
 ]
+
+
+def print_findings(findings: "Iterable[Finding]") -> None:
+    """Print what plausibility checks have found, on standard error."""
+    for finding in findings:
+        typer.echo(f"Warning: {finding.text}", err=True)
 
 
 def print_json(value: Any) -> None:

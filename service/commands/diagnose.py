@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import (
+    AnywayOption,
     JsonOption,
     SchedulerOption,
     StoreOption,
     WorkersOption,
+    print_findings,
     print_json,
 )
 from service.commands.echo import folder_name, print_understood
@@ -54,6 +56,7 @@ def diagnose(
             show_default=False,
         ),
     ] = None,
+    anyway: AnywayOption = False,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: StoreOption = None,
@@ -73,9 +76,14 @@ def diagnose(
         stop_requests() as requests,  # from the first line that is printed on
         forked_workers(scheduler, "service.diagnosis.worker_imports"),  # while we import, too
     ):
-        from service.diagnosis.run import finished, request_for
+        from service.diagnosis.run import finished, request_for, with_caveats
         from storage.errors import InputError
-        from workers.tasks.sources import is_plannable, open_source
+        from workers.tasks.sources import (
+            check_source,
+            is_plannable,
+            open_source,
+            source_caveats,
+        )
 
         if plan and source.is_file() and not is_plannable(source):
             raise InputError(
@@ -83,7 +91,8 @@ def diagnose(
                 "Leave it out."
             )
         opened = open_source(source)
-        opened.check()
+        findings = check_source(opened, anyway=anyway)
+        print_findings(findings)
         print_understood(source)
         request = request_for(opened, store_place(store), nodes)
         began, when = time.monotonic(), datetime.now(UTC).isoformat()
@@ -93,6 +102,7 @@ def diagnose(
             diagnosis = _with_plan(diagnosis, source, request, processes, scheduler, requests)
     if diagnosis is None:
         raise interrupted()
+    diagnosis = with_caveats(diagnosis, source_caveats(opened, findings))
     from service.report.diagnosis_files import write_diagnosis
     from service.report.diagnosis_made import origin_of
     from storage.typed_json import to_json
@@ -167,7 +177,8 @@ def _with_plan(
 
     nodes = min(NODES, request.nodes)
     try:
-        plan = planned(request_plan(source, request.store, nodes), workers, scheduler, requests)
+        asked = request_plan(source, request.store, nodes, anyway=True)
+        plan = planned(asked, workers, scheduler, requests)
     except PalpateError as error:
         typer.echo(f"No further measurement could be tried. {error}", err=True)
         return diagnosis
@@ -184,6 +195,8 @@ def print_verdict(summary: "Summary", console: "Console") -> None:
     from service.diagnosis.experiment import experiment_lines
     from service.diagnosis.words import ADD_UP, likely, magnitude, sentence, spoken
 
+    for text in summary.caveats or ():
+        console.print(text, soft_wrap=True)
     console.print(sentence(summary), soft_wrap=True)
     rows = [
         (spoken("no-gap"), likely(summary.no_gap_probability), "", ""),

@@ -5,7 +5,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.common import JsonOption, StoreOption, print_json
+from service.commands.common import (
+    AnywayOption,
+    JsonOption,
+    StoreOption,
+    print_findings,
+    print_json,
+)
 from service.commands.settings import RUNS, store_place
 from storage.errors import InputError
 
@@ -35,6 +41,7 @@ def import_image(
             help="Where to draw the slices. Default: runs/images/NAME.png.", show_default=False
         ),
     ] = None,
+    anyway: AnywayOption = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -50,7 +57,9 @@ def import_image(
     from storage.volumes import save_volume
     from workers.body.images.labels import summarise
     from workers.organs.registry import organ_named
+    from workers.organs.study_checks import caveats_of
     from workers.spec import Door, validated
+    from workers.tasks.study_checks import imported_findings
 
     class Wanted(Door):
         name: Name
@@ -69,6 +78,7 @@ def import_image(
     )
     check_suffix(png, (".png",), "--png ")
     volume = breast.make_body(spec)
+    findings = imported_findings(breast.name, volume, path.name, anyway=anyway)
     opened = open_store(store_place(store))
     digest_of_image = digest(
         "import", name, array_digest(volume.values), list(volume.spacing_mm), list(volume.origin_mm)
@@ -84,12 +94,15 @@ def import_image(
         "store": str(opened),
         "axes": axes or "x,y,z",
         "doubt": doubt(volume) or None,
+        "findings": [finding.text for finding in findings],
+        "caveats": list(caveats_of(findings)),
         "png": str(drawn),
         **summarise(volume, named=True),
     }
     if as_json:
         print_json(record)
         return
+    print_findings(findings)
     _print(volume, record)
     typer.echo(f"slices: {drawn}")
     typer.echo(f"{name} is in {opened} as {digest_of_image}. In a study: volume: {name}")

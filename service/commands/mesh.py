@@ -5,7 +5,14 @@ from typing import Annotated, Any
 
 import typer
 
-from service.commands.common import JsonOption, StoreOption, load_spec, print_json
+from service.commands.common import (
+    AnywayOption,
+    JsonOption,
+    StoreOption,
+    load_spec,
+    print_findings,
+    print_json,
+)
 from service.commands.settings import store_place
 
 
@@ -18,6 +25,7 @@ def mesh(
         float | None, typer.Option(help="Of this size, in place of the study's.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write it as .vtu, .vtk or .msh.")] = None,
+    anyway: AnywayOption = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -27,6 +35,7 @@ def mesh(
     from storage.stores import open_store
     from workers.body.mesh.hierarchy import from_arrays
     from workers.body.mesh.quality import summarise
+    from workers.organs.study_checks import caveats_of
     from workers.tasks.evaluation import case_of, prepare_case
     from workers.tasks.study_checks import check_case
 
@@ -34,11 +43,13 @@ def mesh(
     case = load_spec(study).case.model_dump(mode="json")
     if nodes is not None or element_size_mm is not None:
         case["mesh"] = {"nodes": nodes, "element_size_mm": element_size_mm}
-    check_case(case_of(case))
     opened = open_store(store_place(store))
+    findings = check_case(case_of(case), str(opened), anyway=anyway)
+    print_findings(findings)
     prepared = prepare_case(case, str(opened))
     finest = from_arrays(load_mesh(opened, prepared["mesh"])[0]).finest.mesh
-    record: dict[str, Any] = {**prepared, "quality": summarise(finest)}
+    caveats = list(caveats_of(findings))
+    record: dict[str, Any] = {"caveats": caveats, **prepared, "quality": summarise(finest)}
     if out is not None:
         export_stored_mesh(out, opened, prepared["mesh"])
     if as_json:

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import (
+    AnywayOption,
     JsonOption,
     SchedulerOption,
     StoreOption,
     WorkersOption,
+    print_findings,
     print_json,
 )
 from service.commands.echo import folder_name, print_understood
@@ -36,6 +38,7 @@ def plan(
         typer.Option(help="The page. Default: runs/NAME/plan.html.", show_default=False),
     ] = None,
     nodes: Annotated[int, typer.Option(min=200, help="Nodes of the mesh.")] = 2000,
+    anyway: AnywayOption = False,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: StoreOption = None,
@@ -52,14 +55,19 @@ def plan(
         stop_requests() as requests,  # from the first line that is printed on
         forked_workers(scheduler, "workers.tasks.planning"),  # while we import, too
     ):
-        from service.diagnosis.planning import request_plan
+        from dataclasses import replace
+
+        from service.diagnosis.planning import checked_plan
         from storage.typed_json import to_json
+        from workers.organs.study_checks import caveats_of
 
         print_understood(source)
-        request = request_plan(source, store_place(store), nodes)
+        request, findings = checked_plan(source, store_place(store), nodes, anyway=anyway)
+        print_findings(findings)
         summary = planned(request, processes, scheduler, requests)
     if summary is None:
         raise interrupted()
+    summary = replace(summary, caveats=caveats_of(findings) or None)
     page = _write(summary, out or RUNS / folder_name(source) / "plan.html")
     if as_json:
         print_json(to_json(summary))
@@ -95,6 +103,8 @@ def print_plan(summary: "PlanSummary", console: "Console") -> None:
     )
     from service.diagnosis.words import spoken
 
+    for text in summary.caveats or ():
+        console.print(text, soft_wrap=True)
     console.print(headline(summary), soft_wrap=True)
     rows = [
         (

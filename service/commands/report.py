@@ -42,6 +42,8 @@ def print_report(results: "StudyResults", console: "Console") -> None:
     from service.commands.tables import print_table
     from service.progress import clock
 
+    for text in results.caveats:
+        console.print(text, soft_wrap=True)
     if results.identifiable == "ratio":
         console.print(ONLY_RATIOS)
         ratios = [(r.name, *_numbers(r, "")) for r in results.ratios]

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.commands.common import (
+    AnywayOption,
     JsonOption,
     SchedulerOption,
     WorkersOption,
     load_spec,
+    print_findings,
     print_json,
 )
 from service.commands.echo import print_understood_study
@@ -43,9 +45,8 @@ def run(
     accept_new_code: Annotated[
         bool, typer.Option(help="Continue although the code has changed since the last run.")
     ] = False,
-    accept_implausible: Annotated[
-        bool, typer.Option(help="Run a study that looks as if it could not be meant so.")
-    ] = False,
+    anyway: AnywayOption = False,
+    accept_implausible: Annotated[bool, typer.Option(hidden=True)] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run a study, or continue it: an existing study goes on where it was.
@@ -78,7 +79,9 @@ def run(
                 typer.echo(f"{home} is complete: nothing to run.", err=True)
             else:
                 if not opened.begun:
-                    _look_first(opened, accept_implausible, elsewhere=scheduler is not None)
+                    _look_first(
+                        opened, anyway or accept_implausible, elsewhere=scheduler is not None
+                    )
                 with page:
                     completed = _completed(opened, progress, scheduler, processes, requests)
                 if page.path.parent.is_dir():
@@ -90,16 +93,16 @@ def run(
     _print(home, as_json)
 
 
-def _look_first(study: "Study", accept_implausible: bool, *, elsewhere: bool) -> None:
+def _look_first(study: "Study", anyway: bool, *, elsewhere: bool) -> None:
     """Refuse what cannot be meant, and print the physics and what is unusual."""
     from service.commands.tables import make_console
     from service.preflight import preflight
+    from workers.organs.study_checks import caveats_of
 
     print_understood_study(study.spec, make_console(stderr=True))
-    for warning in preflight(
-        study.spec, study.store, accept_implausible=accept_implausible, elsewhere=elsewhere
-    ):
-        typer.echo(f"Warning: {warning}", err=True)
+    findings = preflight(study.spec, study.store, anyway=anyway, elsewhere=elsewhere)
+    print_findings(findings)
+    study.caveats = caveats_of(findings)
 
 
 def _completed(

@@ -7,10 +7,12 @@ import typer
 
 from service.commands.common import (
     AllOption,
+    AnywayOption,
     JsonOption,
     StoreOption,
     constants_option,
     load_spec,
+    print_findings,
     print_json,
 )
 from service.commands.settings import store_place
@@ -34,6 +36,7 @@ def simulate(
         ),
     ] = None,
     everything: AllOption = False,
+    anyway: AnywayOption = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -45,15 +48,18 @@ def simulate(
     from service.quantities import not_neutral, quantities_inside, quantities_json
     from storage.stores import open_store
     from workers.organs.registry import organ_named
+    from workers.organs.study_checks import caveats_of
     from workers.tasks.evaluation import simulate_once
     from workers.tasks.study_checks import check_case
 
     check_suffix(out, SOLVED_SUFFIXES)
     spec = load_spec(study)
-    check_case(spec.case)
+    place = store_place(store)
+    findings = check_case(spec.case, str(place), anyway=anyway)
+    print_findings(findings)
     case = spec.case.model_dump(mode="json")
     stated = constants_option(spec, constants or [])
-    opened = open_store(store_place(store))
+    opened = open_store(place)
     result = simulate_once(case, stated, str(opened))
     volume = result.get("volume")
     if out is not None and volume is not None:
@@ -72,7 +78,8 @@ def simulate(
     kept = not_neutral(vocabulary, result["constants"], {*held, *stated})
     shown = quantities_inside(vocabulary, result["constants"] if everything else kept)
     if as_json:
-        print_json(result | {"constants": quantities_json(shown)})
+        caveats = {"caveats": list(caveats_of(findings))}
+        print_json(caveats | result | {"constants": quantities_json(shown)})
     else:
         _print(result, shown, len(result["constants"]) - len(shown))
 

@@ -7,6 +7,7 @@ from service.dispatch import Dispatcher, value_of
 from storage.places import Location
 from workers.diagnosis.planning.summary import PlanSummary
 from workers.diagnosis.settings import SETTINGS
+from workers.organs.study_checks import Finding
 from workers.tasks.planning import (
     LoadRecord,
     PlanRequest,
@@ -15,7 +16,7 @@ from workers.tasks.planning import (
     named,
     weigh_plan,
 )
-from workers.tasks.sources import add_source, check_nodes, open_planned
+from workers.tasks.sources import add_source, check_nodes, check_source, open_planned
 from workers.tasks.task_store import TaskStore
 
 PlanObserver = Callable[[int, int, LoadRecord | None], object]
@@ -25,8 +26,25 @@ NODES = 2000
 
 
 def request_plan(
-    path: Path, store: Location, nodes: int = NODES, spacing_mm: float = SETTINGS.points.spacing_mm
+    path: Path,
+    store: Location,
+    nodes: int = NODES,
+    spacing_mm: float = SETTINGS.points.spacing_mm,
+    *,
+    anyway: bool = False,
 ) -> PlanRequest:
+    """Return the request of `checked_plan` alone."""
+    return checked_plan(path, store, nodes, spacing_mm, anyway=anyway)[0]
+
+
+def checked_plan(
+    path: Path,
+    store: Location,
+    nodes: int = NODES,
+    spacing_mm: float = SETTINGS.points.spacing_mm,
+    *,
+    anyway: bool = False,
+) -> tuple[PlanRequest, list[Finding]]:
     """Bring what is planned into the store, and return what is asked of the workers.
 
     Parameters
@@ -39,6 +57,14 @@ def request_plan(
         Of the mesh.
     spacing_mm : float
         Between points on the interfaces.
+    anyway : bool
+        Accept what looks implausible.
+
+    Returns
+    -------
+    request : PlanRequest
+    findings : list of Finding
+        Of the plausibility checks.
 
     Raises
     ------
@@ -48,10 +74,11 @@ def request_plan(
         If the store cannot be used.
     """
     source = open_planned(path.expanduser().absolute())
+    findings = check_source(source, anyway=anyway)
     check_nodes(nodes, source)
     parts = TaskStore(store)
     name = add_source(source, parts)
-    return named(PlanRequest(str(parts.store.root), name, nodes, spacing_mm))
+    return named(PlanRequest(str(parts.store.root), name, nodes, spacing_mm)), findings
 
 
 def run_plan(request: PlanRequest, dispatcher: Dispatcher, observe: PlanObserver) -> PlanSummary:

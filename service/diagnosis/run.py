@@ -6,7 +6,7 @@ it depends on. Running a diagnosis and going on with an interrupted one are the 
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -146,6 +146,12 @@ def request_for(
             str(parts.store.root), add_source(source, parts), nodes, spacing_mm, suspected
         )
     )
+
+
+def with_caveats(diagnosis: FinishedDiagnosis, caveats: tuple[str, ...]) -> FinishedDiagnosis:
+    """Return a diagnosis that begins with these statements."""
+    summary = replace(diagnosis.summary, caveats=caveats or None)
+    return replace(diagnosis, summary=summary)
 
 
 def finished(request: DiagnosisRequest) -> FinishedDiagnosis | None:

@@ -89,6 +89,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
     accused = together(summary.primary) if summary.primary else ""
     return {
         "name": summary.case,
+        "caveats": summary.caveats or (),
         "verdict": headline(summary),
         "lead": _lead(summary),
         "loaded": _loaded(summary),

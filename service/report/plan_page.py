@@ -65,6 +65,7 @@ def context(plan: PlanSummary) -> dict[str, object]:
     """Return all values of the template."""
     return {
         "name": plan.case,
+        "caveats": plan.caveats or (),
         "headline": headline(plan),
         "lead": _lead(plan),
         "tiles": _tiles(plan),

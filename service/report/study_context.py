@@ -99,6 +99,7 @@ def _head(data: StudyData) -> dict[str, Any]:
     tiles.append(("Wall time", duration(results.wall_s), ""))
     return {
         "name": results.name,
+        "caveats": results.caveats,
         "verdict": _sentence(phrases) if phrases else "Nothing found yet.",
         "lead": _lead(data),
         "quote": quotable(results),

@@ -28,13 +28,14 @@ class StudySubmission(Accepted):
 
     ``study`` is the text of a study file or its keys; images are named FOLDER/FILE as they
     were uploaded, or are volumes of the store. ``key``: a text of your own; submitting the
-    same key again gives the same job.
+    same key again gives the same job. ``anyway``: run although a plausibility check fails.
     """
 
     study: str | dict[str, Any]
     priority: Priority = 0
     key: Key = ""
     accept_new_code: bool = False
+    anyway: bool = False
 
 
 class DiagnosisSource(Accepted):
@@ -51,11 +52,15 @@ class DiagnosisSource(Accepted):
 
 
 class DiagnosisSubmission(Accepted):
-    """A case, a study or an experiment to be diagnosed; ``effects``: those suspected, or all."""
+    """A case, a study or an experiment to be diagnosed; ``effects``: those suspected, or all.
+
+    ``anyway``: diagnose although a plausibility check fails.
+    """
 
     source: DiagnosisSource
     nodes: Annotated[int, Field(ge=200, le=500_000)] = 5000
     effects: Annotated[list[Name], Field(min_length=1, max_length=100)] | None = None
+    anyway: bool = False
     priority: Priority = 0
     key: Key = ""
 

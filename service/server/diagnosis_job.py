@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from service.dask_diagnosis import run_and_tell
-from service.diagnosis.run import Step, finished, request_for
+from service.diagnosis.run import Step, finished, request_for, with_caveats
 from service.dispatch import Dispatcher
 from service.report.diagnosis_files import write_diagnosis
 from service.report.diagnosis_made import Origin, origin_of
@@ -20,12 +20,17 @@ from storage.places import Location
 from storage.records import SCHEMA_VERSION
 from workers.mechanics.parameters import unknown_name
 from workers.tasks.diagnosis_store import DiagnosisRequest
-from workers.tasks.sources import open_source
+from workers.tasks.sources import check_source, open_source, source_caveats
 
 
 def bring_source(
-    path: str, store: str, nodes: int, effects: tuple[str, ...] | None, when: str
-) -> tuple[DiagnosisRequest, Origin]:
+    path: str,
+    store: str,
+    nodes: int,
+    effects: tuple[str, ...] | None,
+    when: str,
+    anyway: bool = False,
+) -> tuple[DiagnosisRequest, Origin, tuple[str, ...]]:
     """Read what is diagnosed into the store; a task, so that a damaged image harms a worker only.
 
     Raises
@@ -38,9 +43,9 @@ def bring_source(
     for name in effects or ():
         if name not in known:
             raise InputError(unknown_name("effect", name, known))
-    opened.check()
+    caveats = source_caveats(opened, check_source(opened, anyway=anyway))
     request = request_for(opened, store, nodes, effects=effects)
-    return request, origin_of(opened, request, when, "", None)
+    return request, origin_of(opened, request, when, "", None), caveats
 
 
 def run_diagnosis(
@@ -67,11 +72,12 @@ def run_diagnosis(
             append("step", phase=step.phase, done=step.done, of=step.of, task=step.task)
 
         append("session", began=when)
-        asked, origin = dispatcher.call(
-            bring_source, str(source), str(store), request["nodes"], named, when
+        anyway = bool(request.get("anyway"))
+        asked, origin, caveats = dispatcher.call(
+            bring_source, str(source), str(store), request["nodes"], named, when, anyway
         )
         stored = finished(asked) is not None
-        diagnosis = run_and_tell(asked, dispatcher, folder, observe)
+        diagnosis = with_caveats(run_and_tell(asked, dispatcher, folder, observe), caveats)
         spent = None if stored else time.monotonic() - began
         write_diagnosis(
             diagnosis, folder, replace(origin, made=replace(origin.made, seconds=spent))

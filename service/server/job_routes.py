@@ -100,7 +100,7 @@ def submit_study(service: Here, owner: Writer, given: StudySubmission, answer: R
         "study",
         spec.name,
         owner,
-        study_request(spec, given.accept_new_code),
+        study_request(spec, given.accept_new_code, given.anyway),
         priority=given.priority,
         key=given.key,
         taken=lambda identifier: service.home.job(identifier).exists(),
@@ -125,7 +125,7 @@ def submit_diagnosis(
         if service.uploads.resolve(str(source.upload)) is None:
             raise HTTPException(404, f"There is no upload {source.upload}. Upload it first.")
         name = str(source.upload).partition("/")[0]
-    request = given.model_dump(mode="json", include={"source", "nodes", "effects"})
+    request = given.model_dump(mode="json", include={"source", "nodes", "effects", "anyway"})
     job, new = service.queue.submit(
         "diagnosis",
         name,

@@ -187,8 +187,10 @@ def test_images_are_uploaded_and_refused_when_there_are_none(
     import numpy as np
 
     image = tmp_path / "scan.npy"
-    np.save(image, np.ones((4, 4, 4), np.uint8))
-    case = "case: {reference: {volume: scan.npy, spacing_mm: 1}, mesh: {nodes: 2000}}"
+    body = np.ones((20, 20, 20), np.uint8)
+    body[5:12, 5:15, 5:15] = 2
+    np.save(image, body)
+    case = "case: {reference: {volume: scan.npy, spacing_mm: 3}, mesh: {nodes: 2000}}"
     text = named("imaged").replace(
         "case: {reference: {phantom: {preset: 445ml}}, mesh: {nodes: 2000}}", case
     )

@@ -129,7 +129,7 @@ def test_an_image_is_imported_under_its_name_once(call: Call, tmp_path: Path) ->
     values[2:6, 2:7, 2:8] = 1
     values[3:5, 3:5, 3:5] = 2
     np.save(tmp_path / "scan.npy", values)
-    options = ["--labels", "0=air,1=fat,2=glandular", "--spacing-mm", "1", "1", "2", "--json"]
+    options = ["--labels", "0=air,1=fat,2=glandular", "--spacing-mm", "10", "10", "20", "--json"]
     code, out, _ = call("import", "scan.npy", "--name", "mine", *options)
     assert code == 0
     found = json.loads(out)

@@ -57,6 +57,8 @@ class FinishedStudy:
         Searched parameters of the best candidate, the same; empty if there is none.
     reference, deformed
         The body at rest and the one to be explained, as its organ has it.
+    caveats : tuple of str
+        Statements with which every result of the study begins.
     """
 
     name: str
@@ -67,6 +69,7 @@ class FinishedStudy:
     best: Mapping[str, float]
     reference: Any
     deformed: Any
+    caveats: tuple[str, ...] = ()
 
 
 class HasContent(Protocol):
@@ -83,6 +86,14 @@ class PlannedSource(HasContent, Protocol):
     @property
     def acquisition(self) -> Acquisition:
         """What is known before the loaded scans."""
+
+
+@runtime_checkable
+class Checkable(Protocol):
+    """A source that can refuse its data."""
+
+    def check(self) -> None:
+        """See `Source.check`."""
 
 
 @runtime_checkable

@@ -298,6 +298,8 @@ class Summary:
         The interfaces, and where their points lie, in words.
     not_simulated : optional
         Causes that no effect stands for, and why; those of a breast where it is None.
+    caveats : tuple of str, optional
+        Statements with which the diagnosis begins, such as a plausibility check that failed.
     """
 
     case: str
@@ -328,6 +330,7 @@ class Summary:
     compared: str = "the outline and on the boundary of the glandular tissue"
     not_simulated: tuple[tuple[str, str], ...] | None = None
     left_out: int = 0
+    caveats: tuple[str, ...] | None = None
 
     def effect(self, name: str) -> EffectSummary:
         """Return what is known of one effect.

@@ -13,7 +13,7 @@ displacements. What it is called in a store and what of it is kept there is deci
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from numpy.typing import NDArray
 
@@ -299,3 +299,14 @@ class Organ(Protocol[Body, Mesh, Model]):
 
     def scores_by_part(self, target: Body, candidate: Body, spec: Any) -> dict[str, Scores]:
         """Return the score of each part of the organ on its own, by name."""
+
+
+@runtime_checkable
+class AligningOrgan(Protocol):
+    """An organ whose imaged targets can be aligned with the undeformed body."""
+
+    def aligned(self, target: Any, reference: Any, case: Any) -> tuple[Any, Facts]:
+        """Return a target in the frame of the undeformed body, and how it was moved.
+
+        Facts are ``shift_mm`` and ``turn_deg``, each (x, y, z), and ``words``.
+        """

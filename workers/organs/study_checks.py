@@ -1,25 +1,30 @@
-"""What an organ can say of a study before anything is simulated, by organ.
+"""Plausibility checks of an organ, by name, and the rule that decides what is refused.
 
 A module of checks is imported when it is first asked for, so no result depends on its code.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
+
+from storage.errors import InputError
+from workers.mechanics.parameters import Bounds
 
 # The module of each organ that has checks of its own; it holds the object CHECKS.
 MODULES = {"breast": "workers.organs.breast.study_checks"}
+ANYWAY = "If the input is right as it is, continue with --anyway (in Python: anyway=True)."
+FIRST_LINE = "Computed with --anyway, although a plausibility check failed: "
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something about a study that its user should know before it runs.
+    """A fact about an input that its user should know before anything is computed.
 
     Parameters
     ----------
     severity : {"warning", "implausible", "impossible"}
-        Whether the study runs all the same, runs if its user insists, or cannot run.
+        Whether the computation goes on, goes on if its user insists, or cannot be done.
     text : str
         What was found, what was expected and what to do.
     """
@@ -27,20 +32,51 @@ class Finding:
     severity: Literal["warning", "implausible", "impossible"]
     text: str
 
+    def __str__(self) -> str:
+        return self.text
+
 
 class StudyChecks(Protocol):
     """The checks of one organ; bodies that are not at hand are None."""
 
     def of_case(self, case: Any) -> Iterator[Finding]:
-        """Yield what can be said of a case without its body."""
+        """Check a case without its body."""
 
     def before_bodies(self, case: Any, target: Any, score: Any) -> Iterator[Finding]:
-        """Yield what else can be said of the study file alone."""
+        """Check the rest of the study file."""
 
     def of_bodies(
         self, case: Any, target: Any, score: Any, reference: Any | None, deformed: Any | None
     ) -> Iterator[Finding]:
-        """Yield what the undeformed body and an imaged target show."""
+        """Check the undeformed body and an imaged target."""
+
+
+@runtime_checkable
+class BodyChecks(Protocol):
+    """The checks of an organ whose bodies can be imported."""
+
+    def of_body(self, body: Any, name: str) -> Iterator[Finding]:
+        """Check one body on its own; `name` is used in messages."""
+
+
+@runtime_checkable
+class SearchChecks(Protocol):
+    """The checks of an organ that depend on the searched intervals."""
+
+    def with_search(self, searched: Mapping[str, Bounds]) -> StudyChecks:
+        """Return the checks of a study that searches these intervals, inside names and units."""
+
+
+@runtime_checkable
+class CheckedSource(Protocol):
+    """A source of a diagnosis that has plausibility checks."""
+
+    def findings(self) -> Iterator[Finding]:
+        """Check the scans and loads."""
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """Statements that every result of this source has to begin with."""
 
 
 def checks_of(organ: str) -> StudyChecks | None:
@@ -49,3 +85,43 @@ def checks_of(organ: str) -> StudyChecks | None:
         return None
     checks: StudyChecks = import_module(MODULES[organ]).CHECKS
     return checks
+
+
+def refused(findings: Iterable[Finding], anyway: bool) -> list[Finding]:
+    """Return the findings that prevent a computation."""
+    accepted = {"warning", "implausible"} if anyway else {"warning"}
+    return [finding for finding in findings if finding.severity not in accepted]
+
+
+def accept(findings: Iterable[Finding], what: str, *, anyway: bool) -> list[Finding]:
+    """Return findings with which a computation goes on.
+
+    Parameters
+    ----------
+    findings : iterable of Finding
+    what : str
+        The input, as the subject of a sentence: ``The study demo``.
+    anyway : bool
+        Whether the user insists on an input that looks implausible.
+
+    Raises
+    ------
+    InputError
+        With every reason, if the input is refused.
+    """
+    found = list(findings)
+    reasons = refused(found, anyway)
+    if reasons:
+        text = "\n".join(f"  {finding.text}" for finding in reasons)
+        insist = all(finding.severity == "implausible" for finding in reasons)
+        raise InputError(
+            f"{what} did not pass the plausibility checks:\n{text}"
+            + (f"\n{ANYWAY}" if insist else "")
+        )
+    return found
+
+
+def caveats_of(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Return the statements with which the results of an insisting user begin."""
+    insisted = (finding for finding in findings if finding.severity == "implausible")
+    return tuple(f"{FIRST_LINE}{finding.text}" for finding in insisted)

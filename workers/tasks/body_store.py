@@ -17,7 +17,7 @@ from storage.meshes import has_mesh, load_mesh, save_mesh
 from storage.stores import Store
 from storage.values import Volume
 from storage.volumes import has_volume, list_volumes, load_volume, save_volume, volume_meta
-from workers.organs.organ import Organ
+from workers.organs.organ import AligningOrgan, Facts, Organ
 from workers.organs.registry import organ_module
 from workers.resources import CACHE
 from workers.spec import CaseSpec, Door, ScoreSpec
@@ -61,6 +61,11 @@ class BodyStore:
             return self.add(self.organ.make_body(spec), {"kind": kind} | about)
 
         return self._made(request, self.has_body, make)
+
+    def bring_aligned(self, target: str, reference: str, case: CaseSpec) -> tuple[str, Facts]:
+        """Return the digest of a stored target after alignment, and how it was moved."""
+        body, motion = aligned_target(self.organ, self.body(target), self.body(reference), case)
+        return self.add(body, {"kind": "image", "motion": dict(motion)}), motion
 
     def bring_mesh(self, body: str, case: CaseSpec) -> tuple[str, dict[str, Any]]:
         """Return the digest of the mesh of a stored body, and facts of both; it is then stored."""
@@ -238,3 +243,18 @@ class BodyStore:
 
     def _cached(self, kind: str, name: str, make: Callable[[], T]) -> T:
         return CACHE.get((kind, self.organ.name, str(self.store.root), name), make)
+
+
+def aligned_target(
+    organ: Organ[Any, Any, Any], target: Any, reference: Any, case: CaseSpec
+) -> tuple[Any, Facts]:
+    """Return a target in the frame of the undeformed body, and how it was moved.
+
+    Raises
+    ------
+    InputError
+        If targets of this organ cannot be aligned.
+    """
+    if not isinstance(organ, AligningOrgan):
+        raise InputError(f"target.align: images of the organ {organ.name} cannot be aligned.")
+    return organ.aligned(target, reference, case)

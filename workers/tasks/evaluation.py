@@ -127,8 +127,13 @@ def make_target(case: SpecJson, target: SpecJson, store: str) -> PreparedTarget:
     organ = case_organ(case)
     wanted = validated(organ.target_spec, target, "The target")
     if wanted.constants is None:
-        name = BodyStore(open_store(store), organ).bring_body(wanted)
-        return {"target": name, "kind": "image"}
+        bodies = BodyStore(open_store(store), organ)
+        name = bodies.bring_body(wanted)
+        if not wanted.is_aligned:
+            return {"target": name, "kind": "image"}
+        asked = case_of(case)
+        name, motion = bodies.bring_aligned(name, bodies.bring_body(asked.reference), asked)
+        return {"target": name, "kind": "image", "motion": motion}
     spec = organ.simulated_case(case_of(case), wanted)
     made = simulate_once(
         spec.model_dump(mode="json"), spec.parameters.from_door(wanted.constants), store

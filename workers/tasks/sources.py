@@ -15,8 +15,15 @@ from storage.digest import array_digest, digest
 from storage.errors import InputError
 from storage.plain import dumps, loads, to_plain
 from workers.body.mesh.node_count import check_node_count_of
-from workers.diagnosis.source import HasContent, PlannedSource, Source, SourceContent
+from workers.diagnosis.source import (
+    Checkable,
+    HasContent,
+    PlannedSource,
+    Source,
+    SourceContent,
+)
 from workers.organs.source_registry import Reader, planned_source_of, readers, source_of
+from workers.organs.study_checks import FIRST_LINE, CheckedSource, Finding, accept, caveats_of
 from workers.tasks.studies import is_study, open_study
 from workers.tasks.task_store import TaskStore
 
@@ -75,6 +82,34 @@ def open_source(path: Path) -> Source:
         "has made. `palpate new diagnosis NAME` writes a case, `palpate new experiment NAME` an "
         "experiment."
     )
+
+
+def check_source(source: HasContent, *, anyway: bool = False) -> list[Finding]:
+    """Check what is to be diagnosed or planned, before anything is fitted.
+
+    Parameters
+    ----------
+    source : Source or PlannedSource
+    anyway : bool
+        Accept what looks implausible.
+
+    Raises
+    ------
+    InputError
+        With every reason.
+    """
+    if isinstance(source, CheckedSource):
+        insisted = any(text.startswith(FIRST_LINE) for text in source.caveats)
+        return accept(source.findings(), "The scans", anyway=anyway or insisted)
+    if isinstance(source, Checkable):
+        source.check()
+    return []
+
+
+def source_caveats(source: HasContent, findings: list[Finding]) -> tuple[str, ...]:
+    """Return the statements with which the results of a source begin."""
+    own = source.caveats if isinstance(source, CheckedSource) else ()
+    return tuple(dict.fromkeys((*own, *caveats_of(findings))))
 
 
 def _reader_of(path: Path) -> Reader | None:
@@ -147,9 +182,7 @@ def open_planned(path: Path) -> PlannedSource:
         If `path` is neither the folder of a case nor that of a study.
     """
     if is_study(path):
-        study = open_study(path)
-        study.check()
-        return study
+        return open_study(path)
     refuse_study_file(path)
     reader = _reader_of(path)
     planned = None if reader is None else reader.read_planned(path)

@@ -6,7 +6,7 @@ from pathlib import Path
 from storage.errors import InputError
 from storage.journal import Journal
 from storage.layout import StudyLayout
-from storage.records import EvaluationRecord, SessionRecord, StudyRecord, record_of
+from storage.records import EvaluationRecord, SessionRecord, StudyRecord, caveats_in, record_of
 from storage.status import Status
 from storage.stores import open_store
 from workers.diagnosis.source import FinishedStudy
@@ -60,6 +60,7 @@ def open_study(folder: Path) -> StudySource:
         best=_best_genes(evaluations),
         reference=bodies.body(prepared),
         deformed=bodies.body(target),
+        caveats=caveats_in(sessions),
     )
     return source_of_study(organ, study)
 

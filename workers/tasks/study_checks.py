@@ -1,20 +1,34 @@
-"""Looks at the bodies of a study before its first task, where they are at hand."""
+"""Plausibility checks of studies, cases and imported bodies, whatever their organ."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from storage.errors import InputError
 from storage.stores import open_store
+from workers.mechanics.parameters import Bounds
 from workers.organs.registry import organ_named
-from workers.organs.study_checks import Finding, checks_of
+from workers.organs.study_checks import (
+    BodyChecks,
+    Finding,
+    SearchChecks,
+    StudyChecks,
+    accept,
+    checks_of,
+)
 from workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec
-from workers.tasks.body_store import BodyStore
+from workers.tasks.body_store import BodyStore, aligned_target
 
 
 def study_findings(
-    case: CaseSpec, target: TargetSpec, score: ScoreSpec, store: str, *, elsewhere: bool = False
+    case: CaseSpec,
+    target: TargetSpec,
+    score: ScoreSpec,
+    store: str,
+    *,
+    searched: Mapping[str, Bounds],
+    elsewhere: bool = False,
 ) -> Iterator[Finding]:
-    """Yield what an organ finds wrong with a study.
+    """Yield the findings of an organ about a study.
 
     Images come into the store on the way, where the workers find them. A body that is
     generated is not made here.
@@ -25,15 +39,17 @@ def study_findings(
         As the organ understands them.
     store : str
         Where the store is.
+    searched : mapping of str to (float, float)
+        Searched intervals, inside names and units.
     elsewhere : bool
-        The workers may see files that this process does not: those are left to them.
+        The workers may see files that this process does not: those are not checked here.
 
     Raises
     ------
     InputError
         If an image is missing or cannot be read.
     """
-    checks = checks_of(case.organ)
+    checks = _checks(case, searched)
     if checks is None:
         return
     findings = [*checks.of_case(case), *checks.before_bodies(case, target, score)]
@@ -43,7 +59,14 @@ def study_findings(
     bodies = BodyStore(open_store(store), organ_named(case.organ))
     reference = _imaged(bodies, case.reference, elsewhere)
     deformed = None if target.constants is not None else _imaged(bodies, target, elsewhere)
+    if deformed is not None and reference is not None and target.is_aligned:
+        deformed = aligned_target(bodies.organ, deformed, reference, case)[0]
     yield from checks.of_bodies(case, target, score, reference, deformed)
+
+
+def _checks(case: CaseSpec, searched: Mapping[str, Bounds]) -> StudyChecks | None:
+    checks = checks_of(case.organ)
+    return checks.with_search(searched) if isinstance(checks, SearchChecks) else checks
 
 
 def _imaged(bodies: BodyStore, spec: Door, elsewhere: bool) -> Any | None:
@@ -59,15 +82,49 @@ def _imaged(bodies: BodyStore, spec: Door, elsewhere: bool) -> Any | None:
         raise
 
 
-def check_case(case: CaseSpec) -> None:
-    """Refuse a case that cannot be simulated, before anything is made for it.
+def imported_findings(organ: str, body: Any, name: str, *, anyway: bool) -> list[Finding]:
+    """Check one body on its own, such as one that is imported; `name` is used in messages.
+
+    A body in several pieces, or with slices that are not labelled, is only named: a study of
+    it is refused.
 
     Raises
     ------
     InputError
-        With the reason.
+        With every reason, if it cannot be such an organ.
     """
-    checks = checks_of(case.organ)
-    for finding in checks.of_case(case) if checks is not None else ():
-        if finding.severity == "impossible":
-            raise InputError(finding.text)
+    checks = checks_of(organ)
+    found: list[Finding] = (
+        list(checks.of_body(body, name)) if isinstance(checks, BodyChecks) else []
+    )
+    return accept(found, f"The image {name}", anyway=anyway)
+
+
+def check_case(case: CaseSpec, store: str | None = None, *, anyway: bool = False) -> list[Finding]:
+    """Check a case without a target, before anything is made for it.
+
+    Parameters
+    ----------
+    case : CaseSpec
+    store : str, optional
+        Its images are brought there and checked too.
+    anyway : bool
+        Accept what looks implausible.
+
+    Raises
+    ------
+    InputError
+        With every reason.
+    """
+    checks = _checks(case, {})
+    if checks is None:
+        return []
+    found: list[Finding] = list(checks.of_case(case))
+    if store is not None and not any(finding.severity == "impossible" for finding in found):
+        reference = _imaged(
+            BodyStore(open_store(store), organ_named(case.organ)), case.reference, False
+        )
+        found += (
+            checks.of_bodies(case, None, None, reference, None) if reference is not None else []
+        )
+    return accept(found, "The case", anyway=anyway)

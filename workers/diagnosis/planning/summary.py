@@ -144,6 +144,8 @@ class PlanSummary:
         Effects that do not act here or cannot be simulated.
     acquisitions : tuple of FurtherMeasurement
         The best first.
+    caveats : tuple of str, optional
+        Statements with which the plan begins, such as a plausibility check that failed.
     """
 
     case: str
@@ -163,3 +165,4 @@ class PlanSummary:
     loose: tuple[str, ...]
     without_columns: tuple[str, ...]
     acquisitions: tuple[FurtherMeasurement, ...]
+    caveats: tuple[str, ...] | None = None

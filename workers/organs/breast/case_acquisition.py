@@ -1,7 +1,8 @@
 """The acquisition that a case describes: its body, its loads and its noise."""
 
 from storage.values import Volume
-from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.body.mesh.hierarchy import Hierarchy
+from workers.body.mesh.whole_body import mesh_whole_body
 from workers.comparison.observation.smooth_outline import smooth_outline
 from workers.diagnosis.acquisition import Acquisition
 from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
@@ -32,7 +33,7 @@ def acquisition_of(case: ScannedCase) -> Acquisition:
 
 def mesh_of(body: Volume, nodes: int) -> Hierarchy:
     """Mesh a body with about so many nodes."""
-    return build_hierarchy(body, nodes=nodes)
+    return mesh_whole_body(body, nodes=nodes)
 
 
 def body_of(case: ScannedCase) -> Volume:

@@ -24,6 +24,7 @@ from storage.values import Volume
 from workers.body.images.labels import crop_to_body, relabel
 from workers.body.images.largest_component import in_air, one_body
 from workers.body.images.read import read_volume
+from workers.organs.breast.case_alignment import aligned_case
 from workers.organs.breast.case_prose import from_prose, is_prose
 from workers.organs.breast.case_source import PlannedCaseSource, ScannedCaseSource
 from workers.organs.breast.case_spec import CaseFile
@@ -57,13 +58,14 @@ def read_case(path: Path, *, loaded: bool = True) -> ScannedCase:
     path = case_file(path)
     file = read_case_file(path)
     scans = file.scans
-    return ScannedCase(
+    case = ScannedCase(
         file,
         _scan(path, file, scans.reference),
         _scan(path, file, scans.reference_repeat) if scans.reference_repeat else None,
         [_loaded_scan(path, file, load.file) for load in scans.loads] if loaded else [],
         str(path),
     )
+    return aligned_case(case) if loaded and scans.align is not None else case
 
 
 def case_file(path: Path) -> Path:

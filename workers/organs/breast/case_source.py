@@ -1,6 +1,6 @@
 """A case of segmented scans as the source of a diagnosis, and of a plan before it is scanned."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from numpy.typing import NDArray
@@ -23,9 +23,10 @@ from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from workers.mechanics.fem.model import Model
 from workers.mechanics.pressed import Pressed
 from workers.organs.breast.case_acquisition import acquisition_of
-from workers.organs.breast.case_checks import check_case
+from workers.organs.breast.case_checks import case_findings, check_case
 from workers.organs.breast.case_spec import CaseFile
 from workers.organs.breast.scanned_case import ScannedCase
+from workers.organs.study_checks import Finding
 from workers.scan_threads import Each
 from workers.spec import validated
 
@@ -84,6 +85,15 @@ class ScannedCaseSource:
     def check(self) -> None:
         """Refuse scans that cannot be one body under these loads."""
         check_case(self.case)
+
+    def findings(self) -> Iterator[Finding]:
+        """See `workers.organs.study_checks.CheckedSource`."""
+        yield from case_findings(self.case)
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """How its scans were aligned."""
+        return self.case.motions
 
     @property
     def preparations(self) -> Sequence[str]:
@@ -149,6 +159,15 @@ class PlannedCaseSource:
     def from_content(cls, content: SourceContent) -> "PlannedCaseSource":
         """Make it again from what the store holds."""
         return cls(_case_from(content))
+
+    def findings(self) -> Iterator[Finding]:
+        """See `workers.organs.study_checks.CheckedSource`."""
+        yield from case_findings(self.case.unloaded)
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """None: its scans are not made yet."""
+        return ()
 
     @property
     def content(self) -> SourceContent:

@@ -204,13 +204,16 @@ class CaseScans(Door):
     """The scan at rest, a second segmentation of it, and the scans under load.
 
     `pose_sd_mm` and `pose_sd_deg` say how far a loaded scan may lie from where its header puts
-    it, along and about each axis; without them the settings of the diagnosis do.
+    it, along and about each axis; without them the settings of the diagnosis do. With
+    ``align: rigid`` each loaded scan is first moved into the frame of the scan at rest; see
+    `workers.organs.breast.rigid_motion`.
     """
 
     reference: str = Field(description="the labels of the body at rest")
     reference_repeat: str | None = None
     pose_sd_mm: NotNegative | None = None
     pose_sd_deg: NotNegative | None = None
+    align: Literal["rigid"] | None = None
     labels: dict[int, LabelName] = Field(default_factory=_usual_labels)
     loads: Annotated[tuple[CaseLoad, ...], Field(min_length=1)] = Field(
         description="one entry for each loaded scan, with its file and its force or distance"

@@ -19,7 +19,8 @@ from workers.body.images.labels import (
     resample_labels,
 )
 from workers.body.images.read import read_volume
-from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy, from_arrays, to_arrays
+from workers.body.mesh.hierarchy import Hierarchy, from_arrays, to_arrays
+from workers.body.mesh.whole_body import mesh_whole_body
 from workers.body.phantom.breast import generate_breast
 from workers.comparison.similarity.score import Scorer, Surface, score_labels
 from workers.comparison.warp.warp_volume import warp_labels
@@ -34,6 +35,7 @@ from workers.mechanics.fem.outcome import Solution
 from workers.mechanics.fem.problem import Problem
 from workers.mechanics.fem.solve import solve
 from workers.mechanics.pressed import Pressed
+from workers.organs.breast.alignment import aligned, study_load
 from workers.organs.breast.interface_fit import (
     BreastObservation,
     FittedBreast,
@@ -116,6 +118,16 @@ class Breast:
             return None
         return as_tissues(body, image)
 
+    def aligned(self, target: Volume, reference: Volume, case: BreastCase) -> tuple[Volume, Facts]:
+        """See `workers.organs.organ.AligningOrgan.aligned`."""
+        labels, motion = aligned(reference, target, study_load(case))
+        facts = {
+            "shift_mm": list(motion.shift_mm),
+            "turn_deg": list(motion.turn_deg),
+            "words": motion.words,
+        }
+        return labels, facts
+
     def body_to_arrays(self, body: Volume) -> Volume:
         """See `Organ.body_to_arrays`."""
         return body
@@ -136,7 +148,7 @@ class Breast:
 
     def make_mesh(self, body: Volume, case: BreastCase) -> Hierarchy:
         """See `Organ.make_mesh` and `workers.organs.breast.problem.materials_of`."""
-        return build_hierarchy(
+        return mesh_whole_body(
             materials_of(body, case.model),
             element_size_mm=case.mesh.element_size_mm,
             nodes=case.mesh.nodes,

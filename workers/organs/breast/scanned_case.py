@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from storage.values import BoolArray, Tissue, Triple, Volume
+from storage.values import Tissue, Volume
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.noise_estimation import from_repeat
 from workers.diagnosis.inverse_problem import FreeConstant, Values
@@ -18,8 +17,11 @@ from workers.mechanics.fem.fields import FibreField, Frame
 from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Load, Wall
 from workers.mechanics.fem.problem import Constants, Problem
 from workers.organs.breast.case_spec import CaseFile, CaseLoad, CasePlates, CaseWall
+from workers.organs.breast.extents import extent_mm
 from workers.organs.breast.study_noise import NUGGET_VOXELS, study_noise
 from workers.units import KPA, KPA_PER_MM
+
+__all__ = ["ScannedCase", "above_wall", "extent_mm"]
 
 # Points this near to the chest wall sit where the image was cut.
 WALL_MARGIN_MM = 4.0
@@ -42,6 +44,8 @@ class ScannedCase:
         its middle.
     where : str
         The path of the file, for messages.
+    motions : sequence of str
+        How each loaded scan was moved into the frame of the scan at rest; empty if none was.
     """
 
     def __init__(
@@ -51,11 +55,13 @@ class ScannedCase:
         repeat: Volume | None,
         loaded: Sequence[Volume],
         where: str = "the case",
+        motions: Sequence[str] = (),
     ) -> None:
         self.file = file
         self.reference = reference
         self.repeat = repeat
         self.where = where
+        self.motions = tuple(motions)
         self.loads = list(file.scans.loads)
         self.is_scanned = bool(loaded)
         self.deformed = list(loaded) if loaded else [reference] * len(self.loads)
@@ -175,25 +181,6 @@ def above_wall(labels: Volume, wall_mm: float) -> Volume:
     first = int(np.searchsorted(z, wall_mm + 1e-6))
     x0, y0, _ = labels.origin_mm
     return Volume(labels.values[first:], labels.spacing_mm, (x0, y0, float(z[first])))
-
-
-def extent_mm(labels: Volume, axis: Triple) -> tuple[float, float]:
-    """Return from where to where the body reaches along an axis across z: faces of its voxels."""
-    along = np.asarray(axis[:2]) / np.linalg.norm(axis)
-    y, x = _row_ends((labels.values != Tissue.AIR).any(axis=0))
-    spacing = np.asarray(labels.spacing_mm[:2])
-    places = np.asarray(labels.origin_mm[:2]) + spacing * np.column_stack([x, y])
-    heights = places @ along
-    half = float(np.abs(along) @ spacing) / 2
-    return float(heights.min()) - half, float(heights.max()) + half
-
-
-def _row_ends(there: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return row and column of the first and the last voxel of each row that has any."""
-    rows = np.flatnonzero(there.any(axis=1))
-    first = there[rows].argmax(axis=1)
-    last = there.shape[1] - 1 - there[rows, ::-1].argmax(axis=1)
-    return np.concatenate([rows, rows]), np.concatenate([first, last])
 
 
 def _constants(values: Values, young: str, fibre: str, poisson: float) -> Constants:

@@ -257,7 +257,11 @@ class BreastCase(CaseSpec):
 
 
 class BreastTarget(ImageSpec, TargetSpec):
-    """The deformed body to be explained: simulated with hidden constants, or an image."""
+    """The deformed body to be explained: simulated with hidden constants, or an image.
+
+    With ``align: rigid`` an image is first moved into the frame of the reference; see
+    `workers.organs.breast.rigid_motion`.
+    """
 
     exactly_one: ClassVar[Pairs] = (("constants", "volume"),)
 
@@ -265,14 +269,22 @@ class BreastTarget(ImageSpec, TargetSpec):
         default=None, description="the hidden value with which the target is simulated"
     )
     mesh: MeshSpec | None = None
+    align: Literal["rigid"] | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         if self.constants is not None:
             self._refuse_image_keys("constants")
+            if self.align is not None:
+                raise ValueError("align is for an image, but constants are given: take it out")
         elif self.mesh is not None:
             raise ValueError("a mesh is for a simulated target, but a volume is given: take it out")
         return self
+
+    @property
+    def is_aligned(self) -> bool:
+        """See `TargetSpec.is_aligned`."""
+        return self.align is not None
 
 
 class BreastScore(ScoreSpec):

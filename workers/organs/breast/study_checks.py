@@ -1,39 +1,48 @@
-"""Whether the bodies of a breast study can be one breast before and under compression.
+"""Plausibility checks of a breast study: what its file and its scans say to `checks`."""
 
-What is refused here would be searched to the end, and be explained by wrong constants.
-"""
-
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
 from storage.errors import InputError
 from storage.values import Tissue, Volume
 from workers.body.mesh.node_count import check_node_count, check_node_count_of
-from workers.organs.breast.case_checks import (
-    THICKNESS_VOXELS,
-    Scan,
-    check_outline,
-    check_place,
-    check_shares,
-    check_side,
-    check_volume,
+from workers.mechanics.effects.breast_catalogue import BREAST_MODEL
+from workers.mechanics.parameters import BREAST, Bounds
+from workers.organs.breast.alignment import study_load
+from workers.organs.breast.body_checks import (
+    check_empty_slices,
+    check_pieces,
+    check_volume_range,
 )
-from workers.organs.breast.problem import compression_axis, extent_of
+from workers.organs.breast.checks import findings_of
+from workers.organs.breast.problem import compression_axis
+from workers.organs.breast.scan_facts import BreastFacts, Scan
 from workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget, PhantomSpec
 from workers.organs.study_checks import Finding
 
-# The longest side of a breast on its chest wall, in mm, and what no body has at all.
-USUAL_MM = (50.0, 400.0)
-POSSIBLE_MM = (10.0, 2000.0)
 
-
+@dataclass(frozen=True)
 class BreastChecks:
-    """See `workers.organs.study_checks.StudyChecks`."""
+    """See `workers.organs.study_checks.StudyChecks`.
+
+    Parameters
+    ----------
+    searched : mapping of str to (float, float)
+        Searched intervals, inside names and units.
+    """
+
+    searched: Mapping[str, Bounds] = field(default_factory=dict)
+
+    def with_search(self, searched: Mapping[str, Bounds]) -> Self:
+        """Return the checks of a study that searches these intervals."""
+        return type(self)(searched)
 
     def of_case(self, case: BreastCase) -> Iterator[Finding]:
-        """Say whether a phantom can have so few nodes."""
+        """Check that a phantom can have so few nodes."""
         phantom = case.reference.phantom
         if phantom is None or case.mesh.nodes is None:
             return
@@ -47,36 +56,71 @@ class BreastChecks:
     def before_bodies(
         self, case: BreastCase, target: BreastTarget, score: BreastScore
     ) -> Iterator[Finding]:
-        """Say which tissues a phantom will lack."""
+        """Check that a phantom has the tissues that are compared."""
         phantom = case.reference.phantom
         if phantom is not None:
             yield from _missing(score, _tissues_of(phantom), "The phantom")
 
+    def of_body(self, body: Volume, name: str) -> Iterator[Finding]:
+        """Check one body on its own; only a study or a diagnosis refuses pieces and gaps."""
+        scan = Scan(name, None, compression_axis(0.0), body)
+        yield from check_volume_range(scan)
+        for check in (check_empty_slices, check_pieces):
+            yield from (Finding("warning", finding.text) for finding in check(scan))
+
     def of_bodies(
         self,
         case: BreastCase,
-        target: BreastTarget,
-        score: BreastScore,
+        target: BreastTarget | None,
+        score: BreastScore | None,
         reference: Volume | None,
         deformed: Volume | None,
     ) -> Iterator[Finding]:
-        """Look at sizes, tissues, and whether two images fit together."""
-        axis = compression_axis(case.load.oblique_deg)
-        rest = pressed = None
+        """Check sizes, tissues and loads, and that two images show one body."""
+        facts = self._facts(case, target, reference, deformed)
+        for scan in facts.scans if score is not None else ():
+            present = {Tissue(int(t)) for t in np.unique(scan.labels.values)}
+            yield from _missing(score, present, scan.file)
         if reference is not None:
-            rest = Scan(_name(case.reference.volume), 0.0, axis, reference)
-        if deformed is not None:
-            pressed = Scan(_name(target.volume), None, axis, deformed)
-        for scan in (rest, pressed):
-            if scan is not None:
-                yield from _size(scan)
-                present = {Tissue(int(t)) for t in np.unique(scan.labels.values)}
-                yield from _missing(score, present, scan.file)
-        if rest is not None:
-            yield from _mesh(case, rest)
-            yield from _plates(case, rest)
-        if rest is not None and pressed is not None:
-            yield from _fit(case, rest, pressed)
+            yield from _mesh(case, reference)
+        yield from findings_of(facts)
+
+    def _facts(
+        self,
+        case: BreastCase,
+        target: BreastTarget | None,
+        reference: Volume | None,
+        deformed: Volume | None,
+    ) -> BreastFacts:
+        load = study_load(case)
+        rest = scan = None
+        if reference is not None:
+            rest = Scan(_name(case.reference.volume), 0.0, load.axis, reference)
+        if deformed is not None and target is not None:
+            scan = Scan(_name(target.volume), load.force_n, load.axis, deformed)
+        return BreastFacts(
+            rest=rest,
+            pressed=[] if scan is None else [(scan, load)],
+            loads=[load],
+            least_nu=self._bounds(case, "nu")[0],
+            E_mpa=self._bounds(case, "E_fat"),
+            align_key="target.align",
+            aligned=target is not None and target.is_aligned,
+            swelling=0.0,
+            rigid_is_refused=not self._has_effects(case),
+        )
+
+    def _bounds(self, case: BreastCase, name: str) -> Bounds:
+        """Return the searched interval of a constant, or its value twice."""
+        value = case.complete()[name]
+        return self.searched.get(name, (value, value))
+
+    def _has_effects(self, case: BreastCase) -> bool:
+        """Return whether the model has an effect, which may move or tilt the body."""
+        values = case.complete()
+        neutral = BREAST_MODEL.complete({}, {})
+        named = [name for name in BREAST_MODEL.names if name not in BREAST]
+        return any(name in self.searched or values[name] != neutral[name] for name in named)
 
 
 CHECKS = BreastChecks()
@@ -92,9 +136,9 @@ def _tissues_of(phantom: PhantomSpec) -> set[Tissue]:
     return present
 
 
-def _missing(score: BreastScore, present: set[Tissue], where: str) -> Iterator[Finding]:
+def _missing(score: BreastScore | None, present: set[Tissue], where: str) -> Iterator[Finding]:
     there = ", ".join(t.name.lower() for t in sorted(present) if t != Tissue.AIR)
-    for tissue in score.tissues:
+    for tissue in () if score is None else score.tissues:
         if tissue not in present:
             yield Finding(
                 "impossible",
@@ -103,79 +147,12 @@ def _missing(score: BreastScore, present: set[Tissue], where: str) -> Iterator[F
             )
 
 
-def _size(scan: Scan) -> Iterator[Finding]:
-    z, y, x = np.nonzero(scan.labels.values != Tissue.AIR)
-    sides = [
-        float(np.ptp(index) + 1) * spacing
-        for index, spacing in zip((x, y, z), scan.labels.spacing_mm, strict=True)
-    ]
-    longest = max(sides)
-    if USUAL_MM[0] <= longest <= USUAL_MM[1]:
-        return
-    voxel = " x ".join(f"{s:g}" for s in scan.labels.spacing_mm)
-    size = " x ".join(f"{s:.3g}" for s in sides)
-    possible = POSSIBLE_MM[0] <= longest <= POSSIBLE_MM[1]
-    yield Finding(
-        "warning" if possible else "implausible",
-        f"The body in {scan.file} is {size} mm, in voxels of {voxel} mm; a breast is "
-        f"{USUAL_MM[0]:g} to {USUAL_MM[1]:g} mm long. State its spacing_mm in mm.",
-    )
-
-
-def _mesh(case: BreastCase, rest: Scan) -> Iterator[Finding]:
+def _mesh(case: BreastCase, reference: Volume) -> Iterator[Finding]:
     if case.mesh.nodes is not None:
         try:
-            check_node_count_of(case.mesh.nodes, rest.labels)
+            check_node_count_of(case.mesh.nodes, reference)
         except InputError as error:
             yield Finding("impossible", f"case.mesh.nodes: {error}")
-
-
-def _plates(case: BreastCase, rest: Scan) -> Iterator[Finding]:
-    distance = case.load.plate_distance_mm
-    if distance is None or distance.final is None:
-        return
-    thick = _thickness_mm(case, rest.labels)
-    if distance.final >= thick:
-        yield Finding(
-            "implausible",
-            f"case.load.plate_distance_mm.final is {distance.final:g} mm, but the body is only "
-            f"{thick:.1f} mm thick between the plates: they would not touch it. Give the distance "
-            "under compression, in mm.",
-        )
-
-
-def _fit(case: BreastCase, rest: Scan, pressed: Scan) -> Iterator[Finding]:
-    thick, thin = (_thickness_mm(case, scan.labels) for scan in (rest, pressed))
-    slack = THICKNESS_VOXELS * max(*rest.labels.spacing_mm, *pressed.labels.spacing_mm)
-    if thin > thick + slack:
-        yield Finding(
-            "implausible",
-            f"The body is {thick:.1f} mm thick between the plates in {rest.file} "
-            f"(case.reference), but {thin:.1f} mm in {pressed.file} (target); compression was "
-            "expected to make it thinner. Reference and target look exchanged.",
-        )
-    checks: tuple[Callable[[Scan, Scan], None], ...] = (
-        check_volume,
-        check_place,
-        check_shares,
-        check_side,
-    )
-    found = [_refusal(check_outline, rest), *(_refusal(check, rest, pressed) for check in checks)]
-    yield from (Finding("implausible", text) for text in found if text)
-
-
-def _refusal(check: Callable[..., None], *scans: Scan) -> str:
-    """Return why a check refuses; "" if it does not."""
-    try:
-        check(*scans)
-    except InputError as error:
-        return str(error)
-    return ""
-
-
-def _thickness_mm(case: BreastCase, labels: Volume) -> float:
-    low, high = extent_of(labels, case.load.oblique_deg)
-    return high - low
 
 
 def _name(volume: str | None) -> str:

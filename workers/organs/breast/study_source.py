@@ -5,17 +5,18 @@ their intervals the plausible ones; a parameter that may be zero or negative has
 logarithm and is held where the search has ended.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 from numpy.typing import NDArray
 
 from storage.errors import InputError
 from storage.values import Volume
 from workers.body.images.largest_component import in_air
-from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.body.mesh.hierarchy import Hierarchy
+from workers.body.mesh.whole_body import mesh_whole_body
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.smooth_outline import smooth_outline
 from workers.diagnosis.acquisition import (
@@ -40,7 +41,9 @@ from workers.mechanics.parameters import Bounds
 from workers.mechanics.pressed import Pressed
 from workers.organs.breast.problem import extent_of, materials_of, pressed_by, problem_of
 from workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
+from workers.organs.breast.study_checks import BreastChecks
 from workers.organs.breast.study_noise import study_noise
+from workers.organs.study_checks import Finding
 from workers.scan_threads import Each
 from workers.spec import validated
 
@@ -66,6 +69,10 @@ class StudyPieces:
         `Tissue` labels at rest and under the load.
     target_mesh : MeshSpec or None
         Of a target that was simulated; None for an image.
+    caveats : tuple of str
+        Statements with which every result of the study begins.
+    align : {"rigid"} or None
+        How the target was brought into the frame of the reference.
     """
 
     name: str
@@ -75,6 +82,8 @@ class StudyPieces:
     reference: Volume
     target: Volume
     target_mesh: MeshSpec | None
+    caveats: tuple[str, ...] = ()
+    align: Literal["rigid"] | None = None
 
 
 class StudySource:
@@ -181,6 +190,20 @@ class StudySource:
                 "search.parameters."
             )
 
+    def findings(self) -> Iterator[Finding]:
+        """See `workers.organs.study_checks.CheckedSource`."""
+        self.check()
+        pieces = self.pieces
+        if pieces.target_mesh is None:
+            checks = BreastChecks(pieces.bounds)
+            target = BreastTarget(volume=TARGET, align=pieces.align)
+            yield from checks.of_bodies(pieces.case, target, None, pieces.reference, pieces.target)
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """Those of the study."""
+        return self.pieces.caveats
+
     @property
     def preparations(self) -> Sequence[str]:
         """Points, body and target."""
@@ -265,9 +288,9 @@ class StudySource:
     def _mesh(self, body: Volume, nodes: int) -> Hierarchy:
         """Mesh the body; a target that the candidates' own mesh has made is fitted by that one."""
         if not self._shares_mesh:
-            return build_hierarchy(body, nodes=nodes)
+            return mesh_whole_body(body, nodes=nodes)
         mesh = self.pieces.case.mesh
-        return build_hierarchy(body, element_size_mm=mesh.element_size_mm, nodes=mesh.nodes)
+        return mesh_whole_body(body, element_size_mm=mesh.element_size_mm, nodes=mesh.nodes)
 
     def _usual_noise(self) -> SegmentationNoise:
         pieces = self.pieces
@@ -292,6 +315,8 @@ def from_study(study: FinishedStudy) -> StudySource:
         reference=in_air(study.reference),
         target=in_air(study.deformed),
         target_mesh=None if target.constants is None else target.mesh or case.mesh,
+        caveats=study.caveats,
+        align=target.align,
     )
     return StudySource(pieces)
 

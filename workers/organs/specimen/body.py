@@ -8,7 +8,8 @@ from scipy.sparse import csr_matrix
 
 from storage.values import FloatArray, TetMesh, Triple, Volume
 from workers.body.mesh.boundary import boundary_triangles
-from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from workers.body.mesh.hierarchy import Hierarchy
+from workers.body.mesh.whole_body import mesh_whole_body
 from workers.comparison.observation.point_interpolation import interpolation
 from workers.organs.specimen.block import block
 from workers.organs.specimen.problem import region_of
@@ -46,7 +47,7 @@ class Body:
         box = self.spec.body.box_mm
         if box is not None:
             return block(box, nodes, self.spec.tissue_of(next(iter(self.spec.materials))))
-        return build_hierarchy(self._volume, nodes=nodes)
+        return mesh_whole_body(self._volume, nodes=nodes)
 
     @cached_property
     def box_mm(self) -> tuple[FloatArray, FloatArray]:

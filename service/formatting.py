@@ -1,6 +1,7 @@
 """Writes numbers and names as a reader wants them."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from markupsafe import Markup, escape
@@ -145,6 +146,17 @@ def joined(items: list[Any]) -> Markup:
     if len(parts) < 2:
         return Markup("").join(parts)
     return Markup(", ").join(parts[:-1]) + Markup(" and ") + parts[-1]
+
+
+def listed(items: Sequence[str], last: str = "and") -> str:
+    """Return items as plain text: commas, and a word before the last one.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "c"]), listed(["a", "b"], "or")
+    ('a, b and c', 'a or b')
+    """
+    return f" {last} ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
 
 def at_edge(estimate: float, bounds: tuple[float, float], share: float = 0.01) -> bool:

@@ -7,18 +7,19 @@ information bounds their covariance from below (H. Cramér 1946, C. R. Rao 1945)
 .. math:: \delta = -(J'J)^{-1} J' r, \qquad C = s^2 (J'J)^{-1}, \qquad
           s^2 = \max\left(1, \frac{|r + J\delta|^2}{m - p}\right).
 
-The factor s widens the intervals where the model leaves more than the noise. An interval
+The factor s widens the intervals where the model leaves more than the noise; so do the mesh and
+what the model may lack, see `service.error_budget`. An interval
 reaches from the lower to the upper end of the two that belong to the best candidate and to
 :math:`\delta` from there, so that it also holds what the search itself has left undone.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from service.local_model import Direction, LocalModel, SearchedConstants
+from service.local_model import Direction, LocalModel, OtherProblems, SearchedConstants
 from service.search.space import FloatArray
 from storage.task_records import FitJson
 
@@ -27,6 +28,8 @@ LEVEL = 0.9
 WEAK_PART = 0.5
 # Of candidates that are equally good, for an interval from their scatter.
 FEWEST_CANDIDATES = 5
+# From this correlation on, the value of one constant depends on the place of another.
+DEPENDENT = 0.3
 TANGENTS, SCATTER = "tangents", "scatter of equally good candidates"
 
 Identifiable = Literal["value", "ratio", "weak", "unknown"]
@@ -68,7 +71,11 @@ class IdentifiedConstant:
         None where only ratios can be found, or nothing is known.
     identifiable : {"value", "ratio", "weak", "unknown"}
         ``ratio``: only its ratio to the others, see `IdentifiedRatio`. ``weak``: the interval
-        is wider than half the value.
+        is wider than half the value. ``unknown``: it is wider than what was searched.
+    errors : mapping of str to float
+        Standard deviation that each source of error contributes to the interval, in `unit`.
+    depends_on : tuple of str
+        Constants at a bound of the search on which the value depends.
     """
 
     name: str
@@ -76,6 +83,8 @@ class IdentifiedConstant:
     unit: str
     interval: Interval | None
     identifiable: Identifiable
+    errors: Mapping[str, float] = field(default_factory=dict)
+    depends_on: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -125,6 +134,10 @@ class Identification:
         How many times larger than that noise the residuals are; 1 if not larger.
     note : str
         Why there is less than usual; empty otherwise.
+    converged : bool
+        Whether the best candidate is at the least sum of squares; intervals are withheld if not.
+    supported : tuple of str
+        Errors of the scan or the model that the residual supports decisively, as noun phrases.
     """
 
     candidate: int
@@ -137,6 +150,8 @@ class Identification:
     noise: str = ""
     noise_factor: float = 1.0
     note: str = ""
+    converged: bool = True
+    supported: tuple[str, ...] = ()
 
     @property
     def weak(self) -> tuple[str, ...]:
@@ -147,10 +162,23 @@ class Identification:
 
 
 def identification_from_tangents(
-    searched: SearchedConstants, candidate: int, fit: FitJson
+    searched: SearchedConstants,
+    candidate: int,
+    fit: FitJson,
+    others: OtherProblems | None = None,
 ) -> Identification:
-    """Return what the least-squares problem of the best candidate tells of the constants."""
-    local = LocalModel(fit, searched)
+    """Return the identification from the least-squares problem of the best candidate.
+
+    Parameters
+    ----------
+    searched : SearchedConstants
+    candidate : int
+        The best one.
+    fit : FitJson
+    others : OtherProblems, optional
+        The same candidate with nuisance parameters and on other meshes.
+    """
+    local = LocalModel(fit, searched, others)
     constants = {name: _constant(searched, local, i) for i, name in enumerate(local.names)}
     return Identification(
         candidate=candidate,
@@ -162,6 +190,8 @@ def identification_from_tangents(
         residual_rms_mm=float(fit["rms_mm"]),
         noise=fit["noise"],
         noise_factor=local.noise_factor,
+        converged=local.converged,
+        supported=local.supported,
     )
 
 
@@ -194,7 +224,18 @@ def _constant(searched: SearchedConstants, local: LocalModel, i: int) -> Identif
         estimate = searched.at_door(name, value)
         return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "ratio")
     ends = None if local.unseen(i) else local.ends(i)
-    return _judged(searched, name, value, ends, TANGENTS)
+    errors = {source: searched.at_door(name, sd) for source, sd in local.errors(i).items()}
+    judged = _judged(searched, name, value, ends, TANGENTS)
+    return replace(judged, errors=errors, depends_on=_depends_on(local, i))
+
+
+def _depends_on(local: LocalModel, i: int) -> tuple[str, ...]:
+    """Return the constants at a bound whose errors are correlated with those of constant i."""
+    return tuple(
+        name
+        for j, name in enumerate(local.names)
+        if j != i and local.at_bound(j) and abs(local.correlation[i][j]) > DEPENDENT
+    )
 
 
 def _judged(
@@ -205,6 +246,9 @@ def _judged(
     if name in searched.common_scale:
         return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "ratio")
     if ends is None:
+        return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "unknown")
+    least, most = searched.bounds[name]
+    if ends[0] < least and ends[1] > most and origin == TANGENTS:
         return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "unknown")
     low, high = np.clip(ends, *parameter.admissible)
     lower, upper = searched.at_door(name, float(low)), searched.at_door(name, float(high))

@@ -3,20 +3,31 @@
 `service.identification` has the formulas, and says what they mean for each constant.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from service.formatting import share
+from service.error_budget import (
+    IMAGE,
+    MISFIT,
+    ErrorSource,
+    LocalProblem,
+    mesh_source,
+    nuisance_sources,
+)
+from service.formatting import at_edge, share
 from service.search.space import FloatArray
-from storage.task_records import FitJson
+from storage.task_records import FitJson, MeshFit
 from workers.mechanics.parameters import Parameter, Vocabulary
+from workers.organs.nuisances import Nuisance
 
 # Of the normal distribution: nine out of ten lie within so many standard deviations.
 DEVIATIONS = 1.6449
 # A direction with less information than this part of the most informed one is not seen at all.
 UNSEEN = 1e-10
+# A sum of squares that a step would lower by more, in units of the noise, is not at its least.
+MOST_FALL = 9.0
 # Constants with a smaller share of a direction are not named in it.
 LEAST_SHARE = 0.15
 
@@ -40,6 +51,25 @@ class Direction:
     weights: Mapping[str, float]
     relative_sd: float | None
     words: str
+
+
+@dataclass(frozen=True)
+class OtherProblems:
+    """The least-squares problem of the best candidate under other circumstances.
+
+    Parameters
+    ----------
+    nuisances : FitJson or None
+        With the nuisance parameters.
+    priors : tuple of Nuisance
+        What is known of these before data.
+    meshes : sequence of MeshFit
+        On other meshes.
+    """
+
+    nuisances: FitJson | None = None
+    priors: tuple[Nuisance, ...] = ()
+    meshes: Sequence[MeshFit] = ()
 
 
 @dataclass(frozen=True)
@@ -75,15 +105,19 @@ class LocalModel:
     A coordinate is the logarithm of a constant, or the constant over its searched interval.
     """
 
-    def __init__(self, fit: FitJson, searched: SearchedConstants) -> None:
+    def __init__(
+        self, fit: FitJson, searched: SearchedConstants, others: OtherProblems | None = None
+    ) -> None:
         self.names = tuple(fit["parameters"])
         self.values = np.asarray(fit["values"], np.float64)
         self.logarithmic = np.asarray(fit["logarithmic"], bool)
         bounds = np.array([searched.bounds[name] for name in self.names])
+        self.bounds = bounds
         span = bounds[:, 1] - bounds[:, 0]
         self.scale = np.where(self.logarithmic, 1.0, span)
         self.information = np.asarray(fit["hessian"], np.float64) * np.outer(self.scale, self.scale)
         gradient = np.asarray(fit["gradient"], np.float64) * self.scale
+        self.gradient = gradient
         self.eigenvalues, self.eigenvectors = np.linalg.eigh(self.information)
         self.seen = self.eigenvalues > UNSEEN * max(float(self.eigenvalues[-1]), 1e-300)
         self.step = self._limited(-self._inverse() @ gradient, bounds)
@@ -91,6 +125,7 @@ class LocalModel:
         freedom = max(1, int(fit["residuals"]) - len(self.names))
         self.noise_factor = float(np.sqrt(max(1.0, left / freedom)))
         self.covariance = self.noise_factor**2 * self._inverse()
+        self.sources = self._sources(others or OtherProblems())
         self.common = np.array([name in searched.common_scale for name in self.names])
         self.unseen_variance = self._unseen_variance(bounds)
 
@@ -108,11 +143,49 @@ class LocalModel:
 
     def ends(self, i: int) -> FloatArray:
         """Return the interval of a constant, inside units."""
-        variance = self.covariance[i, i] + self.unseen_variance[i]
+        variance = self.unseen_variance[i] + sum(source.sd[i] ** 2 for source in self.sources)
         reach = DEVIATIONS * float(np.sqrt(variance))
         step = float(self.step[i])
         low, high = min(0.0, step) - reach, max(0.0, step) + reach
         return np.array([self.moved(i, low), self.moved(i, high)])
+
+    def errors(self, i: int) -> dict[str, float]:
+        """Return the standard deviation that each source gives a constant, inside units."""
+        unit = abs(self.values[i]) if self.logarithmic[i] else self.scale[i]
+        return {source.name: float(source.sd[i] * unit) for source in self.sources}
+
+    @property
+    def supported(self) -> tuple[str, ...]:
+        """Return the sources of error that the residual supports decisively, the best first."""
+        found = [source for source in self.sources if source.supported]
+        return tuple(s.name for s in sorted(found, key=lambda s: -s.log_bayes_factor))
+
+    @property
+    def converged(self) -> bool:
+        """Return whether Gauss' step leads nowhere else, in the constants off their bounds."""
+        free = np.array([not self.at_bound(i) for i in range(len(self.names))])
+        part, gradient = self.information[np.ix_(free, free)], self.gradient[free]
+        inverse = np.linalg.pinv(part, rcond=UNSEEN, hermitian=True)
+        return float(gradient @ inverse @ gradient) <= MOST_FALL * self.noise_factor**2
+
+    def at_bound(self, i: int) -> bool:
+        """Return whether a constant is at a bound of the search."""
+        low, high = self.bounds[i]
+        return at_edge(float(self.values[i]), (float(low), float(high)))
+
+    def _sources(self, others: OtherProblems) -> tuple[ErrorSource, ...]:
+        """Return the sources of error: image, misfit, mesh and groups of nuisances."""
+        variance = np.maximum(np.diag(self._inverse()), 0.0)
+        factor = self.noise_factor
+        here = LocalProblem(self.names, self.scale, self._inverse(), self.gradient, factor)
+        found = [
+            ErrorSource(IMAGE, np.sqrt(variance)),
+            ErrorSource(MISFIT, np.sqrt(variance * (factor**2 - 1))),
+        ]
+        if others.nuisances is not None:
+            found += nuisance_sources(here, others.nuisances, others.priors)
+        mesh = mesh_source(here, others.meshes)
+        return tuple(found) if mesh is None else (*found, mesh)
 
     def moved(self, i: int, by: float) -> float:
         """Return the value of a constant at a distance from the candidate, inside units."""
@@ -127,7 +200,9 @@ class LocalModel:
         """
         others = [k for k in range(len(self.names)) if k != j]
         part = self.information[np.ix_(others, others)]
-        sd = self.noise_factor * np.sqrt(np.linalg.pinv(part)[others.index(i), others.index(i)])
+        own = self.noise_factor**2 * np.linalg.pinv(part)[others.index(i), others.index(i)]
+        beside = (s for s in self.sources if s.name not in (IMAGE, MISFIT))
+        sd = np.sqrt(own + sum(s.sd[i] ** 2 + s.sd[j] ** 2 for s in beside))
         step = float(self.step[i] - self.step[j])
         reach = DEVIATIONS * float(sd)
         ratio = float(self.values[i] / self.values[j])

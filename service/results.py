@@ -4,14 +4,16 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from service.identification import Identification
 from service.quantities import Quantity, not_neutral, quantities_inside
+from service.quotable import Quotability
 from service.ratios import RatioEstimate, ratio_estimates
 from service.spec import StudySpec
+from service.study_quotability import ends, study_quotability
 from storage.records import EvaluationRecord
 from storage.task_records import BodyFacts, Scores, TargetKind
 from workers.organs.registry import organ_named
@@ -33,12 +35,17 @@ class ParameterEstimate:
     lower, upper : float
         Bounds of the search.
     estimate : float or None
-        Of the best candidate; None if no candidate has a score.
+        Of the best candidate; None if no candidate has a score, or the best one is no better
+        than the undeformed body.
     target : float or None
         What the target was simulated with; None if it comes from an image.
     before_polish : float or None
         Of the best candidate before the best were fitted by derivatives; None where that is
         not what the study does.
+    interval : (float, float) or None
+        90 % interval; None where none is known or it is withheld.
+    quotability : Quotability or None
+        Whether the estimate may be quoted; None until that was decided.
     """
 
     gene: str
@@ -48,6 +55,18 @@ class ParameterEstimate:
     estimate: float | None
     target: float | None
     before_polish: float | None = None
+    interval: tuple[float, float] | None = None
+    quotability: Quotability | None = None
+
+    @property
+    def quotable(self) -> bool:
+        """Return whether the estimate may be quoted."""
+        return self.quotability is not None and self.quotability.quotable
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Return why the estimate may not be quoted, as clauses; empty if it may."""
+        return () if self.quotability is None else self.quotability.reasons
 
     @property
     def relative_error(self) -> float | None:
@@ -207,6 +226,31 @@ class StudyResults:
     def ratios(self) -> tuple[RatioEstimate, ...]:
         """Return the ratios of stiffnesses where these are all that can be found."""
         return ratio_estimates(self.estimates) if self.identifiable == "ratio" else ()
+
+    @property
+    def quotability(self) -> dict[str, Quotability]:
+        """Return whether each estimate may be quoted, by its inside name."""
+        return study_quotability(self)
+
+    @property
+    def judged(self) -> "StudyResults":
+        """Return the results with intervals and answers, without intervals that do not hold."""
+        answers, known = self.quotability, self.identification
+        constants = {} if known is None else dict(known.constants)
+        for name in constants.keys() & answers.keys():
+            if not answers[name].interval_holds:
+                constants[name] = replace(constants[name], interval=None)
+        estimates = {
+            name: replace(
+                one,
+                estimate=one.estimate if answers[name].estimated else None,
+                interval=ends(constants[name].interval) if name in constants else None,
+                quotability=answers[name],
+            )
+            for name, one in self.estimates.items()
+        }
+        shown = None if known is None else replace(known, constants=constants)
+        return replace(self, estimates=estimates, identification=shown)
 
     @property
     def best_score(self) -> Scores | None:

@@ -20,6 +20,7 @@ from service.results import (
     StudyResults,
 )
 from service.spec import StudySpec
+from service.study_quotability import DerivedEstimate, derived_estimates, ratio_answer
 from storage.plain import to_plain
 from storage.records import EvaluationRecord
 from storage.status import Status
@@ -35,7 +36,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "state": results.state,
         "stopped": results.stop_reason,
         "identifiable": results.identifiable,
-        "ratios": {r.name: _ratio(r) for r in results.ratios},
+        "ratios": {r.name: _ratio(r, results) for r in results.ratios},
         "estimates": {name: _estimate(e) for name, e in results.estimates.items()},
         "identification": _identification(results.identification),
         "score": _score(results.best_score or {}),
@@ -47,6 +48,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "per_label": results.best_scores,
         "seconds": results.wall_s,
         "findings": results.findings,
+        "derived": {one.name: _derived(one) for one in derived_estimates(results)},
         "stages": {stage: _stage(time) for stage, time in results.stages.items()},
         "facts": results.body_facts,
         "target_kind": results.target_kind,
@@ -109,6 +111,9 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
         "relative_error": estimate.relative_error,
         "unit": estimate.unit,
         "bounds": [estimate.lower, estimate.upper],
+        "interval": _interval(estimate.interval),
+        "quotable": estimate.quotable,
+        "reasons": list(estimate.reasons),
     }
 
 
@@ -116,12 +121,28 @@ def _identification(found: Identification | None) -> dict[str, Any] | None:
     return None if found is None else asdict(found) | {"weak": list(found.weak)}
 
 
-def _ratio(ratio: RatioEstimate) -> dict[str, Any]:
+def _ratio(ratio: RatioEstimate, results: StudyResults) -> dict[str, Any]:
+    interval, answer = ratio_answer(results, ratio)
     return {
         "estimate": ratio.estimate,
         "target": ratio.target,
         "relative_error": ratio.relative_error,
+        "interval": _interval(interval),
+        **answer.as_dict(),
     }
+
+
+def _derived(one: DerivedEstimate) -> dict[str, Any]:
+    return {
+        "value": one.value,
+        "unit": one.unit,
+        "interval": _interval(one.interval),
+        **one.answer.as_dict(),
+    }
+
+
+def _interval(ends: tuple[float, float] | None) -> dict[str, float] | None:
+    return None if ends is None else {"lower": ends[0], "upper": ends[1]}
 
 
 def _score(score: Scores) -> dict[str, float | None]:

@@ -16,7 +16,7 @@ from service.identification import (
     identification_from_scatter,
     identification_from_tangents,
 )
-from service.local_model import SearchedConstants
+from service.local_model import OtherProblems, SearchedConstants
 from service.recorded_generations import (
     RecordedGeneration,
     RecordedGenerations,
@@ -41,6 +41,7 @@ from storage.journal import Journal
 from storage.layout import StudyLayout
 from storage.records import EvaluationRecord
 from storage.seal import unseal
+from workers.organs.registry import organ_named
 from workers.spec import validated
 
 
@@ -81,7 +82,7 @@ def study_results(folder: Path) -> StudyResults:
         identification=_identification(spec, log, best),
         unverified_records=log.unverified,
         caveats=log.caveats,
-    )
+    ).judged
 
 
 def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
@@ -193,7 +194,9 @@ def _identification(
     )
     found = log.identification
     if found is not None and found.fit is not None:
-        return identification_from_tangents(searched, found.candidate, found.fit)
+        priors = organ_named(spec.case.organ).nuisances(spec.case, spec.target.constants is None)
+        others = OtherProblems(found.nuisances, tuple(priors), found.meshes or ())
+        return identification_from_tangents(searched, found.candidate, found.fit, others)
     note = "the study ran before there were tangents" if found is None else found.reason
     alike, here = (
         [spec.constants_of(spec.case.canonical(record.genes)) for record in records]

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from service.dispatch import Dispatcher
+from service.error_sources import Lost, mesh_fits, nuisance_fit
 from service.evaluation_run import EvaluationRun
 from service.hooks import Hooks, Observer, StudyFacts
 from service.search.base import Generation, Stopped
@@ -37,6 +38,7 @@ from storage.records import (
 )
 from storage.seal import seal
 from storage.stores import Store, open_store
+from storage.task_records import FitJson
 from workers.organs.registry import organ_named
 
 __all__ = ["Conclusion", "Study", "Tasks"]
@@ -250,17 +252,27 @@ class _Run:
     def _identify(self, best: EvaluationRecord, evaluation: EvaluationRun) -> None:
         """Find out what the image tells of the constants, from the tangents at the best one."""
         reason = organ_named(self.spec.case.organ).no_derivatives
-        if best.fit is not None:
-            self._append(IdentificationRecord(best.candidate, best.fit))
-        elif reason:
-            self._append(IdentificationRecord(best.candidate, None, reason))
-        else:
+        fit = best.fit
+        if fit is None and not reason:
             ending = evaluation.differentiate(best.candidate)
             if ending.kind == "lost":  # of its workers; the next run tries again
                 return
             fit = (ending.value or {}).get("fit")
-            why = "" if fit else ending.reason or "the simulation with tangents gave none"
-            self._append(IdentificationRecord(best.candidate, fit, why))
+            reason = "" if fit else ending.reason or "the simulation with tangents gave none"
+        try:
+            self._append(self._identified(best, fit, reason, evaluation))
+        except Lost:  # the next run tries again
+            return
+
+    def _identified(
+        self, best: EvaluationRecord, fit: FitJson | None, reason: str, evaluation: EvaluationRun
+    ) -> IdentificationRecord:
+        """Return the record with the other sources of error, of the study's own resolution."""
+        if fit is None or best.level is not None:
+            return IdentificationRecord(best.candidate, fit, reason)
+        nuisances = nuisance_fit(best, evaluation)
+        meshes = mesh_fits(best, evaluation) or None
+        return IdentificationRecord(best.candidate, fit, "", nuisances, meshes)
 
     def _append(
         self,

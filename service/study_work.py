@@ -8,16 +8,22 @@ from service.dispatch import Dispatcher, Task
 from service.spec import StudySpec
 from storage.stores import Store
 from storage.task_records import (
+    BodyFacts,
     EvaluationRequest,
     EvaluationResult,
+    FreeParameter,
     PreparedBody,
     PreparedLevel,
     PreparedTarget,
     Scores,
 )
+from workers.organs.registry import organ_named
 from workers.tasks import evaluation as evaluation_tasks
 from workers.tasks.deadline import evaluate_within
 from workers.tasks.findings import find
+
+# Finer than any voxel: bodies stay in voxels of their own.
+FINEST_MM = 1e-6
 
 
 @dataclass(frozen=True)
@@ -100,6 +106,50 @@ class StudyWork:
         name = self.tasks.digest(at.case, at.body, at.target, constants, self.score, *more)
         request["digest"] = name
         return request
+
+    def nuisances_request(self, genes: Mapping[str, float]) -> EvaluationRequest | None:
+        """Return the request of an evaluation that is also differentiated by the nuisances.
+
+        None where the organ has none.
+        """
+        case = self.spec.case
+        searched = self.spec.free_parameters
+        names = {p["name"] for p in searched}
+        stated = case.parameters.from_door(case.constants)
+        imaged = self.spec.target.constants is None
+        known = organ_named(case.organ).nuisances(case, imaged)
+        free = [nuisance.free for nuisance in known if nuisance.name not in names]
+        free = [p for p in free if not stated.get(p["name"])]
+        if not free:
+            return None
+        return self._differentiated(genes, self.resolution(None), [*searched, *free])
+
+    def on_other_mesh(
+        self, genes: Mapping[str, float], nodes: int
+    ) -> tuple[EvaluationRequest, BodyFacts]:
+        """Return the request of an evaluation on a mesh of so many nodes, and facts of the mesh."""
+        own = self._resolutions[None]
+        where = FINEST_MM, nodes, str(self.store.root)
+        made = self.dispatcher.call(self.tasks.level, own.case, own.body, own.target, *where)
+        at = Resolution(made["case"], made["prepared"], made["target"])
+        request = self._differentiated(genes, at, self.spec.free_parameters)
+        return request, made["prepared"]["facts"]
+
+    def _differentiated(
+        self, genes: Mapping[str, float], at: Resolution, free: list[FreeParameter]
+    ) -> EvaluationRequest:
+        constants = self.spec.constants_of(genes)
+        return {
+            "store": str(self.store.root),
+            "case": at.case,
+            "prepared": at.body,
+            "target": at.target,
+            "constants": constants,
+            "score": self.score,
+            "keep_volume": False,
+            "free": free,
+            "digest": self.tasks.digest(at.case, at.body, at.target, constants, self.score, free),
+        }
 
     @property
     def evaluate(self) -> Task:

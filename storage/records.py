@@ -23,7 +23,14 @@ from storage.errors import JournalError
 from storage.plain import to_number, to_plain
 from storage.status import Status
 from storage.stores import check_schema
-from storage.task_records import FitJson, OutcomeJson, PreparedBody, PreparedTarget, Scores
+from storage.task_records import (
+    FitJson,
+    MeshFit,
+    OutcomeJson,
+    PreparedBody,
+    PreparedTarget,
+    Scores,
+)
 
 SCHEMA_VERSION = 1
 
@@ -247,19 +254,27 @@ class IdentificationRecord(_JournalRecord):
         Its least-squares problem; None where there is none.
     reason : str
         Why there is none; empty if there is one.
+    nuisances : FitJson, optional
+        The same problem with the nuisance parameters of the organ; see `Organ.nuisances`.
+    meshes : list of MeshFit, optional
+        The same problem on meshes of other sizes.
     """
 
     kind: ClassVar[str] = "identification"
+    left_out_if_none: ClassVar[frozenset[str]] = frozenset({"nuisances", "meshes"})
 
     candidate: int
     fit: FitJson | None
     reason: str = ""
+    nuisances: FitJson | None = None
+    meshes: list[MeshFit] | None = None
 
     def __post_init__(self) -> None:
         if (self.fit is None) != bool(self.reason):
             _refuse("an identification has either tangents or a reason why not")
-        if self.fit is not None:
-            _restore_numbers(self, "fit")
+        for name in ("fit", "nuisances", "meshes"):
+            if getattr(self, name) is not None:
+                _restore_numbers(self, name)
 
 
 @dataclass(frozen=True)

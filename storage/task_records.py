@@ -90,6 +90,13 @@ class FitJson(TypedDict):
     noise: str
 
 
+class MeshFit(TypedDict):
+    """The least-squares problem of a candidate on a mesh of another size."""
+
+    nodes: int
+    fit: FitJson
+
+
 class FreeParameter(TypedDict):
     """A parameter by which residuals are differentiated: inside name and units, searched bounds."""
 

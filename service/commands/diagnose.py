@@ -103,15 +103,15 @@ def diagnose(
     if diagnosis is None:
         raise interrupted()
     diagnosis = with_caveats(diagnosis, source_caveats(opened, findings))
+    from service.diagnosis.quotability import summary_json
     from service.report.diagnosis_files import write_diagnosis
     from service.report.diagnosis_made import origin_of
-    from storage.typed_json import to_json
 
     spent = None if stored else time.monotonic() - began
     origin = origin_of(opened, request, when, f"palpate diagnose {source}", spent)
     page = write_diagnosis(diagnosis, out or RUNS / folder_name(source), origin)
     if as_json:
-        print_json(to_json(diagnosis.summary))
+        print_json(summary_json(diagnosis.summary))
         return
     from service.commands.tables import make_console
 
@@ -193,6 +193,7 @@ def print_verdict(summary: "Summary", console: "Console") -> None:
     from service.commands.tables import print_table
     from service.diagnosis.advice import worth
     from service.diagnosis.experiment import experiment_lines
+    from service.diagnosis.quotability import constant_lines
     from service.diagnosis.words import ADD_UP, likely, magnitude, sentence, spoken
 
     for text in summary.caveats or ():
@@ -215,5 +216,5 @@ def print_verdict(summary: "Summary", console: "Console") -> None:
         )
     for option in summary.next_acquisitions or ():
         console.print(f"Next, {option.name}: {worth(option)}.", soft_wrap=True)
-    for line in experiment_lines(summary):
+    for line in (*constant_lines(summary), *experiment_lines(summary)):
         console.print(line, soft_wrap=True)

@@ -12,10 +12,11 @@ if TYPE_CHECKING:
 
     from service.ratios import RatioEstimate
     from service.results import ParameterEstimate, StudyResults
+    from service.study_quotability import DerivedEstimate
 
 ONLY_RATIOS = (
-    "Only ratios of the stiffnesses were found: the plates stood at a distance and no stiffness "
-    "was held. The values below have an arbitrary scale: do not quote them in kPa."
+    "Only ratios of the stiffnesses were found: the plates are at a known distance, and no force "
+    "or stiffness is stated. The values below have an arbitrary scale."
 )
 
 
@@ -46,8 +47,7 @@ def print_report(results: "StudyResults", console: "Console") -> None:
         console.print(text, soft_wrap=True)
     if results.identifiable == "ratio":
         console.print(ONLY_RATIOS)
-        ratios = [(r.name, *_numbers(r, "")) for r in results.ratios]
-        print_table(console, ("ratio", "estimate", "target", "error"), ratios, right=(1, 2, 3))
+        _print_ratios(results, console)
     headings, rows = _estimates(results)
     right = tuple(range(1, len(headings)))
     print_table(console, headings, rows, title=results.name, right=right)
@@ -68,6 +68,24 @@ def print_report(results: "StudyResults", console: "Console") -> None:
     console.print(f"{clock(results.wall_s)} in all; workers {clock(total_s)}: {stages or 'none'}")
 
 
+def _print_ratios(results: "StudyResults", console: "Console") -> None:
+    from service.commands.tables import print_table
+    from service.study_quotability import ratio_answer
+
+    rows, reasons = [], []
+    for ratio in results.ratios:
+        interval, answer = ratio_answer(results, ratio)
+        estimate, *others = _numbers(ratio, "")
+        shown = "-" if interval is None else _between(*interval)
+        rows.append((ratio.name, estimate, shown, *others, "yes" if answer.quotable else "no"))
+        if answer.reasons:
+            reasons.append(f"Not quotable: {ratio.name}: {'; '.join(answer.reasons)}.")
+    headings = ("ratio", "estimate", "90 % interval", "target", "error", "quotable")
+    print_table(console, headings, rows, right=(1, 2, 3, 4, 5))
+    for text in reasons:
+        console.print(text)
+
+
 def _estimates(results: "StudyResults") -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return headings and rows; columns of which nothing is known are left out."""
     known = results.identification
@@ -79,26 +97,52 @@ def _estimates(results: "StudyResults") -> tuple[tuple[str, ...], list[tuple[str
         estimate, target, error = _numbers(e, unit)
         more = []
         if known is not None:
-            constant = known.constants.get(name)
-            interval = None if constant is None else constant.interval
-            more.append(
-                "-" if interval is None else f"{number(interval.lower)} to {number(interval.upper)}"
-            )
+            more.append("-" if e.interval is None else _between(*e.interval))
         if polished:
             more.append("-" if e.before_polish is None else f"{number(e.before_polish)}{unit}")
-        rows.append((name, estimate, *more, target, error, f"{e.lower:g} to {e.upper:g}{unit}"))
-    return ("parameter", "estimate", *between, "target", "error", "searched"), rows
+        searched = f"{e.lower:g} to {e.upper:g}{unit}"
+        rows.append((name, estimate, *more, target, error, searched, _yes_no(e)))
+    return ("parameter", "estimate", *between, "target", "error", "searched", "quotable"), rows
+
+
+def _between(lower: float, upper: float) -> str:
+    from service.formatting import number
+
+    return f"{number(lower)} to {number(upper)}"
+
+
+def _yes_no(e: "ParameterEstimate") -> str:
+    return "yes" if e.quotable else "no"
 
 
 def _how_well(results: "StudyResults") -> list[str]:
-    """Return sentences on how well the image determines the constants."""
+    """Return sentences on what may not be quoted, and on how well the image determines the rest."""
+    from service.error_budget import in_words
+    from service.study_quotability import derived_estimates
+
+    texts = [
+        f"Not quotable: {name}: {reason}."
+        for name, e in results.estimates.items()
+        if e.reasons
+        for reason in ["; ".join(e.reasons)]
+    ]
+    texts += [derived_text(one) for one in derived_estimates(results)]
     known = results.identification
     if known is None:
-        return []
-    texts = [f"Weakly determined: {', '.join(known.weak)}."] if known.weak else []
+        return texts
+    for name, constant in known.constants.items():
+        shares = in_words(constant.errors, constant.estimate)
+        if shares and results.estimates[name].interval is not None:
+            texts.append(f"Standard deviation of {name} by source: {shares}.")
     if known.directions:
         texts.append(f"Least known: {known.directions[-1].words}.")
     return texts
+
+
+def derived_text(one: "DerivedEstimate") -> str:
+    """Return a derived value with its interval, and whether it may be quoted."""
+    interval = "" if one.interval is None else f" ({_between(*one.interval)}, 90 %)"
+    return f"{one.name}: {one.value:.4g} {one.unit}{interval}. {one.answer.sentence}."
 
 
 def _numbers(e: "ParameterEstimate | RatioEstimate", unit: str) -> tuple[str, str, str]:

@@ -12,13 +12,9 @@ SHOWN = 12
 
 
 def experiment_lines(summary: Summary) -> Iterator[str]:
-    """Yield constants, forces, what hides, and states to come; nothing for scans."""
+    """Yield forces, what hides, and states to come; nothing for scans."""
     if summary.predictions is None:
         return
-    for name, constant in summary.constants.items():
-        values = [v for v in (constant.before, constant.after) if v is not None]
-        said = [f"{v:.0f} kPa" if name.endswith("_kpa") else f"{v:.3g}" for v in values]
-        yield f"{name.removesuffix('_kpa')}: {', with what was found '.join(said)}"
     yield from _force_lines(summary)
     for effect in summary.hidden or ():
         for name, kpa in effect.constants_kpa.items():

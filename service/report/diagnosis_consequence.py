@@ -1,51 +1,57 @@
-"""Says what follows from a diagnosis: which constants can be quoted, and what to do next."""
+"""Consequences of a diagnosis: which constants may be quoted, and what to do next."""
+
+from collections.abc import Mapping
 
 from markupsafe import Markup
 
+from service.diagnosis.quotability import (
+    SAME,
+    JudgedConstant,
+    change,
+    is_lead,
+    judged_constants,
+    reasons_by_name,
+)
 from service.diagnosis.words import together
-from service.formatting import joined, number, percent, signed_error, symbol
-from workers.diagnosis.summary import ConstantEstimate, Summary
-from workers.diagnosis.verdict import NO_GAP
-
-# A constant that an effect changes by less is the same with and without it.
-SAME = 0.05
+from service.formatting import joined, percent, signed_error, symbol
+from workers.diagnosis.summary import Summary
 
 
 def quotable(summary: Summary) -> Markup:
     """Return a sentence on which constants may be quoted and which not."""
     if not summary.constants:
         return Markup("")
-    before = {name: value.before for name, value in summary.constants.items()}
-    if summary.verdict == "no-gap":
-        return Markup("Quote {}.{}").format(_values(before), _hidden(summary))
-    if summary.verdict == "none-of-these":
-        return Markup(
-            "Do not quote {}: they were fitted with a model that lacks something unnamed."
-        ).format(_names(before))
-    after = {n: v.after for n, v in summary.constants.items() if v.after is not None}
-    if not after:
-        return Markup("Do not quote {}: the cause of the gap is open.").format(_names(before))
-    same = {n: v for n, v in after.items() if _change(summary.constants[n]) < SAME}
-    if summary.verdict == "cannot-be-told-apart" or _is_lead(summary):
-        rest = [n for n in after if n not in same]
-        if not rest:
-            return Markup(
-                "Quote {}: no cause that comes into question changes it by more than {:.0f} %."
-            ).format(_values(same), 100 * SAME)
-        quote = Markup("Quote {}; do not").format(_values(same)) if same else Markup("Do not")
-        return Markup("{} quote {}: they depend on a cause that is not sure.").format(
-            quote, _names(rest)
-        )
-    changes = [
-        Markup("{} {}").format(symbol(n, "kPa"), percent(signed_error(v, before[n]), 0))
-        for n, v in after.items()
-        if n not in same
+    judged = judged_constants(summary)
+    good = [
+        Markup("{} = {}").format(symbol(name, "kPa"), one.text)
+        for name, one in judged.items()
+        if one.answer.quotable
     ]
-    against = Markup(
-        " Do not quote those of the nominal model: without {} they are off ({})."
-    ).format(together(summary.primary), joined(changes))
-    return Markup("Quote {}, fitted with {}.{}{}").format(
-        _values(after), together(summary.primary), against if changes else "", _hidden(summary)
+    bad = [
+        Markup("{} ({})").format(_names(names), reasons)
+        for names, reasons in reasons_by_name(judged)
+    ]
+    if not good:
+        return Markup("Do not quote {}.").format(joined(bad))
+    fitted = summary.primary if summary.verdict != "no-gap" else ()
+    quote = Markup("Quote {}{}").format(
+        joined(good), f", fitted with {together(fitted)}" if fitted else ""
+    )
+    rest = Markup("; do not quote {}").format(joined(bad)) if bad else Markup("")
+    return quote + rest + Markup(".") + _of_nominal_model(summary, judged) + _hidden(summary)
+
+
+def _of_nominal_model(summary: Summary, judged: Mapping[str, JudgedConstant]) -> Markup:
+    """Return by how much the constants of the nominal model are off without the accused effects."""
+    changes = [
+        Markup("{} {}").format(symbol(n, "kPa"), percent(signed_error(c.after, c.before), 0))
+        for n, c in summary.constants.items()
+        if judged[n].answer.quotable and change(c) >= SAME
+    ]
+    if summary.verdict == "no-gap" or not changes:
+        return Markup("")
+    return Markup(" Without {} the constants of the nominal model are off ({}).").format(
+        together(summary.primary), joined(changes)
     )
 
 
@@ -62,32 +68,10 @@ def next_step(summary: Summary, command: str) -> Markup:
         ).format(f"palpate plan {source}".strip())
     if summary.verdict == "none-of-these":
         return Markup("Look where model and data differ, and at what is not in the catalogue.")
-    if _is_lead(summary):
+    if is_lead(summary):
         return Markup("Confirm {} by a scan under another load.").format(together(summary.primary))
     return Markup("Put {} into the model, or measure it, and fit again.").format(
         together(summary.primary)
-    )
-
-
-def _is_lead(summary: Summary) -> bool:
-    """Return whether there may be no gap, or as large a one on scans that were not fitted to."""
-    share = summary.gap_mm.held_out_share
-    return NO_GAP in summary.set90 or (share is not None and share.low < 0)
-
-
-def _change(constant: ConstantEstimate) -> float:
-    change = signed_error(constant.after, constant.before)
-    return abs(change) if change is not None else 0.0
-
-
-def _values(constants: dict[str, float]) -> Markup:
-    return joined(
-        [
-            Markup("{} = {}{}").format(
-                symbol(n, "kPa"), number(v, 3), " kPa" if n.endswith("_kpa") else ""
-            )
-            for n, v in constants.items()
-        ]
     )
 
 

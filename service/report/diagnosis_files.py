@@ -3,12 +3,12 @@
 import json
 from pathlib import Path
 
+from service.diagnosis.quotability import summary_json
 from service.diagnosis.run import FinishedDiagnosis
 from service.report.diagnosis_made import Origin
 from service.report.diagnosis_page import render
 from storage.atomic import explained, write_file
 from storage.plain import to_plain
-from storage.typed_json import to_json
 
 
 def write_diagnosis(
@@ -31,7 +31,7 @@ def write_diagnosis(
     """
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    plain = to_plain(to_json(diagnosis.summary))
+    plain = to_plain(summary_json(diagnosis.summary))
     text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)
     write_file(folder / "diagnosis.json", text.encode() + b"\n")
     page = folder / "diagnosis.html"

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 
 from service.diagnosis.advice import undecided, worth
+from service.diagnosis.quotability import summary_json
 from service.diagnosis.run import FinishedDiagnosis
 from service.diagnosis.words import (
     ADD_UP,
@@ -32,7 +33,6 @@ from service.report.provenance import diagnosis_provenance
 from service.report.template import filled
 from service.versions import palpate_version, versions
 from storage.plain import to_plain
-from storage.typed_json import to_json
 from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.breast_catalogue import NOT_SIMULATED
 
@@ -107,7 +107,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "about_evidence": _about_evidence(summary),
         "cause_picture": _cause_picture(summary),
         "about_causes": _about_causes(summary),
-        "constants": tables.constants(summary.constants),
+        "constants": tables.constants(summary),
         "effects": tables.effects(summary.effects, summary.absorbed),
         "add_up": ADD_UP,
         "advice": _advice(summary),
@@ -132,7 +132,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "percentiles": any(region.p95_mm is not None for region in summary.where),
         "regions": tables.regions(summary.where),
         "not_simulated": NOT_SIMULATED if summary.not_simulated is None else summary.not_simulated,
-        "json": json.dumps(to_plain(to_json(summary)), indent=2, ensure_ascii=False),
+        "json": json.dumps(to_plain(summary_json(summary)), indent=2, ensure_ascii=False),
         "closing": f"Made by Palpate {palpate_version()}.",
     }
 

@@ -1,13 +1,15 @@
 """The rows of a diagnosis' tables, ready to print."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from service.diagnosis.quotability import judged_constants, unit_of
 from service.diagnosis.words import bayes_factor, likely, magnitude, millimetres, signed, spoken
 from service.formatting import NONE, number, percent, signed_error, symbol
+from service.quotable import Bounds
 from workers.diagnosis import summary as schema
 
 Pair = tuple[str, str]
@@ -15,13 +17,15 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True)
 class ConstantRow:
-    """A constant before and after an effect is taken into account."""
+    """A constant before and after an effect is taken into account, with its 90 % interval."""
 
     symbol: Markup
     before: str
     after: str
     change: str
     unit: str
+    interval: str
+    quotable: str
 
 
 @dataclass(frozen=True)
@@ -69,18 +73,25 @@ class OverlapRow:
     mean: Pair
 
 
-def constants(found: Mapping[str, schema.ConstantEstimate]) -> list[ConstantRow]:
+def constants(summary: schema.Summary) -> list[ConstantRow]:
     """Return a row for each constant, of the nominal model and with the effect."""
+    judged = judged_constants(summary)
     return [
         ConstantRow(
             symbol(name, "kPa"),
             number(value.before),
             number(value.after),
             percent(signed_error(value.after, value.before)),
-            "kPa" if name.endswith("_kpa") else "none",
+            unit_of(name) or "none",
+            _interval(judged[name].interval),
+            "yes" if judged[name].answer.quotable else "no",
         )
-        for name, value in found.items()
+        for name, value in summary.constants.items()
     ]
+
+
+def _interval(ends: Bounds | None) -> str:
+    return NONE if ends is None else f"{number(ends[0], 3)} … {number(ends[1], 3)}"
 
 
 def effects(found: Iterable[schema.EffectSummary], absorbed: Iterable[str]) -> list[EffectRow]:

@@ -1,40 +1,73 @@
-"""Says what follows from a study: which constants can be quoted, and what to do next."""
+"""Consequences of a study: which constants may be quoted, and what to do next."""
 
 from collections.abc import Iterable
 
 from markupsafe import Markup
 
+from service.error_budget import in_words
 from service.formatting import at_edge, joined, number, symbol
 from service.identification import Identification, IdentifiedConstant
+from service.quotable import Quotability
 from service.results import ParameterEstimate, StudyResults
+from service.study_quotability import DerivedEstimate, derived_estimates, ratio_quotability
 from storage.task_records import TargetKind
 
 
 def quotable(results: StudyResults) -> Markup:
     """Return a sentence on which constants may be quoted and which not; empty if there are none."""
-    found = {n: e for n, e in results.estimates.items() if e.estimate is not None}
-    if not found:
+    if all(e.estimate is None and e.quotability is None for e in results.estimates.values()):
         return Markup("")
-    if results.state != "stopped":
-        return Markup("Quote nothing yet: the search goes on, and these are the best so far.")
     known = results.identification
-    ratios = _ratios(known)
-    if ratios:
-        return ratios
-    good: list[Markup] = []
-    reasons: dict[str, list[Markup]] = {}
-    for name, estimate in found.items():
-        why = _against(estimate, None if known is None else known.constants.get(name))
-        if why:
-            reasons.setdefault(why, []).append(_named(name, estimate))
-        else:
-            good.append(_named(name, estimate))
-    bad = [Markup("{} ({})").format(joined(names), why) for why, names in reasons.items()]
+    if known is not None and known.ratios:
+        return _said(_ratios(known, results), "Quote ratios only: {}") + Markup(
+            " The plates are at a known distance and no force is stated, so no value in kPa can "
+            "be found."
+        )
+    answers = results.quotability
+    constants = [
+        (_with_interval(name, estimate, known, answers[name]), answers[name])
+        for name, estimate in results.estimates.items()
+    ]
+    return _said(constants + [(_derived(d), d.answer) for d in derived_estimates(results)])
+
+
+def _derived(one: DerivedEstimate) -> Markup:
+    """Return a derived value, with its value and interval where it may be quoted."""
+    if not one.answer.quotable or one.interval is None:
+        return Markup("{}").format(one.name)
+    ends = f"{number(one.interval[0], 3)} to {number(one.interval[1], 3)}"
+    return Markup("{} = {} ({}) {}").format(one.name, number(one.value, 3), ends, one.unit)
+
+
+def _said(judged: list[tuple[Markup, Quotability]], quote: str = "Quote {}") -> Markup:
+    """Return what may be quoted, and what may not and why, as one sentence."""
+    good = [name for name, answer in judged if answer.quotable]
+    reasons: dict[tuple[str, ...], list[Markup]] = {}
+    for name, answer in judged:
+        if not answer.quotable:
+            reasons.setdefault(answer.reasons, []).append(name)
+    bad = [
+        Markup("{} ({})").format(joined(names), "; ".join(why)) for why, names in reasons.items()
+    ]
     if not bad:
-        return Markup("Quote {}.").format(joined(good))
+        return Markup(f"{quote}.").format(joined(good))
     if not good:
         return Markup("Do not quote {}.").format(joined(bad))
-    return Markup("Quote {}; do not quote {}.").format(joined(good), joined(bad))
+    return Markup(quote + "; do not quote {}.").format(joined(good), joined(bad))
+
+
+def _with_interval(
+    name: str, estimate: ParameterEstimate, known: Identification | None, answer: Quotability
+) -> Markup:
+    """Return a constant, with its value and interval where it may be quoted."""
+    constant = None if known is None else known.constants.get(name)
+    if not answer.quotable or constant is None or constant.interval is None:
+        return _named(name, estimate)
+    value = number(estimate.estimate, 3)
+    ends = f"{number(constant.interval.lower, 3)} to {number(constant.interval.upper, 3)}"
+    return Markup("{} = {} ({}){}").format(
+        _named(name, estimate), value, ends, f" {estimate.unit}".rstrip()
+    )
 
 
 def next_step(results: StudyResults, target: TargetKind | None) -> Markup:
@@ -53,7 +86,7 @@ def next_step(results: StudyResults, target: TargetKind | None) -> Markup:
             joined(edges)
         )
     known = results.identification
-    if known is not None and _ratios(known):
+    if known is not None and any(c.identifiable == "ratio" for c in known.constants.values()):
         return Markup(
             "State the force of the plates, or hold one stiffness, to find values and not ratios."
         )
@@ -100,44 +133,35 @@ def about_intervals(known: Identification | None) -> str:
         else "the scatter of candidates that are as good as the best"
     )
     factor = (
-        f" The model leaves {number(known.noise_factor, 2)} times the noise, and the intervals "
-        "are widened by that."
+        f" The residual is {number(known.noise_factor, 2)} times the stated noise, and the "
+        "intervals are wider by that factor."
         if known.noise_factor > 1
         else ""
     )
+    shares = [
+        f"{name}: {in_words(c.errors, c.estimate)}"
+        for name, c in known.constants.items()
+        if c.errors
+    ]
+    if shares:
+        factor += f" Standard deviations by source: {'; '.join(shares)}."
     return (
         f"Intervals hold with {100 * level:.0f} % and come from {how}. A constant whose interval "
         f"is wider than half its value is weakly determined.{factor}"
     )
 
 
-def _against(estimate: ParameterEstimate, known: IdentifiedConstant | None) -> str:
-    """Return why a constant is not to be quoted; empty if it may be."""
-    value = estimate.estimate
-    if value is not None and at_edge(value, (estimate.lower, estimate.upper)):
-        return "it lies at the edge of the searched interval"
-    if known is None or known.identifiable in ("value", "ratio"):
-        return ""
-    if known.interval is None:
-        return "nothing says how well it is determined"
-    return f"weakly determined, {interval_text(known)} {known.unit}".rstrip()
-
-
-def _ratios(known: Identification | None) -> Markup:
-    """Return a sentence where only ratios can be found; else nothing."""
-    if known is None or not any(c.identifiable == "ratio" for c in known.constants.values()):
-        return Markup("")
-    ratios = [
-        Markup("{} / {} = {}").format(
-            symbol(r.numerator), symbol(r.denominator), number(r.estimate, 3)
+def _ratios(known: Identification, results: StudyResults) -> list[tuple[Markup, Quotability]]:
+    """Return the ratios with their answers, where only ratios can be found."""
+    return [
+        (
+            Markup("{} / {} = {}").format(
+                symbol(r.numerator), symbol(r.denominator), number(r.estimate, 3)
+            ),
+            ratio_quotability(results, r),
         )
         for r in known.ratios
     ]
-    told = Markup(": {}").format(joined(ratios)) if ratios else Markup("")
-    return Markup(
-        "Quote ratios only{}. The plates stand at a distance, so no force says how stiff the "
-        "whole is, and no value in kPa can be found."
-    ).format(told)
 
 
 def _named(name: str, estimate: ParameterEstimate) -> Markup:

@@ -81,8 +81,12 @@ def level(
 
 
 def fit_of(constants: Record, free: Sequence[Record]) -> Record:
-    """Residuals c / true - 1 of each constant, twenty of each, with a noise of 0.01."""
+    """Residuals c / true - 1 of each constant, twenty of each, with a noise of 0.01.
+
+    Nuisance parameters, which no candidate holds, change nothing.
+    """
     names = [p["name"] for p in free]
+    constants = {name: TRUTH.get(name, 0.1) for name in names} | dict(constants)
     ratios = [constants[name] / TRUTH.get(name, 0.1) for name in names]
     squares = [[20 * (q / 0.01) ** 2 * (i == j) for j in range(len(names))]
                for i, q in enumerate(ratios)]  # fmt: skip

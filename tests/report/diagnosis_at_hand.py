@@ -107,8 +107,20 @@ def summary(**changes: Any) -> Json:
         },
         "where": WHERE,
         "constants": {
-            "E_fat_kpa": {"before": 10.0, "after": 11.0},
-            "eta_kpa": {"before": 54.45, "after": 60.11},
+            "E_fat_kpa": {
+                "before": 10.0,
+                "after": 11.0,
+                "before_interval": [9.8, 10.2],
+                "after_interval": [10.7, 11.3],
+                "stated": [5.0, 20.0],
+            },
+            "eta_kpa": {
+                "before": 54.45,
+                "after": 60.11,
+                "before_interval": [50.0, 58.0],
+                "after_interval": [55.0, 66.0],
+                "stated": [30.0, 120.0],
+            },
         },
         "refits": [
             {
@@ -149,7 +161,7 @@ def nothing(kind: str, **changes: Any) -> Json:
         "held_out_after": None,
         "not_judged": [],
     }
-    constants = {"E_fat_kpa": {"before": 10.0, "after": None}}
+    constants = {"E_fat_kpa": {"before": 10.0, "after": None, "before_interval": [9.8, 10.2]}}
     told = {
         "verdict": kind,
         "primary": [],

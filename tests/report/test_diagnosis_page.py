@@ -45,6 +45,8 @@ def test_a_page_is_well_formed_and_needs_no_other_file(told: dict[str, Any]) -> 
     page.needs_no_other_file()
     begin = page.text.index('{ "case": "by-hand"')
     shown = json.JSONDecoder().raw_decode(page.text, begin)[0]
+    for constant in shown["constants"].values():
+        assert constant.pop("quotable") is not bool(constant.pop("reasons"))
     assert {name: shown[name] for name in told} == told
 
 
@@ -170,9 +172,9 @@ def test_effects_with_magnitudes_and_the_hidden_ones_last_and_grey(source: str, 
 
 
 def test_constants_before_and_after(page: Page) -> None:
-    assert page.row("Efat") == ["Efat", "10", "11", "+10.0 %", "kPa"]
+    assert page.row("Efat") == ["Efat", "10", "11", "10.7 … 11.3", "+10.0 %", "kPa", "yes"]
     alone = Page(render(found(VERDICTS["no gap"])))
-    assert alone.row("Efat") == ["Efat", "10", "–", "–", "kPa"]
+    assert alone.row("Efat") == ["Efat", "10", "–", "9.8 … 10.2", "–", "kPa", "yes"]
 
 
 def test_regions_without_a_significant_gap_are_grey(source: str, page: Page) -> None:
@@ -224,10 +226,27 @@ def test_every_length_of_the_headline_has_its_tile() -> None:
 @pytest.mark.parametrize(
     ("which", "quote", "following"),
     [
-        ("effect", "Quote Efat = 11 kPa and η = 60.1 kPa, fitted with plate tilt.", "Put plate"),
-        ("no gap", "Quote Efat = 10 kPa. They may hide plate force.", "Nothing needs to be added"),
-        ("none of these", "Do not quote Efat:", "Look where model and data differ"),
-        ("not told apart", "Do not quote Efat and η: they depend on a cause", "palpate plan"),
+        (
+            "effect",
+            "Quote Efat = 11 (10.7 to 11.3) kPa and η = 60.1 (55 to 66) kPa, fitted with plate "
+            "tilt.",
+            "Put plate",
+        ),
+        (
+            "no gap",
+            "Quote Efat = 10 (9.8 to 10.2) kPa. They may hide plate force.",
+            "Nothing needs to be added",
+        ),
+        (
+            "none of these",
+            "Do not quote Efat (the model lacks something that is not in the catalogue)",
+            "Look where model and data differ",
+        ),
+        (
+            "not told apart",
+            "Do not quote Efat and η (it depends on a cause that is not certain)",
+            "palpate plan",
+        ),
     ],
 )
 def test_what_follows_is_said(which: str, quote: str, following: str) -> None:

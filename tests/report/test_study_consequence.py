@@ -31,7 +31,9 @@ def page(identification: Identification | None, **changed: Any) -> Page:
 
 def test_what_is_well_determined_is_quoted_and_what_is_not_is_not() -> None:
     shown = page(known())
-    assert "Quote Efat; do not quote ηfat (weakly determined, 46 … 140 kPa)." in shown.text
+    assert (
+        "Quote Efat = 10.1 (9.8 to 10.4) kPa; do not quote ηfat (weakly determined, 46 to 140 kPa)."
+    ) in shown.text
     assert shown.row("Efat")[1:3] == ["10.1", "9.8 … 10.4"]
     assert shown.row("ηfat")[1:3] == ["93 weakly determined", "46 … 140"]
     assert '<tr class="weak"><td><i>η</i>' in shown.source
@@ -46,7 +48,8 @@ def test_intervals_are_drawn() -> None:
 
 
 def test_all_well_determined() -> None:
-    assert "What to quote Quote Efat and ηfat." in page(known(eta_fat="value")).text
+    said = "What to quote Quote Efat = 10.1 (9.8 to 10.4) kPa and ηfat = 93 (90 to 96) kPa."
+    assert said in page(known(eta_fat="value")).text
 
 
 def test_only_ratios() -> None:
@@ -59,7 +62,7 @@ def test_only_ratios() -> None:
 
 def test_nothing_is_known_of_a_study_without_tangents() -> None:
     text = page(known("unknown", "unknown", note="the simulation had no tangents")).text
-    assert "Do not quote Efat and ηfat (nothing says how well it is determined)." in text
+    assert "Do not quote Efat and ηfat (no interval is known)." in text
     assert "There are no intervals: the simulation had no tangents." in text
 
 
@@ -67,7 +70,7 @@ def test_an_estimate_at_its_bound_is_not_quoted() -> None:
     estimates = dict(results().estimates)
     estimates["eta_fat"] = replace(estimates["eta_fat"], estimate=199.5)
     text = page(known(eta_fat="value"), estimates=estimates).text
-    assert "do not quote ηfat (it lies at the edge of the searched interval)" in text
+    assert "do not quote ηfat (at the upper bound of the searched interval (200 kPa))" in text
     assert "Widen the searched interval of ηfat" in text
 
 
@@ -77,7 +80,7 @@ def test_an_estimate_at_its_bound_is_not_quoted() -> None:
 )
 def test_an_unfinished_search_is_not_quoted(state: str, said: str) -> None:
     text = page(None, state=state, stop_reason=None).text
-    assert "Quote nothing yet" in text
+    assert "Do not quote Efat and ηfat (the search has not finished, and this is" in text
     assert said in text
 
 

@@ -13,6 +13,7 @@ from compressed_breast import SCANS, TRUE_MPA, loads_exchanged, write_case
 
 from service.cli import main
 from service.cluster import open_cluster
+from service.diagnosis.quotability import summary_json
 from service.diagnosis.run import FinishedDiagnosis, Step, finished, request_for, run
 from service.dispatch import Dispatcher
 from service.errors import Interrupted
@@ -394,7 +395,11 @@ def test_a_stored_diagnosis_needs_no_cluster(
     monkeypatch.setattr("service.diagnosis.run.request_for", lambda *_: diagnosed[0])
     assert main(["diagnose", str(tilted), "--json", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
-    assert json.loads(said.out) == to_json(diagnosed[1].summary)
+    shown = json.loads(said.out)
+    assert shown == json.loads(json.dumps(summary_json(diagnosed[1].summary)))
+    for constant in shown["constants"].values():
+        assert constant["quotable"] is not bool(constant["reasons"])
+        assert constant["before_interval"][0] < constant["before"] < constant["before_interval"][1]
     assert json.loads((tmp_path / "out" / "diagnosis.json").read_text()) == to_json(
         diagnosed[1].summary
     )

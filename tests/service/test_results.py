@@ -155,6 +155,7 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "per_label": [],
     "seconds": None,
     "findings": None,
+    "derived": [],
     "stages": ["solve"],
     "facts": ["tissue_ml"],
     "target_kind": None,
@@ -166,6 +167,7 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "config": ["name", "case", "target", "score", "search", "seed", "keep"],
 }
 ESTIMATE_KEYS = ["gene", "estimate", "target", "relative_error", "unit", "bounds"]
+ESTIMATE_KEYS += ["interval", "quotable", "reasons"]
 GENERATION_KEYS = ["number", "asked", "ended", "complete"]
 SCORED_KEYS = ["best", "mean", "best_candidate", "best_genes", "failed"]
 CANDIDATE_KEYS = ["study", "candidate", "generation", "evaluated_as", "genes", "held", "status"]

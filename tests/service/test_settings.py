@@ -223,5 +223,11 @@ def test_only_ratios_are_reported_where_plates_stand_at_a_distance(
     assert ratio["estimate"] == pytest.approx(
         estimates["E_glandular"]["estimate"] / estimates["E_fat"]["estimate"]
     )
+    assert {one["quotable"] for one in estimates.values()} == {False}
+    why = "only its ratio to the other stiffnesses can be found"
+    assert all(why in one["reasons"] for one in estimates.values())
+    assert set(ratio) >= {"interval", "quotable", "reasons"}
     assert main(["report", str(folder)]) == 0
-    assert "do not quote them in kPa" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "arbitrary scale" in shown
+    assert "Not quotable: E_fat" in shown

@@ -11,7 +11,8 @@ from workers.diagnosis.acquisition import INTERFACES
 from workers.diagnosis.diagnosis import Diagnosis
 from workers.diagnosis.gap import Gap, gap
 from workers.diagnosis.gap_posterior import draw_gaps
-from workers.diagnosis.inverse_problem import InverseProblem
+from workers.diagnosis.gauss_newton import Fit
+from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem
 from workers.diagnosis.linear_fit import LinearFit, Registration
 from workers.diagnosis.linearisation import Linearised
 from workers.diagnosis.parameter_posterior import parameter_posterior
@@ -35,6 +36,9 @@ from workers.diagnosis.verdict import NO_GAP
 from workers.mechanics.effects.base import Effect, one_sided
 from workers.mechanics.parameters import Parameter
 from workers.mechanics.readings import shown
+
+# Of the normal distribution: nine in ten are within so many standard deviations.
+DEVIATIONS_90 = 1.6449
 
 
 def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Summary:
@@ -292,15 +296,45 @@ def _where(inverse: InverseProblem, fit: LinearFit) -> Iterator[RegionGap]:
 
 
 def _constants(diagnosis: Diagnosis) -> dict[str, ConstantEstimate]:
-    before = diagnosis.analysis.nominal.values()
-    after = diagnosis.best.fit.values() if diagnosis.best is not None else {}
-    return {
-        free.unit.name_at_door(free.name): ConstantEstimate(
-            free.unit.to_door(before[free.name]),
-            free.unit.to_door(after[free.name]) if free.name in after else None,
+    nominal, best = diagnosis.analysis.nominal, diagnosis.best
+    before = nominal.values()
+    after = best.fit.values() if best is not None else {}
+    ends_before = _intervals(diagnosis, nominal)
+    ends_after = {} if best is None else _intervals(diagnosis, best.fit)
+    converged = (nominal if best is None else best.fit).converged
+    found = {}
+    for free in diagnosis.analysis.inverse.free:
+        to_door = free.unit.to_door
+        found[free.unit.name_at_door(free.name)] = ConstantEstimate(
+            to_door(before[free.name]),
+            to_door(after[free.name]) if free.name in after else None,
+            _at_door(free, ends_before.get(free.name)),
+            _at_door(free, ends_after.get(free.name)),
+            (to_door(free.lower), to_door(free.upper)),
+            converged,
         )
-        for free in diagnosis.analysis.inverse.free
-    }
+    return found
+
+
+def _at_door(free: FreeConstant, ends: tuple[float, float] | None) -> tuple[float, float] | None:
+    return None if ends is None else (free.unit.to_door(ends[0]), free.unit.to_door(ends[1]))
+
+
+def _intervals(diagnosis: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:
+    """Return the 90 % intervals of the constants of a fit, inside units.
+
+    They reach over both the optimum of the fit and the mean of the posterior, which averages over
+    what is not known of noise and poses.
+    """
+    analysis = diagnosis.analysis
+    posterior = parameter_posterior(analysis.noise, analysis.hypothesis(fit), fit.unknowns)
+    found = {}
+    for i, free in enumerate(fit.unknowns.free):
+        middle, here = float(posterior.mean[i]), float(fit.z[i])
+        reach = DEVIATIONS_90 * float(posterior.sd[i])
+        low, high = min(middle, here) - reach, max(middle, here) + reach
+        found[free.name] = (float(np.exp(low)), float(np.exp(high)))
+    return found
 
 
 def _joint_fit(diagnosis: Diagnosis, names: tuple[str, ...]) -> JointFitSummary:

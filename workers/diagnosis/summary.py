@@ -176,10 +176,25 @@ class EffectSummary:
 
 @dataclass(frozen=True, slots=True)
 class ConstantEstimate:
-    """A constant in kPa, of the nominal model and with the accused effects if there are any."""
+    """A constant in kPa, of the nominal model and with the accused effects if there are any.
+
+    Parameters
+    ----------
+    before, after : float
+    before_interval, after_interval : (float, float), optional
+        90 % intervals of both; None in diagnoses of before there were any.
+    stated : (float, float), optional
+        The interval in which the case says that it lies.
+    converged : bool, optional
+        Whether the fit converged that the value comes from.
+    """
 
     before: float
     after: float | None
+    before_interval: tuple[float, float] | None = None
+    after_interval: tuple[float, float] | None = None
+    stated: tuple[float, float] | None = None
+    converged: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from storage.values import FloatArray, Volume
 from workers.mechanics.effects.base import Effect
 from workers.mechanics.parameters import Vocabulary
 from workers.organs.normal_equations import NormalEquations
+from workers.organs.nuisances import Nuisance
 from workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec
 
 Arrays = dict[str, NDArray[Any]]
@@ -255,6 +256,15 @@ class Organ(Protocol[Body, Mesh, Model]):
     @property
     def no_derivatives(self) -> str:
         """Why constants cannot be fitted by derivatives, as a sentence; empty where they can."""
+
+    def nuisances(self, case: Any, imaged: bool) -> Sequence[Nuisance]:
+        """Return the parameters that intervals allow for in addition to those searched.
+
+        Parameters
+        ----------
+        imaged : bool
+            Whether the target is an image; the place, scale and force of a simulated one are exact.
+        """
 
     def coarse(self, body: Body, spacing_mm: float) -> Body:
         """Return a body in coarser voxels, to be fitted first; itself where it is as coarse."""

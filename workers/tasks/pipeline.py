@@ -146,7 +146,7 @@ def _normal_equations(
     return {
         "parameters": [p["name"] for p in free],
         "logarithmic": [logarithmic(p) for p in free],
-        "values": [float(constants[p["name"]]) for p in free],
+        "values": [float(constants.get(p["name"], 0.0)) for p in free],
         "residuals": equations.residuals,
         "rms_mm": float(np.sqrt(np.mean(residuals.mm**2))),
         "cost": equations.cost,

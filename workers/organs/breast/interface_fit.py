@@ -32,7 +32,10 @@ from workers.comparison.observation.residual import observe, residual
 from workers.comparison.warp.warp_volume import warp_labels
 from workers.diagnosis.linearisation import factored
 from workers.diagnosis.settings import SETTINGS
+from workers.mechanics.effects.base import Effect
+from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from workers.mechanics.effects.plate_friction import FRICTION
+from workers.mechanics.fem.fields import frame_of
 from workers.mechanics.fem.model import Model
 from workers.mechanics.fem.outcome import Solution
 from workers.mechanics.fem.problem import Problem
@@ -58,6 +61,8 @@ MOVED_VOXELS = 0.14
 PLATE_VOXELS = 0.29
 # The same of friction, which sets in with full force and then tires.
 FRICTION_STEP = 0.02
+# Parameters of effects on the observation, which move points and change no problem.
+OBSERVED = {name: e for e in BREAST_EFFECTS if e.observation is not None for name in e.names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,13 +165,17 @@ def fit_interfaces(
     r, normals = _compare(observation, at)
     r = r - observation.own_image(at.solution.displacement_mm)
     columns = np.empty((len(r), len(free)))
-    smooth = [i for i, p in enumerate(free) if p["name"] not in FRICTION.names]
+    moved = observation.points.points + observation.at_points @ at.solution.displacement_mm
+    seen = [i for i, p in enumerate(free) if p["name"] in OBSERVED]
+    for i in seen:
+        columns[:, i] = _observed(free[i]["name"], moved, normals, observation, model)
+    stepped = {i for i, p in enumerate(free) if p["name"] in FRICTION.names}
+    smooth = [i for i in range(len(free)) if i not in stepped.union(seen)]
     changes = [_change(at, problem_of, constants, free[i]) for i in smooth]
     for i, nodal in zip(smooth, tangents(at, changes), strict=True):
         columns[:, i] = ((observation.at_points @ nodal) * normals).sum(axis=1)
-    for i in set(range(len(free))) - set(smooth):
+    for i in stepped:
         columns[:, i] = _by_solving(model, at, problem_of, constants, free[i], observation)
-    moved = observation.points.points + observation.at_points @ at.solution.displacement_mm
     common = PLATE_VOXELS * _plates(observation, moved, normals)
     equations = normal_equations(
         observation.whiten(r),
@@ -175,6 +184,22 @@ def fit_interfaces(
         robust=observation.robust,
     )
     return FittedBreast(at.solution, Residuals(r, equations, observation.noise))
+
+
+def _observed(
+    name: str,
+    moved: FloatArray,
+    normals: FloatArray,
+    observation: BreastObservation,
+    model: Model,
+) -> FloatArray:
+    """Return the derivative of the residuals by a parameter of the observation."""
+    effect: Effect = OBSERVED[name]
+    if effect.observation is None:
+        raise AssertionError(f"{effect.name} changes the problem, not the observation")
+    frame = frame_of(model.finest.nodes)
+    shift = effect.observation(moved, normals, observation.points.interface, frame)
+    return np.asarray(-shift[:, effect.names.index(name)])
 
 
 def _plates(observation: BreastObservation, moved: FloatArray, normals: FloatArray) -> FloatArray:

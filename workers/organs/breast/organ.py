@@ -42,6 +42,7 @@ from workers.organs.breast.interface_fit import (
     fit_interfaces,
     observe_target,
 )
+from workers.organs.breast.nuisances import nuisances
 from workers.organs.breast.problem import (
     Extent,
     check_skin_layer,
@@ -59,6 +60,7 @@ from workers.organs.breast.spec import (
     PhantomSpec,
     ReferenceSpec,
 )
+from workers.organs.nuisances import Nuisance
 from workers.organs.organ import Arrays, Facts, Scores
 from workers.spec import Door
 
@@ -215,6 +217,10 @@ class Breast:
         return solve(model, problem)
 
     no_derivatives = ""
+
+    def nuisances(self, case: BreastCase, imaged: bool) -> Sequence[Nuisance]:
+        """See `Organ.nuisances`."""
+        return nuisances(case.load, imaged)
 
     def coarse(self, body: Volume, spacing_mm: float) -> Volume:
         """See `Organ.coarse`."""

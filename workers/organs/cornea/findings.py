@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from storage.values import FloatArray
 from workers.organs.cornea.candidate import Candidate, scale_of
+from workers.organs.cornea.findings_doubts import against, derived
 from workers.organs.cornea.findings_figures import figures as drawn
 from workers.organs.cornea.findings_figures import image_figure
 from workers.organs.cornea.findings_notes import notes
@@ -81,7 +82,8 @@ def findings(
     Returns
     -------
     dict
-        ``notes`` and ``numbers``; see `workers.organs.registry.Findings`.
+        ``notes`` and ``numbers``, see `workers.organs.registry.Findings`; ``derived`` and
+        ``against``, see `workers.organs.cornea.findings_doubts`.
         Empty if the best candidate cannot be solved again.
     """
     candidate = candidate_of(model, case, constants, middle_mm)
@@ -109,7 +111,12 @@ def findings(
     if case.findings.profiles:
         numbers["profiles"] = _profiles(eye, score)
     numbers["not_measured"] = list(case.findings.not_measured)
-    return {"notes": notes(numbers, case), "numbers": numbers}
+    return {
+        "notes": notes(numbers, case),
+        "numbers": numbers,
+        "derived": derived(numbers),
+        "against": against(numbers),
+    }
 
 
 def figures(

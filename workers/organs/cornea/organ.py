@@ -40,6 +40,7 @@ from workers.organs.cornea.surface_fit import (
     observe_surfaces,
 )
 from workers.organs.cornea.t6_mesh import T6Mesh
+from workers.organs.nuisances import Nuisance
 from workers.organs.organ import Arrays, Facts, Scores
 from workers.spec import Door
 
@@ -177,6 +178,10 @@ class Cornea:
         return CorneaOutcome(solve_prepared(problem.prepared, problem.constants, problem.load))
 
     no_derivatives = ""
+
+    def nuisances(self, case: CorneaCase, imaged: bool) -> Sequence[Nuisance]:
+        """See `Organ.nuisances`; a cornea has none yet."""
+        return ()
 
     def coarse(self, body: Section, spacing_mm: float) -> Section:
         """See `Organ.coarse`: a section has no voxels."""

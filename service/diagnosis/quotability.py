@@ -1,0 +1,143 @@
+"""The facts about the constants of a diagnosis that decide whether they may be quoted."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from service.formatting import listed, number, signed_error
+from service.identification import WEAK_PART
+from service.quotable import Bounds, EstimateFacts, Identifiable, Quotability, quotability
+from storage.typed_json import to_json
+from workers.diagnosis.summary import ConstantEstimate, Summary
+from workers.diagnosis.verdict import NO_GAP
+
+# A constant that an effect changes by less is the same with and without it.
+SAME = 0.05
+KPA_ENDING = "_kpa"
+
+
+@dataclass(frozen=True)
+class JudgedConstant:
+    """A constant of a diagnosis, with the accused effects if there are any.
+
+    Parameters
+    ----------
+    value : float
+        In `unit`.
+    unit : str
+    interval : (float, float) or None
+        90 % interval; None where none is known or it is withheld.
+    answer : Quotability
+        Of `value`.
+    """
+
+    value: float
+    unit: str
+    interval: Bounds | None
+    answer: Quotability
+
+    @property
+    def text(self) -> str:
+        """Return the value with its interval and unit, such as ``8.1 (7.7 to 8.5) kPa``."""
+        ends = self.interval
+        shown = "" if ends is None else f" ({number(ends[0], 3)} to {number(ends[1], 3)})"
+        return f"{number(self.value, 3)}{shown} {self.unit}".rstrip()
+
+
+def judged_constants(summary: Summary) -> dict[str, JudgedConstant]:
+    """Return each constant of a diagnosis with its interval and its answer, by its name."""
+    return {name: _judged(summary, name, one) for name, one in summary.constants.items()}
+
+
+def summary_json(summary: Summary) -> dict[str, Any]:
+    """Return the record that `palpate diagnose --json` prints: with an answer for each constant."""
+    record: dict[str, Any] = to_json(summary)
+    for name, one in judged_constants(summary).items():
+        record["constants"][name] |= one.answer.as_dict()
+    return record
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that the name of a constant ends with; empty for a pure number."""
+    return "kPa" if name.endswith(KPA_ENDING) else ""
+
+
+def change(constant: ConstantEstimate) -> float:
+    """Return by what part the accused effects change a constant; 0 where that is not known."""
+    found = signed_error(constant.after, constant.before)
+    return 0.0 if found is None else abs(found)
+
+
+def is_lead(summary: Summary) -> bool:
+    """Return whether there may be no gap, or as large a one on scans that were not fitted to."""
+    share = summary.gap_mm.held_out_share
+    return NO_GAP in summary.set90 or (share is not None and share.low < 0)
+
+
+def _judged(summary: Summary, name: str, constant: ConstantEstimate) -> JudgedConstant:
+    changed = constant.after is not None and summary.verdict != "no-gap"
+    value = constant.after if changed and constant.after is not None else constant.before
+    interval = constant.after_interval if changed else constant.before_interval
+    facts = EstimateFacts(
+        value=value,
+        unit=unit_of(name),
+        stated=constant.stated,
+        interval=interval,
+        identifiable=_identifiable(value, interval),
+        converged=constant.converged is not False,
+        contradictions=_contradictions(summary, constant),
+    )
+    answer = quotability(facts)
+    shown = interval if answer.interval_holds else None
+    return JudgedConstant(value, facts.unit, shown, answer)
+
+
+def _identifiable(value: float, interval: Bounds | None) -> Identifiable:
+    if interval is None:
+        return "unknown"
+    return "weak" if interval[1] - interval[0] > WEAK_PART * abs(value) else "value"
+
+
+def _contradictions(summary: Summary, constant: ConstantEstimate) -> tuple[str, ...]:
+    """Return what the verdict says against a constant."""
+    if summary.verdict == "no-gap":
+        return ()
+    if summary.verdict == "none-of-these":
+        return ("the model lacks something that is not in the catalogue",)
+    if constant.after is None:
+        return ("the cause of the gap is open",)
+    uncertain = summary.verdict == "cannot-be-told-apart" or is_lead(summary)
+    if uncertain and change(constant) >= SAME:
+        return ("it depends on a cause that is not certain",)
+    return ()
+
+
+def reasons_by_name(judged: Mapping[str, JudgedConstant]) -> list[tuple[list[str], str]]:
+    """Return the constants that may not be quoted, those with the same reasons together."""
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for name, one in judged.items():
+        if not one.answer.quotable:
+            groups.setdefault(one.answer.reasons, []).append(name)
+    return [(names, "; ".join(reasons)) for reasons, names in groups.items()]
+
+
+def constant_lines(summary: Summary) -> list[str]:
+    """Return a line for each constant for a console, then why some may not be quoted."""
+    judged = judged_constants(summary)
+    lines = [
+        f"{name.removesuffix(KPA_ENDING)}: {one.text}" + _without(summary, name)
+        for name, one in judged.items()
+    ]
+    named = [
+        (listed([name.removesuffix(KPA_ENDING) for name in names]), reasons)
+        for names, reasons in reasons_by_name(judged)
+    ]
+    return lines + [f"Not quotable: {names}: {reasons}." for names, reasons in named]
+
+
+def _without(summary: Summary, name: str) -> str:
+    """Return the value of the nominal model, where what was found has changed it."""
+    constant = summary.constants[name]
+    if summary.verdict == "no-gap" or constant.after is None:
+        return ""
+    return f", without what was found {number(constant.before, 3)} {unit_of(name)}".rstrip()

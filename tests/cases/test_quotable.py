@@ -1,0 +1,330 @@
+"""The six questions before a number is shown (CASES 5), and the answers of the one rule."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from study_data_at_hand import results
+
+from service.commands.report import derived_text
+from service.diagnosis.quotability import judged_constants, summary_json
+from service.error_budget import DECISIVE, MESH, in_words
+from service.identification import Identification, identification_from_tangents
+from service.local_model import OtherProblems, SearchedConstants
+from service.quotable import EstimateFacts, quotability
+from service.results import ParameterEstimate, StudyResults
+from service.results_json import study_json
+from service.study_quotability import derived_estimates, no_better
+from storage.task_records import FitJson
+from storage.typed_json import from_json
+from workers.diagnosis.summary import Summary
+from workers.mechanics.parameters import BREAST
+from workers.organs.cornea.findings_doubts import against, derived
+from workers.organs.nuisances import Nuisance
+
+GOOD = EstimateFacts(value=10.0, unit="kPa", searched=(5.0, 20.0), interval=(9.5, 10.5))
+BOUNDS = {"E_fat": (0.005, 0.02), "eta_fat": (0.05, 0.2)}
+
+
+def reasons(**changed: Any) -> tuple[str, ...]:
+    answer = quotability(replace(GOOD, **changed))
+    assert answer.quotable is not bool(answer.reasons)
+    return answer.reasons
+
+
+def test_a_good_estimate_is_quotable() -> None:
+    assert reasons() == ()
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"value": 5.0}, "at the lower bound of the searched interval (5 kPa)"),
+        ({"value": 19.9}, "at the upper bound of the searched interval (20 kPa)"),
+        ({"value": 21.0}, "beyond the upper bound of the searched interval (20 kPa)"),
+        ({"stated": (20.0, 50.0)}, "outside its stated interval (20 to 50 kPa)"),
+        ({"interval": None}, "no interval is known"),
+        (
+            {"identifiable": "weak", "interval": (5.0, 15.0)},
+            "weakly determined, 5 to 15 kPa",
+        ),
+        ({"identifiable": "ratio"}, "only its ratio to the other stiffnesses can be found"),
+        ({"converged": False}, "the search has not converged"),
+        (
+            {"no_better_than": "the undeformed body"},
+            "the best fit is no better than the undeformed body",
+        ),
+        (
+            {"residual_factor": 7.0},
+            "the residual is 7 times the stated noise (at most 2 times)",
+        ),
+        ({"contradictions": ("another statement says otherwise",)}, "another statement says"),
+        ({"finished": False}, "the search has not finished"),
+        ({"value": None}, "nothing was estimated"),
+        ({"value": math.nan}, "nothing was estimated"),
+    ],
+)
+def test_every_question_has_its_reason(changed: dict[str, Any], reason: str) -> None:
+    assert any(one.startswith(reason) for one in reasons(**changed)), reasons(**changed)
+
+
+def test_all_reasons_are_given_at_once() -> None:
+    found = reasons(value=5.0, converged=False, stated=(20.0, 50.0), residual_factor=9.0)
+    assert len(found) == 4
+
+
+def test_withholds_the_interval_of_a_search_that_has_not_converged() -> None:
+    assert not quotability(replace(GOOD, converged=False)).interval_holds
+    assert quotability(GOOD).interval_holds
+
+
+# --- a study -------------------------------------------------------------------------------
+
+
+def fit(gradient: tuple[float, float] = (0.0, 0.0), **changed: Any) -> FitJson:
+    """Return a problem with standard deviations of 1 % and 5 %, residuals as the noise."""
+    found: dict[str, Any] = {
+        "parameters": list(BOUNDS),
+        "logarithmic": [True, True],
+        "values": [0.01, 0.1],
+        "residuals": 202,
+        "rms_mm": 0.1,
+        "cost": 200.0,
+        "gradient": list(gradient),
+        "hessian": [[1e4, 0.0], [0.0, 400.0]],
+        "noise": "a test",
+    }
+    return found | changed  # type: ignore[return-value]
+
+
+def identified(problem: FitJson, others: OtherProblems | None = None) -> Identification:
+    return identification_from_tangents(SearchedConstants(BREAST, BOUNDS), 0, problem, others)
+
+
+def studied(found: Identification, **changed: Any) -> StudyResults:
+    """Return a study whose estimates are those of an identification."""
+    estimates = {
+        name: ParameterEstimate(f"{name}_kpa", "kPa", 1e3 * low, 1e3 * high, one.estimate, None)
+        for (name, (low, high)), one in zip(BOUNDS.items(), found.constants.values(), strict=True)
+    }
+    return results(estimates=estimates, identification=found, **changed).judged
+
+
+def test_a_truth_outside_the_searched_interval_ends_at_its_bound() -> None:
+    """E_fat is searched from 12 to 20 kPa and is 10 kPa: the search ends at 12 kPa."""
+    bounds = BOUNDS | {"E_fat": (0.012, 0.020)}
+    problem = fit(gradient=(2000.0, 0.0), values=[0.012, 0.1])
+    found = identification_from_tangents(SearchedConstants(BREAST, bounds), 0, problem)
+    estimates = {
+        "E_fat": ParameterEstimate("E_fat_kpa", "kPa", 12.0, 20.0, 12.0, 10.0),
+        "eta_fat": ParameterEstimate("eta_fat_kpa", "kPa", 50.0, 200.0, 100.0, 100.0),
+    }
+    record = study_json(results(estimates=estimates, identification=found).judged)
+    assert record["estimates"]["E_fat"]["quotable"] is False
+    assert record["estimates"]["E_fat"]["reasons"] == [
+        "at the lower bound of the searched interval (12 kPa)"
+    ]
+    assert record["estimates"]["eta_fat"]["quotable"] is True
+
+
+def test_a_constant_that_depends_on_one_at_its_bound_is_not_quotable() -> None:
+    hessian = [[1e4, 1600.0], [1600.0, 400.0]]  # correlation of the errors: -0.8
+    found = identified(fit(values=[0.02, 0.1], hessian=hessian))
+    answer = studied(found).estimates["eta_fat"]
+    assert answer.reasons == ("it depends on E_fat, which is at a bound of its searched interval",)
+
+
+def test_a_fit_no_better_than_the_undeformed_body_has_no_estimate() -> None:
+    before, after = {"glandular": {"gsf": -2.0}}, {"glandular": {"gsf": -1.5}}
+    assert no_better(before, after, ["glandular"])
+    assert not no_better(after, before, ["glandular"])
+    found = studied(identified(fit()), undeformed_scores=before, best_scores=after)
+    for estimate in found.estimates.values():
+        assert estimate.estimate is None
+        assert estimate.interval is None
+        assert "the best fit is no better than the undeformed body" in estimate.reasons
+
+
+def test_a_step_that_leaves_the_interval_withholds_it() -> None:
+    """Gauss' step is 10 %, ten standard deviations: the best candidate is not the optimum."""
+    found = studied(identified(fit(gradient=(-1000.0, 0.0))))
+    for estimate in found.estimates.values():
+        assert estimate.interval is None
+        assert "the search has not converged" in estimate.reasons
+    record = study_json(found)
+    assert record["identification"]["constants"]["E_fat"]["interval"] is None
+
+
+def test_a_residual_above_the_noise_widens_and_far_above_it_is_named() -> None:
+    one = identified(fit()).constants["E_fat"].interval
+    three = identified(fit(cost=9 * 200.0)).constants["E_fat"].interval
+    assert one is not None
+    assert three is not None
+    wider = math.log(three.upper / three.lower) / math.log(one.upper / one.lower)
+    assert wider == pytest.approx(3.0)
+    assert studied(identified(fit(cost=9 * 200.0))).estimates["E_fat"].reasons == (
+        "the residual is 3 times the stated noise (at most 2 times)",
+    )
+
+
+def test_an_unfinished_search_has_no_interval() -> None:
+    found = studied(identified(fit()), state="interrupted", stop_reason=None)
+    assert found.estimates["E_fat"].interval is None
+    assert not found.estimates["E_fat"].quotable
+
+
+# --- errors beside the image ---------------------------------------------------------------
+
+PLACE = Nuisance("motion_x", "the place of the scan", 1.0, -5.0, 5.0)
+FORCE = Nuisance("ln_plate_force", "the force", 0.08, -1.0, 1.0, always=True)
+
+
+def with_nuisance(name: str, gradient: float, shared: float = 1000.0) -> FitJson:
+    """Return the problem with a nuisance that moves the residuals as E_fat does, in part."""
+    hessian = [[1e4, 0.0, shared], [0.0, 400.0, 0.0], [shared, 0.0, 500.0]]
+    parameters = [*BOUNDS, name]
+    return fit(
+        parameters=parameters,
+        hessian=hessian,
+        gradient=[0.0, 0.0, gradient],
+        values=[0.01, 0.1, 0.0],
+        logarithmic=[True, True, False],
+    )
+
+
+def test_a_misplaced_scan_contradicts_the_estimates() -> None:
+    others = OtherProblems(with_nuisance("motion_x", -800.0), (PLACE,))
+    found = identified(fit(), others)
+    assert found.supported == ("the place of the scan",)
+    # Its optimum is 800 / (500 - 100 + 1) = 2 mm, which moves E_fat by a fifth.
+    assert found.constants["E_fat"].errors["the place of the scan"] == pytest.approx(2.0, rel=0.02)
+    answer = studied(found).estimates["E_fat"]
+    assert "the residual points to an error in the place of the scan" in answer.reasons
+
+
+def test_a_scan_in_place_leaves_the_intervals_as_they_are() -> None:
+    others = OtherProblems(with_nuisance("motion_x", 0.0), (PLACE,))
+    alone, beside = identified(fit()), identified(fit(), others)
+    assert beside.supported == ()
+    one, other = (found.constants["E_fat"].interval for found in (alone, beside))
+    assert one is not None
+    assert other is not None
+    assert other.upper / one.upper < 1.01
+
+
+def test_the_force_always_counts() -> None:
+    """A force that is 8 % too high makes a stiffness 8 % too high, whatever the residual."""
+    others = OtherProblems(with_nuisance("ln_plate_force", 0.0, -1e4), (FORCE,))
+    others_fit = others.nuisances
+    assert others_fit is not None
+    others_fit["hessian"][2][2] = 1e4  # the same change of the residuals: unseen
+    found = identified(fit(), others)
+    assert found.constants["E_fat"].errors["the force"] == pytest.approx(0.8, rel=1e-3)
+    assert studied(found).estimates["E_fat"].quotable
+
+
+def test_an_interval_contains_the_error_of_the_mesh() -> None:
+    """On another mesh the optimum is 3 % higher: so much may the study's own be off."""
+    mesh = fit(gradient=(-300.0, 0.0))
+    others = OtherProblems(meshes=[{"nodes": 6000, "fit": mesh}])
+    constant = identified(fit(), others).constants["E_fat"]
+    assert constant.errors[MESH] == pytest.approx(0.1 * math.sqrt((9 + 4.5) / 2))
+    assert constant.interval is not None
+    assert constant.interval.lower < 9.7
+    assert constant.interval.upper > 10.3
+    assert in_words(constant.errors, 10.0) == "mesh 2.6 %, image 1 %"
+
+
+def test_decisive_evidence_grows_with_the_square_of_the_pull() -> None:
+    gains = []
+    for gradient in (0.0, 400.0, 800.0):
+        others = OtherProblems(with_nuisance("motion_x", gradient), (PLACE,))
+        gains.append(identified(fit(), others).supported != ())
+    assert gains == [False, True, True]
+    assert math.exp(DECISIVE) > 100
+
+
+# --- a cornea ------------------------------------------------------------------------------
+
+
+def eye(g0_bound: float, mu2_bound: float, not_measured: tuple[str, ...] = ()) -> dict[str, Any]:
+    return {
+        "shear_modulus_mpa": 0.05,
+        "shear_modulus_bounds": {"pixels": 0.01, "model": g0_bound},
+        "bounds": {"model": {"mu2_mpa": mu2_bound, "alpha2": 0.2}},
+        "noises": {"model": "10 µm, alike over 0.5 mm"},
+        "not_measured": list(not_measured),
+    }
+
+
+def test_a_constant_of_a_cornea_that_its_own_page_calls_unknown_is_not_quotable() -> None:
+    found = identified(fit())
+    said = against(eye(0.1, 0.9))
+    assert said["alpha2"] == []
+    shown = studied(found, findings={"against": {"E_fat": said["mu2"]}})
+    assert shown.estimates["E_fat"].reasons == (
+        "errors of model and image of 10 µm, alike over 0.5 mm leave it uncertain by more than "
+        "half",
+    )
+    assert shown.estimates["eta_fat"].quotable
+
+
+def test_the_shear_modulus_of_a_cornea_has_an_interval() -> None:
+    shown = studied(identified(fit()), findings={"derived": derived(eye(0.1, 0.9))})
+    (g0,) = derived_estimates(shown)
+    assert g0.interval == pytest.approx((50 * (1 - 0.16449), 50 * (1 + 0.16449)))
+    assert derived_text(g0) == "G0: 50 kPa (41.78 to 58.22, 90 %). Quotable."
+    assert study_json(shown)["derived"]["G0"]["quotable"] is True
+
+
+def test_the_shear_modulus_under_an_assumed_pressure_is_not_quotable() -> None:
+    shown = studied(identified(fit()), findings={"derived": derived(eye(0.1, 0.9, ("iop",)))})
+    (g0,) = derived_estimates(shown)
+    assert g0.answer.reasons == ("the pressure of the eye is assumed, not measured",)
+
+
+# --- a diagnosis ---------------------------------------------------------------------------
+
+
+def diagnosed(**constant: Any) -> Summary:
+    from diagnosis_at_hand import VERDICTS
+
+    told = VERDICTS["no gap"]
+    own = {"before": 25.0, "after": None, "before_interval": [24.0, 26.0], "stated": [20.0, 50.0]}
+    return from_json(Summary, told | {"constants": {"E_gl_kpa": own | constant}})
+
+
+def test_a_constant_of_a_diagnosis_is_shown_with_its_interval() -> None:
+    found = judged_constants(diagnosed())["E_gl_kpa"]
+    assert found.answer.quotable
+    assert found.text == "25 (24 to 26) kPa"
+
+
+def test_a_constant_outside_its_stated_interval_is_not_quotable() -> None:
+    summary = diagnosed(before=5.06, before_interval=[4.9, 5.2])
+    record = summary_json(summary)["constants"]["E_gl_kpa"]
+    assert record["quotable"] is False
+    assert record["reasons"] == ["outside its stated interval (20 to 50 kPa)"]
+
+
+def test_a_fit_that_has_not_converged_withholds_the_interval_of_a_diagnosis() -> None:
+    found = judged_constants(diagnosed(converged=False))["E_gl_kpa"]
+    assert found.interval is None
+    assert found.answer.reasons == ("the search has not converged",)
+
+
+def test_intervals_cover_the_truth_of_linear_problems_with_a_hidden_force() -> None:
+    """Where a force is off by 8 %, nine in ten intervals contain the true stiffness."""
+    rng = np.random.default_rng(1)
+    held = 0
+    draws = 400
+    for _ in range(draws):
+        off = float(rng.normal(0.0, 0.08) + rng.normal(0.0, 0.01))
+        problem = with_nuisance("ln_plate_force", 0.0, -1e4)
+        problem["hessian"][2][2] = 1e4
+        interval = identified(fit(), OtherProblems(problem, (FORCE,))).constants["E_fat"].interval
+        assert interval is not None
+        held += interval.lower <= 10.0 * math.exp(off) <= interval.upper
+    assert 0.86 < held / draws < 0.94

@@ -66,7 +66,7 @@ def diagnose(
     ClusterError, TaskError
         If the workers cannot do the work; what is finished is kept.
     """
-    opened = open_source(Path(source))
+    opened = open_source(Path(source), store)
     findings = check_source(opened, anyway=anyway)
     for finding in findings:
         warnings.warn(finding.text, stacklevel=2)

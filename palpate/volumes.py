@@ -1,5 +1,6 @@
 """Label volumes from files and to files."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from service.export import export_volume
@@ -22,7 +23,8 @@ def read_volume(
         Voxel spacing along x, y and z, where the file does not say.
     axes : str, optional
         Which axes of the image are x (vertical), y (compression) and z (chest wall to
-        nipple), such as ``"-z,y,x"``.
+        nipple), such as ``"-z,y,x"``; or the anatomical directions in which x, y and z
+        increase, such as ``"L S A"``.
 
     Returns
     -------
@@ -37,12 +39,20 @@ def read_volume(
     return read.read_volume(Path(path), spacing_mm=spacing_mm, axes=axes)
 
 
-def write_volume(path: str | Path, volume: Volume) -> None:
+def write_volume(path: str | Path, volume: Volume, names: Mapping[int, str] | None = None) -> None:
     """Write a volume as NRRD.
+
+    Parameters
+    ----------
+    path : str or Path
+    volume : Volume
+    names : mapping of int to str, optional
+        Names of its labels, such as ``{1: "Fat", 2: "Glandular"}``, which 3D Slicer and
+        `palpate import` read.
 
     Raises
     ------
     StoreError
         If the file system refuses.
     """
-    export_volume(Path(path), volume)
+    export_volume(Path(path), volume, names)

@@ -326,7 +326,7 @@ def _make_absolute(image: object, folder: Path) -> None:
     """Replace paths that exist beside the study file; a name in the store stays."""
     for key, value in image.items() if isinstance(image, dict) else ():
         _make_absolute(value, folder)
-        if key in ("volume", "file") and isinstance(value, str):
+        if key in ("volume", "file", "labels") and isinstance(value, str):
             beside = (folder / Path(value).expanduser()).resolve()
             if isinstance(image, dict) and beside.exists():
                 image[key] = str(beside)

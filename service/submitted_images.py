@@ -10,7 +10,7 @@ from storage.digest import file_digest
 from storage.errors import InputError
 from workers.spec import validated
 
-IMAGE_KEYS = ("volume", "file")
+IMAGE_KEYS = ("volume", "file", "labels")
 
 
 def with_uploaded_images(

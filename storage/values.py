@@ -79,6 +79,16 @@ class Volume:
         return nx, ny, nz
 
     @property
+    def frame_facts(self) -> list[Any]:
+        """Return what is unusual about the place: nothing for a known one without a frame's name.
+
+        Digests of volumes end with it, so that those of volumes without it stay what they were.
+        """
+        if self.place_known and not self.frame_uid:
+            return []
+        return [self.frame_uid, self.place_known]
+
+    @property
     def voxel_mm3(self) -> float:
         """Return the volume of one voxel."""
         return float(np.prod(self.spacing_mm))

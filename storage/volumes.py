@@ -5,12 +5,13 @@ labels, their names are attributes beside it.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from storage.arrays import exists, load_arrays, load_meta, save_arrays
-from storage.errors import StoreError
+from storage.errors import InputError, StoreError
 from storage.stores import Store
 from storage.values import Tissue, Triple, Volume
 
@@ -106,6 +107,38 @@ def list_volumes(store: Store) -> list[str]:
     entries = store.backend.entries(store.layout.volumes)
     whole = (entry.place for entry in entries if not entry.half_written)
     return sorted(place.stem for place in whole if place.suffix == ".zarr" and exists(place))
+
+
+def find_volume(store: Store, given: str) -> str | None:
+    """Return the digest of the volume with this digest or name; None if there is none.
+
+    Raises
+    ------
+    InputError
+        If several volumes have the name.
+    """
+    if given in list_volumes(store):
+        return given
+    named = volumes_named(store, given)
+    if len(named) > 1:
+        raise InputError(f"{given} names several volumes: give one of {', '.join(named)}.")
+    return named[0] if named else None
+
+
+def volumes_named(store: Store, name: str) -> list[str]:
+    """Return the digests of the volumes of a name, without those that another has replaced.
+
+    A volume replaces others if its meta data lists their digests as ``replaces``: they stay for
+    the studies that use them, but their name now means the new one.
+    """
+    named = {}
+    for volume in list_volumes(store):
+        with suppress(StoreError):  # a damaged volume has no name
+            meta = volume_meta(store, volume)
+            if meta.get("name") == name:
+                named[volume] = meta
+    replaced = {old for meta in named.values() for old in meta.get("replaces", ())}
+    return [volume for volume in named if volume not in replaced]
 
 
 def _are_tissues(volume: Volume) -> bool:

@@ -90,7 +90,7 @@ def diagnose(
                 f"{source} is a bench experiment, and --plan knows further scans only. "
                 "Leave it out."
             )
-        opened = open_source(source)
+        opened = open_source(source, store_place(store))
         findings = check_source(opened, anyway=anyway)
         print_findings(findings)
         print_understood(source)

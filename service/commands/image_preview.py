@@ -10,8 +10,17 @@ from numpy.typing import NDArray
 from service.report.palette import INK, TISSUES
 from service.report.slices import AXES, VIEWS, Section, View, middle_mm, section
 from storage.values import Tissue, Volume
+from workers.body.images.orient import opposite, world_axes
 
 MEANING = {"x": "vertical", "y": "direction of compression", "z": "chest wall to nipple"}
+DIRECTIONS = {
+    "L": "left",
+    "R": "right",
+    "P": "posterior",
+    "A": "anterior",
+    "S": "superior",
+    "I": "inferior",
+}
 # Where a terminal has no colours.
 LETTERS = {
     Tissue.AIR: " ",
@@ -25,25 +34,26 @@ WIDEST_PANEL, GAP = 34, 2
 
 
 def facts(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, str]]:
-    """Return name and text of what an image is.
+    """Return name and text of the facts of an imported image.
 
     Parameters
     ----------
     summary : mapping
-        See `workers.body.images.labels.summarise`.
+        See `workers.body.images.labels.summarise`; with what `palpate import` adds to it.
     axes : str or None
         As the user gave them.
     """
-    taken = [name.strip() for name in axes.split(",")] if axes else list(AXES)
-    body = summary["body_mm"] or summary["box_mm"]
     rows = [
         ("voxels", " x ".join(str(n) for n in summary["shape"])),
         ("spacing", " x ".join(f"{s:g}" for s in summary["spacing_mm"]) + " mm"),
     ]
-    for k, axis in enumerate(AXES):
-        low, high = body["lower"][k], body["upper"][k]
-        text = f"{high - low:.4g} mm, from {low:.4g} to {high:.4g}; {taken[k]} of the image"
-        rows.append((f"body {axis}", f"{text}: {MEANING[axis]}"))
+    if summary.get("slices"):
+        first, last = summary["slices"]
+        rows.append(("slices", f"from {first} to {last}"))
+    if "place_known" in summary:
+        rows.append(("place", _place(summary)))
+    rows += _extents(summary, axes)
+    rows += _understood(summary)
     labels = [label for number, label in summary["labels"].items() if int(number)]
     whole = sum(label["ml"] for label in labels)
     for label in labels:
@@ -51,6 +61,36 @@ def facts(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, str]]
         rows.append((str(label.get("tissue", "?")), f"{label['ml']:.4g} ml, {share:.3g} %"))
     rows.append(("together", f"{whole:.4g} ml"))
     return rows
+
+
+def _place(summary: Mapping[str, Any]) -> str:
+    if not summary["place_known"]:
+        return "unknown: the file does not state where its voxels are"
+    frame = summary.get("frame_uid")
+    return "as the file states" + (f", frame of reference {frame}" if frame else "")
+
+
+def _extents(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, str]]:
+    world = world_axes(axes)
+    letters = summary.get("increasing_towards")
+    body = summary["body_mm"] or summary["box_mm"]
+    rows = []
+    for k, axis in enumerate(AXES):
+        low, high = body["lower"][k], body["upper"][k]
+        towards = f", towards {DIRECTIONS[letters[k]]}" if letters else ""
+        text = (
+            f"{high - low:.4g} mm, from {low:.4g} to {high:.4g}; {world[k]} of the image{towards}"
+        )
+        rows.append((f"body {axis}", f"{text}: {MEANING[axis]}"))
+    return rows
+
+
+def _understood(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return which label of the file was taken for which tissue, where the file has names."""
+    names, tissues = summary.get("label_names") or {}, summary.get("label_tissues") or {}
+    if not names:
+        return []
+    return [(f"label {k}", f"{names[k]}: {tissue}") for k, tissue in tissues.items() if k in names]
 
 
 def doubt(volume: Volume) -> str:
@@ -81,8 +121,18 @@ def slices(volume: Volume) -> list[tuple[View, float, Section]]:
     return [(v, middle[v.normal], section(volume, v, middle[v.normal])) for v in VIEWS]
 
 
-def write_png(path: Path, volume: Volume, title: str) -> None:
-    """Draw the three slices with their axes in mm.
+def write_png(
+    path: Path, volume: Volume, title: str, letters: tuple[str, str, str] | None = None
+) -> None:
+    """Draw three slices with their axes in mm.
+
+    Parameters
+    ----------
+    path : Path
+    volume : Volume
+    title : str
+    letters : tuple of str, optional
+        Anatomical directions in which x, y and z increase; drawn at the edges.
 
     Raises
     ------
@@ -112,12 +162,32 @@ def write_png(path: Path, volume: Volume, title: str) -> None:
         panel.set_xlabel(f"{AXES[view.across]} (mm): {MEANING[AXES[view.across]]}", color=INK)
         panel.set_ylabel(f"{AXES[view.up]} (mm): {MEANING[AXES[view.up]]}", color=INK)
         panel.set_title(f"{view.name}, {AXES[view.normal]} = {at_mm:.3g} mm", color=INK)
+        if letters:
+            _write_letters(panel, letters[view.across], letters[view.up])
     there = [t for t in Tissue if t and (np.asarray(volume.values) == t).any()]
     patches = [Patch(facecolor=TISSUES[t], edgecolor=INK, label=t.name.lower()) for t in there]
     drawn.legend(handles=patches, loc="outside lower center", ncols=len(there), frameon=False)
     drawn.suptitle(title, color=INK)
     with explained(path), replacing(path) as temporary:
         drawn.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
+
+
+def _write_letters(panel: Any, across: str, up: str) -> None:
+    """Write the anatomical directions at the four edges of a slice."""
+    edges = ((0.98, 0.5, across), (0.02, 0.5, opposite(across)))
+    ends = ((0.5, 0.97, up), (0.5, 0.03, opposite(up)))
+    for x, y, letter in (*edges, *ends):
+        panel.text(
+            x,
+            y,
+            letter,
+            transform=panel.transAxes,
+            ha="center",
+            va="center",
+            weight="bold",
+            color=INK,
+            bbox={"boxstyle": "circle", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+        )
 
 
 def terminal_lines(volume: Volume, width: int, *, colours: bool) -> Iterator[Any]:

@@ -25,7 +25,11 @@ def import_image(
     name: Annotated[str, typer.Option(help="What studies call it.")],
     labels: Annotated[
         str | None,
-        typer.Option(help="0=air,1=fat,2=glandular: the tissue of each number in the image."),
+        typer.Option(
+            help="The tissue of each label, by number (0=air,1=fat,2=glandular) or by its name in "
+            "the file (Adipose=fat,FGT=glandular), or a file that names the labels: .txt of "
+            "ITK-SNAP, .ctbl of 3D Slicer, .json. Default: by the names in the image."
+        ),
     ] = None,
     spacing_mm: Annotated[
         tuple[float, float, float] | None,
@@ -33,29 +37,45 @@ def import_image(
     ] = None,
     axes: Annotated[
         str | None,
-        typer.Option(help="Which axes of the image are x, y and z here, such as -z,y,x."),
-    ] = None,
-    png: Annotated[
-        Path | None,
         typer.Option(
-            help="Where to draw the slices. Default: runs/images/NAME.png.", show_default=False
+            help="Which axes of the image are x (vertical), y (compression) and z (chest wall to "
+            "nipple), such as -z,y,x; or the anatomical directions in which x, y and z increase, "
+            "of L, R, P, A, S and I, such as 'L S A'."
         ),
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--picture",
+            "--png",
+            help="PNG file for three slices with their axes. Default: runs/images/NAME.png.",
+            show_default=False,
+        ),
+    ] = None,
+    replace: Annotated[
+        bool,
+        typer.Option(
+            "--replace",
+            help="Let the name mean this image, if it means another one now. The other one stays "
+            "in the store for studies that use it.",
+        ),
+    ] = False,
     anyway: AnywayOption = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Read a labelled image, name its tissues, keep it in the store and show it.
 
-    Look at what it says: size, axes and volumes are what everything later rests on.
+    Check the size, axes, labels and volumes it prints: all later results depend on them.
     """
     from service.commands.image_preview import doubt
     from service.export.suffixes import check_suffix
     from service.spec import Name
-    from storage.digest import array_digest, digest
     from storage.stores import open_store
-    from storage.volumes import save_volume
     from workers.body.images.labels import summarise
+    from workers.body.images.named_labels import read_tissues
+    from workers.body.images.orient import anatomical_directions
+    from workers.body.images.tiff_stack import slices_read
     from workers.organs.registry import organ_named
     from workers.organs.study_checks import caveats_of
     from workers.spec import Door, validated
@@ -66,7 +86,7 @@ def import_image(
 
     validated(Wanted, {"name": name}, "The name (letters, digits, '.', '_' and '-')")
     breast = organ_named("breast")
-    spec = validated(
+    spec: Any = validated(
         breast.target_spec,
         {
             "volume": str(path),
@@ -76,23 +96,25 @@ def import_image(
         },
         "The image's description",
     )
-    check_suffix(png, (".png",), "--png ")
-    volume = breast.make_body(spec)
+    check_suffix(picture, (".png",), "--picture ")
+    read = read_tissues(path, spec.labels, spacing_mm=spec.spacing_mm, axes=spec.axes)
+    volume = read.volume
     findings = imported_findings(breast.name, volume, path.name, anyway=anyway)
     opened = open_store(store_place(store))
-    digest_of_image = digest(
-        "import", name, array_digest(volume.values), list(volume.spacing_mm), list(volume.origin_mm)
-    )
-    _refuse_taken_name(opened, name, digest_of_image)
-    save_volume(
-        opened, digest_of_image, volume, meta={"kind": "image", "name": name, "file": path.name}
-    )
-    drawn = _draw(png or RUNS / "images" / f"{name}.png", volume, name)
+    digest_of_image = _keep(opened, name, volume, path.name, replace=replace)
+    letters = anatomical_directions(axes) if read.image.anatomical else None
+    drawn = _draw(picture or RUNS / "images" / f"{name}.png", volume, name, letters)
     record = {
         "name": name,
         "volume": digest_of_image,
         "store": str(opened),
         "axes": axes or "x,y,z",
+        "increasing_towards": None if letters is None else list(letters),
+        "place_known": volume.place_known,
+        "frame_uid": volume.frame_uid or None,
+        "slices": slices_read(path),
+        "label_names": {str(k): v for k, v in sorted(read.image.names.items())},
+        "label_tissues": {str(k): t.name.lower() for k, t in sorted(read.tissues.items())},
         "doubt": doubt(volume) or None,
         "findings": [finding.text for finding in findings],
         "caveats": list(caveats_of(findings)),
@@ -108,13 +130,13 @@ def import_image(
     typer.echo(f"{name} is in {opened} as {digest_of_image}. In a study: volume: {name}")
 
 
-def _draw(path: Path, volume: "Volume", name: str) -> Path:
+def _draw(path: Path, volume: "Volume", name: str, letters: tuple[str, str, str] | None) -> Path:
     from service.commands.image_preview import write_png
     from storage.atomic import explained
 
     with explained(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    write_png(path, volume, name)
+    write_png(path, volume, name, letters)
     return path
 
 
@@ -125,8 +147,7 @@ def _print(volume: "Volume", record: dict[str, Any]) -> None:
     from service.commands.image_preview import facts, terminal_lines
     from service.commands.tables import echo_table
 
-    axes = None if record["axes"] == "x,y,z" else record["axes"]
-    echo_table(None, facts(record, axes))
+    echo_table(None, facts(record, record["axes"]))
     console = Console(highlight=False, markup=False)
     coloured = console.is_terminal and not console.no_color
     for line in terminal_lines(volume, console.width, colours=coloured):
@@ -135,30 +156,59 @@ def _print(volume: "Volume", record: dict[str, Any]) -> None:
         typer.echo(f"Check: {record['doubt']}", err=True)
 
 
-def _refuse_taken_name(store: "Store", name: str, digest: str) -> None:
-    from storage.volumes import list_volumes, volume_meta
+def _keep(store: "Store", name: str, volume: "Volume", file: str, *, replace: bool) -> str:
+    """Store a volume under a name and return its digest.
 
-    for other in list_volumes(store):
-        if other != digest and volume_meta(store, other).get("name") == name:
-            raise InputError(f"The store has another volume named {name}: choose another name.")
+    Raises
+    ------
+    InputError
+        If the name means another volume, which is not to be replaced.
+    """
+    from storage.digest import array_digest, digest
+    from storage.volumes import save_volume, volume_meta, volumes_named
+
+    place = [list(volume.spacing_mm), list(volume.origin_mm), *volume.frame_facts]
+    content = digest("import", name, array_digest(volume.values), *place)
+    named = {v: volume_meta(store, v) for v in volumes_named(store, name)}
+    same = [v for v, meta in named.items() if content in (v, meta.get("content"))]
+    if same:
+        return same[0]
+    about: dict[str, Any] = {"kind": "image", "name": name, "file": file}
+    if not named:
+        save_volume(store, content, volume, meta=about)
+        return content
+    if not replace:
+        other = next(iter(named.values())).get("file", "an unknown file")
+        raise InputError(
+            f"The store has another volume named {name}, read from {other}. Choose another "
+            "--name, or give --replace."
+        )
+    about |= {"content": content, "replaces": [*named, content]}
+    kept = digest("replacement", content, list(named))
+    save_volume(store, kept, volume, meta=about)
+    return kept
 
 
-def parse_labels(text: str | None) -> dict[int, str] | None:
-    """Parse ``0=air,1=fat`` as a mapping.
+def parse_labels(text: str | None) -> dict[int | str, str] | str | None:
+    """Parse ``0=air,1=fat`` or ``Adipose=fat`` as a mapping; the path of a file stays a text.
 
     Raises
     ------
     InputError
         If it does not read so.
     """
-    if text is None:
-        return None
-    tissues: dict[int, str] = {}
+    if text is None or ("=" not in text and Path(text).is_file()):
+        return text
+    tissues: dict[int | str, str] = {}
     for part in text.split(","):
-        number, equals, tissue = part.partition("=")
-        if not (equals and number.strip().isdecimal() and tissue.strip()):
-            raise InputError(f"--labels {text}: expected such as 0=air,1=fat,2=glandular.")
-        if int(number) in tissues:
-            raise InputError(f"--labels {text}: {int(number)} stands twice.")
-        tissues[int(number)] = tissue.strip()
+        label, equals, tissue = (piece.strip() for piece in part.rpartition("="))
+        if not (equals and label and tissue):
+            raise InputError(
+                f"--labels {text}: expected such as 0=air,1=fat,2=glandular, names of the file "
+                "such as Adipose=fat, or a file that names the labels."
+            )
+        key = int(label) if label.isdecimal() else label
+        if key in tissues:
+            raise InputError(f"--labels {text}: {key} is given twice.")
+        tissues[key] = tissue
     return tissues

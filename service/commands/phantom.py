@@ -23,7 +23,7 @@ def phantom(
     as_json: JsonOption = False,
 ) -> None:
     """Generate a virtual breast and keep it in the store."""
-    from service.export import VOLUME_SUFFIXES, check_suffix, export_volume
+    from service.export import TISSUE_NAMES, VOLUME_SUFFIXES, check_suffix, export_volume
     from storage.stores import open_store
     from workers.body.images.labels import summarise
     from workers.organs.registry import organ_named
@@ -44,7 +44,7 @@ def phantom(
     name = bodies.bring_body(case.reference)
     volume = bodies.body(name)
     if out is not None:
-        export_volume(out, volume)
+        export_volume(out, volume, TISSUE_NAMES)
     summary = summarise(volume, named=True)
     record = {"volume": name, "store": str(bodies.store), **summary}
     if as_json:

@@ -64,10 +64,10 @@ def simulate(
     volume = result.get("volume")
     if out is not None and volume is not None:
         if out.suffix.lower() in VOLUME_SUFFIXES:
-            from service.export.stored import export_volume
+            from service.export.stored import TISSUE_NAMES, export_volume
             from storage.volumes import load_volume
 
-            export_volume(out, load_volume(opened, volume))
+            export_volume(out, load_volume(opened, volume), TISSUE_NAMES)
         else:
             from service.export.formats import export_solved
             from service.export.solved_body import solve_body

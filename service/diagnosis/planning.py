@@ -73,7 +73,7 @@ def checked_plan(
     StoreError
         If the store cannot be used.
     """
-    source = open_planned(path.expanduser().absolute())
+    source = open_planned(path.expanduser().absolute(), store)
     findings = check_source(source, anyway=anyway)
     check_nodes(nodes, source)
     parts = TaskStore(store)

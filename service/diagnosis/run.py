@@ -132,7 +132,7 @@ def request_for(
         If the store cannot be used.
     """
     if isinstance(source, Path):
-        source = open_source(source.expanduser().absolute())
+        source = open_source(source.expanduser().absolute(), store)
     check_nodes(nodes, source)
     if spacing_mm is None:
         points = SETTINGS.points

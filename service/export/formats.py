@@ -8,7 +8,7 @@ from service.export.febio import export_febio
 from service.export.mesh_file import export_solved_mesh
 from service.export.solved_body import SolvedBody
 from service.export.solver_model import comparable, solver_model
-from service.export.stored import export_volume
+from service.export.stored import TISSUE_NAMES, export_volume
 from service.export.suffixes import SOLVER_SUFFIXES, SURFACE_SUFFIXES, VOLUME_SUFFIXES
 from service.export.surface_file import export_surface
 from workers.body.mesh.boundary import boundary_triangles
@@ -49,7 +49,7 @@ def export_solved(paths: Iterable[Path], body: SolvedBody, *, as_told: bool = Fa
             triangles = boundary_triangles(shown.level.model.elements.tets)
             export_surface(path, shown.positions_mm, triangles)
         elif suffix in VOLUME_SUFFIXES:
-            export_volume(path, shown.deformed_labels())
+            export_volume(path, shown.deformed_labels(), TISSUE_NAMES)
         else:
             export_solved_mesh(path, shown)
     return shown

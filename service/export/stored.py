@@ -1,5 +1,6 @@
-"""Writes volumes and meshes as they lie in a store."""
+"""Files of the volumes and meshes of a store."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import nrrd
@@ -8,12 +9,25 @@ import numpy as np
 from storage.atomic import explained, replacing
 from storage.meshes import export_mesh, load_mesh
 from storage.stores import Store
-from storage.values import Volume
+from storage.values import Tissue, Volume
+from workers.body.images.labels import label_counts
+from workers.body.images.nrrd_file import FRAME_KEY, PLACE_KEY
 from workers.body.mesh.hierarchy import from_arrays
 
+TISSUE_NAMES = {int(tissue): tissue.name.capitalize() for tissue in Tissue if tissue}
+"""Names of the labels of a tissue volume; 0 is background everywhere."""
 
-def export_volume(path: Path, volume: Volume) -> None:
+
+def export_volume(path: Path, volume: Volume, names: Mapping[int, str] | None = None) -> None:
     """Write a volume as NRRD, in LPS as `workers.body.images.read` reads it back.
+
+    Parameters
+    ----------
+    path : Path
+    volume : Volume
+    names : mapping of int to str, optional
+        Names of its labels, such as `TISSUE_NAMES`; they are written as 3D Slicer does in
+        a ``.seg.nrrd``.
 
     Raises
     ------
@@ -25,9 +39,27 @@ def export_volume(path: Path, volume: Volume) -> None:
         "space directions": np.diag(volume.spacing_mm),
         "space origin": np.asarray(volume.origin_mm),
         "space units": ["mm", "mm", "mm"],
+        **_segments(volume, names or {}),
+        **({FRAME_KEY: volume.frame_uid} if volume.frame_uid else {}),
+        **({} if volume.place_known else {PLACE_KEY: "false"}),
     }
     with explained(path), replacing(path) as temporary:
         nrrd.write(str(temporary), volume.values, header, index_order="C")
+
+
+def _segments(volume: Volume, names: Mapping[int, str]) -> dict[str, str]:
+    """Return the header fields that name the labels of a volume."""
+    fields: dict[str, str] = {}
+    there = [label for label in label_counts(volume) if label in names] if names else []
+    for number, label in enumerate(there):
+        segment = f"Segment{number}"
+        fields |= {
+            f"{segment}_ID": f"{segment}_{names[label]}",
+            f"{segment}_Name": names[label],
+            f"{segment}_LabelValue": str(label),
+            f"{segment}_Layer": "0",
+        }
+    return fields
 
 
 def export_stored_mesh(

@@ -4,6 +4,7 @@ import base64
 import json
 import zlib
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,8 @@ def thinned(volume: Volume, most: int = MOST_VOXELS) -> Volume:
         return volume
     dx, dy, dz = volume.spacing_mm
     spacing: Triple = (step * dx, step * dy, step * dz)
-    return Volume(volume.values[::step, ::step, ::step], spacing, volume.origin_mm)
+    values = volume.values[::step, ::step, ::step]
+    return replace(volume, values=values, spacing_mm=spacing)
 
 
 def body_box_mm(volume: Volume) -> tuple[Triple, Triple]:

@@ -1,7 +1,7 @@
 """Makes the surfaces of a study's body: at rest, under load, and how far they miss the target."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -84,7 +84,8 @@ def _in_air(labels: Volume) -> Volume:
     """Return a body with air around it but below the chest wall, so that its surface is closed."""
     around = ((0, 1), (1, 1), (1, 1))
     (dx, dy, _), (x, y, z) = labels.spacing_mm, labels.origin_mm
-    return Volume(np.pad(labels.values, around), labels.spacing_mm, (x - dx, y - dy, z))
+    values = np.pad(labels.values, around)
+    return replace(labels, values=values, origin_mm=(x - dx, y - dy, z))
 
 
 def _gap(

@@ -38,7 +38,7 @@ def bring_source(
     InputError
         If it cannot be diagnosed, or an effect is not in its catalogue.
     """
-    opened = open_source(Path(path))
+    opened = open_source(Path(path), store)
     known = [effect.name for effect in opened.effects]
     for name in effects or ():
         if name not in known:

@@ -16,7 +16,7 @@ from storage.stores import Store
 from storage.volumes import has_volume, list_volumes, volume_meta
 
 WHERE = "The study"
-IMAGE_KEYS = {"volume", "file"}
+IMAGE_KEYS = {"volume", "file", "labels"}
 
 
 def study_from(

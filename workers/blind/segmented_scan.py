@@ -5,7 +5,7 @@ A blurred label is the normal distribution of the distance to its boundary, so
 moved along its normal by a random field that has waves of two lengths.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +60,7 @@ def glandular_share(labels: Volume) -> Volume:
     )
     gland = (wide.values[z, y, x] == Tissue.GLANDULAR).astype(np.float32)
     share = ndimage.gaussian_filter(gland, BLUR_VOXELS)
-    return Volume(share, wide.spacing_mm, wide.origin_mm)
+    return replace(wide, values=share)
 
 
 def deformed_labels(share: Volume, fine: FineMesh, displacement_mm: FloatArray) -> Volume:
@@ -76,7 +76,7 @@ def deformed_labels(share: Volume, fine: FineMesh, displacement_mm: FloatArray) 
     moved = warp_grey(share, fine.mesh, fine.interpolation @ displacement_mm, outside=-1.0)
     values = np.where(moved.values > 0.5, Tissue.GLANDULAR, Tissue.FAT).astype(np.uint8)
     values[moved.values < -0.5] = Tissue.AIR
-    return padded(Volume(values, moved.spacing_mm, moved.origin_mm), MARGIN_MM)
+    return padded(replace(moved, values=values), MARGIN_MM)
 
 
 def padded(labels: Volume, margin_mm: float) -> Volume:
@@ -84,7 +84,7 @@ def padded(labels: Volume, margin_mm: float) -> Volume:
     count = int(np.ceil(margin_mm / min(labels.spacing_mm)))
     origin = np.asarray(labels.origin_mm) - count * np.asarray(labels.spacing_mm)
     x, y, z = map(float, origin)
-    return Volume(np.pad(labels.values, count), labels.spacing_mm, (x, y, z))
+    return replace(labels, values=np.pad(labels.values, count), origin_mm=(x, y, z))
 
 
 def segmented(labels: Volume, segmenter: Segmenter, rng: np.random.Generator) -> Volume:
@@ -115,7 +115,7 @@ def segmented(labels: Volume, segmenter: Segmenter, rng: np.random.Generator) ->
     drawn = np.where(gland, Tissue.GLANDULAR, Tissue.FAT) * body
     values = np.zeros(labels.values.shape, np.uint8)
     values[first:] = drawn
-    return Volume(values, labels.spacing_mm, labels.origin_mm)
+    return replace(labels, values=values)
 
 
 def _redrawn(

@@ -4,12 +4,13 @@ A result of one kind therefore does not depend on the code of another; see
 `workers.tasks.code_version`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
 from storage.errors import InputError, StoreError
+from storage.values import Volume
 from workers.diagnosis.source import FinishedStudy, PlannedSource, Source, SourceContent
 from workers.mechanics.parameters import unknown_name
 
@@ -36,8 +37,14 @@ class Reader(Protocol):
     def knows(self, path: Path) -> bool:
         """Return whether this kind lies at a path."""
 
-    def read(self, path: Path) -> Source:
-        """Read what lies there.
+    def read(self, path: Path, stored: Callable[[str], Volume | None]) -> Source:
+        """Read what is at a path.
+
+        Parameters
+        ----------
+        path : Path
+        stored : callable
+            From the name of a volume in the store to the volume, or None.
 
         Raises
         ------
@@ -45,7 +52,9 @@ class Reader(Protocol):
             If it does not make sense.
         """
 
-    def read_planned(self, path: Path) -> PlannedSource | None:
+    def read_planned(
+        self, path: Path, stored: Callable[[str], Volume | None]
+    ) -> PlannedSource | None:
         """Read what is known before the loaded scans; None if this kind cannot be planned."""
 
     def understood(self, path: Path) -> list[tuple[str, str]]:

@@ -16,7 +16,7 @@ from storage.errors import InputError
 from storage.meshes import has_mesh, load_mesh, save_mesh
 from storage.stores import Store
 from storage.values import Volume
-from storage.volumes import has_volume, list_volumes, load_volume, save_volume, volume_meta
+from storage.volumes import find_volume, has_volume, load_volume, save_volume, volume_meta
 from workers.organs.organ import AligningOrgan, Facts, Organ
 from workers.organs.registry import organ_module
 from workers.resources import CACHE
@@ -199,14 +199,9 @@ class BodyStore:
 
     def _find(self, given: str) -> str:
         """Return the digest of the stored volume that has this digest or name."""
-        stored = list_volumes(self.store)
-        if given in stored:
-            return given
-        named = [v for v in stored if volume_meta(self.store, v).get("name") == given]
-        if len(named) == 1:
-            return named[0]
-        if named:
-            raise InputError(f"{given} names several volumes: give one of {', '.join(named)}.")
+        found = find_volume(self.store, given)
+        if found is not None:
+            return found
         raise InputError(
             f"{given} is neither a file or folder (looked up from {Path.cwd()}) nor a volume of "
             f"the store {self.store.root}. Check the path, or import the image first."
@@ -221,7 +216,7 @@ class BodyStore:
         arrays = self.organ.body_to_arrays(body)
         kind = "image" if imaged else "volume"
         if isinstance(arrays, Volume):
-            place = [list(arrays.spacing_mm), list(arrays.origin_mm)]
+            place = [list(arrays.spacing_mm), list(arrays.origin_mm), *arrays.frame_facts]
             return digest(kind, array_digest(arrays.values), place)
         return digest(kind, {key: array_digest(a) for key, a in arrays.items()})
 

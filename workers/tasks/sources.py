@@ -5,7 +5,7 @@ digest under which all of a source lies in the store, and its kind.
 """
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,11 @@ import yaml
 
 from storage.digest import array_digest, digest
 from storage.errors import InputError
+from storage.places import Location
 from storage.plain import dumps, loads, to_plain
+from storage.stores import open_store
+from storage.values import Volume
+from storage.volumes import find_volume, load_volume
 from workers.body.mesh.node_count import check_node_count_of
 from workers.diagnosis.source import (
     Checkable,
@@ -55,7 +59,7 @@ class StoredContent:
     volumes: Mapping[str, str]
 
 
-def open_source(path: Path) -> Source:
+def open_source(path: Path, store: Location | None = None) -> Source:
     """Read what lies at a path as the source of a diagnosis.
 
     Parameters
@@ -63,6 +67,8 @@ def open_source(path: Path) -> Source:
     path : Path
         A case or its folder, the folder of a study that has run, or the file of a bench
         experiment.
+    store : str or Path, optional
+        Where a case may name volumes.
 
     Raises
     ------
@@ -74,7 +80,7 @@ def open_source(path: Path) -> Source:
     refuse_study_file(path)
     reader = _reader_of(path)
     if reader is not None:
-        return reader.read(path)
+        return reader.read(path, volumes_of(store))
     missing = "" if path.exists() else "there is nothing at that path; "
     raise InputError(
         f"{path} cannot be diagnosed: {missing}expected a folder with case.json or case.yaml and "
@@ -110,6 +116,19 @@ def source_caveats(source: HasContent, findings: list[Finding]) -> tuple[str, ..
     """Return the statements with which the results of a source begin."""
     own = source.caveats if isinstance(source, CheckedSource) else ()
     return tuple(dict.fromkeys((*own, *caveats_of(findings))))
+
+
+def volumes_of(store: Location | None) -> Callable[[str], Volume | None]:
+    """Return what finds the volumes of a store by their names."""
+
+    def find(name: str) -> Volume | None:
+        if store is None:
+            return None
+        opened = open_store(store)
+        digest_of_it = find_volume(opened, name)
+        return None if digest_of_it is None else load_volume(opened, digest_of_it)
+
+    return find
 
 
 def _reader_of(path: Path) -> Reader | None:
@@ -173,7 +192,7 @@ def refuse_study_file(path: Path) -> None:
         )
 
 
-def open_planned(path: Path) -> PlannedSource:
+def open_planned(path: Path, store: Location | None = None) -> PlannedSource:
     """Read what is known of an acquisition before its loaded scans.
 
     Raises
@@ -185,7 +204,7 @@ def open_planned(path: Path) -> PlannedSource:
         return open_study(path)
     refuse_study_file(path)
     reader = _reader_of(path)
-    planned = None if reader is None else reader.read_planned(path)
+    planned = None if reader is None else reader.read_planned(path, volumes_of(store))
     if planned is not None:
         return planned
     raise InputError(

@@ -90,7 +90,7 @@ class TaskStore:
 
     def add_volume(self, volume: Volume) -> str:
         """Store a volume under the digest of its content, and return that."""
-        place = [list(volume.spacing_mm), list(volume.origin_mm)]
+        place = [list(volume.spacing_mm), list(volume.origin_mm), *volume.frame_facts]
         name = digest("image", array_digest(volume.values), place)
         if not has_volume(self.store, name):
             save_volume(self.store, name, volume, meta={"kind": "image"})

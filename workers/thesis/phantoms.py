@@ -64,4 +64,4 @@ def two_materials(labels: Volume) -> Volume:
     """Glandular tissue and fat; skin and ligaments count as fat (thesis section 4.4.1)."""
     values = np.where(labels.values == Tissue.AIR, Tissue.AIR, Tissue.FAT).astype(np.uint8)
     values[labels.values == Tissue.GLANDULAR] = Tissue.GLANDULAR
-    return Volume(values, labels.spacing_mm, labels.origin_mm)
+    return replace(labels, values=values)

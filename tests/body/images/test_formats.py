@@ -96,7 +96,7 @@ class TestEveryFormat:
     ) -> None:
         grey = body.astype(np.float32)
         grey[3, 2, 1] = bad
-        said = {0.5: "0.5", np.inf: "inf"}.get(bad, "nan")
+        said = {0.5: "0.5", np.inf: "inf"}.get(bad, "NaN")
         with pytest.raises(InputError, match=f"not a label map: it holds {said}"):
             read_volume(save(tmp_path / f"a{suffix}", grey), spacing_mm=UNIT)
 

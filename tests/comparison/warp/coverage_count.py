@@ -29,4 +29,4 @@ def warp_coverage(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume) -
         count = tet_runs(deformed.fixed, deformed.tets, t, deformed.bits, deformed.runs)
         for z, y, first, end in deformed.runs[:count]:
             counts[z, y, first:end] += 1
-    return Coverage(deformed.volume(counts), inverted)
+    return Coverage(deformed.volume(counts, lattice), inverted)

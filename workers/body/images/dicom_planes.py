@@ -14,6 +14,8 @@ from storage.errors import InputError
 from storage.values import FloatArray
 from workers.body.images.scan import Scan
 
+STATED_TOLERANCE = 0.01
+"""Relative difference of the distance of slices from the one that a tag states."""
 GAP_TOLERANCE = 0.05
 """How far a slice may be from its place in the stack, in gaps (positions are rounded)."""
 
@@ -43,9 +45,8 @@ def stack(
     what: str,
     *,
     may_skip: bool = False,
-    gap_mm: float | None = None,
 ) -> Planes:
-    """Sort slices along their normal.
+    """Sort slices along their normal; positions alone decide how far apart they are.
 
     Parameters
     ----------
@@ -57,9 +58,6 @@ def stack(
         How to name the image in messages.
     may_skip : bool, optional
         Whether slots may stay empty (segmentations leave out empty slices).
-    gap_mm : float, optional
-        Distance of neighbours where the file states it. Default: the median of the
-        distances found, or the least one when slots may stay empty.
 
     Raises
     ------
@@ -76,16 +74,15 @@ def stack(
             f"{what} has slices at one position only; a volume needs two or more. "
             "Give the folder with the whole series."
         )
-    if gap_mm is None:
-        gap_mm = float(apart.min() if may_skip else np.median(apart))
+    gap_mm = float(apart.min() if may_skip else np.median(apart))
     jumps = np.rint(gaps / gap_mm).astype(np.intp)
     slots = np.zeros(depth.size, dtype=np.intp)
     slots[order[1:]] = np.cumsum(jumps)
     count = max(int(slots[order[-1]]), 1)
     even = (depth[order[-1]] - depth[order[0]]) / count
     shift = np.abs(depth - depth[order[0]] - slots * even)
-    stated_wrong = abs(even - gap_mm) > GAP_TOLERANCE * gap_mm
-    if stated_wrong or shift.max() > GAP_TOLERANCE * even or (jumps.max() > 1 and not may_skip):
+    odd = abs(even - gap_mm) > GAP_TOLERANCE * gap_mm
+    if odd or shift.max() > GAP_TOLERANCE * even or (jumps.max() > 1 and not may_skip):
         _refuse_gaps(gaps, gap_mm, what)
 
     origin = positions_mm[order[0]]
@@ -106,6 +103,34 @@ def _refuse_gaps(gaps: FloatArray, gap_mm: float, what: str) -> None:
         f"{gaps[worst]:.4g} mm apart, expected {gap_mm:.4g} mm. A slice is missing, or "
         "two series are mixed; complete the series, or resample it on a regular grid."
     )
+
+
+def check_stated_gap(planes: Planes, tags: Any, what: str) -> None:
+    """Raise InputError if a tag contradicts the distance of the slices' positions.
+
+    SpacingBetweenSlices is that distance. SliceThickness is expected to be it where the file
+    has no SpacingBetweenSlices; with one, slices may overlap or leave gaps.
+
+    Parameters
+    ----------
+    planes : Planes
+    tags : pydicom.Dataset
+        With PixelMeasures, or a slice.
+    what : str
+        How to name the image in messages.
+    """
+    gap = float(np.linalg.norm(planes.step_mm))
+    for name in ("SpacingBetweenSlices", "SliceThickness"):
+        stated = abs(float(tags.get(name) or 0))  # some scanners write a negative one
+        if not stated:
+            continue
+        if abs(gap - stated) > STATED_TOLERANCE * stated:
+            raise InputError(
+                f"{what} contradicts itself: its slices are {gap:.4g} mm apart by their positions, "
+                f"expected {stated:.4g} mm by its {name}. Export it again, or correct the one that "
+                "is wrong."
+            )
+        return
 
 
 def plane_scan(

@@ -5,14 +5,21 @@ number) and LABELMAP frames (labels as they are) are read. Frames without any
 voxel of a segment are usually left out of the file; they stay 0.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from storage.errors import InputError
-from workers.body.images.dicom_planes import check_orientation, plane_scan, stack
+from workers.body.images.dicom_planes import (
+    check_orientation,
+    check_stated_gap,
+    plane_scan,
+    stack,
+)
 from workers.body.images.scan import Scan
+from workers.body.images.tissue_names import tissue_in
 
 
 def is_multi_frame(dataset: Any) -> bool:
@@ -45,10 +52,8 @@ def read_segmentation(path: Path, dataset: Any) -> Scan:
     plane = _group(shared[0], frames[0].item, "PlaneOrientationSequence", path)
     orientation = check_orientation(plane.get("ImageOrientationPatient"), str(path))
     positions = np.array([frame.position(path) for frame in frames], dtype=float)
-    gap = float(measures.get("SpacingBetweenSlices") or 0)
-    planes = stack(
-        positions, orientation, str(path), may_skip=True, gap_mm=gap if gap > 0 else None
-    )
+    planes = stack(positions, orientation, str(path), may_skip=True)
+    check_stated_gap(planes, measures, str(path))
 
     pixels = np.asarray(dataset.pixel_array)
     if pixels.ndim != 3 or len(pixels) != len(frames):
@@ -67,7 +72,36 @@ def read_segmentation(path: Path, dataset: Any) -> Scan:
         values[slot][inside] = (
             frame.segment(path) if kind == "BINARY" else plane_pixels[inside].astype(np.uint16)
         )
-    return plane_scan(values, planes, orientation, measures.get("PixelSpacing"))
+    return replace(
+        plane_scan(values, planes, orientation, measures.get("PixelSpacing")),
+        frame_uid=str(dataset.get("FrameOfReferenceUID") or ""),
+        names=_names(dataset, path),
+    )
+
+
+def _names(dataset: Any, path: Path) -> dict[int, str]:
+    """Return the name of each segment; that of its coded type where only this names a tissue.
+
+    Raises
+    ------
+    InputError
+        If label and coded type of a segment are two tissues.
+    """
+    names: dict[int, str] = {}
+    for segment in dataset.get("SegmentSequence") or []:
+        number, label = int(segment.SegmentNumber), str(segment.get("SegmentLabel") or "").strip()
+        codes = segment.get("SegmentedPropertyTypeCodeSequence") or []
+        coded = str(codes[0].get("CodeMeaning") or "").strip() if codes else ""
+        ours, theirs = tissue_in(label), tissue_in(coded)
+        if None not in (ours, theirs) and ours != theirs:
+            raise InputError(
+                f"{path}: segment {number} is labelled {label!r}, but its property type is "
+                f"{coded!r}. Correct one of them."
+            )
+        name = coded if ours is None and theirs is not None else label or coded
+        if name:
+            names[number] = name
+    return names
 
 
 class _Frame:

@@ -5,6 +5,7 @@ by file name or instance number. The frame is LPS, as the standard has it.
 """
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,17 @@ from numpy.typing import NDArray
 from pydicom.errors import InvalidDicomError
 
 from storage.errors import InputError
-from workers.body.images.dicom_planes import check_orientation, plane_scan, stack
+from workers.body.images.dicom_planes import (
+    check_orientation,
+    check_stated_gap,
+    plane_scan,
+    stack,
+)
 from workers.body.images.dicom_segmentation import is_multi_frame, read_segmentation
 from workers.body.images.scan import Scan
 
 _BESIDES = {".txt", ".md", ".json", ".xml", ".csv", ".pdf", ".png", ".jpg", ".jpeg", ".html"}
-"""Suffixes of files that may lie beside the slices."""
+"""Suffixes of other files that a folder of slices may contain."""
 
 
 def read_dicom(path: Path) -> Scan:
@@ -80,6 +86,8 @@ def _series(images: list[tuple[Path, Any]], what: str) -> Scan:
             raise InputError(f"{path} has another orientation than {images[0][0].name}.")
     positions = np.array([d.ImagePositionPatient for _, d in images], dtype=float)
     planes = stack(positions, orientation, what)
+    for _, dataset in images:
+        check_stated_gap(planes, dataset, what)
     shared = np.bincount(planes.slots)[planes.slots] > 1
     twice = [path.name for (path, _), other in zip(images, shared, strict=True) if other]
     if twice:
@@ -96,15 +104,23 @@ def _series(images: list[tuple[Path, Any]], what: str) -> Scan:
             values = values.astype(np.promote_types(pixels.dtype, values.dtype))
         values[slot] = pixels
     assert values is not None
-    return plane_scan(values, planes, orientation, first.get("PixelSpacing"))
+    scan = plane_scan(values, planes, orientation, first.get("PixelSpacing"))
+    return replace(scan, frame_uid=str(first.get("FrameOfReferenceUID") or ""))
 
 
 def _refuse_mixed(images: list[tuple[Path, Any]], what: str) -> None:
-    """Require one series, one size and one pixel spacing."""
+    """Require one series, one frame of reference, one size and one pixel spacing."""
     series = Counter(str(d.get("SeriesInstanceUID", "none")) for _, d in images)
     if len(series) > 1:
         listed = "; ".join(f"{uid}: {count} slices" for uid, count in series.most_common(4))
         raise InputError(f"{what} holds {len(series)} series ({listed}). Give one folder for each.")
+    frames = Counter(str(d.get("FrameOfReferenceUID") or "none") for _, d in images)
+    if len(frames) > 1:
+        listed = "; ".join(f"{uid}: {count} slices" for uid, count in frames.most_common(4))
+        raise InputError(
+            f"{what} holds slices of {len(frames)} frames of reference ({listed}), whose positions "
+            "cannot be compared. Give one folder for each."
+        )
     for name in ("Rows", "Columns", "PixelSpacing"):
         values = Counter(str(d.get(name)) for _, d in images)
         if len(values) > 1:

@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, NotRequired, TypedDict
 
 import numpy as np
@@ -92,7 +93,7 @@ def _renamed(volume: Volume, wanted: Mapping[int, Tissue]) -> Volume:
         slice_out[...] = (
             tissues[np.searchsorted(known, labels)] if table is None else table[labels - low]
         )
-    return Volume(out, volume.spacing_mm, volume.origin_mm)
+    return replace(volume, values=out)
 
 
 def tissue_named(name: Tissue | str | int) -> Tissue:
@@ -239,7 +240,7 @@ def crop_to_body(volume: Volume, margin_voxels: int = 1) -> Volume:
     x, y, z = (slice(int(a), int(b)) for a, b in zip(lower, upper, strict=True))
     origin = np.asarray(volume.origin_mm) + lower * np.asarray(volume.spacing_mm)
     ox, oy, oz = (float(o) for o in origin)
-    return Volume(volume.values[z, y, x].copy(), volume.spacing_mm, (ox, oy, oz))
+    return replace(volume, values=volume.values[z, y, x].copy(), origin_mm=(ox, oy, oz))
 
 
 def resample_labels(volume: Volume, like: Volume) -> Volume:
@@ -265,7 +266,7 @@ def resample_labels(volume: Volume, like: Volume) -> Volume:
         inside.append(within)
     values = np.full(like.values.shape, Tissue.AIR, volume.values.dtype)
     values[np.ix_(*inside[::-1])] = volume.values[np.ix_(*index[::-1])]
-    return Volume(values, like.spacing_mm, like.origin_mm)
+    return replace(volume, values=values, spacing_mm=like.spacing_mm, origin_mm=like.origin_mm)
 
 
 def _extent(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:

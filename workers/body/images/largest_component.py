@@ -1,5 +1,7 @@
 """Keep one body in air of a label volume: no specks beside it, no holes in it."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import label
 
@@ -39,7 +41,7 @@ def one_body(labels: Volume, filling: Tissue = Tissue.FAT) -> Volume:
         return labels
     values = np.where(body, labels.values, labels.values.dtype.type(Tissue.AIR))
     values[whole & ~body] = filling
-    return Volume(values, labels.spacing_mm, labels.origin_mm)
+    return replace(labels, values=values)
 
 
 def _filled(body: BoolArray) -> BoolArray:
@@ -64,4 +66,4 @@ def in_air(labels: Volume) -> Volume:
     values = np.pad(tight.values, ((0, more), (more, more), (more, more)))
     x, y, z = tight.origin_mm
     dx, dy, _ = tight.spacing_mm
-    return Volume(values, tight.spacing_mm, (x - more * dx, y - more * dy, z))
+    return replace(tight, values=values, origin_mm=(x - more * dx, y - more * dy, z))

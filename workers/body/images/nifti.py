@@ -1,10 +1,18 @@
 """Read NIfTI-1 and NIfTI-2, with nibabel.
 
 The file's frame is RAS and is brought to LPS. The sform is taken when the file
-has one, else the qform. With neither the standard attaches no orientation
-(nifti1.h, "method 1"): the index axes are then x, y, z at the given ``pixdim``.
+has one, else the qform; see `workers.body.images.nifti_forms` for files whose
+forms contradict each other. With neither the standard attaches no orientation
+(nifti1.h, "method 1"): the index axes are then x, y, z at the given ``pixdim``,
+and the place is unknown.
+
+Names of labels are read from a header extension with a ``LabelTable``, as
+TotalSegmentator and Connectome Workbench write it.
 """
 
+import html
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +23,14 @@ from nibabel.openers import ImageOpener
 
 from storage.errors import InputError
 from storage.values import FloatArray
+from workers.body.images.nifti_forms import check_forms
 from workers.body.images.scan import RAS_TO_LPS, Scan
 
-_UNIT_MM = {"unknown": 1.0, "mm": 1.0, "meter": 1e3, "micron": 1e-3}
+_UNIT_MM = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
+"""Millimetres in the unit of a code of ``xyzt_units``: unknown, metre, millimetre, micrometre."""
+_NAMED = re.compile(
+    r"""<Label\s[^>]*?Key=["'](-?\d+)["'][^>]*>\s*(?:<!\[CDATA\[(.*?)\]\]>|([^<]*))""", re.DOTALL
+)
 _REFUSE = 40
 """Severity from which nibabel's header checks raise."""
 
@@ -38,9 +51,32 @@ def read_nifti(path: Path) -> Scan:
             "Save one channel and one time point of it."
         )
     values = values.squeeze(tuple(range(3, values.ndim)))
-    unit = _UNIT_MM.get(header.get_xyzt_units()[0], 1.0)
+    unit = _unit_mm(header, path)
     pixdim[bad] = np.nan
-    return _place(values, header, unit, unit * pixdim)
+    check_forms(header, unit * pixdim, unit, str(path))
+    return replace(_place(values, header, unit, unit * pixdim), names=_names(header))
+
+
+def _unit_mm(header: Any, path: Path) -> float:
+    code = int(header["xyzt_units"]) & 7  # the other bits are the unit of time
+    if code not in _UNIT_MM:
+        raise InputError(
+            f"{path} has the code {code} for its unit of length, expected 1 (metre), 2 (mm) or 3 "
+            "(micrometre). Save the image again in mm."
+        )
+    return _UNIT_MM[code]
+
+
+def _names(header: Any) -> dict[int, str]:
+    """Return the names of labels in the file's extensions."""
+    names: dict[int, str] = {}
+    for extension in header.extensions:
+        content = extension.get_content()
+        text = content.decode(errors="replace") if isinstance(content, bytes) else str(content)
+        if "<LabelTable" in text:
+            for key, literal, escaped in _NAMED.findall(text):
+                names[int(key)] = (literal or html.unescape(escaped)).strip()
+    return names
 
 
 def _header(path: Path) -> Any:
@@ -59,5 +95,5 @@ def _place(values: Any, header: Any, unit: float, pixdim_mm: FloatArray) -> Scan
     affine = header.get_best_affine()
     scan = Scan.with_steps(values, unit * affine[:3, :3], unit * affine[:3, 3], RAS_TO_LPS)
     if header["sform_code"] == 0:  # a qform takes its lengths from pixdim
-        return Scan(scan.values, pixdim_mm, scan.directions, scan.origin_mm)
+        return replace(scan, spacing_mm=pixdim_mm)
     return scan

@@ -3,18 +3,25 @@
 The header's ``space`` names the frame; LPS, RAS and LAS are brought to LPS.
 Spaces without anatomy (``scanner-xyz``, ``3D-right-handed``, ``space dimension:
 3`` or none) are taken as they are. Without ``space directions`` the index axes
-are x, y, z at the header's ``spacings``.
+are x, y, z at the header's ``spacings``, and the place is unknown; a header that
+then states an origin all the same is refused.
+
+Names of labels are those of 3D Slicer's segmentations (``.seg.nrrd``).
 """
 
+import re
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import nrrd
 import numpy as np
+from numpy.typing import NDArray
 
 from storage.errors import InputError
 from storage.values import FloatArray
-from workers.body.images.scan import RAS_TO_LPS, Scan, three_axes
+from workers.body.images.scan import RAS_TO_LPS, SPACING_TOLERANCE, Scan, three_axes
 
 _FRAMES: dict[str, FloatArray] = {
     "left-posterior-superior": np.eye(3),
@@ -27,28 +34,119 @@ _FRAMES: dict[str, FloatArray] = {
     "3d-right-handed": np.eye(3),
     "": np.eye(3),
 }
+_ANATOMICAL = {name for name in _FRAMES if name.startswith(("left", "right", "lps", "ras", "las"))}
+_SEGMENT = re.compile(r"Segment(\d+)_(Name|ID|LabelValue|Layer)")
+FRAME_KEY, PLACE_KEY = "palpate_frame_uid", "palpate_place_known"
+"""Keys in which `service.export` writes what NRRD has no field for."""
 _UNIT_MM = {"": 1.0, "mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "µm": 1e-3, "micron": 1e-3}
 
 
 def read_nrrd(path: Path) -> Scan:
     """Read an ``.nrrd`` file, or ``.nhdr`` with its data beside it."""
-    values, header = nrrd.read(str(path), index_order="F")
-    steps = header.get("space directions")
-    if steps is None:
-        sizes = values.shape
-        spacing = np.asarray(header.get("spacings", np.full(len(sizes), np.nan)), dtype=float)
-        values = three_axes(values, str(path))
-        if spacing.size > 3:
-            spacing = spacing[np.array(sizes) > 1]
-        return Scan.without_frame(values, spacing if spacing.size == 3 else None)
+    what = str(path)
+    values, header = nrrd.read(what, index_order="F")
+    segments = _segments(header)
+    _refuse_layers(segments, values.shape, what)
+    scan = (
+        _without_directions(values, header, what)
+        if header.get("space directions") is None
+        else _with_directions(values, header, what)
+    )
+    return replace(
+        scan,
+        frame_uid=str(header.get(FRAME_KEY, "")),
+        place_known=scan.place_known and header.get(PLACE_KEY) != "false",
+        names=_names(segments, what),
+    )
 
-    steps = np.asarray(steps, dtype=float)
-    spatial = _spatial_axes(steps, header, values.shape, str(path))
+
+def _without_directions(values: NDArray[Any], header: Mapping[str, Any], what: str) -> Scan:
+    given = [key for key in ("space origin", "axis mins", "axis maxs") if key in header]
+    if given:
+        raise InputError(
+            f"{what} has {' and '.join(given)} but no space directions, so the place of its voxels "
+            "is ambiguous. Save it with space directions (3D Slicer and ITK always do), or take "
+            f"{' and '.join(given)} out of the header."
+        )
+    sizes = values.shape
+    spacing = np.asarray(header.get("spacings", np.full(len(sizes), np.nan)), dtype=float)
+    values = three_axes(values, what)
+    if spacing.size > 3:
+        spacing = spacing[np.array(sizes) > 1]
+    unit = _unit_mm(header, what)
+    return Scan.without_frame(values, unit * spacing if spacing.size == 3 else None)
+
+
+def _with_directions(values: NDArray[Any], header: dict[str, Any], what: str) -> Scan:
+    steps = np.asarray(header["space directions"], dtype=float)
+    spatial = _spatial_axes(steps, header, values.shape, what)
     values = values.squeeze(tuple(a for a in range(values.ndim) if a not in spatial))
-    unit = _unit_mm(header, str(path))
-    origin = np.asarray(header.get("space origin", np.zeros(3)), dtype=float)
-    frame = _frame(header, str(path))
-    return Scan.with_steps(values, unit * steps[spatial].T, unit * origin, frame)
+    _refuse_other_spacings(steps[spatial], header.get("spacings"), spatial, what)
+    unit = _unit_mm(header, what)
+    origin = np.asarray(header.get("space origin", np.full(3, np.nan)), dtype=float)
+    frame = _frame(header, what)
+    scan = Scan.with_steps(values, unit * steps[spatial].T, unit * origin, frame)
+    return replace(scan, anatomical=_space(header) in _ANATOMICAL)
+
+
+def _refuse_other_spacings(steps: FloatArray, spacings: Any, spatial: list[int], what: str) -> None:
+    """Raise InputError if the header also has ``spacings`` that contradict the directions."""
+    if spacings is None:
+        return
+    stated = np.asarray(spacings, dtype=float)[spatial]
+    length = np.linalg.norm(steps, axis=1)
+    both = np.isfinite(stated) & np.isfinite(length)
+    if np.any(np.abs(stated - length)[both] > SPACING_TOLERANCE * length[both]):
+        raise InputError(
+            f"{what} contradicts itself: voxels measure {_listed(length)} by its space directions, "
+            f"{_listed(stated)} by its spacings. Save it again with space directions alone."
+        )
+
+
+def _listed(lengths: FloatArray) -> str:
+    return " x ".join(f"{length:.4g}" for length in lengths)
+
+
+def _segments(header: Mapping[str, Any]) -> dict[int, dict[str, str]]:
+    """Return the fields of each segment of a ``.seg.nrrd``, by its number."""
+    segments: dict[int, dict[str, str]] = {}
+    for key, value in header.items():
+        if match := _SEGMENT.fullmatch(key):
+            segments.setdefault(int(match[1]), {})[match[2]] = str(value).strip()
+    return segments
+
+
+def _refuse_layers(
+    segments: Mapping[int, Mapping[str, str]], shape: tuple[int, ...], what: str
+) -> None:
+    layers = {segment.get("Layer", "0") for segment in segments.values()}
+    if segments and (len(layers) > 1 or (len(shape) == 4 and shape[0] > 1)):
+        raise InputError(
+            f"{what} has segments in {max(len(layers), shape[0])} layers, because they overlap; a "
+            "voxel can have one label only. In 3D Slicer, set masking to 'Overwrite: all' or "
+            "remove the overlap (Logical operators: subtract), then export it as a label map: "
+            "Segment Editor, Segmentations, 'Export visible segments to binary labelmap', and "
+            "save that as .nrrd with its colour table (give it with --labels FILE.ctbl)."
+        )
+
+
+def _names(segments: Mapping[int, Mapping[str, str]], what: str) -> dict[int, str]:
+    """Return the name of each label value."""
+    names: dict[int, str] = {}
+    for number, segment in sorted(segments.items()):
+        name = segment.get("Name") or segment.get("ID", "")
+        value = segment.get("LabelValue", "1" if len(segments) == 1 else "")
+        if not value.lstrip("-").isdecimal():
+            raise InputError(
+                f"{what}: Segment{number}_LabelValue is {value!r}, expected the label of the "
+                f"segment {name!r}. Save the segmentation again with 3D Slicer 4.11 or later."
+            )
+        if names.setdefault(int(value), name) != name:
+            raise InputError(
+                f"{what} has two segments of the label {value}, {names[int(value)]!r} and "
+                f"{name!r}. Save the segmentation again."
+            )
+    return {value: name for value, name in names.items() if name}
 
 
 def _spatial_axes(
@@ -75,16 +173,20 @@ def _spatial_axes(
 
 
 def _frame(header: dict[str, Any], what: str) -> FloatArray:
-    space = str(header.get("space", "")).lower().removesuffix("-time")
+    space = _space(header)
     if space not in _FRAMES:
         raise InputError(
-            f"{what} lies in the space {space!r}, which is not known here or is mirrored. "
+            f"{what} is in the space {space!r}, which is unknown or mirrored. "
             "Save it as left-posterior-superior (LPS)."
         )
     return _FRAMES[space]
 
 
-def _unit_mm(header: dict[str, Any], what: str) -> float:
+def _space(header: Mapping[str, Any]) -> str:
+    return str(header.get("space", "")).lower().removesuffix("-time")
+
+
+def _unit_mm(header: Mapping[str, Any], what: str) -> float:
     units = {str(unit).strip().lower() for unit in header.get("space units", [])} or {""}
     if len(units) > 1 or not units <= _UNIT_MM.keys():
         raise InputError(

@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 
 from storage.errors import InputError
 from storage.values import FloatArray, Triple, Volume
-from workers.body.images.scan import Scan
+from workers.body.images.scan import SPACING_TOLERANCE, Scan
 
 OBLIQUE_DEG = 1.0
 """Index axes further than this from a world axis are refused."""
-SPACING_TOLERANCE = 1e-3
-"""Relative difference allowed between the header's spacing and the one given."""
 
 AxisOrder = NDArray[np.intp]
 
@@ -60,6 +58,11 @@ def to_volume(
     spacing = np.empty(3)
     spacing[order] = _settle_spacing(scan.spacing_mm[order], spacing_mm, what)
 
+    if is_anatomical(axes) and not scan.anatomical:
+        raise InputError(
+            f"axes {axes} are anatomical, but {what} does not state where left, posterior and "
+            "superior are. Name the axes of the file instead, such as -z,y,x."
+        )
     turn = parse_axes(axes)
     directions = turn @ scan.directions
     order, sign = nearest_axes(directions, what)
@@ -75,7 +78,13 @@ def to_volume(
     values = np.flip(values, axis=tuple(int(w) for w in np.flatnonzero(sign < 0)))
     x, y, z = (float(o) + 0.0 for o in origin)  # + 0.0: no minus zero in a header
     sx, sy, sz = (float(s) for s in spacing[order])
-    return Volume(np.ascontiguousarray(values.transpose(2, 1, 0)), (sx, sy, sz), (x, y, z))
+    return Volume(
+        np.ascontiguousarray(values.transpose(2, 1, 0)),
+        (sx, sy, sz),
+        (x, y, z),
+        frame_uid=scan.frame_uid,
+        place_known=scan.place_known,
+    )
 
 
 def nearest_axes(directions: FloatArray, what: str) -> tuple[AxisOrder, FloatArray]:
@@ -139,6 +148,15 @@ def _mm(lengths: FloatArray) -> str:
     return " ".join(f"{length:g}" if np.isfinite(length) else "?" for length in lengths)
 
 
+ANATOMICAL = {"l": "x", "r": "-x", "p": "y", "a": "-y", "s": "z", "i": "-z"}
+"""World axes (LPS) of the letters for left, right, posterior, anterior, superior and inferior."""
+
+
+def is_anatomical(axes: str | None) -> bool:
+    """Return whether axes are given by anatomical letters."""
+    return axes is not None and any(letter in ANATOMICAL for letter in axes.lower())
+
+
 def parse_axes(axes: str | None) -> FloatArray:
     """Return the rotation from world to house frame.
 
@@ -147,7 +165,9 @@ def parse_axes(axes: str | None) -> FloatArray:
     axes : str, optional
         Three world axes with an optional sign, the ones that become house x
         (vertical), y (compression) and z (chest wall to nipple): ``"-z,y,x"`` stands
-        a body up whose head is at +z and whose nipple is at +x. Default: ``"x,y,z"``.
+        a body up whose head is at +z and whose nipple is at +x. Or the anatomical
+        directions in which x, y and z increase, one letter of L, R, P, A, S and I
+        each: ``"L S A"`` is ``"x,z,-y"``. Default: ``"x,y,z"``.
 
     Returns
     -------
@@ -157,28 +177,67 @@ def parse_axes(axes: str | None) -> FloatArray:
     Raises
     ------
     InputError
-        If it does not name x, y and z once each, or would mirror the body.
+        If it does not name all three directions once each, or would mirror the body.
 
     Examples
     --------
     >>> parse_axes("-z,y,x") @ [1.0, 2.0, 3.0]
     array([-3.,  2.,  1.])
     """
-    names = ("x,y,z" if axes is None else axes).replace(" ", "").lower().split(",")
+    names = world_axes(axes)
     bare = [name.lstrip("+-") for name in names]
     signed = all(len(name) - len(letter) <= 1 for name, letter in zip(names, bare, strict=True))
     if sorted(bare) != ["x", "y", "z"] or not signed:
         raise InputError(
             f"axes must name x, y and z once each, with an optional sign, got {axes!r}. "
-            "Write for example -z,y,x: house x is world -z, y is y and z is x."
+            "Write for example -z,y,x: house x is world -z, y is y and z is x. Or give the "
+            "anatomical directions in which x, y and z increase, such as L S A: one of L and R, "
+            "one of P and A, one of S and I."
         )
     turn = np.zeros((3, 3))
     for house, (name, letter) in enumerate(zip(names, bare, strict=True)):
         turn[house, "xyz".index(letter)] = -1.0 if name.startswith("-") else 1.0
     if np.linalg.det(turn) < 0:
-        other = [f"-{bare[0]}" if names[0][0] != "-" else bare[0], *names[1:]]
         raise InputError(
-            f"axes {','.join(names)} would mirror the body (a left breast would become a right "
-            f"one). Change one sign more, for example {','.join(other)}."
+            f"axes {_as_given(names, axes)} would mirror the body (a left breast would become a "
+            f"right one). Change one sign more, for example {_as_given(_unmirrored(names), axes)}."
         )
     return turn
+
+
+def world_axes(axes: str | None) -> list[str]:
+    """Return the signed world axes that the user gave, perhaps by anatomical letters."""
+    text = ("x,y,z" if axes is None else axes).lower()
+    if is_anatomical(axes):
+        letters = text.replace(",", " ").split()
+        if len(letters) == 1:
+            letters = list(letters[0])
+        return [ANATOMICAL.get(letter, letter) for letter in letters]
+    return text.replace(" ", "").split(",")
+
+
+def _unmirrored(names: list[str]) -> list[str]:
+    first = names[0].lstrip("+-")
+    return [first if names[0].startswith("-") else f"-{first}", *names[1:]]
+
+
+def _as_given(names: list[str], axes: str | None) -> str:
+    """Write signed world axes in the way of the user, letters or axes."""
+    if not is_anatomical(axes):
+        return ",".join(names)
+    letters = {axis: letter.upper() for letter, axis in ANATOMICAL.items()}
+    return " ".join(letters[name] for name in names)
+
+
+def anatomical_directions(axes: str | None) -> tuple[str, str, str]:
+    """Return the letters of the anatomical directions in which house x, y and z increase."""
+    turn = parse_axes(axes)
+    x, y, z = (
+        "LPS"[w] if row[w] > 0 else "RAI"[w] for row in turn for w in [int(np.abs(row).argmax())]
+    )
+    return x, y, z
+
+
+def opposite(letter: str) -> str:
+    """Return the anatomical direction opposite to one."""
+    return "RLAPIS"["LRPASI".index(letter)]

@@ -11,7 +11,8 @@ folder of DICOM slices    `workers.body.images.dicom_series`
 ========================  ==========================================================
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from storage.errors import InputError
@@ -25,7 +26,7 @@ from workers.body.images.orient import parse_axes, to_volume
 from workers.body.images.scan import Scan, check_shape, whole_numbers
 from workers.body.images.tiff_stack import TIFF_SUFFIXES, read_tiff
 
-__all__ = ["read_volume", "relabel"]
+__all__ = ["LabelImage", "read_labels", "read_volume", "relabel"]
 
 Reader = Callable[[Path], Scan]
 
@@ -41,8 +42,37 @@ _READERS: dict[str, tuple[str, Reader]] = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class LabelImage:
+    """A label map with what its file says of the labels.
+
+    Parameters
+    ----------
+    volume : Volume
+        Whole numbers, as they are in the file.
+    names : mapping of int to str
+        Names of labels; empty where the file has none.
+    where : str
+        How to name the image in messages.
+    anatomical : bool
+        Whether the frame of the file is that of a patient.
+    """
+
+    volume: Volume
+    names: Mapping[int, str]
+    where: str
+    anatomical: bool
+
+
 def read_volume(path: Path, *, spacing_mm: Triple | None = None, axes: str | None = None) -> Volume:
-    """Read a label map as a volume along the axes of the house.
+    """Read a label map as a volume; see `read_labels`."""
+    return read_labels(path, spacing_mm=spacing_mm, axes=axes).volume
+
+
+def read_labels(
+    path: Path, *, spacing_mm: Triple | None = None, axes: str | None = None
+) -> LabelImage:
+    """Read a label map, with the names of its labels, along the axes of the house.
 
     Parameters
     ----------
@@ -53,12 +83,12 @@ def read_volume(path: Path, *, spacing_mm: Triple | None = None, axes: str | Non
         do not say. Where the file says, both must agree.
     axes : str, optional
         Which world axes become x (vertical), y (compression) and z (chest wall to
-        nipple), such as ``"-z,y,x"``; see `workers.body.images.orient.parse_axes`.
+        nipple), such as ``"-z,y,x"`` or ``"L S A"``; see `workers.body.images.orient.parse_axes`.
 
     Returns
     -------
-    Volume
-        Integer ``values``, C-contiguous ``[z, y, x]``. Frames of patients are brought
+    LabelImage
+        With integer ``values``, C-contiguous ``[z, y, x]``. Frames of patients are brought
         to LPS (x to the left, y to posterior, z to superior), whatever the format.
 
     Raises
@@ -82,10 +112,9 @@ def read_volume(path: Path, *, spacing_mm: Triple | None = None, axes: str | Non
         ) from error
     what = str(path)
     check_shape(scan.values, what)
-    labels = Scan(
-        whole_numbers(scan.values, what), scan.spacing_mm, scan.directions, scan.origin_mm
-    )
-    return to_volume(labels, what, spacing_mm=spacing_mm, axes=axes)
+    labels = replace(scan, values=whole_numbers(scan.values, what))
+    volume = to_volume(labels, what, spacing_mm=spacing_mm, axes=axes)
+    return LabelImage(volume, scan.names, what, scan.anatomical)
 
 
 def _reader(path: Path) -> tuple[str, Reader]:
@@ -118,6 +147,6 @@ def _folder_reader(folder: Path) -> tuple[str, Reader]:
     if whole and not tiff and ".dcm" not in suffixes:
         raise InputError(
             f"{folder} is a folder with {', '.join(whole)} files, expected one image. "
-            "Give the file itself."
+            "Give the file itself (TotalSegmentator writes all classes to one file with --ml)."
         )
     return ("TIFF", read_tiff) if tiff else ("DICOM", read_dicom)

@@ -5,7 +5,8 @@ of those axes in the patient's frame, LPS (x to the left, y to posterior, z to
 superior). `workers.body.images.orient` makes a `Volume` of it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,10 @@ from storage.values import FloatArray
 
 RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0])
 """From NIfTI's frame (x right, y anterior) to LPS."""
+SPACING_TOLERANCE = 1e-3
+"""Relative difference of two statements of a spacing that is rounding."""
+LABEL_TOLERANCE = 1e-3
+"""How far a stored label may be from a whole number: scaling as floats leaves such errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,18 +38,38 @@ class Scan:
         Columns are the unit vectors of the index axes in LPS.
     origin_mm : ndarray, shape (3,)
         Centre of ``values[0, 0, 0]`` in LPS.
+    frame_uid : str
+        Frame of reference as DICOM names it; empty if the file names none.
+    place_known : bool
+        Whether the file states origin and orientation.
+    anatomical : bool
+        Whether the frame of the file is that of a patient, so that left, posterior and
+        superior mean something.
+    names : mapping of int to str
+        Names of labels, where the file has them.
     """
 
     values: NDArray[Any]
     spacing_mm: FloatArray
     directions: FloatArray
     origin_mm: FloatArray
+    frame_uid: str = ""
+    place_known: bool = True
+    anatomical: bool = True
+    names: Mapping[int, str] = field(default_factory=dict)
 
     @classmethod
     def without_frame(cls, values: NDArray[Any], spacing_mm: ArrayLike | None = None) -> "Scan":
-        """Take the index axes as x, y, z, and the first voxel as (0, 0, 0)."""
+        """Make a scan of unknown place: index axes are x, y, z, the first voxel is at (0, 0, 0)."""
         spacing = np.full(3, np.nan) if spacing_mm is None else np.array(spacing_mm, dtype=float)
-        return cls(values, _distances(spacing), np.eye(3), np.zeros(3))
+        return cls(
+            values,
+            _distances(spacing),
+            np.eye(3),
+            np.zeros(3),
+            place_known=False,
+            anatomical=False,
+        )
 
     @classmethod
     def with_steps(
@@ -61,21 +86,25 @@ class Scan:
         steps_mm : array_like, shape (3, 3)
             Column a is the way from one voxel centre to the next along index axis a.
             When a column is zero or not finite nothing is known of the axes: all three
-            are then taken to run along the declared frame, with unknown spacing.
+            are then taken to run along the declared frame, with unknown spacing and place.
         origin_mm : array_like, shape (3,)
-            Centre of the first voxel; one that is not finite counts as (0, 0, 0).
+            Centre of the first voxel; one that is not finite counts as (0, 0, 0), and the
+            place as unknown.
         frame : ndarray, shape (3, 3), optional
             Matrix from the declared frame to LPS. Default: it is LPS.
         """
         to_lps = np.eye(3) if frame is None else frame
         steps = np.asarray(steps_mm, dtype=float)
         origin = np.asarray(origin_mm, dtype=float)
-        if not np.all(np.isfinite(origin)):
+        known = bool(np.all(np.isfinite(origin)))
+        if not known:
             origin = np.zeros(3)
         length = np.linalg.norm(steps, axis=0)
         if not (np.all(np.isfinite(length)) and np.all(length > 0)):
-            return cls(values, np.full(3, np.nan), to_lps.copy(), to_lps @ origin)
-        return cls(values, length, to_lps @ (steps / length), to_lps @ origin)
+            unknown = np.full(3, np.nan)
+            return cls(values, unknown, to_lps.copy(), to_lps @ origin, place_known=False)
+        turned = to_lps @ (steps / length)
+        return cls(values, length, turned, to_lps @ origin, place_known=known)
 
 
 def _distances(spacing: FloatArray) -> FloatArray:
@@ -113,7 +142,9 @@ def check_shape(values: NDArray[Any], what: str) -> None:
 
 
 def whole_numbers(values: NDArray[Any], what: str) -> NDArray[Any]:
-    """Return labels as native integers; floats are taken when every one is whole.
+    """Return labels as native integers.
+
+    Floats are rounded if all are within `LABEL_TOLERANCE` of a whole number.
 
     Raises
     ------
@@ -131,15 +162,30 @@ def whole_numbers(values: NDArray[Any], what: str) -> NDArray[Any]:
         )
     low, high = np.inf, -np.inf
     for part in values:
-        odd = part[part != np.rint(part)]  # NaN differs from itself; infinity is caught below
-        if odd.size or not np.all(np.isfinite(part)):
-            example = odd[0] if odd.size else "infinity"
-            raise InputError(
-                f"{what} is not a label map: it holds {example}, and labels are whole numbers. "
-                "Segment the image first; resample label maps with nearest neighbour."
-            )
+        _refuse_fractions(part, what)
         low, high = min(low, float(part.min())), max(high, float(part.max()))
-    return values.astype(_smallest_integer(low, high, what))
+    kind = _smallest_integer(np.rint(low), np.rint(high), what)
+    return np.rint(values).astype(kind)
+
+
+def _refuse_fractions(part: NDArray[Any], what: str) -> None:
+    """Raise InputError where a value is not finite, or no whole number."""
+    finite = np.isfinite(part)
+    if finite.all():
+        odd = part[np.abs(part - np.rint(part)) > LABEL_TOLERANCE]
+        if not odd.size:
+            return
+        example = str(odd[0])
+    else:
+        example = "NaN" if np.isnan(part[~finite]).any() else "infinity"
+    advice = (
+        "Write 0 where there is no body."
+        if example == "NaN"
+        else "Segment the image first; resample label maps with nearest neighbour."
+    )
+    raise InputError(
+        f"{what} is not a label map: it holds {example}, and labels are whole numbers. {advice}"
+    )
 
 
 def _smallest_integer(low: float, high: float, what: str) -> type[np.integer[Any]]:

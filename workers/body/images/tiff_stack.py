@@ -1,12 +1,12 @@
 """Read TIFF, with tifffile: one file of many pages, or a folder of slices.
 
-Columns are x, rows y and pages z. A folder is sorted by name with numbers as
-numbers (slice2 before slice10). The resolution tags of TIFF mostly tell how to
-print the image; they are not read, and spacing must be given.
+Columns are x, rows y and pages z. A folder is sorted by the numbers in the names;
+see `workers.body.images.slice_names`. The resolution tags of plain TIFF say how to
+print an image; they are not read, and spacing must be given. ImageJ and OME state
+spacings with units, which are; see `workers.body.images.tiff_spacing`.
 """
 
 import logging
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,33 +17,53 @@ import tifffile
 from numpy.typing import NDArray
 
 from storage.errors import InputError
+from storage.values import FloatArray
 from workers.body.images.scan import Scan, three_axes
+from workers.body.images.slice_names import in_order
+from workers.body.images.tiff_spacing import stated_spacing_mm
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 
 
 def read_tiff(path: Path) -> Scan:
     """Read a multi-page file, or a folder whose files are the slices."""
-    values = _folder(path) if path.is_dir() else _pages(path)
-    return Scan.without_frame(three_axes(values, str(path)).transpose())
+    values, spacing_mm = _folder(path) if path.is_dir() else _pages(path)
+    return Scan.without_frame(three_axes(values, str(path)).transpose(), spacing_mm)
 
 
-def _pages(path: Path) -> NDArray[Any]:
+def slices_of(folder: Path) -> list[Path]:
+    """Return the slices of a folder, the one at the lowest z first.
+
+    Raises
+    ------
+    InputError
+        If their names do not say in which order they are.
+    """
+    return in_order([path for path in folder.iterdir() if _is_slice(path)], str(folder))
+
+
+def slices_read(path: Path) -> list[str] | None:
+    """Return the names of the first and the last slice of a folder of TIFF slices, or None."""
+    if not path.is_dir() or not any(_is_slice(file) for file in path.iterdir()):
+        return None
+    paths = slices_of(path)
+    return [paths[0].name, paths[-1].name]
+
+
+def _pages(path: Path) -> tuple[NDArray[Any], FloatArray]:
+    """Return the pages of a file, and the spacing along x, y and z that it states."""
     with _damage_raises(path), tifffile.TiffFile(path) as tiff:
         if len(tiff.series) != 1:
             raise InputError(
                 f"{path} holds {len(tiff.series)} images of different kinds, expected one stack "
                 "of equal pages. Save the label map alone."
             )
-        return np.asarray(tiff.series[0].asarray())
+        return np.asarray(tiff.series[0].asarray()), stated_spacing_mm(tiff)
 
 
-def _folder(folder: Path) -> NDArray[Any]:
-    paths = sorted(
-        (p for p in folder.iterdir() if _is_slice(p)),
-        key=_natural,
-    )
-    first = _pages(paths[0])
+def _folder(folder: Path) -> tuple[NDArray[Any], FloatArray]:
+    paths = slices_of(folder)
+    first, spacing_mm = _pages(paths[0])
     if first.ndim != 2:
         raise InputError(
             f"{paths[0]} has shape {first.shape}, expected one slice (rows, columns). "
@@ -51,7 +71,7 @@ def _folder(folder: Path) -> NDArray[Any]:
         )
     stack = np.empty((len(paths), *first.shape), first.dtype)
     for index, path in enumerate(paths):
-        page = _pages(path)
+        page, _ = _pages(path)
         if page.shape != first.shape or page.dtype != first.dtype:
             raise InputError(
                 f"{path} is a slice of shape {page.shape} and type {page.dtype}, but "
@@ -59,16 +79,11 @@ def _folder(folder: Path) -> NDArray[Any]:
                 "must be alike. Keep only the slices of one stack in the folder."
             )
         stack[index] = page
-    return stack
+    return stack, spacing_mm
 
 
 def _is_slice(path: Path) -> bool:
     return path.is_file() and path.suffix.lower() in TIFF_SUFFIXES and path.name[0] != "."
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    parts = re.split(r"(\d+)", path.name.lower())
-    return [(int(p), p) if p.isdigit() else (-1, p) for p in parts]
 
 
 @contextmanager

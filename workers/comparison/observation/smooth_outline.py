@@ -5,6 +5,8 @@ longer than the body's: both look like causes of a gap. What is finer than the n
 correlated cannot be told from it, so it is left out.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from storage.errors import InputError
@@ -51,8 +53,5 @@ def smooth_outline(labels: Volume, length_mm: float) -> Volume:
     values[inside & (values == Tissue.AIR)] = Tissue.FAT
     values[~inside] = Tissue.AIR
     x0, y0, z0 = labels.origin_mm
-    return Volume(
-        values,
-        labels.spacing_mm,
-        (x0 - margin * dx, y0 - margin * dy, z0),
-    )
+    origin = (x0 - margin * dx, y0 - margin * dy, z0)
+    return replace(labels, values=values, origin_mm=origin)

@@ -1,6 +1,6 @@
 """Place a deformed mesh on the voxel lattice of an output image."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -42,9 +42,10 @@ class DeformedMesh:
     spacing_mm: Triple
     origin_mm: Triple
 
-    def volume(self, values: NDArray[Any]) -> Volume:
-        """Return a volume over the box with these values, shape (nz, ny, nx)."""
-        return Volume(values, self.spacing_mm, self.origin_mm)
+    def volume(self, values: NDArray[Any], undeformed: Volume) -> Volume:
+        """Return a volume over the box, shape (nz, ny, nx), in the frame of the undeformed body."""
+        spacing, origin = self.spacing_mm, self.origin_mm
+        return replace(undeformed, values=values, spacing_mm=spacing, origin_mm=origin)
 
 
 def index_coordinates(points_mm: FloatArray, lattice: Volume) -> FloatArray:

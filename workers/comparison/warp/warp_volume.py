@@ -73,7 +73,7 @@ def warp_labels(
         values,
         out,
     )
-    return deformed.volume(out)
+    return deformed.volume(out, reference)
 
 
 def warp_grey(
@@ -118,7 +118,7 @@ def warp_grey(
         values,
         out,
     )
-    return deformed.volume(out)
+    return deformed.volume(out, reference)
 
 
 @njit(**EXACT)

@@ -15,7 +15,7 @@ volume V then differ in :math:`D = S \,\overline{|e|}`:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ def predict(labels: Volume, mesh: TetMesh, displacement_mm: FloatArray, observed
     x, y, z = found.origin_mm
     below = max(0, round((observed.origin_mm[2] - z) / found.spacing_mm[2]))
     origin_mm = (x, y, z + below * found.spacing_mm[2])
-    return Volume(found.values[below:], found.spacing_mm, origin_mm) if below else found
+    return replace(found, values=found.values[below:], origin_mm=origin_mm) if below else found
 
 
 def overlaps(

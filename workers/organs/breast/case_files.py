@@ -16,15 +16,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from storage.errors import InputError
 from storage.values import Volume
-from workers.body.images.labels import crop_to_body, relabel
+from workers.body.images.labels import crop_to_body
 from workers.body.images.largest_component import in_air, one_body
-from workers.body.images.read import read_volume
 from workers.organs.breast.case_alignment import aligned_case
+from workers.organs.breast.case_images import CaseImages, StoredVolume, no_store
 from workers.organs.breast.case_prose import from_prose, is_prose
 from workers.organs.breast.case_source import PlannedCaseSource, ScannedCaseSource
 from workers.organs.breast.case_spec import CaseFile
@@ -36,10 +35,9 @@ from workers.spec import validated
 # Where a folder has both, the structured file is the case.
 CASE_FILES = ("case.yaml", "case.json")
 YAML = (".yaml", ".yml")
-TISSUES = {"air", "fat", "glandular"}
 
 
-def read_case(path: Path, *, loaded: bool = True) -> ScannedCase:
+def read_case(path: Path, *, loaded: bool = True, stored: StoredVolume = no_store) -> ScannedCase:
     """Read a case and its scans.
 
     Parameters
@@ -48,6 +46,8 @@ def read_case(path: Path, *, loaded: bool = True) -> ScannedCase:
         The file of a case, or the folder that it lies in.
     loaded : bool
         False reads the scan at rest only; those under load need not exist.
+    stored : callable
+        From the name of a volume in the store to the volume, or None.
 
     Raises
     ------
@@ -57,12 +57,12 @@ def read_case(path: Path, *, loaded: bool = True) -> ScannedCase:
     """
     path = case_file(path)
     file = read_case_file(path)
-    scans = file.scans
+    scans, tissues = file.scans, CaseImages(path, file.scans, stored).tissues
     case = ScannedCase(
         file,
-        _scan(path, file, scans.reference),
-        _scan(path, file, scans.reference_repeat) if scans.reference_repeat else None,
-        [_loaded_scan(path, file, load.file) for load in scans.loads] if loaded else [],
+        _scan(file, tissues(scans.reference)),
+        _scan(file, tissues(scans.reference_repeat)) if scans.reference_repeat else None,
+        [_one_body(tissues(load.file)) for load in scans.loads] if loaded else [],
         str(path),
     )
     return aligned_case(case) if loaded and scans.align is not None else case
@@ -116,39 +116,19 @@ def _data(path: Path) -> Mapping[str, Any]:
     return data
 
 
-def _scan(case: Path, file: CaseFile, name: str) -> Volume:
-    """Read a scan at rest as one body of `Tissue` labels, in air and above the chest wall."""
-    tissues, wall_mm = _tissues(case, file, name), file.wall.z_mm
-    return _one_body(tissues if wall_mm is None else above_wall(tissues, wall_mm))
+def _scan(file: CaseFile, tissues: Volume) -> Volume:
+    """Return a scan at rest as one body of `Tissue` labels, in air and above the chest wall.
 
-
-def _loaded_scan(case: Path, file: CaseFile, name: str) -> Volume:
-    """Read a scan under load in the same way, with what it shows below the place of the wall.
-
-    A wall that gives way lets tissue go there. Cut off, the cut would be taken for skin.
+    A scan under load keeps what it shows below the place of the wall: a wall that gives way lets
+    tissue go there. Cut off, the cut would be taken for skin.
     """
-    return _one_body(_tissues(case, file, name))
+    wall_mm = file.wall.z_mm
+    return _one_body(tissues if wall_mm is None else above_wall(tissues, wall_mm))
 
 
 def _one_body(tissues: Volume) -> Volume:
     # A scan has air around the body, which need not be searched for specks and holes.
     return in_air(one_body(crop_to_body(tissues, margin_voxels=0)))
-
-
-def _tissues(case: Path, file: CaseFile, name: str) -> Volume:
-    path = case.parent / name
-    if not path.is_file():
-        raise InputError(f"{case} names {name}, which is not in the folder.")
-    volume = read_volume(path)
-    meanings = file.scans.labels
-    found = {int(label) for label in np.unique(volume.values)}
-    if not found <= set(meanings) or {meanings[n] for n in found} != TISSUES:
-        raise InputError(
-            f"{path} has the labels {sorted(found)}; a case has 0 background, 1 fat and "
-            f"2 glandular, all of them, or what {case.name} says under labels. Relabel the "
-            "scan, or segment what is missing."
-        )
-    return relabel(volume, {label: meanings[label] for label in found})
 
 
 class CaseReader:
@@ -168,13 +148,13 @@ class CaseReader:
             return False
         return is_prose(data) or data.get("organ") == "breast" or "scans" in data
 
-    def read(self, path: Path) -> ScannedCaseSource:
+    def read(self, path: Path, stored: StoredVolume = no_store) -> ScannedCaseSource:
         """Read a case with its loaded scans."""
-        return ScannedCaseSource(read_case(path))
+        return ScannedCaseSource(read_case(path, stored=stored))
 
-    def read_planned(self, path: Path) -> PlannedCaseSource:
+    def read_planned(self, path: Path, stored: StoredVolume = no_store) -> PlannedCaseSource:
         """Read a case whose loaded scans need not exist."""
-        return PlannedCaseSource(read_case(path, loaded=False))
+        return PlannedCaseSource(read_case(path, loaded=False, stored=stored))
 
     def understood(self, path: Path) -> list[tuple[str, str]]:
         """Return what the case was understood to say."""

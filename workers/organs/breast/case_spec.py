@@ -9,12 +9,13 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from storage.values import Triple
 from workers.mechanics.parameters import unknown_name
 from workers.missing_keys import Pairs, missing
 from workers.organs.breast import default_physics as physics
+from workers.organs.breast.spec import Axes, Labels, SpacingMm
 from workers.spec import Door, Finite, NotNegative, Positive
 
 ALONG_X: Triple = (1.0, 0.0, 0.0)
@@ -59,9 +60,9 @@ def _axis(given: Any) -> Any:
     return given
 
 
+CASE_TISSUES = ("air", "fat", "glandular")
 Constant = Annotated[float | tuple[float, float], BeforeValidator(_constant)]
 Axis = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(_axis)]
-LabelName = Literal["air", "fat", "glandular"]
 
 
 class CaseModel(Door):
@@ -196,17 +197,14 @@ class CaseLoad(Door):
         return f"{loaded} along {along}"
 
 
-def _usual_labels() -> dict[int, LabelName]:
-    return {0: "air", 1: "fat", 2: "glandular"}
-
-
 class CaseScans(Door):
     """The scan at rest, a second segmentation of it, and the scans under load.
 
     `pose_sd_mm` and `pose_sd_deg` say how far a loaded scan may lie from where its header puts
-    it, along and about each axis; without them the settings of the diagnosis do. With
-    ``align: rigid`` each loaded scan is first moved into the frame of the scan at rest; see
-    `workers.organs.breast.rigid_motion`.
+    it, along and about each axis; without them the settings of the diagnosis do. All scans are
+    files, or volumes of the store by their names; `labels`, `axes` and `spacing_mm` state how the
+    files are read, as in a study. With ``align: rigid`` each loaded scan is first moved into the
+    frame of the scan at rest; see `workers.organs.breast.rigid_motion`.
     """
 
     reference: str = Field(description="the labels of the body at rest")
@@ -214,10 +212,23 @@ class CaseScans(Door):
     pose_sd_mm: NotNegative | None = None
     pose_sd_deg: NotNegative | None = None
     align: Literal["rigid"] | None = None
-    labels: dict[int, LabelName] = Field(default_factory=_usual_labels)
+    labels: Labels = None
+    axes: Axes | None = None
+    spacing_mm: SpacingMm | None = None
     loads: Annotated[tuple[CaseLoad, ...], Field(min_length=1)] = Field(
         description="one entry for each loaded scan, with its file and its force or distance"
     )
+
+    @field_validator("labels")
+    @classmethod
+    def _known_tissues(cls, labels: Any) -> Any:
+        for label, tissue in labels.items() if isinstance(labels, Mapping) else ():
+            if tissue not in CASE_TISSUES:
+                raise ValueError(
+                    f"{label}: expected 'air', 'fat' or 'glandular', found {tissue!r}: a diagnosis "
+                    "knows no other tissue"
+                )
+        return labels
 
 
 class CaseFile(Door):

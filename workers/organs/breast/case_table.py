@@ -1,5 +1,6 @@
 """What a case was understood to say, as rows for a reader."""
 
+from workers.organs.breast.case_images import labels_in_words
 from workers.organs.breast.case_spec import CONSTANTS, CaseFile, CaseLoad
 from workers.organs.breast.physics_words import law_text, wall_text
 from workers.organs.breast.scanned_case import stated_starts_mm
@@ -34,7 +35,7 @@ def understood(file: CaseFile) -> Rows:
         ),
         ("gravity, skin", "not in the model"),
         ("segmentation noise", _noise(file)),
-        ("labels", ", ".join(f"{n} {name}" for n, name in file.scans.labels.items())),
+        ("labels", labels_in_words(file.scans.labels)),
         ("scan at rest", file.scans.reference),
         *((f"scan {n}", _load(file, load)) for n, load in enumerate(file.scans.loads, start=1)),
     ]

@@ -18,7 +18,8 @@ from workers.body.images.labels import (
     relabel,
     resample_labels,
 )
-from workers.body.images.read import read_volume
+from workers.body.images.named_labels import label_tissues, read_tissues
+from workers.body.images.read import LabelImage
 from workers.body.mesh.hierarchy import Hierarchy, from_arrays, to_arrays
 from workers.body.mesh.whole_body import mesh_whole_body
 from workers.body.phantom.breast import generate_breast
@@ -82,7 +83,11 @@ class Breast:
 
     def body_files(self, spec: Door) -> Sequence[Path]:
         """See `Organ.body_files`."""
-        return [] if _phantom_of(spec) else [Path(str(_image_of(spec).volume))]
+        if _phantom_of(spec):
+            return []
+        image = _image_of(spec)
+        named_by = [image.labels] if isinstance(image.labels, str) else []
+        return [Path(str(given)) for given in (image.volume, *named_by)]
 
     def body_settings(self, spec: Door) -> Facts:
         """See `Organ.body_settings`."""
@@ -294,16 +299,13 @@ def read_image(spec: ImageSpec) -> Volume:
         If it cannot be read or its labels have no meaning.
     """
     path = Path(str(spec.volume))
-    return as_tissues(read_volume(path, spacing_mm=spec.spacing_mm, axes=spec.axes), spec)
+    return read_tissues(path, spec.labels, spacing_mm=spec.spacing_mm, axes=spec.axes).volume
 
 
 def as_tissues(volume: Volume, spec: ImageSpec) -> Volume:
-    """Return a label map of any meaning as tissues, cropped to the body.
-
-    Without a map, labels must be the numbers of `storage.values.Tissue`.
-    """
-    names = default_map(volume) if spec.labels is None else spec.labels
-    return crop_to_body(relabel(volume, names))
+    """Return a volume of the store as other tissues, cropped to the body."""
+    image = LabelImage(volume, {}, str(spec.volume), anatomical=False)
+    return crop_to_body(relabel(volume, label_tissues(image, spec.labels)))
 
 
 def score_by_tissue(

@@ -7,6 +7,7 @@ chest wall to nipple, along z.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -39,7 +40,7 @@ def materials_of(labels: Volume, model: ModelSpec) -> Volume:
     alike[Tissue.LIGAMENT] = Tissue.FAT
     if model.skin != "layer":
         alike[Tissue.SKIN] = Tissue.FAT
-    return Volume(alike[labels.values], labels.spacing_mm, labels.origin_mm)
+    return replace(labels, values=alike[labels.values])
 
 
 def problem_of(

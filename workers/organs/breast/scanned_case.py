@@ -4,6 +4,7 @@ Plates press with a known force, or stand at a known distance.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -180,7 +181,7 @@ def above_wall(labels: Volume, wall_mm: float) -> Volume:
     z = labels.origin_mm[2] + labels.spacing_mm[2] * np.arange(labels.values.shape[0])
     first = int(np.searchsorted(z, wall_mm + 1e-6))
     x0, y0, _ = labels.origin_mm
-    return Volume(labels.values[first:], labels.spacing_mm, (x0, y0, float(z[first])))
+    return replace(labels, values=labels.values[first:], origin_mm=(x0, y0, float(z[first])))
 
 
 def _constants(values: Values, young: str, fibre: str, poisson: float) -> Constants:

@@ -7,6 +7,7 @@ from pydantic import BaseModel, BeforeValidator, Field, StringConstraints, model
 
 from storage.errors import InputError
 from storage.values import Tissue
+from workers.body.images.label_map import label_map
 from workers.body.images.labels import tissue_named
 from workers.body.images.orient import parse_axes
 from workers.body.phantom.settings import BreastPhantom
@@ -45,6 +46,10 @@ TissueName = Annotated[
     str, StringConstraints(to_lower=True, strip_whitespace=True), checked(tissue_named)
 ]
 DoorConstants = Annotated[dict[str, float], checked(BREAST_MODEL.from_door)]
+
+
+Labels = Annotated[dict[int | str, str] | str | None, BeforeValidator(label_map)]
+"""Tissues by number or name of a label, or a file that names labels."""
 
 
 class PhantomSpec(Door):
@@ -86,7 +91,7 @@ class ImageSpec(Door):
     volume: str | None = Field(
         default=None, description="the segmented image: a file, a folder or a name in the store"
     )
-    labels: dict[int, TissueName] | None = None
+    labels: Labels = None
     spacing_mm: SpacingMm | None = None
     axes: Axes | None = None
 

@@ -3,9 +3,11 @@
 The only file that opens them; all others get what stands in them.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 from storage.errors import InputError
+from storage.values import Volume
 from workers.organs.specimen.experiment_table import understood
 from workers.organs.specimen.marker_data import observed
 from workers.organs.specimen.source import SpecimenSource
@@ -54,11 +56,15 @@ class ExperimentReader:
         """Return whether a path is a file that may describe an experiment."""
         return path.suffix in (".yaml", ".yml") and path.is_file()
 
-    def read(self, path: Path) -> SpecimenSource:
-        """Read an experiment with its recordings and its mesh."""
+    def read(
+        self, path: Path, stored: Callable[[str], Volume | None] | None = None
+    ) -> SpecimenSource:
+        """Read an experiment with its recordings and its mesh; it names no volumes of a store."""
         return read_experiment(path)
 
-    def read_planned(self, path: Path) -> None:
+    def read_planned(
+        self, path: Path, stored: Callable[[str], Volume | None] | None = None
+    ) -> None:
         """Return nothing: further scans are no measurements of a bench."""
         return
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from storage.errors import InputError
 from storage.values import FloatArray, IntArray, Volume
+from workers.body.images.scan import whole_numbers
 from workers.compile_flags import CONTRACTED
 from workers.organs.specimen.spec import BodySpec, SpecimenSpec
 
@@ -107,7 +108,8 @@ def _labels(mesh: meshio.Mesh, body: BodySpec, path: Path) -> IntArray:
             f"{path}: body.label_array must name one of the cells' data, found "
             f"{body.label_array!r}; there are {', '.join(known) or 'none'}."
         )
-    return np.asarray(known[name]).ravel().astype(np.int32)
+    own = whole_numbers(np.asarray(known[name]).reshape(1, -1), f"{path}, cell data {name},")
+    return own.ravel().astype(np.int32)
 
 
 def _closed(crossings: NDArray[np.int64], path: Path) -> None:

@@ -1,5 +1,7 @@
 """An adaptive mesh on top of coarser homogeneous ones, for the solver."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +38,7 @@ def adaptive_hierarchy(
     """
     two = np.where(labels.values == Tissue.AIR, Tissue.AIR, Tissue.FAT).astype(np.uint8)
     two[labels.values == tissue] = tissue
-    materials = Volume(two, labels.spacing_mm, labels.origin_mm)
+    materials = replace(labels, values=two)
     fine = adaptive_mesh(materials, sizes, tissue)
     outline = outline_of(materials, 2 * sizes.smallest_mm / STEPS_PER_CELL)
     levels: list[MeshLevel] = []

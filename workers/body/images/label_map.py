@@ -1,0 +1,51 @@
+"""Maps from labels to tissues as a user writes them: in YAML, JSON or an option."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from storage.errors import InputError
+from workers.body.images.labels import tissue_named
+
+FORMS = "such as {0: air, 1: fat}, by name such as {Adipose: fat}, or a file that names labels"
+
+
+def label_map(given: Any) -> Any:
+    """Return a map from numbers or names of labels to names of tissues, or a path as it is.
+
+    Numbers may be written as text, as JSON has keys.
+
+    Raises
+    ------
+    ValueError
+        If it is none of that, or names a label twice.
+    """
+    if given is None or isinstance(given, str):
+        return given
+    if not isinstance(given, Mapping):
+        raise ValueError(f"expected {FORMS}; found {given!r}")
+    tissues: dict[int | str, str] = {}
+    for key, value in given.items():
+        label = _label(key)
+        if label in tissues:
+            raise ValueError(f"the label {label} is named twice: keep one")
+        tissues[label] = _tissue(label, value)
+    return tissues
+
+
+def _label(key: Any) -> int | str:
+    if isinstance(key, int) and not isinstance(key, bool):
+        return key
+    text = str(key).strip()
+    return int(text) if re.fullmatch(r"-?\d+", text) else text
+
+
+def _tissue(label: int | str, value: Any) -> str:
+    if isinstance(value, int) and isinstance(label, str):
+        raise ValueError(f"write {{{value}: {label}}}, not {{{label}: {value}}}")
+    if not isinstance(value, str):
+        raise ValueError(f"{label}: expected a tissue, such as fat; found {value!r}")
+    try:
+        return tissue_named(value).name.lower()
+    except InputError as error:
+        raise ValueError(f"{label}: {error}") from None

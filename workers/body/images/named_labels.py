@@ -1,0 +1,242 @@
+"""Tissues of the labels of an image, from the names in its file and what the user states."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from storage.errors import InputError
+from storage.values import Tissue, Triple, Volume
+from workers.body.images.label_files import read_label_file
+from workers.body.images.labels import (
+    crop_to_body,
+    default_map,
+    label_counts,
+    relabel,
+    tissue_named,
+)
+from workers.body.images.read import LabelImage, read_labels
+from workers.body.images.tissue_names import tissue_in
+
+LabelMap = Mapping[int | str, Tissue | str]
+"""Tissues by the number or the name of a label."""
+NEEDED = (Tissue.FAT, Tissue.GLANDULAR)
+"""Tissues that an image with named labels must have."""
+
+
+@dataclass(frozen=True, eq=False)
+class TissueImage:
+    """An image as tissues, and how its labels were understood.
+
+    Parameters
+    ----------
+    volume : Volume
+        `Tissue` labels, cropped to the body.
+    tissues : mapping of int to Tissue
+        Of every label in the file.
+    image : LabelImage
+        The file as it was read.
+    """
+
+    volume: Volume
+    tissues: Mapping[int, Tissue]
+    image: LabelImage
+
+
+def read_tissues(
+    path: Path,
+    stated: LabelMap | str | None = None,
+    *,
+    spacing_mm: Triple | None = None,
+    axes: str | None = None,
+) -> TissueImage:
+    """Read a label map as tissues, cropped to the body.
+
+    Parameters
+    ----------
+    path, spacing_mm, axes
+        See `workers.body.images.read.read_labels`.
+    stated
+        See `label_tissues`.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or a label has no tissue.
+    """
+    image = read_labels(path, spacing_mm=spacing_mm, axes=axes)
+    tissues = label_tissues(image, stated)
+    return TissueImage(crop_to_body(relabel(image.volume, tissues)), tissues, image)
+
+
+def label_tissues(image: LabelImage, stated: LabelMap | str | None) -> dict[int, Tissue]:
+    """Return the tissue of every label in an image.
+
+    Numbers alone are never taken for those of `Tissue` if the file has names.
+
+    Parameters
+    ----------
+    image : LabelImage
+    stated : mapping, str or None
+        Tissues by number or name of a label, or the path of a file that names labels. None: by the
+        names in the image, or, without any, the numbers of `Tissue`.
+
+    Raises
+    ------
+    InputError
+        If the names of the image and the stated numbers disagree, a name is unknown, a
+        label has no tissue, or a needed tissue is missing.
+    """
+    names = dict(image.names)
+    if isinstance(stated, str):
+        names, stated = _named_by_file(image, Path(stated)), None
+    if not names:
+        return _by_number(image, stated)
+    counts = label_counts(image.volume)
+    by_user = _by_user(image, names, stated or {})
+    found: dict[int, Tissue] = {}
+    unknown = []
+    for label in counts:
+        tissue = by_user.get(label, _tissue_of(label, names))
+        if tissue is None:
+            unknown.append(label)
+        else:
+            found[label] = tissue
+    if unknown:
+        _refuse_unknown(image, names, by_user, counts, unknown)
+    _refuse_missing(image, names, by_user, found)
+    return found
+
+
+def names_listed(names: Mapping[int, str]) -> str:
+    """List names of labels for a message."""
+    return ", ".join(f"{label} {name!r}" for label, name in sorted(names.items()))
+
+
+def _named_by_file(image: LabelImage, path: Path) -> dict[int, str]:
+    names = read_label_file(path)
+    for label, name in image.names.items():
+        other = tissue_in(names.get(label, name))
+        if other != tissue_in(name):
+            raise InputError(
+                f"{image.where} names its label {label} {name!r}, but {path} names it "
+                f"{names[label]!r}. Leave the file out, or correct it."
+            )
+    return names
+
+
+def _by_number(image: LabelImage, stated: LabelMap | None) -> dict[int, Tissue]:
+    """Return tissues of an image without names."""
+    if stated is None:
+        return default_map(image.volume)
+    words = [key for key in stated if isinstance(key, str)]
+    if words:
+        raise InputError(
+            f"{image.where} has no names of labels, so it is unknown which one is {words[0]!r}. "
+            f"Give numbers; it has {', '.join(map(str, label_counts(image.volume)))}. Or give a "
+            "file that names them, such as a label description file of ITK-SNAP."
+        )
+    return {int(label): tissue_named(tissue) for label, tissue in stated.items()}
+
+
+def _by_user(image: LabelImage, names: Mapping[int, str], stated: LabelMap) -> dict[int, Tissue]:
+    """Return the stated tissues by number."""
+    tissues: dict[int, Tissue] = {}
+    for key, value in stated.items():
+        tissue = tissue_named(value)
+        if isinstance(key, str):
+            labels = [label for label, name in names.items() if _same(name, key)]
+            if not labels:
+                raise InputError(
+                    f"{image.where} has no label named {key!r}. Its labels are "
+                    f"{names_listed(names)}."
+                )
+        else:
+            labels = [key]
+            _refuse_other_name(image, names, key, tissue)
+        for label in labels:
+            if tissues.setdefault(label, tissue) != tissue:
+                raise InputError(
+                    f"labels: {label} of {image.where} is stated as {tissues[label].name.lower()} "
+                    f"and as {tissue.name.lower()}. Keep one."
+                )
+    return tissues
+
+
+def _refuse_other_name(
+    image: LabelImage, names: Mapping[int, str], label: int, tissue: Tissue
+) -> None:
+    named = _tissue_of(label, names)
+    if label not in names and label != 0:
+        raise InputError(
+            f"Label {label} is stated as {tissue.name.lower()}, but {image.where} has no such "
+            f"label. Its labels are {names_listed(names)}."
+        )
+    if named is not None and named != tissue:
+        raise InputError(
+            f"Label {label} is stated as {tissue.name.lower()}, but {image.where} names it "
+            f"{names.get(label, 'background')!r}. Its labels are {names_listed(names)}. Leave "
+            "the numbers out, or state tissues by name, such as labels: "
+            f"{{{names.get(label, 'background')}: {tissue.name.lower()}}}."
+        )
+
+
+def _tissue_of(label: int, names: Mapping[int, str]) -> Tissue | None:
+    if label not in names:
+        return Tissue.AIR if label == 0 else None
+    return tissue_in(names[label])
+
+
+def _same(name: str, other: str) -> bool:
+    return " ".join(name.casefold().split()) == " ".join(other.casefold().split())
+
+
+def _refuse_unknown(
+    image: LabelImage,
+    names: Mapping[int, str],
+    by_user: Mapping[int, Tissue],
+    counts: Mapping[int, int],
+    unknown: list[int],
+) -> None:
+    """Raise InputError with a map to be completed."""
+    listed = ", ".join(
+        f"{names[k]!r} (label {k})" if k in names else f"label {k}, which has no name"
+        for k in unknown
+    )
+    known = {k: by_user.get(k, _tissue_of(k, names)) for k in counts if k != 0 or k in names}
+    lines = [
+        f"{_key(names.get(k, k))}: {'?' if t is None else t.name.lower()}" for k, t in known.items()
+    ]
+    raise InputError(
+        f"{image.where}: no tissue is known for {listed}. State it: labels: "
+        f"{{{', '.join(lines)}}}, with air, fat, glandular, skin, muscle or ligament for each ?."
+    )
+
+
+def _key(name: str | int) -> str:
+    plain = isinstance(name, int) or all(c.isalnum() or c in " _-" for c in name)
+    return str(name) if plain and name != "" else repr(name)
+
+
+def _refuse_missing(
+    image: LabelImage,
+    names: Mapping[int, str],
+    by_user: Mapping[int, Tissue],
+    found: Mapping[int, Tissue],
+) -> None:
+    """Raise InputError if a tissue that is needed has no voxel."""
+    for tissue in NEEDED:
+        if tissue not in found.values():
+            empty = [
+                names[label]
+                for label in names
+                if by_user.get(label, _tissue_of(label, names)) == tissue
+            ]
+            why = (
+                f"its label {empty[0]!r} is empty"
+                if empty
+                else f"its labels are {names_listed(names)}"
+            )
+            raise InputError(
+                f"{image.where} has no {tissue.name.lower()} voxel: {why}. Segment that tissue, "
+                f"or state which label it is, such as labels: {{NAME: {tissue.name.lower()}}}."
+            )

@@ -4,13 +4,12 @@ Case, target and score are checked by `workers.spec`; this file adds the search,
 reads YAML, and says in which keys two studies differ.
 """
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from shlex import quote
 from typing import Annotated, Any, Literal, Self, cast
 
-import yaml
 from pydantic import (
     Field,
     ModelWrapValidatorHandler,
@@ -34,6 +33,7 @@ from service.search_spec import COARSE_LEVELS, LevelSpec, SearchSpec
 from storage.digest import digest
 from storage.errors import InputError
 from storage.task_records import FreeParameter
+from workers.documents import parse_yaml
 from workers.mechanics.parameters import unknown_name
 from workers.missing_keys import missing
 from workers.organs.registry import DEFAULT, MODULES, organ_named
@@ -258,20 +258,6 @@ def _organ_in(data: Mapping[str, Any]) -> str:
     return organ if isinstance(organ, str) and organ in MODULES else DEFAULT
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML in which a key that stands twice is an error, not a quiet replacement."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        keys: set[Any] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if key in keys:
-                line = key_node.start_mark.line + 1
-                raise yaml.YAMLError(f"the key {key!r} stands twice; the second is in line {line}")
-            keys.add(key)
-        return super().construct_mapping(node, deep=deep)
-
-
 def read_spec(path: Path) -> StudySpec:
     """Read a study file.
 
@@ -288,7 +274,7 @@ def read_spec(path: Path) -> StudySpec:
             f"{path} is a folder; expected a study file such as {path / 'study.yaml'}."
         )
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(
             f"There is no study file {path}. Write one with `palpate new breast "
@@ -307,12 +293,7 @@ def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
     InputError
         If it is no YAML, or a key or value makes no sense.
     """
-    try:
-        data = yaml.load(text, _Loader)
-    except yaml.YAMLError as error:
-        raise InputError(f"{where} is not valid YAML: {error}") from error
-    except RecursionError:
-        raise InputError(f"{where} is not a study: its lists are nested too deeply.") from None
+    data = parse_yaml(text, where)
     if not isinstance(data, dict):
         kind = "nothing" if data is None else type(data).__name__
         raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")

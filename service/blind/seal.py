@@ -20,6 +20,7 @@ from typing import Any
 from storage.atomic import write_file
 from storage.errors import InputError
 from storage.plain import to_plain
+from workers.documents import parse_json
 
 SALT_BYTES = 32
 
@@ -91,11 +92,9 @@ def read_json(path: Path) -> dict[str, Any]:
         If it cannot be read, or is no record.
     """
     try:
-        record = json.loads(path.read_bytes())
+        record = parse_json(path.read_bytes(), str(path))
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
-    except ValueError as error:
-        raise InputError(f"{path} is no JSON: {error}.") from error
     if not isinstance(record, dict):
         raise InputError(f"{path} holds no record: found {type(record).__name__}, expected {{..}}.")
     return record

@@ -1,8 +1,10 @@
 """What a diagnosis says of a bench experiment, in lines for a console."""
 
+import math
 from collections.abc import Iterator, Mapping
 
 from service.diagnosis.words import difference, least_length, measured, spoken
+from service.formatting import NONE, number
 from workers.diagnosis.summary import Summary
 
 # A relative change of a constant that is not worth a line.
@@ -15,6 +17,7 @@ def experiment_lines(summary: Summary) -> Iterator[str]:
     """Yield forces, what hides, and states to come; nothing for scans."""
     if summary.predictions is None:
         return
+    yield from summary.data_notes
     yield from _force_lines(summary)
     for effect in summary.hidden or ():
         for name, kpa in effect.constants_kpa.items():
@@ -22,15 +25,18 @@ def experiment_lines(summary: Summary) -> Iterator[str]:
                 continue
             yield (
                 f"With {spoken(effect.name)} ({_size(effect.size)}) {name} would be "
-                f"{kpa['with']:.0f} kPa instead of {kpa['without']:.0f} kPa: these states cannot "
-                "tell the two apart."
+                f"{number(kpa['with'], 3)} kPa instead of {number(kpa['without'], 3)} kPa: these "
+                "states cannot tell the two apart."
             )
     least_mm = least_length(summary.gap_mm)
     for state in summary.predictions:
         yield f"Expected at {state.state}, along x, y and z of the body:"
         for point in state.points[:SHOWN]:
             parts = zip(point.displacement_mm, point.sd_mm, strict=True)
-            moved = ", ".join(measured(value, max(sd, least_mm), "mm") for value, sd in parts)
+            moved = ", ".join(
+                NONE if math.isnan(value) else measured(value, max(sd, least_mm), "mm")
+                for value, sd in parts
+            )
             yield f"  {point.name}: {moved}"
         if len(state.points) > SHOWN:
             yield f"  and {len(state.points) - SHOWN} further points: see the page, or --json"

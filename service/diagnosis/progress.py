@@ -1,5 +1,6 @@
-"""Says on standard error how far a diagnosis is: one line for what takes long."""
+"""Progress of a diagnosis on standard error: a line for each step, and one every ten seconds."""
 
+import threading
 import time
 
 from rich.console import Console
@@ -22,34 +23,44 @@ _PHASES = {
 
 
 class DiagnosisProgress:
-    """A line for each step; on a terminal also a spinner with the phase.
+    """A line for each step, and one whenever a step takes long; on a terminal also a spinner.
 
     Parameters
     ----------
     console : rich.console.Console
         On standard error.
+    every_s : float
+        The longest time without a line.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, every_s: float = LINE_EVERY_S) -> None:
         self.console = console
+        self.every_s = every_s
         self._begun = time.monotonic()
-        self._last = 0.0
+        self._last = self._begun
+        self._phase = "starting"
+        self._ended = threading.Event()
+        self._waiting = threading.Thread(target=self._wait, daemon=True)
         self._status = Status("starting", console=console) if console.is_terminal else None
 
     def __enter__(self) -> "DiagnosisProgress":
         if self._status is not None:
             self._status.start()
+        self._waiting.start()
         return self
 
     def __exit__(self, *error: object) -> None:
+        self._ended.set()
+        self._waiting.join()
         if self._status is not None:
             self._status.stop()
 
     def __call__(self, step: Step) -> None:
         """Say how far it is."""
         phase, done, of, record = step.phase, step.done, step.of, step.record
+        self._phase = f"{_PHASES[phase]}: {done} of {of}"
         if self._status is not None:
-            self._status.update(f"{_PHASES[phase]}: {done} of {of}")
+            self._status.update(self._phase)
         now = time.monotonic()
         if phase == "weighing":
             return
@@ -61,8 +72,14 @@ class DiagnosisProgress:
             return
         elif isinstance(record, JointFitRecord):
             self._line(f"{done} of {of} refits: {_fitted(step.task, record)}")
-        elif done == of or now - self._last >= LINE_EVERY_S:
+        elif done == of or now - self._last >= self.every_s:
             self._line(f"{done} of {of} effects and scans")
+
+    def _wait(self) -> None:
+        """Print a line whenever none was printed for long, until the diagnosis ends."""
+        while not self._ended.wait(max(0.01, self._last + self.every_s - time.monotonic())):
+            if time.monotonic() - self._last >= self.every_s:
+                self._line(f"still {self._phase}")
 
     def _line(self, text: str) -> None:
         self._last = time.monotonic()

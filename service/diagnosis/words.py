@@ -223,7 +223,7 @@ def sentence(summary: Summary) -> str:
 
 def headline(summary: Summary) -> str:
     """Say the verdict in a sentence or two, and what may hide."""
-    return " ".join(filter(None, (_verdict(summary), hidden(summary))))
+    return " ".join(filter(None, (*summary.doubts, _verdict(summary), hidden(summary))))
 
 
 def hidden(summary: Summary) -> str:
@@ -264,10 +264,10 @@ def _verdict(summary: Summary) -> str:
     names = summary.primary
     if summary.verdict == "no-gap":
         most = gap.before.high_mm
-        return (
-            "Model and data agree: what is left between them is no more than noise. A gap larger "
-            f"than {length(max(most, least_length(gap)))} mm is unlikely."
-        )
+        agree = "Model and data agree: what is left between them is no more than noise."
+        if summary.doubts:
+            agree = "The residual is no larger than the noise, which does not make the fit right."
+        return f"{agree} A gap larger than {length(max(most, least_length(gap)))} mm is unlikely."
     differ = f"Model and data differ by {millimetres(gap.before)} beyond the noise"
     if _is_nothing(gap.before, gap):
         differ = "Model and data differ by less than the noise, but not at random"

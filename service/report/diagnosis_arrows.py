@@ -50,12 +50,20 @@ class Misfits:
 def misfits_of(maps: Arrays) -> Misfits:
     """Return them from the maps of a diagnosis, whose rows are components of points."""
     place = maps["interface"] != FORCE
+    axis, points = maps["interface"][place].astype(int), maps["points"][place]
+    first = np.ones(len(axis), bool)
+    first[1:] = (axis[1:] <= axis[:-1]) | (points[1:] != points[:-1]).any(axis=1)
+    point = np.cumsum(first) - 1
+
+    def at_points(rows: FloatArray) -> FloatArray:
+        """Return components as arrows; one that was not compared is 0."""
+        found = np.zeros((len(rows), int(first.sum()), 3))
+        found[:, point, axis] = rows[:, place]
+        return found
+
     after = maps.get("after")
-    shape = (len(maps["before"]), -1, 3)
     return Misfits(
-        maps["points"][place][::3],
-        maps["before"][:, place].reshape(shape),
-        None if after is None else after[:, place].reshape(shape),
+        points[first], at_points(maps["before"]), None if after is None else at_points(after)
     )
 
 

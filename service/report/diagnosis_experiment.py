@@ -1,5 +1,6 @@
 """What the page says of a bench experiment: its markers, what hides, states to come."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -132,8 +133,8 @@ def hidden(summary: Summary) -> list[HiddenRow]:
             spoken(one.name),
             ", ".join(f"{name.replace('_', ' ')} {number(v, 2)}" for name, v in one.size.items()),
             name,
-            f"{kpa['without']:.0f}",
-            f"{kpa['with']:.0f}",
+            number(kpa["without"], 3),
+            number(kpa["with"], 3),
         )
         for one in summary.hidden or ()
         for name, kpa in one.constants_kpa.items()
@@ -160,12 +161,14 @@ def expected_forces(summary: Summary) -> list[ExpectedForceRow]:
 
 
 def _triple(values: Triple | None, digits: int) -> str:
-    return NONE if values is None else ", ".join(signed(v, digits) for v in values)
+    if values is None:
+        return NONE
+    return ", ".join(NONE if math.isnan(v) else signed(v, digits) for v in values)
 
 
 def _deviating(point: PredictedPoint, least_mm: float) -> tuple[str, str, str]:
     x, y, z = (
-        measured(value, max(sd, least_mm), "")
+        NONE if math.isnan(value) else measured(value, max(sd, least_mm), "")
         for value, sd in zip(point.displacement_mm, point.sd_mm, strict=True)
     )
     return x, y, z
@@ -175,4 +178,4 @@ def _rms(residuals: Sequence[Triple | None]) -> str:
     known = [triple for triple in residuals if triple is not None]
     if len(known) < len(residuals):
         return NONE
-    return length(float(np.sqrt(np.mean(np.square(known)))))
+    return length(float(np.sqrt(np.nanmean(np.square(known)))))

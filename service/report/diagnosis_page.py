@@ -144,8 +144,9 @@ def _loaded(summary: Summary) -> str:
 def _lead(summary: Summary) -> str:
     noise = length(summary.gap_mm.noise_floor)
     if summary.markers is not None:
+        points = len(summary.markers[0].points)
         return (
-            f"Model and measurement were compared at {summary.points // 3} points in every loaded "
+            f"Model and measurement were compared at {points} points in every loaded "
             "state, after the constants had been fitted. The measurement alone makes one component "
             f"err by {noise} mm; a gap is what differs beyond that. Intervals hold with 90 %."
         )
@@ -195,6 +196,7 @@ def _tiles(summary: Summary) -> list[tuple[str, str, str]]:
 
 
 def _warnings(summary: Summary) -> Iterator[str]:
+    yield from summary.data_notes
     if wrong := noise(summary):
         yield wrong
     loose = [r.effects for r in summary.refits if not r.converged]

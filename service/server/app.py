@@ -27,6 +27,7 @@ from service.server.home import NAME_PATTERN
 from service.server.metrics import metrics
 from service.server.queue import StateError
 from service.server.service import Service
+from service.server.strict_json import StrictRoute
 from service.server.uploads import ConflictError, TooLargeError
 from service.server.yaml_door import texts
 from service.versions import palpate_version
@@ -86,7 +87,11 @@ def _problems(*codes: int) -> dict[int | str, dict[str, Any]]:
 
 
 def _about() -> APIRouter:
-    router = APIRouter(tags=["service"], responses=_problems(400, 401, 403, 421, 422))
+    router = APIRouter(
+        tags=["service"],
+        responses=_problems(400, 401, 403, 421, 422),
+        route_class=StrictRoute,
+    )
 
     @router.get("/health")
     def get_health(service: Here) -> Health:

@@ -29,6 +29,7 @@ from service.server.journal_tail import JournalTail
 from service.server.queue import Job
 from service.server.service import Service
 from service.server.streams import event_stream
+from service.server.strict_json import StrictRoute
 from service.server.study_job import study_request
 from service.server.submissions import study_from
 from service.server.views import ENDED, job_file, job_view, state_of, view_now
@@ -87,7 +88,10 @@ def followed_journal(
 Followed = Annotated[JournalTail, Depends(followed_journal)]
 
 router = APIRouter(
-    tags=["jobs"], dependencies=[Depends(reader)], responses=_refusals(400, 401, 403, 421, 422)
+    route_class=StrictRoute,
+    tags=["jobs"],
+    dependencies=[Depends(reader)],
+    responses=_refusals(400, 401, 403, 421, 422),
 )
 
 

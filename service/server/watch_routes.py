@@ -12,6 +12,7 @@ from service.server.job_routes import Followed, Known
 from service.server.queue import Job
 from service.server.service import Service
 from service.server.streams import event_stream
+from service.server.strict_json import StrictRoute
 from service.server.study_view import study_view
 from service.server.views import ENDED, job_view, view_now
 
@@ -24,7 +25,10 @@ def _refusals(*codes: int) -> dict[int | str, dict[str, Any]]:
 
 
 router = APIRouter(
-    tags=["watching"], dependencies=[Depends(reader)], responses=_refusals(400, 401, 403, 421, 422)
+    route_class=StrictRoute,
+    tags=["watching"],
+    dependencies=[Depends(reader)],
+    responses=_refusals(400, 401, 403, 421, 422),
 )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from storage.errors import InputError
+from workers.documents import parse_yaml
 
 MOST_EVENTS = 50_000
 DEEPEST = 40
@@ -30,7 +31,7 @@ def parsed_text(text: str, where: str) -> Any:
     """
     try:
         _check_events(text, where)
-        return yaml.load(text, yaml.SafeLoader)
+        return parse_yaml(text, where)
     except InputError:
         raise
     except Exception as error:  # YAML of strangers raises nearly anything: dates, huge numbers

@@ -150,7 +150,7 @@ FILES = {
     "no YAML": BadInput(RUN, "not valid YAML", text("name: [demo")),
     "a tabulator": BadInput(RUN, "not valid YAML", text("name: demo\n\tcase: 1\n")),
     "a list": BadInput(RUN, "found list", text("- a\n- b\n")),
-    "a key twice": BadInput(RUN, "stands twice", text(STUDY + "name: again\n")),
+    "a key twice": BadInput(RUN, "is repeated", text(STUDY + "name: again\n")),
     "brackets without end": BadInput(RUN, "nested too deeply", text("name: " + "[" * 20_000)),
     "a YAML bomb": BadInput(RUN, "unknown key 'a'", text(f"a: {BOMB}\n{STUDY}")),
     "a YAML bomb as a number": BadInput(

@@ -39,12 +39,15 @@ class FreeConstant:
         prior, with the interval as mean and standard deviation.
     unit : Unit
         At the door.
+    is_bound : bool
+        Whether the interval bounds the fit, too.
     """
 
     name: str
     lower: float
     upper: float
     unit: Unit = KPA
+    is_bound: bool = False
 
     def __post_init__(self) -> None:
         if not 0 < self.lower < self.upper:
@@ -312,6 +315,9 @@ class Unknowns:
     def _ends(self) -> tuple[FloatArray, FloatArray]:
         reach = 4 * self.sd
         lower, upper = self.mean - reach, self.mean + reach
+        for i, constant in enumerate(self.free):
+            if constant.is_bound:
+                lower[i], upper[i] = np.log(constant.lower), np.log(constant.upper)
         k = len(self.free)
         for p in (p for e in self.effects for p in e.parameters):
             lower[k] = max(lower[k], p.admissible[0] + (1e-9 if p.open_lower else 0.0))

@@ -315,6 +315,10 @@ class Summary:
         Causes that no effect stands for, and why; those of a breast where it is None.
     caveats : tuple of str, optional
         Statements with which the diagnosis begins, such as a plausibility check that failed.
+    doubts : tuple of str, optional
+        Sentences that come before the verdict: reasons not to rely on it.
+    data_notes : tuple of str, optional
+        Sentences about data that are missing and were not compared.
     """
 
     case: str
@@ -346,6 +350,8 @@ class Summary:
     not_simulated: tuple[tuple[str, str], ...] | None = None
     left_out: int = 0
     caveats: tuple[str, ...] | None = None
+    doubts: tuple[str, ...] = ()
+    data_notes: tuple[str, ...] = ()
 
     def effect(self, name: str) -> EffectSummary:
         """Return what is known of one effect.

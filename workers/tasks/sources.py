@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from storage.digest import array_digest, digest
 from storage.errors import InputError
 from storage.places import Location
@@ -26,6 +24,7 @@ from workers.diagnosis.source import (
     Source,
     SourceContent,
 )
+from workers.documents import parse_yaml
 from workers.organs.source_registry import Reader, planned_source_of, readers, source_of
 from workers.organs.study_checks import FIRST_LINE, CheckedSource, Finding, accept, caveats_of
 from workers.tasks.studies import is_study, open_study
@@ -180,8 +179,8 @@ def refuse_study_file(path: Path) -> None:
     if not path.is_file() or path.suffix not in (".yaml", ".yml"):
         return
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError):
+        data = parse_yaml(path.read_text(encoding="utf-8"), str(path))
+    except (OSError, UnicodeDecodeError, InputError):
         return
     if isinstance(data, Mapping) and "case" in data and "search" in data:
         folder = f"runs/{data.get('name', 'NAME')}"

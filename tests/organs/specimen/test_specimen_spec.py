@@ -56,7 +56,7 @@ def test_refuses_what_is_no_file_or_no_yaml(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         read_spec(tmp_path / "nowhere.yaml")
     (tmp_path / "a.yaml").write_text("a: [")
-    with pytest.raises(InputError, match="no YAML"):
+    with pytest.raises(InputError, match="not valid YAML"):
         read_spec(tmp_path / "a.yaml")
     (tmp_path / "b.yaml").write_text("- 1")
     with pytest.raises(InputError, match="no experiment"):

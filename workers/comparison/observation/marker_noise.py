@@ -27,22 +27,22 @@ class Scatter:
 
 
 def scatter_of(repeats: FloatArray) -> Scatter:
-    """Estimate standard deviations from several repeats, shape (r, k, 3), r >= 2.
+    """Estimate standard deviations from several repeats, shape (r, k, axes), r >= 2.
 
     Raises
     ------
     InputError
         If there is one recording only.
     """
-    r, k, _ = repeats.shape
+    r, k, axes = repeats.shape
     if r < 2:
         raise InputError("Scatter needs at least two repeats of a state, found one.")
     away = repeats - repeats.mean(axis=0)
     shared = away.mean(axis=1, keepdims=True)
-    common = float((shared**2).sum() / (3 * (r - 1)))
+    common = float((shared**2).sum() / (axes * (r - 1)))
     if k < 2:
         return Scatter(float(np.sqrt(common)), 0.0)
-    own = float(((away - shared) ** 2).sum() / (3 * (r - 1) * (k - 1)))
+    own = float(((away - shared) ** 2).sum() / (axes * (r - 1) * (k - 1)))
     return Scatter(float(np.sqrt(own)), float(np.sqrt(max(0.0, common - own / k))))
 
 

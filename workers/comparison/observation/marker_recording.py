@@ -3,7 +3,6 @@
 The place of a marker at rest and under load are means over windows of time.
 """
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +11,24 @@ import numpy as np
 
 from storage.errors import InputError
 from storage.values import FloatArray
+from workers.comparison.observation.lost_markers import without_lost
+from workers.comparison.observation.number_table import read_table
 
 AXES = "xyz"
+LENGTHS = {
+    "mm": 1.0,
+    "cm": 10.0,
+    "m": 1000.0,
+    "in": 25.4,
+    "inch": 25.4,
+    "um": 1e-3,
+    "\u00b5m": 1e-3,
+    "\u03bcm": 1e-3,
+    "nm": 1e-6,
+}
+SECONDS = ("s", "sec")
+# A marker that is visible in no more than this part of the frames of a window is not seen there.
+LEAST_VISIBLE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +40,13 @@ class Recording:
     times_s : ndarray, shape (t,)
     places_mm : dict of str to ndarray, shape (t, 3)
         nan where a marker was not seen.
+    name : str
+        Of the file, for messages.
     """
 
     times_s: FloatArray
     places_mm: Mapping[str, FloatArray]
+    name: str = "the recording"
 
     def mean(self, name: str, window_s: tuple[float, float]) -> FloatArray:
         """Return the mean place of a marker in a window of time, shape (3,).
@@ -46,14 +64,29 @@ class Recording:
         if window_s[0] < 0 == window_s[1]:
             high = last
         inside = (self.times_s >= low) & (self.times_s <= high)
-        visible = self.places_mm[name][inside]
-        visible = visible[np.isfinite(visible).all(axis=1)]
-        if not len(visible):
+        lasts = f"the recording lasts from {self.times_s[0]:g} to {self.times_s[-1]:g} s"
+        if not inside.any():
+            raise InputError(f"{self.name} has no frame between {low:g} and {high:g} s; {lasts}.")
+        places = self.places_mm[name][inside]
+        visible = places[np.isfinite(places).all(axis=1)]
+        if len(visible) <= LEAST_VISIBLE * len(places):
+            often = f"in more than {len(visible)} of {len(places)} frames " if len(visible) else ""
             raise InputError(
-                f"The marker {name} was not seen between {low:g} and {high:g} s; the recording "
-                f"lasts from {self.times_s[0]:g} to {self.times_s[-1]:g} s."
+                f"{self.name}: the marker {name} was not seen {often}between {low:g} and {high:g} "
+                f"s; {lasts}. Leave out the marker or the file, or choose other windows."
             )
         return np.asarray(visible.mean(axis=0))
+
+    @property
+    def notes(self) -> list[str]:
+        """Return a sentence for each marker that is missing in some frames."""
+        missing = {n: ~np.isfinite(p).all(axis=1) for n, p in self.places_mm.items()}
+        return [
+            f"The marker {name} is missing in {int(frames.sum())} of {len(frames)} frames of "
+            f"{self.name}; these frames are left out."
+            for name, frames in missing.items()
+            if frames.any()
+        ]
 
 
 def read_recording(
@@ -77,38 +110,35 @@ def read_recording(
     Raises
     ------
     InputError
-        If the file cannot be read, or lacks a column or any row.
+        If the file cannot be read, lacks a column or any row, or its times do not ascend.
     """
     wanted = {n: [column.format(marker=n, axis=a) for a in AXES] for n in names}
-    table = read_table(path, [time, *(c for three in wanted.values() for c in three)])
+    units = {c: _names_of(mm_per_unit) for three in wanted.values() for c in three}
+    table = read_table(path, [time, *units], units={**units, time: SECONDS})
+    _check_times(path, table[time], table.lines)
     places = {
         name: mm_per_unit * np.column_stack([table[c] for c in three])
         for name, three in wanted.items()
     }
-    return Recording(table[time], places)
+    return Recording(table[time], without_lost(places), str(path))
 
 
-def read_table(path: Path, columns: Sequence[str]) -> dict[str, FloatArray]:
-    """Read columns of numbers of a comma-separated file; an empty cell is nan.
+def _names_of(mm_per_unit: float) -> list[str]:
+    """Return the names of a unit of length."""
+    return [name for name, mm in LENGTHS.items() if np.isclose(mm, mm_per_unit, rtol=1e-3)]
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, lacks a column or any row, or holds words.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path} cannot be read as a table: {error}.") from error
-    if not rows:
-        raise InputError(f"{path} holds no rows: expected names of columns, then numbers.")
-    missing = [c for c in columns if c not in rows[0]]
-    if missing:
+
+def _check_times(path: Path, times_s: FloatArray, lines: Sequence[int]) -> None:
+    bad = np.flatnonzero(~np.isfinite(times_s))
+    if len(bad):
         raise InputError(
-            f"{path} lacks the columns {', '.join(missing[:3])}; it has {', '.join(rows[0])}."
+            f"{path}, line {lines[bad[0]]}: the row has no time. Complete it, or remove the row."
         )
-    try:
-        return {c: np.array([float(row[c] or "nan") for row in rows]) for c in columns}
-    except ValueError as error:
-        raise InputError(f"{path} holds something else than numbers: {error}.") from error
+    late = np.flatnonzero(np.diff(times_s) <= 0)
+    if len(late):
+        at = int(late[0])
+        raise InputError(
+            f"{path}, line {lines[at + 1]}: the time {times_s[at + 1]:g} s follows "
+            f"{times_s[at]:g} s in line {lines[at]}. Times must ascend: sort the rows, and give "
+            "each recording a file of its own."
+        )

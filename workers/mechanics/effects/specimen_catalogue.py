@@ -24,6 +24,16 @@ RELAXED = replace(
     CREEP, summary="The material has crept under its load since its stiffness was assumed."
 )
 
+# Known or possible causes that have no effect here; a diagnosis will report "none of these" or
+# the closest listed effect.
+NOT_SIMULATED: tuple[tuple[str, str], ...] = (
+    ("slip in a grip", "regions that are moved follow exactly what is stated or measured"),
+    ("layers and inclusions", "each material is the same everywhere in its part of the body"),
+    ("fibres", "the law of the material has no direction"),
+    ("stress at rest", "the body is free of stress in the shape that the file describes"),
+    ("friction", "places that are held or loaded do not slide against a support"),
+)
+
 
 def specimen_effects(
     down: Triple,

@@ -11,17 +11,15 @@
 The only file that opens a case; all others get what stands in it.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from storage.errors import InputError
 from storage.values import Volume
 from workers.body.images.labels import crop_to_body
 from workers.body.images.largest_component import in_air, one_body
+from workers.documents import parse_json, parse_yaml
 from workers.organs.breast.case_alignment import aligned_case
 from workers.organs.breast.case_images import CaseImages, StoredVolume, no_store
 from workers.organs.breast.case_prose import from_prose, is_prose
@@ -101,16 +99,12 @@ def read_case_file(path: Path) -> CaseFile:
 
 def _data(path: Path) -> Mapping[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is no text: {error}.") from error
-    kind = "YAML" if path.suffix in YAML else "JSON"
-    try:
-        data = yaml.safe_load(text) if kind == "YAML" else json.loads(text)
-    except (yaml.YAMLError, json.JSONDecodeError) as error:
-        raise InputError(f"{path} is no {kind}: {error}.") from error
+    data = parse_yaml(text, str(path)) if path.suffix in YAML else parse_json(text, str(path))
     if not isinstance(data, Mapping):
         raise InputError(f"{path} is no case: expected keys such as scans, found {text[:40]!r}.")
     return data
@@ -145,7 +139,8 @@ class CaseReader:
         try:
             data = _data(path)
         except InputError:
-            return False
+            # Nothing else is JSON: reading it will name the mistake.
+            return path.suffix == ".json"
         return is_prose(data) or data.get("organ") == "breast" or "scans" in data
 
     def read(self, path: Path, stored: StoredVolume = no_store) -> ScannedCaseSource:

@@ -4,6 +4,7 @@ The only file that opens them; all others get what stands in them.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from storage.errors import InputError
@@ -12,7 +13,7 @@ from workers.organs.specimen.experiment_table import understood
 from workers.organs.specimen.marker_data import observed
 from workers.organs.specimen.source import SpecimenSource
 from workers.organs.specimen.spec import SpecimenSpec, read_spec
-from workers.organs.specimen.voxelised_mesh import filled
+from workers.organs.specimen.voxelised_mesh import body_of_file
 
 
 def read_experiment(path: Path) -> SpecimenSource:
@@ -35,9 +36,11 @@ def read_experiment(path: Path) -> SpecimenSource:
                 f"{path} names {file.name}, which is not at {file.parent}. Give paths "
                 "relative to the file that names them."
             )
-    mesh = spec.body.mesh
-    voxels = None if mesh is None else filled(spec, path.parent / mesh)
-    return SpecimenSource(spec, observed(spec, path.parent), voxels)
+    mesh, found = spec.body.mesh, observed(spec, path.parent)
+    if mesh is None:
+        return SpecimenSource(spec, found, None)
+    voxels, notes = body_of_file(spec, path.parent / mesh)
+    return SpecimenSource(spec, replace(found, notes=(*found.notes, *notes)), voxels)
 
 
 def files_of(spec: SpecimenSpec, path: Path) -> list[Path]:

@@ -31,7 +31,7 @@ def _material(material: MaterialSpec) -> str:
     nu = material.nu
     nus = f"searched from {nu[0]:g} to {nu[1]:g}" if isinstance(nu, tuple) else f"{nu:g}"
     return (
-        f"{material.law}, E searched from {low:g} to {high:g} kPa, nu {nus}, "
+        f"{material.law}, E expected from {low:g} to {high:g} kPa, nu {nus}, "
         f"{material.density_kg_per_m3:g} kg/m3"
     )
 

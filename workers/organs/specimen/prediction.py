@@ -18,15 +18,16 @@ STEP = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Displacements of k points, and how well the fit knows them.
+    """The m compared components of displacement of a state, and how surely they are expected.
 
     Parameters
     ----------
     name : str
         Of the state.
-    moved_mm, sd_mm : ndarray, shape (k, 3)
-        In the frame of the body. The standard deviation is that of the fitted parameters;
-        another recording scatters on top of it.
+    moved_mm, sd_mm : ndarray, shape (m,)
+        In the frame of the body. The standard deviation has a part of the fitted parameters and
+        one of what the fit leaves unexplained, see `unexplained_sd`; another recording scatters
+        on top of it.
     force_mm, force_sd_mm : ndarray, shape (c,)
         The same of what load cells would read, as the displacements that stand for it.
     """
@@ -56,6 +57,7 @@ def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[P
         If a state cannot be simulated.
     """
     spread, force = posterior_factor(inverse, fit), inverse.is_force
+    unexplained = unexplained_sd(inverse, fit)
     found = []
     for scan in states:
         at = _view(inverse, scan, fit, fit.z, None)
@@ -63,10 +65,45 @@ def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[P
         for direction in STEP * spread.T:
             z = np.clip(fit.z + direction, fit.unknowns.lower, fit.unknowns.upper)
             parts.append((_view(inverse, scan, fit, z, at.at).residual - at.residual) / STEP)
-        sd = np.sqrt((np.array(parts) ** 2).sum(axis=0))
-        moved, moved_sd = (one[~force].reshape(-1, 3) for one in (at.residual, sd))
+        left = unexplained * _growth(inverse, fit, at.residual)
+        sd = np.sqrt((np.array(parts) ** 2).sum(axis=0) + left**2)
+        moved, moved_sd = (one[~force] for one in (at.residual, sd))
         found.append(Prediction(scan.name, moved, moved_sd, at.residual[force], sd[force]))
     return found
+
+
+def unexplained_sd(inverse: InverseProblem, fit: Fit) -> FloatArray:
+    """Return what the fit leaves beyond the noise, for each compared component, in mm.
+
+    It is the root mean square over all states and all components along one axis, or over all
+    readings of load cells: nothing is known about its place in another state.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+    """
+    states = len(inverse.scans)
+    square = fit.residual(inverse).reshape(states, -1) ** 2
+    beyond = square - np.diag(inverse.covariance).reshape(states, -1)
+    found = np.empty(beyond.shape[1])
+    for part in np.unique(inverse.points.interface):
+        here = inverse.points.interface == part
+        found[here] = np.sqrt(max(0.0, float(beyond[:, here].mean())))
+    return found
+
+
+def _growth(inverse: InverseProblem, fit: Fit, moved: FloatArray) -> float:
+    """Return how much larger a state is than the largest fitted one, at least 1.
+
+    A model that is wrong by a part of the displacement errs by more where there is more of it.
+    """
+    place = ~inverse.is_force
+    fitted = [
+        ((one.points - inverse.points.points) * inverse.points.normals).sum(axis=1)[place]
+        for one in fit.predictions
+    ]
+    largest = max(float(np.sqrt((one**2).mean())) for one in fitted)
+    return max(1.0, float(np.sqrt((moved[place] ** 2).mean())) / largest) if largest > 0 else 1.0
 
 
 def posterior_factor(inverse: InverseProblem, fit: Fit) -> FloatArray:

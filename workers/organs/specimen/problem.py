@@ -147,7 +147,8 @@ def _force_n(force: ForceSpec, down: Triple) -> Triple:
 def free_constants(spec: SpecimenSpec) -> list[FreeConstant]:
     """Return the searched constants: E of each material, and 1 - 2 nu where nu is an interval.
 
-    Nu itself has no logarithm with a normal prior: it must stay below a half.
+    Nu itself has no logarithm with a normal prior: it must stay below a half. Its interval bounds
+    the fit; the interval of E is a prior, which holds it with two in three.
     """
     found = [
         FreeConstant(
@@ -158,5 +159,6 @@ def free_constants(spec: SpecimenSpec) -> list[FreeConstant]:
     for name, one in spec.materials.items():
         if isinstance(one.nu, tuple):
             low, high = (1.0 - 2.0 * nu for nu in reversed(one.nu))
-            found.append(FreeConstant(compressibility_name(spec, name), low, high, NUMBER))
+            name_inside = compressibility_name(spec, name)
+            found.append(FreeConstant(name_inside, low, high, NUMBER, is_bound=True))
     return found

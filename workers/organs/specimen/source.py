@@ -1,6 +1,6 @@
 """A bench experiment as something that can be diagnosed."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from storage.values import FloatArray, TetMesh, Volume
+from storage.errors import InputError
+from storage.values import BoolArray, FloatArray, TetMesh, Volume
 from workers.comparison.observation.interface import InterfacePoints
 from workers.comparison.observation.noise import SegmentationNoise
 from workers.comparison.observation.point_interpolation import interpolation
@@ -24,7 +25,7 @@ from workers.diagnosis.preparation import ReadPrepared
 from workers.diagnosis.source import SourceContent
 from workers.diagnosis.summary import Summary
 from workers.mechanics.effects.base import Effect
-from workers.mechanics.effects.specimen_catalogue import specimen_effects
+from workers.mechanics.effects.specimen_catalogue import NOT_SIMULATED, specimen_effects
 from workers.mechanics.fem.fields import frame_of
 from workers.mechanics.fem.loads import DisplacementField
 from workers.mechanics.fem.model import Model, prepare
@@ -42,10 +43,17 @@ from workers.organs.specimen.load_cells import (
 )
 from workers.organs.specimen.marker_data import Observed
 from workers.organs.specimen.mesh_error import part_of_compliance
+from workers.organs.specimen.plausibility import confirmed_scatter, findings, outside_intervals
 from workers.organs.specimen.prediction import predict
 from workers.organs.specimen.problem import free_constants, is_wall, problem_of, region_of
 from workers.organs.specimen.spec import LoadsSpec, SpecimenSpec, StateSpec
-from workers.organs.specimen.summary_rows import marker_states, predicted_states
+from workers.organs.specimen.summary_rows import (
+    COMPONENTS,
+    marker_states,
+    predicted_states,
+    region_rows,
+)
+from workers.organs.study_checks import Finding
 from workers.scan_threads import Each
 from workers.spec import validated
 
@@ -107,6 +115,8 @@ class SpecimenSource:
             repeats_mm=tuple(arrays["repeats_mm"].tolist()),
             boundary_mm=arrays["boundary_mm"],
             boundary_moved_mm=arrays["boundary_moved_mm"],
+            notes=tuple(record.get("notes", ())),
+            scatter=record.get("scatter", ""),
         )
         spec = validated(SpecimenSpec, record["spec"], "The experiment")
         return cls(spec, observed, content.volumes.get(BODY))
@@ -120,6 +130,8 @@ class SpecimenSource:
             "names": list(observed.names),
             "sd_mm": observed.sd_mm,
             "misfit_mm": observed.misfit_mm,
+            "notes": list(observed.notes),
+            "scatter": observed.scatter,
         }
         arrays = {
             "points_mm": observed.points_mm,
@@ -166,8 +178,26 @@ class SpecimenSource:
         """What reads the forces that move regions."""
         return load_cells(self.spec, self.observed.sd_mm)
 
+    def findings(self) -> Iterator[Finding]:
+        """Yield the reasons for which the experiment is not diagnosed."""
+        yield from findings(self.observed, self.spec, *self.body.box_mm)
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """None: doubts about the data are a part of the summary."""
+        return ()
+
     def check(self) -> None:
-        """Do nothing: an experiment is checked where its files are read."""
+        """Refuse points that cannot belong to the body.
+
+        Raises
+        ------
+        InputError
+            With every reason.
+        """
+        found = [finding.text for finding in self.findings()]
+        if found:
+            raise InputError(f"The experiment {self.name} is not plausible. " + " ".join(found))
 
     def inverse_problem(
         self, nodes: int, spacing_mm: float = 0.0, prepared: ReadPrepared | None = None
@@ -177,8 +207,8 @@ class SpecimenSource:
         model, observed = prepare(hierarchy), self.observed
         mesh, softer = hierarchy.finest.mesh, self.part_of_compliance(nodes)
         cells, states = self.load_cells, self.spec.states
-        own = _thrice(interpolation(mesh, observed.points_mm, FARTHEST_MM))
-        points = with_load_cells(components(observed.points_mm), cells)
+        own = self._compared_rows(interpolation(mesh, observed.points_mm, FARTHEST_MM))
+        points = with_load_cells(components(observed.points_mm, observed.measured), cells)
         problem = InverseProblem(
             model=model,
             frame=frame_of(mesh.nodes),
@@ -254,6 +284,15 @@ class SpecimenSource:
         fit = best.fit if best is not None else analysis.nominal
         return {}, replace(
             summary,
+            doubts=(
+                *confirmed_scatter(self.observed),
+                *outside_intervals(self.spec, fit.unknowns.constants(fit.z)),
+            ),
+            data_notes=self.observed.notes,
+            where=tuple(region_rows(diagnosis)),
+            surfaces=COMPONENTS,
+            compared="the points that were measured",
+            not_simulated=NOT_SIMULATED,
             markers=marker_states(self.observed, self.spec, self.load_cells, diagnosis),
             hidden=confounded_effects(diagnosis, self.effects),
             predictions=self.predictions(analysis.inverse, fit),
@@ -262,8 +301,8 @@ class SpecimenSource:
     def part_of_compliance(self, nodes: int) -> float:
         """See `workers.organs.specimen.mesh_error`; 1 where displacements are no compliance.
 
-        A body from a file has no lattice, and one whose ends move as was measured does not move
-        by its stiffness alone.
+        A body from a file has no lattice, and one whose ends are moved does not move by its
+        stiffness alone.
         """
         box = self.spec.body.box_mm
         if box is None or not self._is_made_good_for:
@@ -275,7 +314,7 @@ class SpecimenSource:
 
     @property
     def _is_made_good_for(self) -> bool:
-        return self.spec.body.box_mm is not None and not self.spec.measured_regions
+        return self.spec.body.box_mm is not None and not self.spec.moved_regions
 
     def _arms(self, mesh: TetMesh) -> csr_matrix | None:
         """See `InverseProblem.arms`; None where no markers were observed."""
@@ -283,7 +322,7 @@ class SpecimenSource:
         if markers is None:
             return None
         stated = [marker.outward for marker in markers.markers.values()]
-        own = _thrice(arms(mesh, self.observed.points_mm, stated, self.observed.names))
+        own = self._compared_rows(arms(mesh, self.observed.points_mm, stated, self.observed.names))
         return at_points_with_forces(own, len(self.load_cells))
 
     def _heaviest(self) -> Problem:
@@ -298,7 +337,12 @@ class SpecimenSource:
 
     def _compared(self, moved_mm: FloatArray, state: StateSpec) -> Components:
         """Return what a state is compared with: components of points, then load cells."""
-        return Components(np.append(moved_mm.ravel(), readings_mm(state, self.load_cells)))
+        seen = moved_mm[self.observed.measured]
+        return Components(np.append(seen, readings_mm(state, self.load_cells)))
+
+    def _compared_rows(self, at_points: csr_matrix) -> csr_matrix:
+        """Return a row for each component that is compared, from one for each point."""
+        return csr_matrix(at_points)[np.nonzero(self.observed.measured)[0]]
 
     def _with_boundary_noise(self, problem: InverseProblem) -> InverseProblem:
         """Add what measured boundaries do; see `workers.organs.specimen.boundary_noise`."""
@@ -318,18 +362,16 @@ class SpecimenSource:
 SOURCES = {SpecimenSource.kind: SpecimenSource.from_content}
 
 
-def components(points_mm: FloatArray) -> InterfacePoints:
-    """Return each point three times, along x, y and z; each axis is an interface of its own."""
-    k = len(points_mm)
-    axis = np.tile(np.arange(3, dtype=np.int32), k)
-    return InterfacePoints(
-        np.repeat(points_mm, 3, axis=0), np.eye(3)[axis], axis, np.ones(3 * k), axis
-    )
+def components(points_mm: FloatArray, measured: BoolArray) -> InterfacePoints:
+    """Return each point once for every component that is compared; each axis is an interface.
 
-
-def _thrice(matrix: csr_matrix) -> csr_matrix:
-    """Return each row three times."""
-    return csr_matrix(matrix)[np.repeat(np.arange(matrix.shape[0]), 3)]
+    Parameters
+    ----------
+    points_mm : ndarray, shape (k, 3)
+    measured : ndarray of bool, shape (k, 3)
+    """
+    point, axis = (index.astype(np.int32) for index in np.nonzero(measured))
+    return InterfacePoints(points_mm[point], np.eye(3)[axis], axis, np.ones(len(axis)), axis)
 
 
 def _problem(

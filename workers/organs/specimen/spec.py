@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-import yaml
 from pydantic import Field, model_validator
 
 from storage.errors import InputError
 from storage.values import Tissue, Triple
+from workers.documents import parse_yaml
 from workers.mechanics.parameters import unknown_name
 from workers.missing_keys import Pairs
 from workers.spec import Door, Finite, Positive, validated
@@ -27,9 +27,11 @@ MATERIALS = tuple(tissue for tissue in Tissue if tissue is not Tissue.AIR)
 
 
 class BodySpec(Door):
-    """A block, or a mesh file: the surface (.stl) or the volume (.vtk, .msh) of a body.
+    """A block, or a mesh file: the surface (.stl) or the volume (.vtk, .msh, .inp) of a body.
 
-    A body from a file is filled with voxels of ``voxel_mm`` and meshed like a scan.
+    Volume cells are tetrahedra, hexahedra, wedges or pyramids, of which the corners count; a
+    surface is closed, and there are no volume cells in its file. A body from a file is filled
+    with voxels of ``voxel_mm`` and meshed like a scan. ``mm_per_unit`` is 1000 for metres.
     ``labels`` says which material the cells of a volume carry; ``label_array`` names the
     data that hold them.
     """
@@ -82,7 +84,12 @@ class RegionSpec(Door):
 
 
 class MaterialSpec(Door):
-    """A material whose stiffness is searched in an interval, and Poisson's ratio in one of two."""
+    """A material: its law, stiffness, Poisson's ratio and density.
+
+    ``E_kpa`` is the interval in which Young's modulus is expected: a prior, which data may
+    overrule; a fit outside of it is reported as such. ``nu`` is a number, or an interval that the
+    fit does not leave.
+    """
 
     law: Literal["neo-hookean"] = "neo-hookean"
     E_kpa: tuple[Positive, Positive] = Field(
@@ -220,8 +227,10 @@ class MarkersSpec(Door):
     """Recordings of markers: a table a file, a row a moment.
 
     ``column`` names the columns, with the marker and the axis in it. A marker's
-    displacement is its mean place in ``loaded_s`` less that in ``rest_s``. Times below zero
-    count from the end of the recording.
+    displacement is its mean place in ``loaded_s`` less its mean place in ``rest_s``. Times below
+    zero count from the end of the recording. An empty cell, nan, and whatever a tracker writes for
+    a marker that it has lost, is a missing value. ``noise_confirmed: true`` accepts repeats that
+    scatter by far more than ``sd_mm``.
     """
 
     time: str = "t_s"
@@ -239,6 +248,7 @@ class MarkersSpec(Door):
     frame: FrameSpec | None = None
     sd_mm: Positive = 0.1
     common_sd_mm: Positive | None = None
+    noise_confirmed: bool = False
 
     @model_validator(mode="after")
     def _named_places(self) -> Self:
@@ -248,14 +258,21 @@ class MarkersSpec(Door):
 
 
 class FieldSpec(Door):
-    """Displacements of landmarks or nodes: a table a file, a row a point.
+    """Displacements of landmarks, nodes or image correlation: a table a file, a row a point.
 
-    Columns x_mm, y_mm, z_mm of the body at rest and ux_mm, uy_mm, uz_mm. All states list the
-    same points.
+    The columns ``x_mm``, ``y_mm`` and ``z_mm`` place the points on the body at rest, in its
+    frame; ``ux_mm``, ``uy_mm`` and ``uz_mm`` are their displacements, of which one or two
+    columns may be absent and single cells empty or nan: what was not measured is not compared.
+    All recordings list the same points in the same order.
+
+    ``sd_mm`` is the standard deviation of one component of one point, ``common_sd_mm`` of an
+    error that all points of a recording share, such as a motion of the camera.
+    ``noise_confirmed: true`` accepts repeats that scatter by far more than that.
     """
 
     sd_mm: Positive
     common_sd_mm: Positive | None = None
+    noise_confirmed: bool = False
 
 
 class SpecimenSpec(Door):
@@ -315,6 +332,14 @@ class SpecimenSpec(Door):
         return tuple(dict.fromkeys(move.region for move in moves if move.measured))
 
     @property
+    def moved_regions(self) -> tuple[str, ...]:
+        """Names of the regions that some measured state moves, each once."""
+        moves = (move for state in self.states for move in state.moves)
+        return tuple(
+            dict.fromkeys(m.region for m in moves if m.measured or any(m.displacement_mm or ()))
+        )
+
+    @property
     def unit_down(self) -> Triple:
         """Direction of gravity, of length 1."""
         x, y, z = np.asarray(self.down) / np.linalg.norm(self.down)
@@ -334,11 +359,12 @@ def read_spec(path: Path) -> SpecimenSpec:
         If the file cannot be read or does not make sense.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is no YAML: {error}.") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is no text in UTF-8: {error}. Save it as UTF-8.") from error
+    data = parse_yaml(text, str(path))
     if not isinstance(data, dict):
         raise InputError(f"{path} is no experiment: expected keys such as organ: specimen.")
     return validated(SpecimenSpec, data, str(path))

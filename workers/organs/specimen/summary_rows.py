@@ -14,10 +14,43 @@ from workers.diagnosis.experiment_summary import (
     Reaction,
     ReactionResidual,
 )
+from workers.diagnosis.linear_fit import LinearFit
+from workers.diagnosis.region_gap import region_gap
+from workers.diagnosis.settings import SETTINGS
+from workers.diagnosis.summary import RegionGap
 from workers.organs.specimen.load_cells import LoadCell
 from workers.organs.specimen.marker_data import Observed
 from workers.organs.specimen.prediction import Prediction
 from workers.organs.specimen.spec import PredictSpec, SpecimenSpec
+
+COMPONENTS = ("displacement along x", "displacement along y", "displacement along z")
+
+
+def region_rows(diagnosis: Diagnosis) -> Iterator[RegionGap]:
+    """Yield the gap of the nominal model along each axis: of all points, and in thirds of them.
+
+    The thirds are cut along the axis in which the points reach farthest.
+    """
+    inverse, fit = diagnosis.analysis.inverse, LinearFit(diagnosis.analysis.linear)
+    points, component = inverse.points.points, inverse.points.interface
+    own = ~inverse.is_force
+    longest = int(np.ptp(points[own], axis=0).argmax())
+    low, high = points[own, longest].min(), points[own, longest].max()
+    along = 3 * (points[:, longest] - low) / max(high - low, 1e-12)
+    name = "xyz"[longest]
+    parts = {
+        "all": np.ones(len(along), np.bool_),
+        f"lowest third of {name}": along < 1,
+        f"middle third of {name}": (along >= 1) & (along <= 2),
+        f"highest third of {name}": along > 2,
+    }
+    for number, scan in enumerate(inverse.scans):
+        for axis, seen in enumerate(COMPONENTS):
+            for region, inside in parts.items():
+                chosen = np.tile(own & inside & (component == axis), len(inverse.scans))
+                chosen &= inverse.rows == number
+                if chosen.sum() >= SETTINGS.gap.fewest_residuals:
+                    yield region_gap(fit, chosen, scan.name, seen, region)
 
 
 def marker_states(
@@ -32,13 +65,13 @@ def marker_states(
     cells : sequence of LoadCell
     diagnosis : Diagnosis
     """
-    inverse, shape = diagnosis.analysis.inverse, observed.moved_mm.shape
+    inverse = diagnosis.analysis.inverse
     whole, place = diagnosis.analysis.linear.residual, inverse.is_place
-    before, forces = whole[place].reshape(shape), whole[~place]
+    before, forces = _at_points(observed, whole[place]), whole[~place]
     after, forces_after = None, None
     if diagnosis.best is not None:
         whole = diagnosis.best.fit.linearised(inverse).residual
-        after, forces_after = whole[place].reshape(shape), whole[~place]
+        after, forces_after = _at_points(observed, whole[place]), whole[~place]
     reactions = _reactions(spec, cells, forces, forces_after)
     return tuple(
         MarkerState(
@@ -59,6 +92,19 @@ def marker_states(
     )
 
 
+def _at_points(observed: Observed, compared: FloatArray) -> FloatArray:
+    """Return the compared components of all states as points, shape (s, k, 3)."""
+    states = compared.reshape(len(observed.moved_mm), -1)
+    return np.array([_spread(observed, state) for state in states])
+
+
+def _spread(observed: Observed, compared: FloatArray) -> FloatArray:
+    """Return the compared components of one state with nan at all others, shape (k, 3)."""
+    found = np.full(observed.measured.shape, np.nan)
+    found[observed.measured] = compared
+    return found
+
+
 def predicted_states(
     observed: Observed,
     spec: SpecimenSpec,
@@ -71,7 +117,12 @@ def predicted_states(
             one.name,
             tuple(
                 PredictedPoint(name, _triple(moved), _triple(sd))
-                for name, moved, sd in zip(observed.names, one.moved_mm, one.sd_mm, strict=True)
+                for name, moved, sd in zip(
+                    observed.names,
+                    _spread(observed, one.moved_mm),
+                    _spread(observed, one.sd_mm),
+                    strict=True,
+                )
             ),
             tuple(_predicted_reactions(spec, state, cells, one)),
         )

@@ -1,28 +1,39 @@
 """The body of a mesh file as labelled voxels, to be meshed like a scan."""
 
-import io
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
-import meshio
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from storage.errors import InputError
-from storage.values import FloatArray, IntArray, Volume
+from storage.values import BoolArray, FloatArray, IntArray, Volume
 from workers.body.images.scan import whole_numbers
 from workers.compile_flags import CONTRACTED
+from workers.organs.specimen.mesh_file import MeshFile, read_mesh_file
 from workers.organs.specimen.spec import BodySpec, SpecimenSpec
 
-SOLID, SURFACE = "tetra", "triangle"
+# Where the groups of Gmsh are, unless another array is named.
+PHYSICAL = "gmsh:physical"
+LEAST_VOXELS, MOST_VOXELS = 8, 2e8
+# Volumes of cells and of their voxels differ by no more than this part.
+MOST_OFF = 0.15
+# Pieces and cavities below this part of the body come from rounding.
+SPECK = 1e-3
+WHOLE = 1e-3  # distance of a label from a whole number
 # Rays run a little beside the centres of voxels, in parts of one: never along an edge.
 BESIDE = np.array([1.3e-4, 0.7e-4])
 ON_A_FACE = 1e-9  # barycentric weight that still counts as inside
 
 
 def filled(spec: SpecimenSpec, path: Path) -> Volume:
-    """Return voxels of the body in the file that `spec` names.
+    """Return voxels of the body in the file that `spec` names; see `body_of_file`."""
+    return body_of_file(spec, path)[0]
+
+
+def body_of_file(spec: SpecimenSpec, path: Path) -> tuple[Volume, tuple[str, ...]]:
+    """Return voxels of a body, and sentences about what of its file is not in them.
 
     Parameters
     ----------
@@ -34,75 +45,103 @@ def filled(spec: SpecimenSpec, path: Path) -> Volume:
     Raises
     ------
     InputError
-        If the file cannot be read, or holds neither tetrahedra nor a closed surface.
+        If the file cannot be read, holds neither volume cells nor a closed surface, or its
+        body falls into pieces or encloses a cavity.
     """
-    body, mesh = spec.body, _read(path)
-    points: FloatArray = np.asarray(mesh.points, np.float64) * body.mm_per_unit
-    voxel = body.voxel_mm
+    body = spec.body
+    mesh, voxel = read_mesh_file(path, body.mm_per_unit), body.voxel_mm
     if voxel is None:
         raise AssertionError("a mesh comes with the size of its voxels")
-    low, count = _grid(points, voxel)
+    low, count = _grid(path, mesh.corners.reshape(-1, 3), voxel)
     values = np.zeros(tuple(count[::-1]), np.uint8)
     origin = low + voxel / 2
-    if SOLID in mesh.cells_dict:
-        corners = points[np.asarray(mesh.cells_dict[SOLID])]
-        _fill(corners, _tissues(spec, mesh, path, len(corners)), origin, voxel, values)
-    elif SURFACE in mesh.cells_dict:
+    if mesh.is_solid:
+        _fill(mesh.corners, _tissues(spec, mesh, path), origin, voxel, values)
+        _check_volume(path, mesh.corners, int((values > 0).sum()) * voxel**3)
+    else:
         if body.labels is not None:
             raise InputError(f"{path} is a surface: its inside has no labels. Leave them out.")
         crossings = np.zeros(values.shape[1:], np.int64)
         beside = origin - np.append(BESIDE, 0.0) * voxel
-        _cross(points[np.asarray(mesh.cells_dict[SURFACE])], beside, voxel, values, crossings)
+        _cross(mesh.corners, beside, voxel, values, crossings)
         _closed(crossings, path)
         values *= int(spec.tissue_of(next(iter(spec.materials))))
-    else:
-        found = ", ".join(mesh.cells_dict) or "no cells"
-        raise InputError(f"{path} must hold tetrahedra or a surface of triangles, found {found}.")
+    _check_whole(path, values > 0, voxel)
     x, y, z = map(float, origin)
-    return Volume(values, (voxel, voxel, voxel), (x, y, z))
+    return Volume(values, (voxel, voxel, voxel), (x, y, z)), mesh.notes
 
 
-def _read(path: Path) -> meshio.Mesh:
-    said = io.StringIO()
-    try:
-        # meshio prints what went wrong, and takes the header of a text for a count.
-        with redirect_stdout(said), redirect_stderr(said), np.errstate(over="ignore"):
-            return meshio.read(path)
-    except (OSError, meshio.ReadError, ValueError, KeyError, AssertionError, SystemExit) as error:
-        why = " ".join(said.getvalue().split()) or str(error)
-        raise InputError(f"{path} cannot be read as a mesh: {why}.") from error
-
-
-def _grid(points: FloatArray, voxel: float) -> tuple[FloatArray, NDArray[np.int64]]:
+def _grid(path: Path, points: FloatArray, voxel: float) -> tuple[FloatArray, NDArray[np.int64]]:
     """Return the lowest corner and whole numbers of voxels, as near to the box as can be."""
     low, high = points.min(axis=0), points.max(axis=0)
-    count = np.maximum(1, np.rint((high - low) / voxel)).astype(np.int64)
-    if count.min() < 8:
+    size = np.array2string(high - low, precision=4, separator=", ")
+    units = "Check body.mm_per_unit: 1000 for a file in metres, 0.001 for one in micrometres."
+    if np.prod((high - low) / voxel) > MOST_VOXELS:
         raise InputError(
-            f"Voxels of {voxel:g} mm are too large for a body of {np.round(high - low, 3).tolist()}"
-            f" mm: its thinnest part needs 8. Set body.voxel_mm to {(high - low).min() / 10:.2g}."
+            f"Voxels of {voxel:g} mm are too small for the body of {path}, {size} mm: at most "
+            f"{MOST_VOXELS:g} fit in memory. {units}"
+        )
+    count = np.maximum(1, np.rint((high - low) / voxel)).astype(np.int64)
+    if count.min() < LEAST_VOXELS:
+        raise InputError(
+            f"Voxels of {voxel:g} mm are too large for the body of {path}, {size} mm: its "
+            f"thinnest part needs {LEAST_VOXELS}. Set body.voxel_mm to "
+            f"{(high - low).min() / 10:.2g}. {units}"
         )
     return (low + high - count * voxel) / 2, count
 
 
-def _tissues(spec: SpecimenSpec, mesh: meshio.Mesh, path: Path, cells: int) -> NDArray[np.uint8]:
+def _check_volume(path: Path, corners: FloatArray, filled_mm3: float) -> None:
+    """Refuse cells that overlap, or that voxels do not show."""
+    stated = float(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum()) / 6
+    if abs(filled_mm3 / stated - 1) > MOST_OFF:
+        raise InputError(
+            f"The cells of {path} sum up to {stated / 1000:.4g} ml, but fill "
+            f"{filled_mm3 / 1000:.4g} ml: they overlap, or are thinner than the voxels. "
+            "Repair the mesh, or set a smaller body.voxel_mm."
+        )
+
+
+def _check_whole(path: Path, inside: BoolArray, voxel: float) -> None:
+    """Refuse a body of several pieces, or with a cavity, which the mesher would drop or fill."""
+    total = int(inside.sum())
+    for what, empty, wish in (
+        ("falls into pieces", False, "Join them, or export one body a file."),
+        ("encloses a cavity", True, "Bodies with closed cavities are not meshed: open or fill it."),
+    ):
+        regions, count = ndimage.label(
+            np.pad(~inside, 1, constant_values=True) if empty else inside
+        )
+        sizes = np.bincount(regions.ravel())[1:] if count else np.zeros(0, np.int64)
+        # The largest piece is the body; the piece of air at the corner is outdoors.
+        main = int(regions[0, 0, 0]) - 1 if empty else int(sizes.argmax())
+        rest = int(np.delete(sizes, main).sum())
+        if rest > SPECK * total:
+            raise InputError(
+                f"The body of {path} {what}: {rest * voxel**3 / 1000:.4g} ml beside "
+                f"{total * voxel**3 / 1000:.4g} ml in all. {wish}"
+            )
+
+
+def _tissues(spec: SpecimenSpec, mesh: MeshFile, path: Path) -> NDArray[np.uint8]:
     """Return the label of a voxel in each tetrahedron."""
     body = spec.body
     if body.labels is None:
-        return np.full(cells, int(spec.tissue_of(next(iter(spec.materials)))), np.uint8)
-    own = _labels(mesh, body, path)
+        return np.full(len(mesh.cell), int(spec.tissue_of(next(iter(spec.materials)))), np.uint8)
+    own = _labels(mesh, body, path)[mesh.cell]
     unknown = sorted(set(own.tolist()) - set(body.labels))
     if unknown:
         raise InputError(f"{path} has the labels {unknown}, which body.labels does not name.")
-    found = np.zeros(cells, np.uint8)
+    found = np.zeros(len(own), np.uint8)
     for label, material in body.labels.items():
         found[own == label] = int(spec.tissue_of(material))
     return found
 
 
-def _labels(mesh: meshio.Mesh, body: BodySpec, path: Path) -> IntArray:
-    known = {name: found[SOLID] for name, found in mesh.cell_data_dict.items() if SOLID in found}
-    name = body.label_array or (next(iter(known)) if len(known) == 1 else None)
+def _labels(mesh: MeshFile, body: BodySpec, path: Path) -> IntArray:
+    known = mesh.labels
+    only = next(iter(known)) if len(known) == 1 else None
+    name = body.label_array or (PHYSICAL if PHYSICAL in known else only)
     if name not in known:
         raise InputError(
             f"{path}: body.label_array must name one of the cells' data, found "

@@ -1,0 +1,162 @@
+"""Checks of a bench experiment: its points against its body, and what was fitted against its file.
+
+See `workers.organs.study_checks` for what a finding does.
+"""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.organs.specimen.marker_data import Observed
+from workers.organs.specimen.problem import compressibility_name, young_name
+from workers.organs.specimen.spec import SpecimenSpec
+from workers.organs.study_checks import Finding
+from workers.units import KPA
+
+# Points that span less than this part of the body are in another unit.
+LEAST_SPAN = 0.01
+# How far a point may be outside of the box of the body: in mm, and as a part of its diagonal.
+FARTHEST_MM, FARTHEST_PART = 3.0, 0.05
+# Displacements whose mean square is less than this many variances of the noise, and whose
+# largest is less than this many standard deviations, are noise.
+LEAST_VARIANCE, LEAST_LARGEST = 1.5, 5.0
+# A constant this near to the end of its interval, as a part of the width of its logarithm, is
+# at the end.
+AT_END = 1e-3
+
+
+def findings(
+    observed: Observed, spec: SpecimenSpec, low_mm: FloatArray, high_mm: FloatArray
+) -> Iterator[Finding]:
+    """Yield the reasons for which an experiment is not diagnosed.
+
+    Parameters
+    ----------
+    observed : Observed
+    spec : SpecimenSpec
+    low_mm, high_mm : ndarray, shape (3,)
+        Corners of the box around the body.
+    """
+    for text in (
+        _span(observed, low_mm, high_mm),
+        _outside(observed, low_mm, high_mm),
+        _too_large(observed, spec, low_mm, high_mm),
+        _nothing(observed),
+        _scatter(observed, spec),
+    ):
+        if text:
+            yield Finding("impossible", text)
+
+
+def _span(observed: Observed, low_mm: FloatArray, high_mm: FloatArray) -> str:
+    diagonal = float(np.linalg.norm(high_mm - low_mm))
+    span = float(np.ptp(observed.points_mm, axis=0).max())
+    if len(observed.points_mm) < 2 or span >= LEAST_SPAN * diagonal:
+        return ""
+    return (
+        f"The {len(observed.points_mm)} points span {span:.2g} mm of a body of "
+        f"{_sizes(low_mm, high_mm)} mm. Places are in mm in the frame of the body: check whether "
+        "they are in metres."
+    )
+
+
+def _outside(observed: Observed, low_mm: FloatArray, high_mm: FloatArray) -> str:
+    points = observed.points_mm
+    away = np.linalg.norm(points - np.clip(points, low_mm, high_mm), axis=1)
+    limit = FARTHEST_MM + FARTHEST_PART * float(np.linalg.norm(high_mm - low_mm))
+    worst = int(away.argmax())
+    if away[worst] <= limit:
+        return ""
+    return (
+        f"{int((away > limit).sum())} of {len(points)} points are outside of the body, "
+        f"{observed.names[worst]} by {away[worst]:.4g} mm; the body reaches from "
+        f"{_corner(low_mm)} to {_corner(high_mm)} mm. Give places in mm in the frame of the body, "
+        "and check mm_per_unit of a mesh file."
+    )
+
+
+def _too_large(
+    observed: Observed, spec: SpecimenSpec, low_mm: FloatArray, high_mm: FloatArray
+) -> str:
+    diagonal = float(np.linalg.norm(high_mm - low_mm))
+    size = np.linalg.norm(np.nan_to_num(observed.moved_mm), axis=2)
+    state, point = np.unravel_index(int(size.argmax()), size.shape)
+    if size[state, point] <= diagonal:
+        return ""
+    return (
+        f"{observed.names[point]} moves by {size[state, point]:.4g} mm in the state "
+        f"{spec.states[state].name}, farther than the body is large ({diagonal:.4g} mm). Check the "
+        "unit (mm_per_unit), and whether the marker was lost."
+    )
+
+
+def _nothing(observed: Observed) -> str:
+    moved = np.abs(observed.moved_mm[np.isfinite(observed.moved_mm)])
+    noise = observed.sd_mm
+    if (moved**2).mean() >= LEAST_VARIANCE * noise**2 or moved.max() >= LEAST_LARGEST * noise:
+        return ""
+    return (
+        f"No state moves the points by more than the noise: {np.sqrt((moved**2).mean()):.2g} mm on "
+        f"average, {moved.max():.2g} mm at most, where the noise of a component is {noise:.2g} mm. "
+        "Nothing was measured. Check the unit of the displacements, the windows and sd_mm."
+    )
+
+
+def _scatter(observed: Observed, spec: SpecimenSpec) -> str:
+    stated = spec.markers or spec.field
+    if not observed.scatter or (stated is not None and stated.noise_confirmed):
+        return ""
+    key = "markers" if spec.markers is not None else "field"
+    return (
+        f"{observed.scatter} Check the recordings; if they are right, correct {key}.sd_mm, or "
+        f"confirm it with {key}.noise_confirmed: true."
+    )
+
+
+def confirmed_scatter(observed: Observed) -> tuple[str, ...]:
+    """Return the sentence with which a result begins whose noise the file confirms."""
+    if not observed.scatter:
+        return ()
+    return (f"{observed.scatter} The file confirms it, and the larger scatter is used.",)
+
+
+def outside_intervals(spec: SpecimenSpec, values: Mapping[str, float]) -> tuple[str, ...]:
+    """Return a sentence for each fitted constant outside, or at an end, of its interval.
+
+    Parameters
+    ----------
+    spec : SpecimenSpec
+    values : mapping of str to float
+        Fitted constants; see `workers.organs.specimen.problem.free_constants`.
+    """
+    found = []
+    for name, material in spec.materials.items():
+        young = young_name(spec, name)
+        found.append(_beyond(young, KPA.to_door(values[young]), material.E_kpa, " kPa"))
+        if isinstance(material.nu, tuple):
+            nu = (1.0 - values[compressibility_name(spec, name)]) / 2.0
+            found.append(_beyond(young.replace("E", "nu", 1), nu, material.nu, ""))
+    return tuple(filter(None, found))
+
+
+def _beyond(name: str, value: float, interval: tuple[float, float], unit: str) -> str:
+    low, high = interval
+    near = AT_END * float(np.log(high / low))
+    within = f"{low:g} to {high:g}{unit}"
+    if abs(np.log(value / low)) <= near or abs(np.log(value / high)) <= near:
+        return f"{name} is at the end of its interval: {value:.3g}{unit}, stated {within}."
+    if low < value < high:
+        return ""
+    return (
+        f"{name} is outside of its stated interval: {value:.3g}{unit}, stated {within}. Check "
+        "units and loads: this value is not to be relied on."
+    )
+
+
+def _corner(corner_mm: FloatArray) -> str:
+    return "(" + ", ".join(f"{c:g}" for c in np.round(corner_mm, 2)) + ")"
+
+
+def _sizes(low_mm: FloatArray, high_mm: FloatArray) -> str:
+    return " x ".join(f"{c:g}" for c in np.round(high_mm - low_mm, 2))

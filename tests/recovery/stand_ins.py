@@ -239,5 +239,6 @@ def assert_each_ran_once(folder: Path, cut_off: int = 0) -> None:
     ran = executions(folder)
     assert len(ran) == len(set(ran))
     finished = {ending[2] for ending in told(folder).values()}
-    assert len(set(ran) - finished) <= 1  # the tangents at the best candidate
+    # Of the best candidate: its tangents, those by the nuisances, and on another mesh.
+    assert len(set(ran) - finished) <= 3
     assert len(finished - set(ran)) <= cut_off

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from storage.values import BoolArray, FloatArray
+from storage.values import BoolArray, FloatArray, IntArray
 
 # A marker that moves this much more than any other has jumped.
 ALONE = 5.0
@@ -81,7 +81,7 @@ def _excursions(seen: FloatArray, lost: BoolArray) -> BoolArray:
     if len(seen) < 2:
         return found
     for marker, places in enumerate(seen):
-        known = np.flatnonzero(~lost[marker])
+        known = np.flatnonzero(~lost[marker]).astype(np.int32)
         steps = np.linalg.norm(np.diff(places[known], axis=0), axis=1)
         others = _largest_other_step(seen, lost, marker, known)
         limit = np.maximum(ALONE * others, UNUSUAL * _usual(steps))
@@ -96,7 +96,7 @@ def _excursions(seen: FloatArray, lost: BoolArray) -> BoolArray:
 
 
 def _largest_other_step(
-    seen: FloatArray, lost: BoolArray, marker: int, known: FloatArray
+    seen: FloatArray, lost: BoolArray, marker: int, known: IntArray
 ) -> FloatArray:
     """Return the longest step of any other marker between frames, shape (len(known) - 1,)."""
     steps = np.linalg.norm(np.diff(seen[:, known], axis=1), axis=2)

@@ -33,6 +33,7 @@ from workers.mechanics.fem.problem import Problem
 from workers.organs.specimen.body import FARTHEST_MM, Body, arms
 from workers.organs.specimen.boundary_noise import boundary_covariance
 from workers.organs.specimen.confounded_effects import confounded_effects
+from workers.organs.specimen.force_balance import supported
 from workers.organs.specimen.load_cell_forces import TetrahedraWithCells
 from workers.organs.specimen.load_cells import (
     LoadCell,
@@ -282,11 +283,14 @@ class SpecimenSource:
         """Add rows of the markers, of what hides, and of states to come; there are no pictures."""
         analysis, best = diagnosis.analysis, diagnosis.best
         fit = best.fit if best is not None else analysis.nominal
+        nominal = analysis.nominal.values()
+        problems = [scan.problem(nominal) for scan in analysis.inverse.scans]
         return {}, replace(
             summary,
             doubts=(
                 *confirmed_scatter(self.observed),
                 *outside_intervals(self.spec, fit.unknowns.constants(fit.z)),
+                *supported(analysis.inverse, problems, self.spec.states, displacements["before"]),
             ),
             data_notes=self.observed.notes,
             where=tuple(region_rows(diagnosis)),

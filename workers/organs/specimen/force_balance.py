@@ -1,0 +1,64 @@
+"""The balance of forces: how much of the loads the numerical supports of the solver carry.
+
+Weak springs keep a body from drifting. Against a soft body, or small forces, they are felt,
+and then what a load cell reads depends on which end is called fixed.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from storage.values import FloatArray
+from workers.diagnosis.inverse_problem import InverseProblem
+from workers.mechanics.fem.external_forces import spring_stiffness, stated_springs
+from workers.mechanics.fem.model import LevelModel
+from workers.mechanics.fem.problem import Problem
+from workers.organs.specimen.spec import StateSpec
+
+# Supports that carry less than this part of the known forces are not felt.
+MOST_OF_FORCES = 0.01
+
+
+def support_force_n(model: LevelModel, problem: Problem, moved_mm: FloatArray) -> float:
+    """Return the force of the numerical supports on a body.
+
+    Parameters
+    ----------
+    model : LevelModel
+        The finest level, of n nodes.
+    problem : Problem
+    moved_mm : ndarray, shape (n, 3)
+        Displacement of its nodes.
+    """
+    springs = spring_stiffness(model, problem) - stated_springs(model, problem)
+    return float(np.linalg.norm((springs * moved_mm).sum(axis=0)))
+
+
+def supported(
+    inverse: InverseProblem,
+    problems: Sequence[Problem],
+    states: Sequence[StateSpec],
+    moved_mm: Sequence[FloatArray],
+) -> tuple[str, ...]:
+    """Return a sentence for each state whose numerical supports are felt.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+    problems, states
+        One for each scan.
+    moved_mm : sequence of ndarray
+        Displacements of the nodes, and of load cells beyond them.
+    """
+    found, model = [], inverse.model.finest
+    for problem, state, moved in zip(problems, states, moved_mm, strict=True):
+        loads = [float(np.linalg.norm(force.force_n)) for force in problem.forces]
+        loads += [abs(reaction.force_n) for reaction in state.reactions]
+        held = support_force_n(model, problem, np.asarray(moved)[: len(model.nodes)])
+        if loads and held > MOST_OF_FORCES * max(loads) > 0:
+            found.append(
+                f"Numerical supports carry {held:.2g} N in the state {state.name}, "
+                f"{100 * held / max(loads):.2g} % of the largest force on the body: forces do not "
+                "balance to that extent, and stiffness errs by as much."
+            )
+    return tuple(found)

@@ -4,12 +4,12 @@ import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-from service.cluster import open_cluster
 from service.dask_diagnosis import run_and_tell
 from service.diagnosis.run import FinishedDiagnosis as Diagnosis
 from service.diagnosis.run import finished, request_for, with_caveats
-from service.dispatch import Dispatcher
+from service.errors import Interrupted
 from service.report.diagnosis_page import render
+from service.session import session
 from storage.atomic import write_file
 from workers.diagnosis.settings import SETTINGS
 from workers.tasks.sources import check_source, open_source, source_caveats
@@ -65,6 +65,8 @@ def diagnose(
         If the source cannot be diagnosed.
     ClusterError, TaskError
         If the workers cannot do the work; what is finished is kept.
+    KeyboardInterrupt
+        At Ctrl-C; what is finished is kept, and the same call continues.
     """
     opened = open_source(Path(source), store)
     findings = check_source(opened, anyway=anyway)
@@ -73,10 +75,13 @@ def diagnose(
     request = request_for(opened, store, nodes, effects=effects)
     diagnosis = finished(request)
     if diagnosis is None:
-        with open_cluster(scheduler, workers) as cluster:
-            diagnosis = run_and_tell(
-                request, Dispatcher(cluster.client), Path(source), lambda step: None
-            )
+        try:
+            with session(scheduler, workers) as at_hand:
+                diagnosis = run_and_tell(
+                    request, at_hand.dispatcher, Path(source), lambda step: None
+                )
+        except Interrupted:
+            raise KeyboardInterrupt from None
     diagnosis = with_caveats(diagnosis, source_caveats(opened, findings))
     if page is not None:
         write_file(Path(page), render(diagnosis).encode())

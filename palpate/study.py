@@ -9,23 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.diagnosis import Diagnosis, diagnose
-from service.cluster import open_cluster
-from service.dask_records import DaskRecords
-from service.dispatch import Dispatcher
+from service.errors import Interrupted
 from service.hooks import Observer
-from service.preflight import preflight
 from service.progress import progress_observer
 from service.report.study_data import read_study_data
 from service.report.study_page import write_report
 from service.results import StudyResults
 from service.results_reader import study_results
+from service.run_study import Entrance, run_study
+from service.session import session
 from service.spec import StudySpec, read_spec
 from service.study import Study as StudyLoop
 from service.study_log import read_study
 from storage.errors import InputError
 from storage.layout import StudyLayout
 from storage.values import Volume
-from workers.organs.study_checks import caveats_of
 from workers.spec import validated
 
 if TYPE_CHECKING:
@@ -137,6 +135,8 @@ class Study:
             If the store cannot be used, or the study is running already.
         ClusterError
             If the workers cannot do the work; what is journalled is kept.
+        KeyboardInterrupt
+            At Ctrl-C; what is journalled is kept, and the same call continues.
         """
         from contextlib import nullcontext
 
@@ -145,17 +145,16 @@ class Study:
         bar = progress_observer(Console(stderr=True)) if progress else None
         shown = [] if bar is None else [bar]
         loop = StudyLoop(self.spec, self.folder, store, observers=[*shown, *observers])
-        if not loop.ended:
-            if not loop.begun:
-                findings = preflight(
-                    self.spec, loop.store, anyway=anyway, elsewhere=scheduler is not None
-                )
-                for finding in findings:
-                    warnings.warn(finding.text, stacklevel=2)
-                loop.caveats = caveats_of(findings)
-            with bar or nullcontext(), open_cluster(scheduler, workers) as cluster:
-                loop.hooks.add(DaskRecords(cluster.client))
-                loop.run(Dispatcher(cluster.client), cluster.dashboard)
+        entrance = Entrance(
+            anyway=anyway,
+            elsewhere=scheduler is not None,
+            warn=lambda text: warnings.warn(text, stacklevel=6),
+            shown=bar or nullcontext(),
+        )
+        try:
+            run_study(loop, session(scheduler, workers), entrance)
+        except Interrupted:
+            raise KeyboardInterrupt from None
         return self.results
 
     @property

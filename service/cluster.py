@@ -23,13 +23,14 @@ from tornado.ioloop import PeriodicCallback
 from service.adaptive import follow_the_work
 from service.dask_tab import add_tab
 from service.errors import ClusterError
+from service.foreign_workers import prepare_workers
 from service.fork_server import unheard_interrupts
+from service.main_guard import check_main_guard, lacks_guard
 from service.scheduler_address import check_reachable
 from service.task_failures import sentence
 from service.worker_range import WorkerRange, Workers, read_workers
 from storage.errors import InputError
 from workers import WORKER_ENVIRONMENT
-from workers.resources import OneThread
 
 ALLOWED_FAILURES = 5
 DASHBOARD_PORT = 8787
@@ -148,7 +149,9 @@ def open_cluster(
     if isinstance(workers, str):
         workers = read_workers(workers, "workers=")
     if isinstance(workers, int) and workers < 1:
-        raise InputError(f"--workers must be at least 1, got {workers}.")
+        raise InputError(
+            f"workers={workers}: at least one worker is needed. Leave it out for one per core."
+        )
     if scheduler is not None and workers is not None:
         raise InputError(
             "--workers starts processes of this machine, --scheduler uses those of a running "
@@ -160,7 +163,7 @@ def open_cluster(
         else _local(workers, allowed_failures)
     )
     with opened as cluster:
-        cluster.client.register_plugin(OneThread())
+        prepare_workers(cluster.client)
         if cluster.dashboard:
             with _unlogged("distributed"):
                 add_tab(cluster.client)
@@ -229,6 +232,7 @@ def _unlogged(name: str) -> Iterator[None]:
 @contextmanager
 def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
     count = workers.least if isinstance(workers, WorkerRange) else workers or usable_cores()
+    check_main_guard()
     os.environ.update(WORKER_ENVIRONMENT)  # inherited by the workers, before they load NumPy
     with ExitStack() as stack:
         scratch = stack.enter_context(
@@ -272,8 +276,21 @@ def _require_workers(cluster: _SteadyCluster) -> None:
     if not cluster.has_workers:
         raise ClusterError(
             f"No worker process has started in {START_ATTEMPTS} attempts: {cluster.failure}. "
-            "Free some memory or start fewer with --workers, then run the same command again."
+            f"{_start_advice()}"
         )
+
+
+def _start_advice() -> str:
+    """Return what to do about workers that do not start."""
+    if lacks_guard():
+        return (
+            "Each worker imports the script that is running, which has no main guard: put the "
+            'code that runs into a function, below the line `if __name__ == "__main__":`.'
+        )
+    return (
+        "Look at the messages of the workers above. If there are none, free some memory or start "
+        "fewer workers, then run the same command again."
+    )
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from distributed import Client
 
 from service.hooks import Observer, StudyFacts
 from service.search.base import Generation
+from storage.best_candidate import BestSoFar, score_of
 from storage.records import EvaluationRecord
 from storage.task_records import PreparedBody, PreparedTarget
 
@@ -72,6 +73,7 @@ class DaskRecords(Observer):
     def __init__(self, client: Client) -> None:
         self._events = SchedulerEvents(client)
         self._study = ""
+        self._ranked = BestSoFar()
 
     def started(self, facts: StudyFacts) -> None:
         """Say what is to be expected."""
@@ -92,10 +94,12 @@ class DaskRecords(Observer):
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
         """Say how an evaluation ended, and what it took if that was now."""
         computed = not replayed and not record.reused
+        self._ranked.add(record)
+        best = self._ranked.record
         self._add(
             "ended",
             status=record.status.value,
-            gsf=None if record.score is None else float(record.score["gsf"]),
+            best_gsf=None if best is None else score_of(best),
             computed=computed,
             seconds=dict(record.seconds) if computed else {},
         )

@@ -54,13 +54,13 @@ class StudyRow:
     state : str
         In words.
     best_gsf : float
-        Infinite while there is none.
+        GSF of the best candidate so far; infinite while there is none.
     endings : Counter of str
         Evaluations by their ending.
     stages : Counter of str
         Seconds by stage, of what was computed in this run.
     generations : deque of (int, float)
-        Number, and share of the workers' time without a task until its barrier.
+        Number from 1, and share of the workers' time without a task until its barrier.
     begun : tuple of float
         Idle and all seconds when the generation began.
     computed : bool
@@ -87,16 +87,16 @@ class StudyRow:
             self.endings[record["status"]] += 1
             self.computed |= record["computed"]
             self.stages.update(record["seconds"])
-            self.best_gsf = min(self.best_gsf, math.inf if record["gsf"] is None else record["gsf"])
+            self.best_gsf = math.inf if record["best_gsf"] is None else record["best_gsf"]
         elif what == "generation begun":
-            self.state = f"generation {record['number']}"
+            self.state = f"generation {record['number'] + 1}"
             self.begun, self.computed = idle.so_far(), False
         elif what == "generation ended" and self.computed:
             idle_s, all_s = (
                 now - then for now, then in zip(idle.so_far(), self.begun, strict=True)
             )
             if all_s > 0.0:
-                self.generations.append((record["number"], idle_s / all_s))
+                self.generations.append((record["number"] + 1, idle_s / all_s))
         elif what == "stopped":
             self.state = record["reason"]
             self.client = ""

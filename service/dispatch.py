@@ -28,6 +28,7 @@ from uuid import uuid4
 from distributed import Client, Future, KilledWorker
 
 from service.errors import ClusterError, Interrupted, TaskError
+from service.foreign_workers import raise_if_foreign
 from service.slots import OwnSlots, Slots
 from service.submission import NOT_YET, Patience, Submission, TaskCalls, WaitingCalls
 from service.task_failures import (
@@ -267,16 +268,15 @@ class Dispatcher:
         if without_worker_s > self.no_worker_s:
             address = self.client.scheduler.address if self.client.scheduler else "ADDRESS"
             raise ClusterError(
-                f"There has been no worker for {without_worker_s:.0f} s. Start one with "
-                f"`dask worker {address} --nthreads 1`, or let `palpate run` start its own by "
-                "leaving out --scheduler. What is journalled is kept: run the study again to "
-                "continue."
+                f"There has been no worker at {address} for {without_worker_s:.0f} s. Start one "
+                f"with `dask worker {address} --nthreads 1`, or use the workers of this machine. "
+                "What is finished is kept: run the same command again to continue."
             )
         if waited_s > self.no_ending_s:
             raise ClusterError(
                 f"There are {self._threads} workers, but no task has ended for "
                 f"{waited_s:.0f} s. Look at the dashboard, restart the workers, and run the "
-                "study again to continue."
+                "same command again to continue."
             )
 
     def _threads_by_worker(self) -> dict[str, int]:
@@ -315,6 +315,7 @@ class Dispatcher:
                 submission.key, "lost", reason=sentence(error), attempts=submission.attempts
             )
         raise_if_store(error)
+        raise_if_foreign(error)
         trace = future.traceback(timeout=60.0)  # of the worker, without our own frames
         text = "".join(traceback.format_exception(type(error), error, trace))
         return Ending(

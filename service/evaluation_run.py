@@ -8,8 +8,9 @@ from service.dispatch import Dispatcher, Ending
 from service.endings import blame_cluster_if_many, evaluation_record, refuse_if_all_crashed
 from service.hooks import Hooks
 from service.search.base import Generation
-from service.search_replay import PendingGeneration, best_of, score_of
+from service.search_replay import PendingGeneration
 from service.study_work import StudyWork
+from storage.best_candidate import best_of, score_of
 from storage.evaluations import load_evaluation
 from storage.journal import Journal
 from storage.records import EvaluationRecord

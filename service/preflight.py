@@ -5,14 +5,16 @@ run with a warning.
 """
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from service.formatting import number
 from service.spec import StudySpec
-from storage.places import Place
+from storage.places import Place, place_of
 from workers.mechanics.parameters import Bounds, Parameter
 from workers.organs.study_checks import Finding, accept, refused
+from workers.spec import validated
 from workers.tasks.study_checks import study_findings
 
 # An interval so many times off the known one is written in another unit: kPa for Pa or MPa.
@@ -159,3 +161,15 @@ def _space(spec: StudySpec, store: Place) -> Iterator[Finding]:
         )
     elif free < SCARCE_BYTES:
         yield Finding("warning", f"The store {store} has only {free / GIB:.2f} GiB free.")
+
+
+def preflight_task(spec: Mapping[str, Any], store: str, anyway: bool) -> list[Finding]:
+    """Run `preflight` on a worker, where the images of the study are read.
+
+    Raises
+    ------
+    InputError, StoreError
+        As `preflight`.
+    """
+    study = validated(StudySpec, spec, "The study")
+    return preflight(study, place_of(store), anyway=anyway)

@@ -16,10 +16,10 @@ from service.errors import TaskError
 from service.search.descent import SquaredSum, best_step
 from service.search.log_space import LogSpace
 from service.search.space import FloatArray, Space
-from service.search_replay import best_of
 from service.spec import StudySpec
 from service.study_log import StudyLog
 from service.study_work import StudyWork, Tasks
+from storage.best_candidate import best_of
 from storage.errors import InputError
 from storage.stores import open_store
 from storage.task_records import EvaluationResult, FitJson

@@ -14,9 +14,10 @@ from rich.text import Text
 
 from service.hooks import Observer, StudyFacts
 from service.search.base import Generation
+from service.study_count import Pace, ended_of, evaluations_text, generations_text, left_s
+from storage.best_candidate import BestSoFar
 from storage.layout import StudyLayout
 from storage.records import EvaluationRecord
-from storage.status import Status
 from storage.task_records import PreparedBody, PreparedTarget
 
 LINE_EVERY_S = 10.0
@@ -40,13 +41,12 @@ class Progress(Observer):
         self.console = console
         self.facts: StudyFacts | None = None
         self.counts: Counter[str] = Counter()
-        self.generation = 0
+        self.complete = 0
         self.evaluations = 0
         self.ended_in_generation = 0
-        self.best: EvaluationRecord | None = None
+        self.ranked = BestSoFar()
         self.phase = "starting"
-        self._computed = 0
-        self._since = time.monotonic()
+        self._pace = Pace()
 
     def __enter__(self) -> "Progress":
         return self
@@ -68,7 +68,6 @@ class Progress(Observer):
     def generation_begun(self, number: int, evaluations: int) -> None:
         """Count anew within the generation."""
         self.phase = "searching"
-        self.generation = number
         self.evaluations = evaluations
         self.ended_in_generation = 0
 
@@ -77,36 +76,39 @@ class Progress(Observer):
         self.counts[record.status.value] += 1
         self.ended_in_generation += 1
         if not replayed and not record.reused:
-            if self._computed == 0:
-                self._since = time.monotonic() - sum(record.seconds.values())
-            self._computed += 1
-        if record.status is Status.DONE and (self.best is None or _gsf(record) < _gsf(self.best)):
-            self.best = record
+            self._pace.add(sum(record.seconds.values()))
+        self.ranked.add(record)
 
     def generation_ended(self, number: int, generation: Generation) -> None:
-        """Note nothing: the endings have said it all."""
+        """Count the complete generations."""
+        self.complete = number + 1
+        self.evaluations = 0
 
     def stopped(self, reason: str) -> None:
         """Say why the search has stopped."""
         self.phase = f"stopped: {reason}"
 
     @property
+    def best(self) -> EvaluationRecord | None:
+        """Return the best candidate so far."""
+        return self.ranked.record
+
+    @property
     def ended(self) -> int:
-        """Return how many candidates have an ending."""
-        return sum(self.counts.values())
+        """Return the number of candidates that have an ending."""
+        return ended_of(self.counts)
 
     @property
     def per_minute(self) -> float:
-        """Return the evaluations per minute that this run has computed; 0 when unknown."""
-        spent = time.monotonic() - self._since
-        return 60 * self._computed / spent if self._computed and spent > 0 else 0.0
+        """Return the evaluations per minute that this run computes; 0 while unknown."""
+        workers = 1 if self.facts is None else self.facts.workers
+        return self._pace.per_minute(workers) or 0.0
 
     @property
     def left_s(self) -> float:
         """Return the seconds to the last generation at the rate so far; infinite when unknown."""
-        if self.facts is None or not self.per_minute:
-            return math.inf
-        return 60 * (self.facts.most_evaluations - self.ended) / self.per_minute
+        most = 0 if self.facts is None else self.facts.most_evaluations
+        return left_s(self.counts, most, self.per_minute)
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the lines to show, as (heading, text)."""
@@ -114,17 +116,18 @@ class Progress(Observer):
         facts = self.facts
         if facts is None:
             return rows
-        number = f"{self.generation + 1} of {facts.generations} at most"
-        candidates = f"{self.ended_in_generation} of {self.evaluations} candidates"
-        rows.append(("generation", f"{number}, {candidates}"))
+        generations = generations_text(self.complete, facts.generations)
+        if self.evaluations:
+            next_ones = f"{self.ended_in_generation} of {self.evaluations} candidates of the next"
+            generations += f"; {next_ones}"
+        rows.append(("generations", generations))
         if self.best is not None and self.best.score is not None:
             score = self.best.score
             scores = f"GSF {score['gsf']:.4g}   JC {score['jc']:.4f}   MHD {score['mhd_mm']:.4g} mm"
             rows.append(("best so far", f"{scores}   (candidate {self.best.candidate})"))
-        failed = [f"{self.counts[s]} {s}" for s in ("diverged", "crashed", "lost")]
-        shown = ", ".join(text for text in failed if not text.startswith("0 "))
-        done = f"{self.counts['done']} done" + (f", {shown}" if shown else "")
-        rows.append(("evaluations", f"{done}; {facts.most_evaluations} at most"))
+            if self.ranked.note:
+                rows.append(("", self.ranked.note))
+        rows.append(("evaluations", evaluations_text(self.counts, facts.most_evaluations)))
         if self.per_minute:
             rate = f"{self.per_minute:.1f} per minute on {facts.workers} workers"
             rows.append(("rate", f"{rate}, at most {clock(self.left_s)} left"))
@@ -180,7 +183,8 @@ class PlainProgress(Progress):
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
         super().evaluation_ended(record, replayed)
         if not replayed and time.monotonic() - self._last >= LINE_EVERY_S:
-            self._line("; ".join(text for _, text in self.rows()[1:-1]))
+            shown = [row for row in self.rows() if row[0] not in ("phase", "page", "dashboard")]
+            self._line("; ".join(f"{heading} {text}".strip() for heading, text in shown))
 
     def generation_ended(self, number: int, generation: Generation) -> None:
         super().generation_ended(number, generation)
@@ -222,7 +226,3 @@ def clock(seconds: float) -> str:
 
 def _page(facts: StudyFacts) -> str:
     return str(StudyLayout(Path(facts.folder)).report)
-
-
-def _gsf(record: EvaluationRecord) -> float:
-    return math.inf if record.score is None else float(record.score["gsf"])

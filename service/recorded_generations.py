@@ -9,9 +9,9 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from service.search_replay import score_of
 from service.spec import StudySpec
 from service.study_log import StudyLog
+from storage.best_candidate import score_of
 from storage.records import EvaluationRecord, ProposalRecord
 
 

@@ -94,11 +94,11 @@ class GenerationScores:
     Parameters
     ----------
     best : float
-        Lowest GSF; -inf for identical volumes, +inf if all have failed.
+        GSF of the best candidate; -inf for identical volumes, +inf if all have failed.
     mean : float or None
         Of the finite scores; None if there are none.
     best_candidate : int
-        Number of the candidate with the lowest score.
+        Number of the best candidate: by the sum of squares where that is minimised, else by GSF.
     best_genes : mapping of str to float
         Its parameters, in their units at the door.
     failed : int
@@ -159,7 +159,7 @@ class StudyResults:
     estimates : mapping of str to ParameterEstimate
         By the name of the parameter inside, such as ``E_fat``.
     best : EvaluationRecord or None
-        The candidate with the lowest score; None if none has a score.
+        The best candidate, as `storage.best_candidate` ranks them; None if none has a score.
     counts : EvaluationCounts
     generations : tuple of GenerationResult
     failures : tuple of EvaluationRecord
@@ -187,6 +187,10 @@ class StudyResults:
         How well the image determines each constant; None until the search has stopped.
     unverified_records : int
         Records of the journal without a checksum, which an earlier version wrote.
+    lowest_gsf : EvaluationRecord or None
+        The candidate with the lowest GSF where that is not the best one.
+    best_note : str
+        Why the best candidate has not the lowest GSF; empty if it has.
     """
 
     folder: Path
@@ -211,6 +215,8 @@ class StudyResults:
     identification: Identification | None = None
     unverified_records: int = 0
     caveats: tuple[str, ...] = ()
+    lowest_gsf: EvaluationRecord | None = None
+    best_note: str = ""
 
     @property
     def name(self) -> str:

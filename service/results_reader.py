@@ -33,9 +33,9 @@ from service.results import (
     StudyResults,
     StudyState,
 )
-from service.search_replay import best_of, best_searched, equally_good
 from service.spec import StudySpec
 from service.study_log import StudyLog, read_study
+from storage.best_candidate import best_of, best_searched, best_so_far, equally_good
 from storage.errors import InputError, JournalError
 from storage.journal import Journal
 from storage.layout import StudyLayout
@@ -57,7 +57,8 @@ def study_results(folder: Path) -> StudyResults:
     """
     study, log = read_study(folder)
     spec = validated(StudySpec, study.spec, f"The study in {folder}")
-    best, session, end = best_of(log.endings), log.last_session, log.end
+    ranked, session, end = best_so_far(log.endings.values()), log.last_session, log.end
+    best = ranked.record
     endings = [record for _, record in sorted(log.endings.items())]
     return StudyResults(
         folder=folder.absolute(),
@@ -82,6 +83,8 @@ def study_results(folder: Path) -> StudyResults:
         identification=_identification(spec, log, best),
         unverified_records=log.unverified,
         caveats=log.caveats,
+        lowest_gsf=ranked.lowest_gsf,
+        best_note=ranked.note,
     ).judged
 
 
@@ -213,12 +216,17 @@ def _generations(spec: StudySpec, log: StudyLog) -> Iterable[GenerationResult]:
             generation.number,
             generation.evaluations,
             generation.ended(log.endings),
-            None if scores is None else _scores(generation, scores),
+            None if scores is None else _scores(generation, scores, log.endings),
         )
 
 
-def _scores(generation: RecordedGeneration, scores: Mapping[int, float]) -> GenerationScores:
-    best, known = best_in(scores), finite(scores)
+def _scores(
+    generation: RecordedGeneration,
+    scores: Mapping[int, float],
+    endings: Mapping[int, EvaluationRecord],
+) -> GenerationScores:
+    own = best_of({c: r for c in scores if (r := endings.get(c)) and r.fit is not None})
+    best, known = best_in(scores) if own is None else own.candidate, finite(scores)
     return GenerationScores(
         best=scores[best],
         mean=float(np.mean(known)) if known else None,

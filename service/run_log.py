@@ -1,6 +1,8 @@
 """Keeps palpate.log in the folder of a study: what happened when, tracebacks included."""
 
 import logging
+import math
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,6 +10,7 @@ from typing import Literal
 
 from service.hooks import Observer, StudyFacts
 from service.search.base import Generation
+from storage.best_candidate import BestSoFar, score_of
 from storage.records import EvaluationRecord
 from storage.status import Status
 from storage.task_records import PreparedBody, PreparedTarget
@@ -18,7 +21,19 @@ FORMAT = "%(asctime)s %(levelname)s %(message)s"
 
 
 class _LogFile(logging.FileHandler):
-    """A log is no reason to stop a study: what cannot be written is left out."""
+    """A log is no reason to stop a study: what cannot be written is left out.
+
+    Where several studies run in threads of one process, each log has its own thread's records.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path.absolute(), encoding="utf-8", delay=True)
+        self._thread = threading.get_ident()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Pass the records of our own thread and of the one that writes the page."""
+        ours = record.thread == self._thread or record.threadName == "page"
+        return ours and bool(super().filter(record))
 
     def emit(self, record: logging.LogRecord) -> None:
         if Path(self.baseFilename).parent.is_dir():
@@ -39,12 +54,11 @@ def logging_to(path: Path) -> Iterator["RunLog"]:
     ----------
     path : Path
     """
-    handler = _LogFile(path.absolute(), encoding="utf-8", delay=True)
+    handler = _LogFile(path)
     handler.setFormatter(logging.Formatter(FORMAT))
     logger = logging.getLogger("service")
-    before = logger.level
     logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
+    _lower_level(logger)
     try:
         yield RunLog()
     except Exception as error:
@@ -52,13 +66,35 @@ def logging_to(path: Path) -> Iterator["RunLog"]:
         _log.error("%s\n%s", text, getattr(error, "traceback", ""))
         raise
     finally:
-        logger.setLevel(before)
         logger.removeHandler(handler)
+        _restore_level(logger)
         handler.close()
+
+
+_levels: list[int] = []  # before each log that is open
+_levels_lock = threading.Lock()
+
+
+def _lower_level(logger: logging.Logger) -> None:
+    """Let a logger pass INFO while a log is open."""
+    with _levels_lock:
+        _levels.append(logger.level)
+        logger.setLevel(logging.INFO)
+
+
+def _restore_level(logger: logging.Logger) -> None:
+    """Give a logger its level back when the last log is closed."""
+    with _levels_lock:
+        before = _levels.pop()
+        if not _levels:
+            logger.setLevel(before)
 
 
 class RunLog(Observer):
     """Logs the events of a study."""
+
+    def __init__(self) -> None:
+        self._ranked = BestSoFar()
 
     def started(self, facts: StudyFacts) -> None:
         """Log what begins, and where."""
@@ -76,14 +112,17 @@ class RunLog(Observer):
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
         """Log what has failed; the journal has the rest."""
+        self._ranked.add(record)
         if replayed or record.status is Status.DONE:
             return
         text = f"candidate {record.candidate} {record.status}: {record.reason}"
         _log.warning(text + (f"\n{record.traceback.rstrip()}" if record.traceback else ""))
 
     def generation_ended(self, number: int, generation: Generation) -> None:
-        """Log the best score."""
-        _log.info("generation %d done: best GSF %.6g", number + 1, generation.scores.min())
+        """Log the best candidate so far."""
+        best = self._ranked.record
+        gsf = math.inf if best is None else score_of(best)
+        _log.info("generation %d done: best GSF %.6g", number + 1, gsf)
 
     def stopped(self, reason: str) -> None:
         """Log why the search has stopped."""

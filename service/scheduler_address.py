@@ -11,8 +11,8 @@ _ADDRESS = re.compile(
 )
 SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")
 ADVICE = (
-    "Give an address such as tcp://127.0.0.1:8786 (`dask scheduler` prints its own), or leave out "
-    "--scheduler to use this machine."
+    "Give an address such as tcp://127.0.0.1:8786 (`dask scheduler` prints its own). To use this "
+    "machine, leave out --scheduler, and unset PALPATE_SCHEDULER if that names it."
 )
 RETRY_S = 0.25
 
@@ -62,7 +62,8 @@ def check_reachable(address: str, patience_s: float) -> None:
                 reason = error.strerror or str(error)
                 raise ClusterError(
                     f"There is no scheduler at {address}: {reason}. Start one with `dask "
-                    "scheduler`, or leave out --scheduler to use this machine."
+                    "scheduler`. To use this machine, leave out --scheduler, and unset "
+                    "PALPATE_SCHEDULER if that names it."
                 ) from error
             time.sleep(RETRY_S)
         else:

@@ -5,18 +5,14 @@ Candidates are numbered through all generations, elites included: candidate ``c`
 they have none of their own; `PendingGeneration.carried_from` leads back to it.
 """
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from service.search.base import Generation, Proposal, Search, Stopped
 from service.search.space import Space
+from storage.best_candidate import score_of
 from storage.errors import JournalError
 from storage.records import EvaluationRecord, ProposalRecord
-from storage.status import Status
-
-# Candidates whose (1 - JC) MHD is at most a tenth above the best one's are equally good.
-EQUALLY_GOOD = math.log(1.1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,46 +132,3 @@ class SearchReplay:
                 yield pending, None
                 return
             yield pending, self.complete(pending, endings)
-
-
-def score_of(record: EvaluationRecord) -> float:
-    """Return the score that the search minimises: GSF, or +inf for a candidate without one."""
-    if record.status is not Status.DONE or record.score is None:
-        return math.inf
-    return float(record.score["gsf"])
-
-
-def best_of(endings: Mapping[int, EvaluationRecord]) -> EvaluationRecord | None:
-    """Return the best candidate, the first of equals; None if none has a score.
-
-    In the study's own resolution: the one with the least sum of squares where candidates were
-    fitted by derivatives, else with the lowest score. A study that was stopped before has only
-    candidates of coarser resolutions; then the finest of these.
-    """
-    scored = [endings[c] for c in sorted(endings) if score_of(endings[c]) < math.inf]
-    own = [r for r in scored if r.level is None]
-    if not own and scored:
-        finest = max(r.level or 0 for r in scored)
-        own = [r for r in scored if r.level == finest]
-    fitted = [r for r in own if r.fit is not None]
-    if fitted:
-        return min(fitted, key=_cost)
-    return min(own, key=score_of, default=None)
-
-
-def best_searched(endings: Mapping[int, EvaluationRecord]) -> EvaluationRecord | None:
-    """Return the best candidate of those that were not fitted by derivatives."""
-    return best_of({c: r for c, r in endings.items() if r.fit is None and r.level is None})
-
-
-def _cost(record: EvaluationRecord) -> float:
-    return math.inf if record.fit is None else float(record.fit["cost"])
-
-
-def equally_good(
-    endings: Mapping[int, EvaluationRecord], best: EvaluationRecord
-) -> list[EvaluationRecord]:
-    """Return the candidates whose scores cannot be told from the best one's, itself included."""
-    limit = score_of(best) + EQUALLY_GOOD
-    own = (endings[c] for c in sorted(endings) if endings[c].level == best.level)
-    return [record for record in own if score_of(record) <= limit]

@@ -10,7 +10,8 @@ import numpy as np
 
 from service.search.base import FloatArray, Generation, Proposal, Stopped
 from service.search.steady import Pool, SteadyGenetic
-from service.search_replay import PendingGeneration, score_of
+from service.search_replay import PendingGeneration
+from storage.best_candidate import score_of
 from storage.records import EvaluationRecord
 
 

@@ -16,11 +16,11 @@ import numpy as np
 
 from service.dispatch import Ending, Task, TaskCalls
 from service.results_reader import study_results
-from service.search_replay import best_of, score_of
 from service.single_process import SingleProcess
 from service.spec import StudySpec, parse_spec
 from service.study import Study
 from service.study_log import StudyLog
+from storage.best_candidate import BestSoFar, best_of, score_of
 from storage.layout import StudyLayout
 from storage.records import EvaluationRecord
 
@@ -259,10 +259,11 @@ def _improvements(
 ) -> tuple[Improvement, ...]:
     """Return every change of the best candidate, in the order of the candidates."""
     found: list[Improvement] = []
-    before, core_s = None, 0.0
+    so_far, before, core_s = BestSoFar(), None, 0.0
     for i, record in enumerate(order):
         core_s += _seconds([record])
-        best = best_of(dict(enumerate(order[: i + 1])))
+        so_far.add(record)
+        best = so_far.record
         if best is None or best is before:
             continue
         before = best

@@ -17,7 +17,7 @@ from service.error_sources import Lost, mesh_fits, nuisance_fit
 from service.evaluation_run import EvaluationRun
 from service.hooks import Hooks, Observer, StudyFacts
 from service.search.base import Generation, Stopped
-from service.search_replay import PendingGeneration, SearchReplay, best_of
+from service.search_replay import PendingGeneration, SearchReplay
 from service.spec import StudySpec
 from service.steady_run import SteadyRun
 from service.study_folder import StudyFolder
@@ -25,6 +25,7 @@ from service.study_log import StudyLog
 from service.study_work import StudyWork, Tasks
 from service.versions import versions
 from storage.atomic import write_file
+from storage.best_candidate import best_of
 from storage.journal import Journal
 from storage.places import Location, place_of
 from storage.plain import dumps, to_plain

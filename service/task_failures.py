@@ -5,18 +5,22 @@ import errno
 from distributed import KilledWorker
 
 from service.errors import ClusterError
+from service.foreign_workers import raise_if_foreign
+from storage.atomic import hint
 from storage.errors import StoreError
 
 FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 
 
 class as_cluster_error:  # noqa: N801 - a context manager
-    """Say in words what Dask raises when the scheduler has gone."""
+    """Explain what Dask raises when the scheduler has gone."""
 
     def __enter__(self) -> None:
         return None
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is not None:
+            raise_if_foreign(error)
         if isinstance(error, OSError | TimeoutError | RuntimeError):
             raise scheduler_gone(sentence(error)) from error
 
@@ -24,8 +28,8 @@ class as_cluster_error:  # noqa: N801 - a context manager
 def scheduler_gone(what: str) -> ClusterError:
     """Return the error that the scheduler cannot be reached."""
     return ClusterError(
-        f"The scheduler cannot be reached any more: {what}. What is journalled is kept: run the "
-        "study again to continue."
+        f"The scheduler cannot be reached any more: {what}. What is finished is kept: run the "
+        "same command again to continue."
     )
 
 
@@ -40,8 +44,7 @@ def raise_if_store(error: BaseException) -> None:
         raise error
     if isinstance(error, OSError) and error.errno in FULL_DISK:
         raise StoreError(
-            f"A worker cannot write to the store: {error}. Free some space, then run the study "
-            "again to continue."
+            f"A worker cannot write to the store: {error}. {hint(error)} What is finished is kept."
         ) from error
 
 

@@ -32,14 +32,36 @@ _HINTS = {
     errno.EPERM: "You may not write there: choose another place or change its permissions.",
     errno.ENOTDIR: "A part of this path is a file, not a folder: choose another place.",
     errno.ENOENT: "The folder is not there: was it moved or removed?",
+    errno.EISDIR: "There is a folder of that name: choose another name.",
+    errno.ENAMETOOLONG: "The name is too long: choose a shorter one.",
+    errno.ELOOP: "Symbolic links lead in a circle: choose another place.",
+    errno.EMFILE: "Too many files are open: raise the limit with `ulimit -n 4096` and try again.",
+    errno.ENFILE: "Too many files are open on this machine: close some programs and try again.",
+    errno.EFBIG: "The file system holds no file of that size: choose another place.",
+    errno.EIO: "The disk reports an error: check it, or choose another place.",
+    errno.ESTALE: "The network file system has lost this folder: mount it again and try again.",
+    errno.ETIMEDOUT: "The network file system does not answer: check the network and try again.",
 }
+NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
+"""Errors of a file system that has no file locks."""
+NO_LOCKS_ADVICE = (
+    "This file system has no file locks, without which two runs could write one file. Choose a "
+    "folder on a local disk, or mount it with locks (NFS: without `nolock`; Lustre: `flock`)."
+)
 # File systems that cannot fsync a folder say so with one of these.
 _NO_FOLDER_SYNC = {errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EBADF}
 
 
 def hint(error: OSError) -> str:
     """Say what a user can do about a failed write."""
-    return _HINTS.get(error.errno or 0, "Check the disk and run the command again.")
+    return _HINTS.get(error.errno or 0, "Choose another place, or ask who runs this file system.")
+
+
+def read_hint(error: OSError) -> str:
+    """Return what a user can do about a failed read."""
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return "You may not read it: change its permissions."
+    return hint(error)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-from storage.atomic import hint, sync
+from storage.atomic import NO_LOCKS, NO_LOCKS_ADVICE, hint, read_hint, sync
 from storage.errors import JournalError
 from storage.plain import dumps, loads
 from storage.records import SCHEMA_VERSION
@@ -135,7 +135,7 @@ class Journal:
             return
         except OSError as error:
             raise JournalError(
-                f"{path} cannot be read: {error.strerror or error}. Check its permissions."
+                f"{path} cannot be read: {error.strerror or error}. {read_hint(error)}"
             ) from error
         with file:
             for number, line in enumerate(file, start=1):
@@ -145,13 +145,18 @@ class Journal:
 
     @staticmethod
     def is_being_written(path: Path | str) -> bool:
-        """Return whether a process holds the lock of a journal; False if there is no journal."""
+        """Return whether a process holds the lock of a journal.
+
+        False if there is no journal, or on a file system without locks, where none is written.
+        """
         try:
             handle = os.open(path, os.O_RDONLY)
         except OSError:
             return False
         try:
             return not _locked(handle, fcntl.LOCK_SH)
+        except OSError:
+            return False
         finally:
             _unlock_and_close(handle)
 
@@ -176,13 +181,23 @@ class Journal:
     def _lock(self) -> None:
         """Take the lock; `is_being_written` may hold it for an instant, a writer for long."""
         deadline = time.monotonic() + LOCK_PATIENCE_S
-        while not _locked(self._handle, fcntl.LOCK_EX):
+        while not self._try_lock():
             if time.monotonic() > deadline:
                 raise JournalError(
                     f"{self.path} is being written by another process: this study is already "
                     "running. Follow it with `palpate status`, or stop that process first."
                 )
             time.sleep(LOCK_PATIENCE_S / 20)
+
+    def _try_lock(self) -> bool:
+        try:
+            return _locked(self._handle, fcntl.LOCK_EX)
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
+            raise JournalError(
+                f"{self.path} cannot be locked: {error.strerror or error}. {NO_LOCKS_ADVICE}"
+            ) from error
 
     def _check_file(self) -> None:
         """Notice when the file is no longer the one that was opened."""

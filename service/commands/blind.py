@@ -15,7 +15,7 @@ from service.commands.common import (
     WorkersOption,
     print_json,
 )
-from service.commands.interrupts import interrupted, stop_requests
+from service.commands.interrupts import interruptible
 from service.commands.settings import cluster_options, store_place
 from storage.errors import InputError
 from workers.blind.world import World
@@ -215,20 +215,13 @@ def _refuse_nested(folder: Path, truth: Path) -> None:
 def _with_workers(
     work: "Callable[[Dispatcher, Console], None]", scheduler: str | None, workers: "Workers | None"
 ) -> None:
-    """Do something with a cluster; leave with 130 if somebody asks to stop."""
+    """Do something with a cluster; leave with 130 if the user asks to stop."""
     from rich.console import Console
 
-    from service.cluster import open_cluster
-    from service.dispatch import Dispatcher
-    from service.errors import Interrupted
+    from service.session import session
 
-    with stop_requests() as requests:
-        try:
-            with open_cluster(scheduler, workers) as cluster:
-                dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
-                work(dispatcher, Console(stderr=True, highlight=False))
-        except (Interrupted, KeyboardInterrupt):
-            raise interrupted() from None
+    with interruptible(), session(scheduler, workers) as opened:
+        work(opened.dispatcher, Console(stderr=True, highlight=False))
 
 
 def _directions(which: Which) -> str:

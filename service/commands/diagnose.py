@@ -15,7 +15,7 @@ from service.commands.common import (
     print_json,
 )
 from service.commands.echo import folder_name, print_understood
-from service.commands.interrupts import interrupted, stop_requests
+from service.commands.interrupts import interruptible
 from service.commands.settings import RUNS, cluster_options, store_place
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def diagnose(
 
     scheduler, processes = cluster_options(scheduler, workers)
     with (
-        stop_requests() as requests,  # from the first line that is printed on
+        interruptible(),  # from the first line that is printed on
         forked_workers(scheduler, "service.diagnosis.worker_imports"),  # while we import, too
     ):
         from service.diagnosis.run import finished, request_for, with_caveats
@@ -97,11 +97,9 @@ def diagnose(
         request = request_for(opened, store_place(store), nodes)
         began, when = time.monotonic(), datetime.now(UTC).isoformat()
         stored = finished(request) is not None
-        diagnosis = _diagnosed(request, source, processes, scheduler, requests)
-        if diagnosis is not None and _to_be_planned(diagnosis.summary, source, plan):
-            diagnosis = _with_plan(diagnosis, source, request, processes, scheduler, requests)
-    if diagnosis is None:
-        raise interrupted()
+        diagnosis = _diagnosed(request, source, processes, scheduler)
+        if _to_be_planned(diagnosis.summary, source, plan):
+            diagnosis = _with_plan(diagnosis, source, request, processes, scheduler)
     diagnosis = with_caveats(diagnosis, source_caveats(opened, findings))
     from service.diagnosis.quotability import summary_json
     from service.report.diagnosis_files import write_diagnosis
@@ -124,31 +122,24 @@ def _diagnosed(
     source: Path,
     workers: "Workers | None",
     scheduler: str | None,
-    requests: list[int],
-) -> "FinishedDiagnosis | None":
-    """Return the diagnosis; None if somebody asked to stop."""
+) -> "FinishedDiagnosis":
+    """Return the diagnosis, from the store if it is there."""
     from rich.console import Console
 
-    from service.cluster import open_cluster
     from service.dask_diagnosis import run_and_tell
     from service.diagnosis.progress import DiagnosisProgress
     from service.diagnosis.run import finished
-    from service.dispatch import Dispatcher
-    from service.errors import Interrupted
+    from service.session import session
 
     stored = finished(request)
     if stored is not None:
         typer.echo("The store holds this diagnosis: nothing to compute.", err=True)
         return stored
-    try:
-        if requests:
-            return None
-        with open_cluster(scheduler, workers) as cluster:
-            dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
-            with DiagnosisProgress(Console(stderr=True, highlight=False)) as progress:
-                return run_and_tell(request, dispatcher, source, progress)
-    except (Interrupted, KeyboardInterrupt):
-        return None
+    with (
+        session(scheduler, workers) as opened,
+        DiagnosisProgress(Console(stderr=True, highlight=False)) as progress,
+    ):
+        return run_and_tell(request, opened.dispatcher, source, progress)
 
 
 def _to_be_planned(summary: "Summary", source: Path, wanted: bool | None) -> bool:
@@ -165,9 +156,8 @@ def _with_plan(
     request: "DiagnosisRequest",
     workers: "Workers | None",
     scheduler: str | None,
-    requests: list[int],
-) -> "FinishedDiagnosis | None":
-    """Add what else could be measured; None if somebody asked to stop."""
+) -> "FinishedDiagnosis":
+    """Add what else could be measured."""
     from dataclasses import replace
 
     from service.commands.planning import planned
@@ -178,12 +168,10 @@ def _with_plan(
     nodes = min(NODES, request.nodes)
     try:
         asked = request_plan(source, request.store, nodes, anyway=True)
-        plan = planned(asked, workers, scheduler, requests)
+        plan = planned(asked, workers, scheduler)
     except PalpateError as error:
         typer.echo(f"No further measurement could be tried. {error}", err=True)
         return diagnosis
-    if plan is None:
-        return None
     options = next_acquisitions(diagnosis.summary, plan)
     return replace(diagnosis, summary=replace(diagnosis.summary, next_acquisitions=options))
 

@@ -15,7 +15,7 @@ from service.commands.common import (
     print_json,
 )
 from service.commands.echo import folder_name, print_understood
-from service.commands.interrupts import interrupted, stop_requests
+from service.commands.interrupts import interruptible
 from service.commands.planning import planned
 from service.commands.settings import RUNS, cluster_options, store_place
 
@@ -52,7 +52,7 @@ def plan(
 
     scheduler, processes = cluster_options(scheduler, workers)
     with (
-        stop_requests() as requests,  # from the first line that is printed on
+        interruptible(),  # from the first line that is printed on
         forked_workers(scheduler, "workers.tasks.planning"),  # while we import, too
     ):
         from dataclasses import replace
@@ -64,9 +64,7 @@ def plan(
         print_understood(source)
         request, findings = checked_plan(source, store_place(store), nodes, anyway=anyway)
         print_findings(findings)
-        summary = planned(request, processes, scheduler, requests)
-    if summary is None:
-        raise interrupted()
+        summary = planned(request, processes, scheduler)
     summary = replace(summary, caveats=caveats_of(findings) or None)
     page = _write(summary, out or RUNS / folder_name(source) / "plan.html")
     if as_json:

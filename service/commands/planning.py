@@ -17,27 +17,21 @@ def planned(
     request: "PlanRequest",
     workers: "Workers | None",
     scheduler: str | None,
-    requests: list[int],
-) -> "PlanSummary | None":
-    """Return the plan; None if somebody asked to stop."""
+) -> "PlanSummary":
+    """Return the plan, from the store if it is there."""
     from rich.console import Console
 
-    from service.cluster import open_cluster
     from service.diagnosis.planning import run_plan
-    from service.dispatch import Dispatcher
-    from service.errors import Interrupted
+    from service.session import session
     from workers.tasks.planning import stored_plan
 
     done = stored_plan(request)
     if done is not None:
         typer.echo("The store holds this plan: nothing to compute.", err=True)
         return done
-    try:
-        with open_cluster(scheduler, workers) as cluster:
-            dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
-            return run_plan(request, dispatcher, _Progress(Console(stderr=True, highlight=False)))
-    except (Interrupted, KeyboardInterrupt):
-        return None
+    with session(scheduler, workers) as opened:
+        progress = _Progress(Console(stderr=True, highlight=False))
+        return run_plan(request, opened.dispatcher, progress)
 
 
 class _Progress:

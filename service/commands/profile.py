@@ -12,6 +12,7 @@ from service.commands.common import (
     find_study,
     print_json,
 )
+from service.commands.interrupts import interruptible
 from service.commands.settings import cluster_options
 from service.formatting import number
 
@@ -29,24 +30,25 @@ def profile(
 ) -> None:
     """Show how well the image is explained with a constant held at other values.
 
-    The other constants are fitted again at each. What was computed once stays in the store.
+    The other constants are fitted again at each. Ctrl-C stops it at any time; the same command
+    continues it from the evaluations in the store.
     """
     from dataclasses import asdict
 
-    from service.cluster import open_cluster
-    from service.dispatch import Dispatcher
-    from service.profile import profile_of
-    from service.spec import StudySpec
-    from service.study_log import read_study
-    from service.study_work import Tasks
-    from workers.spec import validated
+    with interruptible():  # before the imports, which take a while
+        from service.profile import profile_of
+        from service.session import session
+        from service.spec import StudySpec
+        from service.study_log import read_study
+        from service.study_work import Tasks
+        from workers.spec import validated
 
-    scheduler, processes = cluster_options(scheduler, workers)
-    folder = find_study(study)
-    record, log = read_study(folder)
-    spec = validated(StudySpec, record.spec, f"The study in {folder}")
-    with open_cluster(scheduler, processes) as cluster:
-        found = profile_of(spec, log, Tasks(), Dispatcher(cluster.client), name, points)
+        scheduler, processes = cluster_options(scheduler, workers)
+        folder = find_study(study)
+        record, log = read_study(folder)
+        spec = validated(StudySpec, record.spec, f"The study in {folder}")
+        with session(scheduler, processes) as opened:
+            found = profile_of(spec, log, Tasks(), opened.dispatcher, name, points)
     if as_json:
         print_json(asdict(found))
     else:

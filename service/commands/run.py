@@ -1,5 +1,7 @@
 """`palpate run` starts a study, or continues it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from shlex import join
 from typing import TYPE_CHECKING, Annotated
@@ -12,17 +14,15 @@ from service.commands.common import (
     SchedulerOption,
     WorkersOption,
     load_spec,
-    print_findings,
     print_json,
 )
 from service.commands.echo import print_understood_study
-from service.commands.interrupts import interrupted, stop_requests
+from service.commands.interrupts import interruptible
 from service.commands.settings import RUNS, cluster_options, stated_store
 
 if TYPE_CHECKING:
     from service.progress import Progress
-    from service.study import Study
-    from service.worker_range import Workers
+    from service.report.live import LivePage
 
 
 def run(
@@ -54,87 +54,53 @@ def run(
     Ctrl-C stops it at any time; the same command continues it. What happened when is in
     palpate.log in the study's folder.
     """
-    with stop_requests() as requests:  # before the imports, which take a while
+    with interruptible():  # before the imports, which take a while
         scheduler, processes = cluster_options(scheduler, workers)
         spec = load_spec(study)  # a slip is named before what takes a while is imported
         home = folder or (study if study.is_dir() else RUNS / spec.name)
         from service.commands.tables import make_console
         from service.progress import progress_observer
         from service.report.live import LivePage
-        from service.run_log import logging_to
+        from service.run_study import Entrance, run_study
+        from service.session import session
         from service.study import Study
-        from storage.layout import StudyLayout
 
         progress, page = progress_observer(make_console(stderr=as_json)), LivePage(home)
-        completed = True
-        with logging_to(StudyLayout(home).log) as log:
-            opened = Study(
-                spec,
-                home,
-                stated_store(store),
-                observers=[progress, log, page],
-                accept_new_code=accept_new_code,
-            )
-            if opened.ended:
-                typer.echo(f"{home} is complete: nothing to run.", err=True)
-            else:
-                if not opened.begun:
-                    _look_first(
-                        opened, anyway or accept_implausible, elsewhere=scheduler is not None
-                    )
-                with page:
-                    completed = _completed(opened, progress, scheduler, processes, requests)
-                if page.path.parent.is_dir():
-                    _write_page(home, quick=not completed)
-                if not completed:
-                    log.note("interrupted")
-        if not completed:
-            raise interrupted()
+        opened = Study(
+            spec,
+            home,
+            stated_store(store),
+            observers=[progress, page],
+            accept_new_code=accept_new_code,
+        )
+        if opened.ended:
+            typer.echo(f"{home} is complete: nothing to run.", err=True)
+        elif not opened.begun:
+            print_understood_study(spec, make_console(stderr=True))
+        entrance = Entrance(
+            anyway=anyway or accept_implausible,
+            elsewhere=scheduler is not None,
+            warn=_warn,
+            shown=_shown(progress, page),
+            write_page=_write_page,
+        )
+        run_study(opened, session(scheduler, processes), entrance)
     _print(home, as_json)
 
 
-def _look_first(study: "Study", anyway: bool, *, elsewhere: bool) -> None:
-    """Refuse what cannot be meant, and print the physics and what is unusual."""
-    from service.commands.tables import make_console
-    from service.preflight import preflight
-    from workers.organs.study_checks import caveats_of
-
-    print_understood_study(study.spec, make_console(stderr=True))
-    findings = preflight(study.spec, study.store, anyway=anyway, elsewhere=elsewhere)
-    print_findings(findings)
-    study.caveats = caveats_of(findings)
+def _warn(warning: str) -> None:
+    typer.echo(f"Warning: {warning}", err=True)
 
 
-def _completed(
-    study: "Study",
-    progress: "Progress",
-    scheduler: str | None,
-    workers: "Workers | None",
-    requests: list[int],
-) -> bool:
-    """Run to the end; False if somebody asked to stop."""
-    from service.cluster import open_cluster
-    from service.dask_records import DaskRecords
-    from service.dispatch import Dispatcher
-    from service.errors import GenerationCrashError, Interrupted
-
-    try:
-        if requests:
-            return False
-        with progress, open_cluster(scheduler, workers) as cluster:
-            dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
-            study.hooks.add(DaskRecords(cluster.client))
-            study.run(dispatcher, cluster.dashboard)
-    except (Interrupted, KeyboardInterrupt):
-        return False
-    except GenerationCrashError as error:
-        log = study.folder.layout.log
-        raise GenerationCrashError(f"{error} Its traceback is in {log}.", error.traceback) from None
-    return True
+@contextmanager
+def _shown(progress: "Progress", page: "LivePage") -> Iterator[None]:
+    """Show the progress, and keep the page of the running study up to date."""
+    with page, progress:
+        yield
 
 
-def _write_page(home: Path, *, quick: bool) -> None:
-    """Write the page at the end of a run; what hinders it is no fault of the search."""
+def _write_page(home: Path, quick: bool) -> None:
+    """Write the page at the end of a run; a failure is no failure of the search."""
     from service.report.study_page import write_report
     from storage.errors import PalpateError
 

@@ -48,6 +48,8 @@ def _rows(results: "StudyResults") -> list[tuple[str, str]]:
         candidate, score = results.best.candidate, results.best.score
         rows.append(("best", f"candidate {candidate}: {score_text(score)}"))
         genes = quantities_at_door(results.spec.case.parameters, results.best.genes)
+        if results.best_note:
+            rows.append(("", results.best_note))
         texts = (f"{name} {number(q.value)} {q.unit}".rstrip() for name, q in genes.items())
         rows.append(("", ", ".join(texts)))
     runs = "1 run" if results.sessions == 1 else f"{results.sessions} runs"
@@ -64,8 +66,10 @@ def unverified_text(records: int) -> str:
 
 
 def _generations_text(results: "StudyResults") -> str:
+    from service.study_count import generations_text
+
     complete = len(results.complete_generations)
-    text = f"{complete} of {results.spec.search.generations} complete"
+    text = generations_text(complete, results.spec.most_generations)
     last = results.generations[-1] if results.generations else None
     if last is not None and last.scores is None:
         text += f"; {last.ended} of {last.evaluations} candidates of the next"
@@ -73,10 +77,14 @@ def _generations_text(results: "StudyResults") -> str:
 
 
 def counts_text(results: "StudyResults") -> str:
-    """Write how many evaluations ended in which way."""
+    """Write how many evaluations ended in which way, and how many the store had already."""
     from dataclasses import asdict
 
-    return ", ".join(f"{number} {status}" for status, number in asdict(results.counts).items())
+    from service.study_count import evaluations_text
+
+    counts = asdict(results.counts)
+    text = evaluations_text(counts, results.spec.most_evaluations)
+    return f"{text}, {counts['reused']:,} from the store" if counts["reused"] else text
 
 
 def score_text(score: "Scores") -> str:

@@ -12,7 +12,7 @@ from service.commands.common import (
     WorkersOption,
     print_json,
 )
-from service.commands.interrupts import interrupted, stop_requests
+from service.commands.interrupts import interruptible
 from service.commands.settings import RUNS, cluster_options, store_place
 
 if TYPE_CHECKING:
@@ -74,9 +74,8 @@ def thesis(
     if dry_run:
         return
     if about.missing:
-        with stop_requests() as requests:
-            if not _completed(request, processes, scheduler, requests):
-                raise interrupted()
+        with interruptible():
+            _complete(request, processes, scheduler)
     _show(request, name, as_json)
 
 
@@ -107,28 +106,19 @@ def _request(
     return ThesisRequest(chosen, scale, home, folder, strategy or POLISHED)
 
 
-def _completed(
-    request: "ThesisRequest", workers: "Workers | None", scheduler: str | None, requests: list[int]
-) -> bool:
-    """Run to the end; False if somebody asked to stop."""
+def _complete(request: "ThesisRequest", workers: "Workers | None", scheduler: str | None) -> None:
+    """Run the missing parts to the end."""
     from rich.console import Console
 
-    from service.cluster import open_cluster
-    from service.dispatch import Dispatcher
-    from service.errors import Interrupted
+    from service.session import session
     from service.thesis.progress import ThesisProgress
     from service.thesis.run import run_thesis
 
-    try:
-        if requests:
-            return False
-        with open_cluster(scheduler, workers) as cluster:
-            dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
-            with ThesisProgress(Console(stderr=True, highlight=False)) as progress:
-                run_thesis(request, dispatcher, progress)
-    except (Interrupted, KeyboardInterrupt):
-        return False
-    return True
+    with (
+        session(scheduler, workers) as opened,
+        ThesisProgress(Console(stderr=True, highlight=False)) as progress,
+    ):
+        run_thesis(request, opened.dispatcher, progress)
 
 
 def _show(request: "ThesisRequest", name: str, as_json: bool) -> None:

@@ -78,7 +78,7 @@ def convergence(
         marks.append(("triangle", "identical", "identical to the target (−∞)"))
     if math.inf in infinite:
         marks.append(("cross", "failed", "failed"))
-    marks += [("dashed", "mean", "mean of the generation"), ("line", "best", "best so far")]
+    marks += [("dashed", "mean", "mean of the generation"), ("line", "best", "lowest so far")]
     top = 10 + legend(svg, marks, 54, 12, width) + 6
     across = Scale(0.5, last + 0.5, 54, width - 10)
     low, high = _limits([s for s in (*(p.gsf for p in points), *best, *mean) if math.isfinite(s)])

@@ -41,6 +41,7 @@ from service.report.study_pictures import (
 from service.report.study_sections import difference_legend, present
 from service.results import ParameterEstimate
 from service.results_json import study_json
+from service.study_count import generations_text
 from storage.plain import to_plain
 
 # How often the page of a running search is loaded again while nobody touches it.
@@ -153,6 +154,8 @@ def _lead(data: StudyData) -> str:
         sentences.append(f"The search is still running{so_far}.")
     else:
         sentences.append(f"The search was interrupted{so_far}. Running it again continues it.")
+    if results.best_note:
+        sentences.append(results.best_note)
     return " ".join(sentences)
 
 
@@ -241,7 +244,6 @@ def _findings(data: StudyData) -> dict[str, Any]:
 
 def _search(data: StudyData) -> dict[str, Any]:
     generations = [scores for _, scores in data.results.complete_generations]
-    search = data.results.spec.search
     rows = [
         (index + 1, number(scores.best, 5), number(scores.mean, 5))
         for index, scores in enumerate(generations)
@@ -259,13 +261,21 @@ def _search(data: StudyData) -> dict[str, Any]:
     return {
         "convergence": convergence_picture(evaluated_points(data.endings), generations),
         "evaluation_data": evaluation_data(data.endings, units),
-        "about_search": f"{_plural(len(generations), 'complete generation')} of "
-        f"{search.population} candidates; "
-        f"the best {search.elite} of each live on unchanged and are not evaluated again.",
+        "about_search": _about_search(data, len(generations)),
         "generations": rows,
         "failures": failed,
         "about_failures": about_failures,
     }
+
+
+def _about_search(data: StudyData, complete: int) -> str:
+    spec = data.results.spec
+    if spec.search.strategy != "genetic":
+        return f"Generations: {generations_text(complete, spec.most_generations)}."
+    return (
+        f"{_plural(complete, 'complete generation')} of {spec.search.population} candidates; "
+        f"the best {spec.search.elite} of each live on unchanged and are not evaluated again."
+    )
 
 
 def _simulation(data: StudyData) -> dict[str, Any]:

@@ -95,11 +95,15 @@ class Evaluations(BaseModel):
 
 
 class Best(BaseModel):
-    """The candidate with the lowest score so far; genes in their units at the door."""
+    """The best candidate so far; genes in their units at the door.
+
+    ``note`` says why it has not the lowest GSF, where that is so.
+    """
 
     candidate: int
     genes: dict[str, float]
     score: dict[str, float | str | None]
+    note: str = ""
 
 
 class Phase(BaseModel):
@@ -134,6 +138,7 @@ class JobView(BaseModel):
     generations: int | None = None
     generations_at_most: int | None = None
     per_minute: float | None = None
+    left_s: float | None = None
     best: Best | None = None
     stopped: str = ""
     phase: Phase | None = None

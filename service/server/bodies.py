@@ -15,11 +15,11 @@ from service.report.packed import Json
 from service.report.study_bodies import Bodies, find_bodies
 from service.report.study_pictures import body_data, slice_data
 from service.report.study_sections import difference_legend, present
-from service.search_replay import best_of
 from service.server.api import BodiesView
 from service.spec import StudySpec
 from service.study_log import read_study
 from storage.atomic import write_file
+from storage.best_candidate import best_of
 from storage.errors import PalpateError, StoreError
 from storage.layout import StudyLayout
 from workers import WORKER_ENVIRONMENT

@@ -1,19 +1,15 @@
 """How far a job is: a fold over its journal that reads each record once."""
 
-import math
 import threading
-import time
-from collections import Counter, deque
-from collections.abc import Mapping
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from service.server.journal_tail import JournalTail
+from service.study_count import Pace
+from storage.best_candidate import BestSoFar
 from storage.layout import StudyLayout
-from storage.plain import to_number
-from storage.status import Status
-
-RATE_OVER_S = 300.0
+from storage.records import EvaluationRecord
 
 
 class JobProgress:
@@ -30,13 +26,13 @@ class JobProgress:
         self._lock = threading.Lock()
         self.endings: Counter[str] = Counter()
         self.generations = 0
-        self.best: dict[str, Any] | None = None
-        self._best_rank: tuple[float, ...] | None = None
+        self.ranked = BestSoFar()
         self.stage_seconds: Counter[str] = Counter()
         self.phase: dict[str, Any] | None = None
         self.sessions = 0
         self.stopped = ""
-        self._arrivals: deque[float] = deque(maxlen=10_000)
+        self._pace = Pace()
+        self._workers = 1
         self._first = True
 
     @property
@@ -61,12 +57,13 @@ class JobProgress:
 
     @property
     def per_minute(self) -> float | None:
-        """Return evaluations a minute of late; None if none has ended under our eyes."""
-        now = time.monotonic()
-        recent = [at for at in list(self._arrivals) if now - at < RATE_OVER_S]
-        if len(recent) < 2:
-            return None
-        return 60.0 * len(recent) / max(now - recent[0], 1e-3)
+        """Return evaluations a minute of late; None before the first have ended here."""
+        return self._pace.per_minute(self._workers)
+
+    @property
+    def best(self) -> EvaluationRecord | None:
+        """Return the best candidate so far; None if none has a score."""
+        return self.ranked.record
 
     def _apply(self, record: dict[str, Any]) -> None:
         kind = record.get("kind")
@@ -76,6 +73,7 @@ class JobProgress:
             self.generations += 1
         elif kind == "session":
             self.sessions += 1
+            self._workers = max(1, int(record.get("workers") or 1))
         elif kind == "step":
             self.phase = {key: record.get(key) for key in ("phase", "done", "of", "task")}
         elif kind == "end":
@@ -88,25 +86,9 @@ class JobProgress:
         else:
             for stage, seconds in (record.get("seconds") or {}).items():
                 self.stage_seconds[str(stage)] += seconds
-        if not self._first:
-            self._arrivals.append(time.monotonic())
-        rank = _rank(record)
-        if rank is not None and (self._best_rank is None or rank < self._best_rank):
-            self._best_rank = rank
-            self.best = {key: record[key] for key in ("candidate", "genes", "score")}
-
-
-def _rank(record: Mapping[str, Any]) -> tuple[float, ...] | None:
-    """Return what orders candidates as `service.search_replay.best_of` does; None unscored."""
-    score, level, fit = record.get("score"), record.get("level"), record.get("fit")
-    if not score or record.get("status") != Status.DONE:
-        return None
-    gsf = to_number(score)["gsf"]
-    if gsf == math.inf:
-        return None
-    resolution = (0, 0) if level is None else (1, -level)
-    by = (0, to_number(fit)["cost"]) if fit else (1, gsf)
-    return (*resolution, *by, record["candidate"])
+            if not self._first:
+                self._pace.add(sum((record.get("seconds") or {}).values()))
+        self.ranked.add_line(record)
 
 
 class ProgressBook:

@@ -1,7 +1,7 @@
 """Reduces records of a journal to what charts and counters need.
 
-An evaluation becomes ``[candidate, generation, status, gsf, [genes], reason, level, cost]``, the
-cost that of a candidate which was fitted by derivatives. A record of 1 kB shrinks to 80 bytes,
+An evaluation becomes ``[candidate, generation, status, gsf, [genes], reason]``; which one is best
+the view of the job says. A record of 1 kB shrinks to 80 bytes,
 and many travel in one event, so that a page that is opened on 20,000 evaluations has them in a
 second or two.
 """
@@ -45,6 +45,4 @@ def _row(record: Mapping[str, Any], genes: list[Any]) -> list[Any]:
         gsf,
         genes,
         reason,
-        record.get("level"),
-        (record.get("fit") or {}).get("cost"),
     ]

@@ -15,19 +15,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from service.cluster import Cluster
+from service.dask_records import DaskRecords
 from service.dispatch import Dispatcher
 from service.errors import ClusterError, Interrupted
+from service.foreign_workers import prepare_workers
 from service.server.diagnosis_job import run_diagnosis
 from service.server.fair_share import FairShare
 from service.server.home import ServiceHome, inside
 from service.server.queue import Job, Queue, StateError
-from service.server.study_job import run_study, write_report
+from service.server.study_job import run_job
 from service.server.uploads import Uploads
+from service.session import Session
 from service.study import Tasks
 from storage.atomic import write_file
 from storage.errors import InputError, PalpateError
 from storage.layout import StudyLayout
-from workers.resources import OneThread
 
 _log = logging.getLogger(__name__)
 
@@ -196,7 +198,7 @@ class Runner:
     def _run_job(self, job: Job, cluster: Cluster, stop: threading.Event) -> None:
         slots = self.share.join(job.owner, job.priority, job.number)
         try:
-            cluster.client.register_plugin(OneThread())  # a scheduler that came back has forgotten
+            prepare_workers(cluster.client)  # a scheduler that came back has forgotten
             dispatcher = Dispatcher(
                 cluster.client,
                 stop=stop.is_set,
@@ -204,7 +206,8 @@ class Runner:
                 priority=job.priority,
                 no_worker_s=math.inf,  # workers of a batch system may wait for days
             )
-            self._work(job, dispatcher, cluster.dashboard)
+            records = DaskRecords(cluster.client)
+            self._work(job, Session(dispatcher, cluster.dashboard, (records,)))
         except Interrupted:
             return
         except ClusterError as error:
@@ -221,15 +224,13 @@ class Runner:
         finally:
             slots.leave()
 
-    def _work(self, job: Job, dispatcher: Dispatcher, dashboard: str) -> None:
+    def _work(self, job: Job, session: Session) -> None:
         folder = inside(self.home.root, self.home.job(job.id))
         store = self.home.store
         if job.kind == "study":
-            run_study(job.request, folder, store, dispatcher, dashboard, self._tasks)
-            if self._reports and not StudyLayout(folder).report.exists():
-                write_report(folder)
+            run_job(job.request, folder, store, session, self._tasks, reports=self._reports)
         else:
-            run_diagnosis(job.request, self._source(job), folder, store, dispatcher)
+            run_diagnosis(job.request, self._source(job), folder, store, session.dispatcher)
 
     def _source(self, job: Job) -> Path:
         """Return where that lies which is diagnosed."""

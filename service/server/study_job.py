@@ -4,17 +4,17 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-from service.dask_records import DaskRecords
-from service.dispatch import Dispatcher
-from service.preflight import preflight
+from service.run_study import Entrance, run_study
+from service.session import Session
 from service.spec import StudySpec
 from service.study import Study, Tasks
-from storage.places import Location, place_of
+from storage.layout import StudyLayout
+from storage.places import Location
 from workers import WORKER_ENVIRONMENT
-from workers.organs.study_checks import Finding, caveats_of
 from workers.spec import validated
 
 REPORT_S = 900.0
@@ -32,45 +32,53 @@ def study_request(spec: StudySpec, accept_new_code: bool, anyway: bool = False) 
     }
 
 
-def run_study(
+def run_job(
     request: Mapping[str, Any],
     folder: Path,
     store: Location,
-    dispatcher: Dispatcher,
-    dashboard: str,
+    session: Session,
     tasks: Tasks | None = None,
+    *,
+    reports: bool = True,
 ) -> None:
-    """Run a study to its end, from wherever it stands.
+    """Run a study of the queue to its end, or continue it.
+
+    Parameters
+    ----------
+    request : mapping
+        See `study_request`.
+    folder : Path
+    store : str or Path
+    session : Session
+    tasks : Tasks, optional
+    reports : bool
+        Write the page at the end, unless there is one.
 
     Raises
     ------
     PalpateError, Interrupted
-        As `Study.run`.
+        As `service.run_study.run_study`.
     """
     spec = validated(StudySpec, request["spec"], "The study")
-    accept, anyway = bool(request.get("accept_new_code")), bool(request.get("anyway"))
+    accept = bool(request.get("accept_new_code"))
     study = Study(spec, folder, store, tasks=tasks, accept_new_code=accept)
-    if not study.ended:
-        if not study.begun:
-            findings = dispatcher.call(check_study, spec.as_dict(), str(study.store), anyway)
-            study.caveats = caveats_of(findings)
-        study.hooks.add(DaskRecords(dispatcher.client))
-        study.run(dispatcher, dashboard)
+    page = write_report if reports else _no_page
+    entrance = Entrance(anyway=bool(request.get("anyway")), on_a_worker=True, write_page=page)
+    if run_study(study, nullcontext(session), entrance) is None:
+        page(folder, False)
 
 
-def check_study(spec: Mapping[str, Any], store: str, anyway: bool) -> list[Finding]:
-    """Check a study; a task, so that a damaged image harms a worker only.
+def _no_page(folder: Path, quick: bool) -> None:
+    """Leave the page out."""
 
-    Raises
-    ------
-    InputError
-        If it is refused, with every reason.
+
+def write_report(folder: Path, quick: bool) -> None:
+    """Write the page of a study that has ended, in a process of its own, unless there is one.
+
+    A failure is no failure of the study. A study that is stopped has the service's live page.
     """
-    return preflight(validated(StudySpec, spec, "The study"), place_of(store), anyway=anyway)
-
-
-def write_report(folder: Path) -> None:
-    """Write the page of a study, in a process of its own; a failure is no failure of the study."""
+    if quick or StudyLayout(folder).report.exists():
+        return
     subprocess.run(
         [sys.executable, "-m", "service", "report", str(folder)],
         env=os.environ | WORKER_ENVIRONMENT,

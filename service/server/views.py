@@ -4,9 +4,12 @@ from pathlib import Path
 
 from service.server.api import Best, Evaluations, JobView, Phase, State
 from service.server.home import inside
+from service.server.job_progress import JobProgress
 from service.server.queue import Job
 from service.server.service import Service
+from service.study_count import left_s
 from storage.errors import PalpateError, StoreError
+from storage.plain import to_plain
 
 ENDED = ("finished", "failed", "cancelled")
 FILES = {
@@ -43,10 +46,22 @@ def job_view(service: Service, job: Job) -> JobView:
         view.generations = progress.generations
         view.generations_at_most = job.request.get("most_generations")
         view.per_minute = progress.per_minute
-        view.best = None if progress.best is None else Best.model_validate(progress.best)
+        if view.per_minute is not None:
+            view.left_s = left_s(progress.endings, at_most, view.per_minute)
+        view.best = _best(progress)
     elif progress.phase is not None:
         view.phase = Phase.model_validate(progress.phase)
     return view
+
+
+def _best(progress: JobProgress) -> Best | None:
+    best = progress.best
+    if best is None:
+        return None
+    score = to_plain(best.score or {})
+    return Best(
+        candidate=best.candidate, genes=dict(best.genes), score=score, note=progress.ranked.note
+    )
 
 
 def view_now(service: Service, job: Job) -> JobView:

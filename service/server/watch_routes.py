@@ -76,7 +76,7 @@ def get_bodies(service: Here, job: Known, answer: Response) -> Any:
     progress = service.progress.of(folder)
     if not progress.sessions:
         raise HTTPException(409, f"{job.id} has no body yet: it is being prepared.")
-    candidate = None if progress.best is None else int(progress.best["candidate"])
+    candidate = None if progress.best is None else progress.best.candidate
     path = service.bodies.of(folder, candidate)
     if path is None:
         answer.status_code = 202

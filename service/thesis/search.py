@@ -1,6 +1,7 @@
 """The searches of thesis section 4.5 as studies, each in a folder of its own."""
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,8 @@ from service.dispatch import Dispatcher
 from service.hooks import Observer, StudyFacts
 from service.results import StudyResults
 from service.results_reader import study_results
+from service.run_study import Entrance, run_study
+from service.session import Session
 from service.spec import StudySpec
 from service.study import Study
 from service.study_log import StudyLog
@@ -108,9 +111,10 @@ Counted = Callable[[SearchRun, int], object]
 
 
 def run_search(run: SearchRun, store: Place, dispatcher: Dispatcher, counted: Counted) -> None:
-    """Run one search to its end, from wherever it stands; see `service.study.Study.run`."""
-    counter = _Counter(run, counted)
-    Study(run.spec, run.folder, store, observers=[counter]).run(dispatcher)
+    """Run one search to its end, or continue it; it has no page of its own."""
+    study = Study(run.spec, run.folder, store, observers=[_Counter(run, counted)])
+    entrance = Entrance(write_page=lambda folder, quick: None)
+    run_study(study, nullcontext(Session(dispatcher)), entrance)
 
 
 def finished(runs: list[SearchRun]) -> Iterator[tuple[SearchRun, StudyResults]]:

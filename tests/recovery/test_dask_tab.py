@@ -22,7 +22,8 @@ from service.dask_rows import IdleTime
 from service.dask_tab import PAGE, PalpateTab, add_tab
 from service.diagnosis.run import Step
 from service.dispatch import Dispatcher
-from service.server.study_job import run_study, study_request
+from service.server.study_job import run_job, study_request
+from service.session import Session
 from service.study_log import StudyLog
 from storage.layout import StudyLayout
 
@@ -32,7 +33,8 @@ DEADLINE_S = 20.0
 def run_small_study(client: Client, folder: Path) -> StudyLog:
     set_manners(folder.parent / "store", seconds=0.01)
     request = study_request(small_spec(), accept_new_code=False)
-    run_study(request, folder, folder.parent / "store", Dispatcher(client), "", TASKS)
+    session = Session(Dispatcher(client), "", (DaskRecords(client),))
+    run_job(request, folder, folder.parent / "store", session, TASKS, reports=False)
     return StudyLog.read(StudyLayout(folder).journal)
 
 
@@ -82,7 +84,7 @@ def test_the_page_holds_the_evaluations_of_a_study(tmp_path: Path) -> None:
     assert studies["ended"] == [len(log.endings)]
     assert studies["done"] == [endings["done"]]
     assert studies["diverged"] == [endings["diverged"]]
-    assert sources["barrier"]["generation"] == [0, 1, 2, 3, 4]
+    assert sources["barrier"]["generation"] == [1, 2, 3, 4, 5]
     assert all(0.0 < percent < 100.0 for percent in sources["barrier"]["idle_percent"])
     assert sources["stages"]["stage"] == ["solve"]
     computed = sum(r.seconds["solve"] for r in log.endings.values() if not r.reused)

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from service import cluster as cluster_module
+from service import session as session_module
 from service.cli import main
 
 
@@ -34,3 +35,4 @@ def no_cluster(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("a cluster was opened")
 
     monkeypatch.setattr(cluster_module, "open_cluster", refuse)
+    monkeypatch.setattr(session_module, "open_cluster", refuse)

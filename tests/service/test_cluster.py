@@ -49,7 +49,7 @@ def test_a_local_cluster() -> None:
             dispatcher.call(fail, "choose another")
         with pytest.raises(TaskError, match="fail failed: ZeroDivisionError"):
             dispatcher.call(fail, "")
-    with pytest.raises(ClusterError, match="run the study again"):
+    with pytest.raises(ClusterError, match="run the same command again"):
         Dispatcher(cluster.client).call(signals_of_process)
 
 

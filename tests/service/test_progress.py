@@ -32,7 +32,7 @@ def test_a_terminal_gets_a_panel(tmp_path: Path) -> None:
     with progress:
         run(tmp_path / "runs" / "demo", Inline(), observers=[progress])
     last = dict(progress.rows())
-    assert last["generation"].startswith("5 of 5 at most")
+    assert last["generations"] == "5 of at most 5 complete"
     assert "diverged" in last["evaluations"]
     assert "GSF" in last["best so far"]
     assert last["page"].startswith(str(tmp_path / "runs" / "demo" / "report.html"))

@@ -165,6 +165,8 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "store": None,
     "folder": None,
     "config": ["name", "case", "target", "score", "search", "seed", "keep"],
+    "lowest_gsf": None,
+    "best_note": None,
 }
 ESTIMATE_KEYS = ["gene", "estimate", "target", "relative_error", "unit", "bounds"]
 ESTIMATE_KEYS += ["interval", "quotable", "reasons"]

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 from stand_ins import SPEC, TASKS, Inline, run, set_manners
 
-from service import cluster as cluster_module
-from service import dispatch as dispatch_module
+from service import session as session_module
 from service import study as study_module
 from service.cli import main
 from service.cluster import Cluster
@@ -134,8 +133,8 @@ def without_cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def no_cluster(*_: Any) -> Any:
         yield Cluster(None, "", True)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(cluster_module, "open_cluster", no_cluster)
-    monkeypatch.setattr(dispatch_module, "Dispatcher", Crashing)
+    monkeypatch.setattr(session_module, "open_cluster", no_cluster)
+    monkeypatch.setattr(session_module, "Dispatcher", Crashing)
     monkeypatch.setattr(study_module, "Tasks", lambda: TASKS)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "study.yaml").write_text(SPEC)

@@ -1,13 +1,12 @@
 """The folder of a study, as far as a diagnosis needs it: what was asked, found and stored."""
 
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from storage.best_candidate import best_of
 from storage.errors import InputError
 from storage.journal import Journal
 from storage.layout import StudyLayout
 from storage.records import EvaluationRecord, SessionRecord, StudyRecord, caveats_in, record_of
-from storage.status import Status
 from storage.stores import open_store
 from workers.diagnosis.source import FinishedStudy
 from workers.organs.registry import DEFAULT, organ_named
@@ -50,6 +49,7 @@ def open_study(folder: Path) -> StudySource:
     spec = studies[0].spec
     prepared, target = sessions[-1].prepared["volume"], sessions[-1].target["target"]
     organ = spec["case"].get("organ", DEFAULT)
+    best = best_of({record.candidate: record for record in evaluations})
     bodies = BodyStore(open_store(sessions[-1].store), organ_named(organ))
     study = FinishedStudy(
         name=spec["name"],
@@ -57,19 +57,9 @@ def open_study(folder: Path) -> StudySource:
         target=spec["target"],
         score=spec["score"],
         parameters=spec["search"]["parameters"],
-        best=_best_genes(evaluations),
+        best={} if best is None else best.genes,
         reference=bodies.body(prepared),
         deformed=bodies.body(target),
         caveats=caveats_in(sessions),
     )
     return source_of_study(organ, study)
-
-
-def _best_genes(records: Iterable[EvaluationRecord]) -> Mapping[str, float]:
-    """Return those of the candidate with the least score; empty if none has one."""
-    scored = [
-        (float(r.score["gsf"]), r.candidate, r.genes)
-        for r in records
-        if r.status is Status.DONE and r.score
-    ]
-    return min(scored)[2] if scored else {}

@@ -104,7 +104,7 @@ const headOf = (page, id) => {
 
 const leadOf = (job, progress) => {
   const parts = [];
-  if (job.kind === "study") parts.push(`${progress.text} evaluations, ${job.generations} of at most ${job.generations_at_most} generations`);
+  if (job.kind === "study") parts.push(`${progress.text} evaluations, ${job.generations} of at most ${job.generations_at_most} generations complete`);
   else if (progress.text) parts.push(progress.text);
   if (job.state === "running" && job.per_minute && !job.stopped)
     parts.push(`${number(job.per_minute, 3)} a minute`, `at most ${leftOf(job)} left`);
@@ -144,11 +144,12 @@ const studyOf = async (page, id) => {
   const figures = ["convergence", "ranges", "parallel"].map(() => make("figure", {}));
   charts = [convergence(figures[0], points, view), ranges(figures[1], points, asked.parameters, view), parallel(figures[2], points, asked.parameters, view)];
   const best = make("button", { type: "button", class: "quiet", hidden: "" }, "open the best candidate");
-  best.addEventListener("click", () => view.open(points.best.candidate));
+  best.addEventListener("click", () => view.open(points.bestCandidate));
+  const why = make("p", { class: "note", hidden: "" });
   let job = null;
   return {
     sections: [
-      section("convergence", "How the search goes", figures[0], readout, best),
+      section("convergence", "How the search goes", figures[0], readout, why, best),
       section("parameters", "Parameters between their bounds", figures[1]),
       section("parallel", "Parameters and score together", make("p", {}, "One line for each of the 300 best and the 100 newest candidates; stronger colours are better."), figures[2]),
       bodies.root,
@@ -157,12 +158,19 @@ const studyOf = async (page, id) => {
     ],
     add: (brief) => {
       points.add(brief);
-      if (points.best) best.hidden = false;
       failures.update();
       redraw();
       if (job) bodies.update(job, points.sessions);
     },
-    update: (now) => { job = now; bodies.update(job, points.sessions); },
+    update: (now) => {
+      job = now;
+      points.bestCandidate = job.best ? job.best.candidate : null;
+      best.hidden = !job.best;
+      why.textContent = job.best ? job.best.note : "";
+      why.hidden = !why.textContent;
+      redraw();
+      bodies.update(job, points.sessions);
+    },
   };
 };
 

@@ -31,8 +31,7 @@ export const progressOf = (job) => {
 };
 
 export const leftOf = (job) => {
-  if (job.state !== "running" || !job.per_minute || !job.evaluations) return "";
-  return duration((60 * Math.max(0, job.evaluations.at_most - ended(job.evaluations))) / job.per_minute);
+  return job.state === "running" && job.left_s !== null ? duration(job.left_s) : "";
 };
 
 const rowOf = (job) => {

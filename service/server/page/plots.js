@@ -38,7 +38,7 @@ export const convergence = (root, points, view) => {
     for (const value of ticks(0, last, Math.min(10, chart.width / 70)))
       chart.text(tickText(value), across(value), chart.height - BOTTOM + 18, { align: "center" });
     chart.text("candidate, in order of proposal", (LEFT + chart.width - RIGHT) / 2, chart.height - 6, { align: "center" });
-    const items = [["dot", "grey", "evaluation"], ["line", "blue", "best so far"]];
+    const items = [["dot", "grey", "evaluation"], ["line", "blue", "lowest so far"]];
     legend(chart, points.failures.length ? [...items, ["cross", "vermilion", "failed"]] : items);
     chart.text("GSF", LEFT - 8, 18, { align: "right" });
     places = new Map();

@@ -4,7 +4,7 @@ const scoreOf = (gsf) => (gsf === null ? Infinity : gsf === "-inf" ? -Infinity :
 
 export class Points {
   constructor() {
-    Object.assign(this, { all: [], genes: [], failures: [], best: null, sessions: 0 });
+    Object.assign(this, { all: [], genes: [], failures: [], bestCandidate: null, sessions: 0 });
     this.known = new Set();
     this.sorted = true;
   }
@@ -12,28 +12,19 @@ export class Points {
   add(brief) {
     if (brief.genes.length) this.genes = brief.genes;
     this.sessions += brief.sessions;
-    for (const [candidate, generation, status, gsf, genes, reason, level, cost] of brief.evaluations) {
+    for (const [candidate, generation, status, gsf, genes, reason] of brief.evaluations) {
       if (this.known.has(candidate)) continue; // told again after the connection broke
       this.known.add(candidate);
-      const point = { candidate, generation, status, gsf: scoreOf(gsf), genes, reason, level: level ?? null, cost };
+      const point = { candidate, generation, status, gsf: scoreOf(gsf), genes, reason };
       if (this.all.length && this.all[this.all.length - 1].candidate > candidate) this.sorted = false;
       this.all.push(point);
       if (status !== "done") this.failures.push(point);
-      else if (this.isBetter(point)) this.best = point;
     }
   }
 
-  // As service/search_replay.py says: the study's own resolution before coarser ones, what was
-  // fitted by derivatives before the rest, then the lower cost or score.
-  isBetter(point) {
-    const rank = (p) => [
-      p.level === null ? 0 : 1, -(p.level ?? 0), p.cost === null ? 1 : 0, p.cost === null ? p.gsf : scoreOf(p.cost), p.candidate,
-    ];
-    if (point.gsf === Infinity) return false;
-    if (!this.best) return true;
-    const [a, b] = [rank(point), rank(this.best)];
-    const k = a.findIndex((value, i) => value !== b[i]);
-    return k >= 0 && a[k] < b[k];
+  // The best candidate, which the service names with every change of the job.
+  get best() {
+    return (this.bestCandidate !== null && this.at(this.bestCandidate)) || null;
   }
 
   get ordered() {

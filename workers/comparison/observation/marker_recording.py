@@ -80,7 +80,7 @@ class Recording:
     @property
     def notes(self) -> list[str]:
         """Return a sentence for each marker that is missing in some frames."""
-        missing = {n: ~np.isfinite(p).all(axis=1) for n, p in self.places_mm.items()}
+        missing = {n: ~np.all(np.isfinite(p), axis=1) for n, p in self.places_mm.items()}
         return [
             f"The marker {name} is missing in {int(frames.sum())} of {len(frames)} frames of "
             f"{self.name}; these frames are left out."

@@ -70,7 +70,7 @@ class Observed:
     @property
     def measured(self) -> BoolArray:
         """Return which components are compared, shape (k, 3)."""
-        return np.isfinite(self.moved_mm).all(axis=0)
+        return np.all(np.isfinite(self.moved_mm), axis=0)
 
     def boundary_of(self, state: int, spec: SpecimenSpec) -> dict[str, DisplacementField]:
         """Return how each region moves that moves as was measured, in one of the states."""

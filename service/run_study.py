@@ -1,0 +1,129 @@
+"""One way to run a study, for the command, Python and the service.
+
+A new study is checked first, palpate.log is kept, and the page is written at the end, whatever
+the end is.
+"""
+
+import logging
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from service.errors import GenerationCrashError, Interrupted
+from service.preflight import preflight, preflight_task
+from service.run_log import logging_to
+from service.session import Session
+from service.study import Conclusion, Study
+from storage.errors import PalpateError
+from workers.organs.study_checks import Finding, caveats_of
+
+_log = logging.getLogger(__name__)
+
+
+def write_page(folder: Path, quick: bool) -> None:
+    """Write the page of a study; a failure is logged and is no failure of the study."""
+    from service.report.study_page import write_report
+
+    try:
+        write_report(folder, quick=quick)
+    except PalpateError as error:
+        _log.warning("The page was not written. %s", error)
+
+
+@dataclass(frozen=True)
+class Entrance:
+    """The differences between the ways in: the command, Python, the service.
+
+    Parameters
+    ----------
+    anyway : bool
+        Run a new study even though its inputs look implausible.
+    elsewhere : bool
+        The workers are on other machines, which may see files that this one does not.
+    on_a_worker : bool
+        Read the images of a new study on a worker, never in this process.
+    warn : callable
+        Receives each warning about a new study.
+    shown : context manager
+        Shows the progress; entered after the checks.
+    write_page : callable
+        Writes the page of the study in a folder; quickly if it was interrupted.
+    """
+
+    anyway: bool = False
+    elsewhere: bool = False
+    on_a_worker: bool = False
+    warn: Callable[[str], object] = lambda text: None
+    shown: AbstractContextManager[object] = field(default_factory=nullcontext)
+    write_page: Callable[[Path, bool], object] = write_page
+
+
+def run_study(
+    study: Study, opened: AbstractContextManager[Session], entrance: Entrance
+) -> Conclusion | None:
+    """Run a study to its end, or continue it.
+
+    Parameters
+    ----------
+    study : Study
+    opened : context manager of Session
+        The workers; entered after the checks.
+    entrance : Entrance
+
+    Returns
+    -------
+    Conclusion or None
+        None if the study had ended before.
+
+    Raises
+    ------
+    InputError
+        If the inputs of a new study make no sense.
+    Interrupted
+        If the user asks to stop; completed evaluations are saved.
+    PalpateError
+        As `service.study.Study.run`.
+    """
+    if study.ended:
+        return None
+    layout = study.folder.layout
+    with logging_to(layout.log) as log:
+        study.hooks.add(log)
+        try:
+            conclusion = _checked_run(study, opened, entrance)
+        except (Interrupted, KeyboardInterrupt):
+            if layout.journal.is_file():
+                log.note("interrupted")
+                entrance.write_page(study.folder.root, True)
+            raise Interrupted from None
+        except GenerationCrashError as error:
+            text = f"{error} Its traceback is in {layout.log}."
+            raise GenerationCrashError(text, error.traceback) from None
+        entrance.write_page(study.folder.root, False)
+    return conclusion
+
+
+def _checked_run(
+    study: Study, opened: AbstractContextManager[Session], entrance: Entrance
+) -> Conclusion:
+    to_check = not study.begun
+    if to_check and not entrance.on_a_worker:
+        found = preflight(
+            study.spec, study.store, anyway=entrance.anyway, elsewhere=entrance.elsewhere
+        )
+        _pass_on(found, study, entrance)
+    with entrance.shown, opened as session:
+        if to_check and entrance.on_a_worker:
+            asked = study.spec.as_dict(), str(study.store), entrance.anyway
+            _pass_on(session.dispatcher.call(preflight_task, *asked), study, entrance)
+        for observer in session.observers:
+            study.hooks.add(observer)
+        return study.run(session.dispatcher, session.dashboard)
+
+
+def _pass_on(findings: list[Finding], study: Study, entrance: Entrance) -> None:
+    study.caveats = caveats_of(findings)
+    for finding in findings:
+        _log.warning(finding.text)
+        entrance.warn(finding.text)

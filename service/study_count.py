@@ -1,0 +1,80 @@
+"""Counts of a study, the same on the terminal, the pages, the service and Dask's dashboard.
+
+Evaluations are counted when they have ended, generations when all of their scores are known.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+
+RATE_OVER_S = 300.0
+# A rate is stated after so many evaluations, and after one for each worker.
+FIRST_EVALUATIONS = 3
+FAILED = ("diverged", "crashed", "lost")
+
+
+def ended_of(counts: Mapping[str, int]) -> int:
+    """Return how many evaluations have ended, given how many in which way."""
+    return sum(counts.get(status, 0) for status in ("done", *FAILED))
+
+
+def evaluations_text(counts: Mapping[str, int], at_most: int) -> str:
+    """Return the number of evaluations in words.
+
+    Examples
+    --------
+    >>> evaluations_text({"done": 1200, "diverged": 3}, 1260)
+    '1,203 of at most 1,260 (3 diverged)'
+    """
+    failed = ", ".join(f"{counts[s]:,} {s}" for s in FAILED if counts.get(s))
+    text = f"{ended_of(counts):,} of at most {at_most:,}"
+    return f"{text} ({failed})" if failed else text
+
+
+def generations_text(complete: int, at_most: int) -> str:
+    """Return the number of complete generations in words."""
+    return f"{complete:,} of at most {at_most:,} complete"
+
+
+class Pace:
+    """Evaluations per minute, from those that were computed while we watched.
+
+    Parameters
+    ----------
+    clock : callable
+        In seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._began: float | None = None
+        self._count = 0
+        self._recent: deque[float] = deque(maxlen=10_000)
+
+    def add(self, seconds: float) -> None:
+        """Count an evaluation that has just ended and took some seconds."""
+        now = self._clock()
+        if self._began is None:
+            self._began = now - seconds
+        self._count += 1
+        self._recent.append(now)
+
+    def per_minute(self, workers: int = 1) -> float | None:
+        """Return the rate of late; None before the first evaluations of all workers."""
+        first = max(FIRST_EVALUATIONS, workers)
+        if self._began is None or self._count < first:
+            return None
+        now = self._clock()
+        recent = [at for at in list(self._recent) if now - at < RATE_OVER_S]
+        watched_s = now - self._began
+        if watched_s > RATE_OVER_S and len(recent) >= first:
+            return 60.0 * len(recent) / max(now - recent[0], 1e-3)
+        return 60.0 * self._count / max(watched_s, 1e-3)
+
+
+def left_s(counts: Mapping[str, int], at_most: int, per_minute: float | None) -> float:
+    """Return the seconds to the last evaluation at most; infinite while there is no rate."""
+    if not per_minute:
+        return math.inf
+    return 60.0 * max(0, at_most - ended_of(counts)) / per_minute

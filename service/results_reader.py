@@ -79,7 +79,7 @@ def study_results(folder: Path) -> StudyResults:
         sessions=len(log.sessions),
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
-        findings=_findings(folder),
+        findings=findings_of(folder),
         identification=_identification(spec, log, best),
         unverified_records=log.unverified,
         caveats=log.caveats,
@@ -130,7 +130,14 @@ def _no_such(what: str, folder: Path, why: str) -> InputError:
     return InputError(f"The study {folder} has no {what}: {why}.")
 
 
-def _findings(folder: Path) -> Mapping[str, Any]:
+def findings_of(folder: Path) -> Mapping[str, Any]:
+    """Return what the fitted body shows beside its constants; empty if nothing was stored.
+
+    Raises
+    ------
+    JournalError
+        If the file is damaged.
+    """
     path = StudyLayout(folder).findings
     if not path.is_file():
         return {}

@@ -1,28 +1,29 @@
 """What of a store the studies use, and what can go."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from service.study_log import read_study
-from storage.errors import StoreError
+from storage.errors import InputError, StoreError
 from storage.layout import StudyLayout
 from storage.places import Place
 from storage.stores import Store
-from storage.volumes import volume_meta
+from storage.volumes import named_volumes, volume_meta
 
 DAY_S = 86_400.0
 
 
 @dataclass(frozen=True)
 class StudyUse:
-    """Digests that one study needs, by folder of the store."""
+    """What one study needs: digests by folder of the store, and volumes that its file names."""
 
     volumes: frozenset[str]
     meshes: frozenset[str]
     fields: frozenset[str]
     evaluations: frozenset[str]
+    named: frozenset[str] = frozenset()
 
     def places(self, store: Store) -> list[Place]:
         """Return where they lie, or would lie."""
@@ -43,13 +44,27 @@ def study_use(folder: Path) -> StudyUse:
     InputError
         If there is no study.
     """
-    _, log = read_study(folder)
+    study, log = read_study(folder)
     volumes, meshes = set(), set()
     for session in log.sessions:
         volumes |= {session.prepared["volume"], session.target["target"]}
         meshes.add(session.prepared["mesh"])
     evaluated = frozenset(record.digest for record in log.endings.values())
-    return StudyUse(frozenset(volumes) | evaluated, frozenset(meshes), evaluated, evaluated)
+    return StudyUse(
+        frozenset(volumes) | evaluated,
+        frozenset(meshes),
+        evaluated,
+        evaluated,
+        frozenset(_volumes_named(study.spec)),
+    )
+
+
+def _volumes_named(spec: object) -> Iterator[str]:
+    """Yield what a study file gives for a volume, at any depth: paths, names or digests."""
+    for key, value in spec.items() if isinstance(spec, Mapping) else ():
+        if key == "volume" and isinstance(value, str):
+            yield value
+        yield from _volumes_named(value)
 
 
 def studies_in(folders: Iterable[Path]) -> list[Path]:
@@ -61,6 +76,68 @@ def studies_in(folders: Iterable[Path]) -> list[Path]:
         elif folder.is_dir():
             found += [one for one in sorted(folder.iterdir()) if StudyLayout(one).journal.is_file()]
     return found
+
+
+@dataclass(frozen=True)
+class NamedVolume:
+    """A volume that is called by its name, and the studies that need it.
+
+    Parameters
+    ----------
+    name, digest : str
+    studies : tuple of Path
+        Folders of studies.
+    """
+
+    name: str
+    digest: str
+    studies: tuple[Path, ...]
+
+
+def find_named(store: Store, names: Sequence[str], folders: Iterable[Path]) -> list[NamedVolume]:
+    """Return the volumes with these names, and which of the studies in some folders need them.
+
+    Raises
+    ------
+    InputError
+        If no volume has a name.
+    StoreError
+        If the journal of a study is damaged.
+    """
+    known = named_volumes(store)
+    if unknown := [name for name in names if name not in known]:
+        there = ", ".join(sorted(known)) or "none"
+        raise InputError(
+            f"The store {store} has no volume named {', '.join(unknown)}. Names in it: {there}."
+        )
+    uses = [(folder, study_use(folder)) for folder in folders]
+    return [
+        NamedVolume(name, digest, tuple(f for f, use in uses if _needs(use, name, digest)))
+        for name in dict.fromkeys(names)
+        for digest in known[name]
+    ]
+
+
+def refuse_if_needed(volumes: Iterable[NamedVolume]) -> None:
+    """Refuse to remove volumes that a study needs.
+
+    Raises
+    ------
+    InputError
+        Naming each, with its studies.
+    """
+    needed = [v for v in volumes if v.studies]
+    if needed:
+        lines = "; ".join(f"{v.name} by {', '.join(map(str, v.studies))}" for v in needed)
+        raise InputError(
+            f"Studies need what is to be removed: {lines}. Without it they can be read, but not "
+            "continued, drawn or diagnosed. Nothing was removed; to do it all the same, add "
+            "--force."
+        )
+
+
+def _needs(use: StudyUse, name: str, digest: str) -> bool:
+    return digest in use.volumes or bool({name, digest} & use.named)
 
 
 @dataclass(frozen=True)

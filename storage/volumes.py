@@ -109,6 +109,28 @@ def list_volumes(store: Store) -> list[str]:
     return sorted(place.stem for place in whole if place.suffix == ".zarr" and exists(place))
 
 
+def named_volumes(store: Store) -> dict[str, list[str]]:
+    """Return the digests of all volumes with a name, by name; those replaced are included."""
+    found: dict[str, list[str]] = {}
+    for volume in list_volumes(store):
+        with suppress(StoreError):  # a damaged volume has no name
+            name = volume_meta(store, volume).get("name")
+            if name is not None:
+                found.setdefault(str(name), []).append(volume)
+    return found
+
+
+def remove_volume(store: Store, digest: str) -> bool:
+    """Remove a volume; return False if it is not there.
+
+    Raises
+    ------
+    StoreError
+        If the place cannot be written.
+    """
+    return store.backend.remove(store.layout.volume(digest))
+
+
 def find_volume(store: Store, given: str) -> str | None:
     """Return the digest of the volume with this digest or name; None if there is none.
 

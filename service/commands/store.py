@@ -1,7 +1,7 @@
-"""`palpate store` looks after a store: check, gc, migrate, export and import."""
+"""`palpate store` looks after a store: check, rm, gc, migrate, export and import."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +14,12 @@ from service.commands.common import (
 )
 from service.commands.settings import RUNS, stated_store, store_place
 
+if TYPE_CHECKING:
+    from service.record_check import RecordCheck
+    from storage.places import Place
+    from storage.store_check import StoreCheck
+    from storage.stores import Store
+
 app = typer.Typer(
     no_args_is_help=True, help="Look after a store: check it, make room, move studies."
 )
@@ -22,8 +28,14 @@ GIB = 1024**3
 SHOWN = 20
 
 
+StudiesOption = Annotated[
+    list[Path] | None, typer.Option("--studies", help="Studies, or folders of them. Default: runs.")
+]
+
+
 @app.command("check")
 def check(
+    studies: StudiesOption = None,
     store: StoreOption = None,
     repair: Annotated[
         bool,
@@ -31,37 +43,93 @@ def check(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Read everything in a store; exit code 2 if something is damaged and not set aside."""
+    """Read everything in a store, and the records of studies; exit code 2 if any is damaged."""
+    from service.record_check import check_records
+    from service.store_use import studies_in
     from storage.store_check import check_store, set_aside
     from storage.store_lock import maintaining
     from storage.stores import open_store
 
     opened = open_store(store_place(store), create=False)
-    found = check_store(opened)
+    found, records = check_store(opened), check_records(studies_in(studies or [RUNS]))
     aside = None
     if repair and found.damages:
         with maintaining(opened, "palpate store check --repair"):
             aside = set_aside(opened, found.damages)
     if as_json:
-        damages = [{"path": str(d.path), "reason": d.reason} for d in found.damages]
-        leftovers = [str(path) for path in found.leftovers]
-        print_json(
-            {"store": str(opened), "entries": found.counts, "damaged": damages}
-            | {"half_written": leftovers, "set_aside": None if aside is None else str(aside)}
-        )
+        print_json(_check_json(opened, found, records, aside))
     else:
-        counts = ", ".join(f"{number} {name}" for name, number in found.counts.items())
-        typer.echo(f"{opened}: {counts}; {len(found.leftovers)} half written")
-        for damage in found.damages:
-            typer.echo(f"damaged: {damage.reason}", err=True)
-        if aside is not None:
-            typer.echo(f"set aside in {aside}: {len(found.damages)}. Run the studies again.")
-        elif found.damages:
-            typer.echo("To set them aside: palpate store check --repair", err=True)
-        else:
-            typer.echo("all is well")
-    if found.damages and aside is None:
+        _print_check(opened, found, records, aside)
+    if records.damages or (found.damages and aside is None):
         raise typer.Exit(2)
+
+
+def _check_json(
+    store: "Store", found: "StoreCheck", records: "RecordCheck", aside: "Place | None"
+) -> dict[str, Any]:
+    damages = [*found.damages, *records.damages]
+    return {
+        "store": str(store),
+        "entries": found.counts,
+        "studies": records.studies,
+        "damaged": [{"path": str(d.path), "reason": d.reason} for d in damages],
+        "half_written": [str(path) for path in found.leftovers],
+        "unverified_journal_lines": records.unverified,
+        "set_aside": None if aside is None else str(aside),
+    }
+
+
+def _print_check(
+    store: "Store", found: "StoreCheck", records: "RecordCheck", aside: "Place | None"
+) -> None:
+    counts = ", ".join(f"{number} {name}" for name, number in found.counts.items())
+    typer.echo(f"{store}: {counts}; {len(found.leftovers)} half written; {records.studies} studies")
+    for damage in [*found.damages, *records.damages]:
+        typer.echo(f"damaged: {damage.reason}", err=True)
+    if records.unverified:
+        typer.echo(
+            f"{records.unverified} lines of journals were written before checksums were "
+            "introduced and cannot be verified"
+        )
+    if aside is not None:
+        typer.echo(f"set aside in {aside}: {len(found.damages)}. Run the studies again.")
+    elif found.damages:
+        typer.echo("To set them aside: palpate store check --repair", err=True)
+    elif not records.damages:
+        typer.echo("all is well")
+
+
+@app.command("rm")
+def rm(
+    names: Annotated[list[str], typer.Argument(help="As given to `palpate import --name`.")],
+    studies: StudiesOption = None,
+    store: StoreOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Although studies need them.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Remove imported images by name; refused while a study needs one."""
+    from service.store_use import find_named, refuse_if_needed, studies_in
+    from storage.store_lock import maintaining
+    from storage.stores import open_store
+    from storage.volumes import remove_volume
+
+    opened = open_store(store_place(store), create=False)
+    found = find_named(opened, names, studies_in(studies or [RUNS]))
+    if not force:
+        refuse_if_needed(found)
+    with maintaining(opened, "palpate store rm"):
+        for volume in found:
+            remove_volume(opened, volume.digest)
+    if as_json:
+        removed = [
+            {"name": v.name, "volume": v.digest, "studies": [str(f) for f in v.studies]}
+            for v in found
+        ]
+        print_json({"store": str(opened), "removed": removed})
+        return
+    for v in found:
+        used = f"; needed by {', '.join(map(str, v.studies))}" if v.studies else ""
+        typer.echo(f"{v.name} ({v.digest}) is removed from {opened}{used}")
 
 
 @app.command("migrate")

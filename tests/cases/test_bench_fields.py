@@ -186,7 +186,7 @@ def test_supports_that_carry_a_part_of_small_forces_are_named(tmp_path):
     inverse = source.inverse_problem(NODES)
     problem = source.problem(source.spec.states[0])({"E": YOUNG_MPA})
     nodes = inverse.model.finest.nodes
-    moved = np.vstack([0.1 * nodes * [0, 0, 1], np.zeros((1, 3))])  # a load cell beyond the nodes
+    moved = np.vstack([0.2 * nodes * [1, 0, 0], np.zeros((1, 3))])  # a load cell beyond the nodes
     # Springs of 5e-9 N/mm^4 on 54,000 mm^3 that move by 3 mm on average.
     expected = 5e-9 * np.prod(SIZE) * 3
     held = support_force_n(inverse.model.finest, problem, moved[:-1])

@@ -69,8 +69,9 @@ class Recording:
             raise InputError(f"{self.name} has no frame between {low:g} and {high:g} s; {lasts}.")
         places = self.places_mm[name][inside]
         visible = places[np.isfinite(places).all(axis=1)]
-        if len(visible) <= LEAST_VISIBLE * len(places):
-            often = f"in more than {len(visible)} of {len(places)} frames " if len(visible) else ""
+        seen, frames = visible.shape[0], places.shape[0]
+        if seen <= LEAST_VISIBLE * frames:
+            often = f"in more than {seen} of {frames} frames " if seen else ""
             raise InputError(
                 f"{self.name}: the marker {name} was not seen {often}between {low:g} and {high:g} "
                 f"s; {lasts}. Leave out the marker or the file, or choose other windows."
@@ -80,7 +81,7 @@ class Recording:
     @property
     def notes(self) -> list[str]:
         """Return a sentence for each marker that is missing in some frames."""
-        missing = {n: ~np.all(np.isfinite(p), axis=1) for n, p in self.places_mm.items()}
+        missing = {n: np.asarray(np.isnan(p).any(axis=1)) for n, p in self.places_mm.items()}
         return [
             f"The marker {name} is missing in {int(frames.sum())} of {len(frames)} frames of "
             f"{self.name}; these frames are left out."

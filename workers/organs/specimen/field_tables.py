@@ -43,7 +43,7 @@ class FieldTables:
     @property
     def measured(self) -> BoolArray:
         """Return which components were measured in all recordings, shape (k, 3)."""
-        return np.all(np.isfinite(np.concatenate(self.repeats_mm)), axis=0)
+        return np.asarray(np.isfinite(np.concatenate(self.repeats_mm)).all(axis=0))
 
 
 def read_field(spec: SpecimenSpec, folder: Path) -> FieldTables:

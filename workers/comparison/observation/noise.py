@@ -66,9 +66,11 @@ class SegmentationNoise:
             and 0 < self.nugget_mm >= least
         ):
             raise InputError(
-                "Segmentation noise needs standard deviations >= 0, a correlation length > 0 and "
-                f"a nugget > 0 of at least {SMALLEST_NUGGET:g} of the deviations, found sd_mm, "
-                f"correlation_mm, reference_sd_mm, nugget_mm = {numbers}."
+                "Segmentation noise needs finite deviations, and a part at each point and a "
+                f"correlation length above zero; found {self.sd_mm:g} mm in the loaded scans and "
+                f"{self.reference_sd_mm:g} mm at rest, {self.nugget_mm:g} mm at each point, "
+                f"correlated over {self.correlation_mm:g} mm. Check the units and voxel sizes of "
+                "the scans, and the noise that their file states."
             )
 
 

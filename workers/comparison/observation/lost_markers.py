@@ -110,7 +110,10 @@ def _stale(seen: FloatArray, lost: BoolArray) -> BoolArray:
     found = np.zeros_like(lost)
     if len(seen) < 2 or seen.shape[1] < STALE_FRAMES + 2:
         return found
-    steps = np.linalg.norm(np.diff(np.where(lost[..., None], np.nan, seen), axis=1), axis=2)
+    places = np.where(lost[..., None], np.nan, seen)
+    changes = np.abs(np.diff(places, axis=1))
+    steps = np.linalg.norm(changes, axis=2)
+    resolution = float(changes[changes > 0].min(initial=np.inf))
     for marker, own in enumerate(steps):
         rest = np.nan_to_num(np.delete(steps, marker, axis=0))
         others = np.median(rest, axis=0)
@@ -121,6 +124,9 @@ def _stale(seen: FloatArray, lost: BoolArray) -> BoolArray:
             usual = own[outside & np.isfinite(own)]
             if moving[first : last + 1].sum() < STALE_FRAMES or not len(usual):
                 continue
+            net = np.linalg.norm(places[:, last + 1] - places[:, first], axis=1)
+            if np.median(np.nan_to_num(np.delete(net, marker))) < ALONE * resolution:
+                continue  # nobody moves by more than rounding
             goes_along = np.median(usual) > REST * np.median(others[outside])
             if goes_along and (usual == 0).mean() < OFTEN_STILL:
                 found[marker, first + 1 : last + 2] = True

@@ -46,8 +46,8 @@ class LocalProblem:
     names : tuple of str
     scale : ndarray, shape (p,)
         Coordinate per parameter of the fit.
-    inverse : ndarray, shape (p, p)
-        Of J'J, without directions that are not seen.
+    root : ndarray, shape (p, k)
+        Of the inverse of J'J, ``root @ root.T``, without directions that are not seen.
     gradient : ndarray, shape (p,)
         J'r.
     noise_factor : float
@@ -56,9 +56,14 @@ class LocalProblem:
 
     names: tuple[str, ...]
     scale: FloatArray
-    inverse: FloatArray
+    root: FloatArray
     gradient: FloatArray
     noise_factor: float
+
+    @property
+    def inverse(self) -> FloatArray:
+        """Return the inverse of J'J, without directions that are not seen."""
+        return np.asarray(self.root @ self.root.T)
 
 
 @dataclass(frozen=True)
@@ -69,15 +74,24 @@ class ErrorSource:
     ----------
     name : str
         As a noun phrase: ``mesh``, ``the place of the scan``.
-    sd : ndarray, shape (p,)
-        Standard deviation that it gives each coordinate.
+    root : ndarray, shape (p, k)
+        Of the covariance of the coordinates, ``root @ root.T``.
     log_bayes_factor : float
         By which the residual supports it, in nats; 0 where that is not asked.
     """
 
     name: str
-    sd: FloatArray
+    root: FloatArray
     log_bayes_factor: float = 0.0
+
+    @property
+    def sd(self) -> FloatArray:
+        """Return the standard deviation that it gives each coordinate."""
+        return np.asarray(np.sqrt((self.root**2).sum(axis=1)))
+
+    def sd_along(self, slope: FloatArray) -> float:
+        """Return the standard deviation of a value with these derivatives by the coordinates."""
+        return float(np.linalg.norm(slope @ self.root))
 
     @property
     def supported(self) -> bool:
@@ -103,9 +117,9 @@ def mesh_source(local: LocalProblem, meshes: Sequence[MeshFit]) -> ErrorSource |
     finest = max(meshes, key=lambda one: one["nodes"])
     change = _gradient(local, finest["fit"]) - local.gradient
     step = -local.inverse @ change
-    noise = np.maximum(np.diag(local.inverse), 0.0)
     pooled = float(step @ np.linalg.pinv(local.inverse) @ step) / len(step)
-    return ErrorSource(MESH, MESH_FACTOR * np.sqrt((step**2 + noise * pooled) / 2))
+    parts = np.column_stack([step, np.sqrt(pooled) * local.root])
+    return ErrorSource(MESH, MESH_FACTOR * parts / np.sqrt(2))
 
 
 def _group(
@@ -126,9 +140,9 @@ def _group(
     always = any(one.always for one in members)
     # What is always possible needs no support.
     probability = 1.0 if always else float(expit(gain + np.log(PRIOR_ODDS)))
-    spread = np.einsum("ij,jk,ik->i", response, np.linalg.inv(precision), response)
-    square = probability * ((response @ mean) ** 2 + np.maximum(spread, 0.0))
-    return ErrorSource(name, np.sqrt(square), gain)
+    spread = np.linalg.cholesky(np.linalg.inv(precision))
+    parts = np.column_stack([response @ mean, response @ spread])
+    return ErrorSource(name, np.sqrt(probability) * parts, gain)
 
 
 def _gradient(local: LocalProblem, fit: FitJson) -> FloatArray:

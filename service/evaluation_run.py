@@ -148,7 +148,7 @@ class EvaluationRun:
 
     def findings(self, candidate: int) -> Mapping[str, Any]:
         """Find out what the body of a candidate tells beside its constants."""
-        return self.dispatcher.call(self.work.tasks.find, self.request(candidate))
+        return self.dispatcher.call(self.work.tasks.find, self.request(candidate, derivatives=True))
 
     def write_down(self, candidates: list[int], ending: Ending, *, reused: bool) -> None:
         """Write down an ending for all candidates that share it, then tell the observers."""

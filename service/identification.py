@@ -15,11 +15,17 @@ reaches from the lower to the upper end of the two that belong to the best candi
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from service.local_model import Direction, LocalModel, OtherProblems, SearchedConstants
+from service.local_model import (
+    Direction,
+    LocalModel,
+    OtherProblems,
+    RelativeInterval,
+    SearchedConstants,
+)
 from service.search.space import FloatArray
 from storage.task_records import FitJson
 
@@ -138,6 +144,8 @@ class Identification:
         Whether the best candidate is at the least sum of squares; intervals are withheld if not.
     supported : tuple of str
         Errors of the scan or the model that the residual supports decisively, as noun phrases.
+    derived : mapping of str to RelativeInterval
+        Intervals of values that the constants determine, such as G0 of a cornea.
     """
 
     candidate: int
@@ -152,6 +160,7 @@ class Identification:
     note: str = ""
     converged: bool = True
     supported: tuple[str, ...] = ()
+    derived: Mapping[str, RelativeInterval] = field(default_factory=dict)
 
     @property
     def weak(self) -> tuple[str, ...]:
@@ -166,6 +175,7 @@ def identification_from_tangents(
     candidate: int,
     fit: FitJson,
     others: OtherProblems | None = None,
+    derived: Sequence[Mapping[str, Any]] = (),
 ) -> Identification:
     """Return the identification from the least-squares problem of the best candidate.
 
@@ -177,6 +187,9 @@ def identification_from_tangents(
     fit : FitJson
     others : OtherProblems, optional
         The same candidate with nuisance parameters and on other meshes.
+    derived : sequence of mapping
+        Values that the constants determine: ``name``, ``slope`` and ``mesh_shift``, see
+        `LocalModel.relative_interval`.
     """
     local = LocalModel(fit, searched, others)
     constants = {name: _constant(searched, local, i) for i, name in enumerate(local.names)}
@@ -192,6 +205,9 @@ def identification_from_tangents(
         noise_factor=local.noise_factor,
         converged=local.converged,
         supported=local.supported,
+        derived={
+            one["name"]: local.relative_interval(one["slope"], one["mesh_shift"]) for one in derived
+        },
     )
 
 

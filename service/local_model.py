@@ -10,6 +10,7 @@ import numpy as np
 
 from service.error_budget import (
     IMAGE,
+    MESH,
     MISFIT,
     ErrorSource,
     LocalProblem,
@@ -28,6 +29,8 @@ DEVIATIONS = 1.6449
 UNSEEN = 1e-10
 # A sum of squares that a step would lower by more, in units of the noise, is not at its least.
 MOST_FALL = 9.0
+# Standard deviation of a known shift by the mesh, as a part of it.
+MESH_SHIFT_PART = 0.25
 # Constants with a smaller share of a direction are not named in it.
 LEAST_SHARE = 0.15
 
@@ -51,6 +54,23 @@ class Direction:
     weights: Mapping[str, float]
     relative_sd: float | None
     words: str
+
+
+@dataclass(frozen=True)
+class RelativeInterval:
+    """The 90 % interval of a value that the constants determine, over its best estimate.
+
+    Parameters
+    ----------
+    lower, upper : float
+        Factors of the estimate.
+    errors : mapping of str to float
+        Relative standard deviation that each source of error contributes.
+    """
+
+    lower: float
+    upper: float
+    errors: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -127,7 +147,7 @@ class LocalModel:
         self.covariance = self.noise_factor**2 * self._inverse()
         self.sources = self._sources(others or OtherProblems())
         self.common = np.array([name in searched.common_scale for name in self.names])
-        self.unseen_variance = self._unseen_variance(bounds)
+        self.unseen_root = self._unseen_root(bounds)
 
     @property
     def correlation(self) -> tuple[tuple[float, ...], ...]:
@@ -143,11 +163,40 @@ class LocalModel:
 
     def ends(self, i: int) -> FloatArray:
         """Return the interval of a constant, inside units."""
-        variance = self.unseen_variance[i] + sum(source.sd[i] ** 2 for source in self.sources)
+        unseen = float((self.unseen_root[i] ** 2).sum())
+        variance = unseen + sum(source.sd[i] ** 2 for source in self.sources)
         reach = DEVIATIONS * float(np.sqrt(variance))
         step = float(self.step[i])
         low, high = min(0.0, step) - reach, max(0.0, step) + reach
         return np.array([self.moved(i, low), self.moved(i, high)])
+
+    def relative_interval(
+        self, slope: Mapping[str, float], mesh_shift: float | None = None
+    ) -> "RelativeInterval":
+        """Return the interval of a value that the constants determine.
+
+        Parameters
+        ----------
+        slope : mapping of str to float
+            Derivatives of the logarithm of the value by the logarithms of the constants, by name
+            inside; constants that are not searched are left out.
+        mesh_shift : float, optional
+            Part by which the mesh raises the value, where it is known better than from the
+            least-squares problem on another mesh.
+        """
+        by_log = np.array([slope.get(name, 0.0) for name in self.names])
+        held = np.where(self.values == 0.0, 1.0, self.values)
+        by_coordinate = by_log * np.where(self.logarithmic, 1.0, self.scale / held)
+        errors = {source.name: source.sd_along(by_coordinate) for source in self.sources}
+        if mesh_shift is not None:
+            errors[MESH] = MESH_SHIFT_PART * abs(mesh_shift)
+        unseen = float(((by_coordinate @ self.unseen_root) ** 2).sum())
+        reach = DEVIATIONS * float(np.sqrt(unseen + sum(sd**2 for sd in errors.values())))
+        step = float(by_coordinate @ self.step) - (mesh_shift or 0.0)
+        low, high = min(0.0, step) - reach, max(0.0, step) + reach
+        return RelativeInterval(
+            float(np.exp(max(low, -50.0))), float(np.exp(min(high, 50.0))), errors
+        )
 
     def errors(self, i: int) -> dict[str, float]:
         """Return the standard deviation that each source gives a constant, inside units."""
@@ -175,12 +224,12 @@ class LocalModel:
 
     def _sources(self, others: OtherProblems) -> tuple[ErrorSource, ...]:
         """Return the sources of error: image, misfit, mesh and groups of nuisances."""
-        variance = np.maximum(np.diag(self._inverse()), 0.0)
         factor = self.noise_factor
-        here = LocalProblem(self.names, self.scale, self._inverse(), self.gradient, factor)
+        root = self.eigenvectors[:, self.seen] / np.sqrt(self.eigenvalues[self.seen])
+        here = LocalProblem(self.names, self.scale, root, self.gradient, factor)
         found = [
-            ErrorSource(IMAGE, np.sqrt(variance)),
-            ErrorSource(MISFIT, np.sqrt(variance * (factor**2 - 1))),
+            ErrorSource(IMAGE, root),
+            ErrorSource(MISFIT, np.sqrt(factor**2 - 1) * root),
         ]
         if others.nuisances is not None:
             found += nuisance_sources(here, others.nuisances, others.priors)
@@ -228,12 +277,15 @@ class LocalModel:
         vectors = self.eigenvectors[:, self.seen]
         return np.asarray((vectors / self.eigenvalues[self.seen]) @ vectors.T)
 
-    def _unseen_variance(self, bounds: FloatArray) -> FloatArray:
-        """Return what directions that are not seen add: there all that was searched is possible."""
+    def _unseen_root(self, bounds: FloatArray) -> FloatArray:
+        """Return a root of the covariance of what is not seen: all that was searched is possible.
+
+        Shape (p, k), for k directions.
+        """
         logs = np.log(np.maximum(bounds, 1e-300))
         width = np.where(self.logarithmic, np.ptp(logs, axis=1), 1.0)
-        share = self.eigenvectors[:, ~self.seen] ** 2
-        return np.asarray(share @ (share.T @ (width**2 / 12)))
+        unseen = self.eigenvectors[:, ~self.seen]
+        return np.asarray(unseen * np.sqrt((unseen**2).T @ (width**2 / 12)))
 
     def _limited(self, step: FloatArray, bounds: FloatArray) -> FloatArray:
         """Keep a step within the searched intervals."""

@@ -144,7 +144,7 @@ def _bounds(facts: EstimateFacts, value: float) -> list[str]:
 def _interval(facts: EstimateFacts) -> list[str]:
     if facts.identifiable == "ratio":
         return ["only its ratio to the other stiffnesses can be found"]
-    if facts.identifiable == "weak" and facts.interval is not None:
+    if facts.identifiable == "weak" and facts.interval is not None and facts.converged:
         return [f"weakly determined, {_between(facts.interval, facts.unit)}"]
     if facts.identifiable == "weak":
         return ["weakly determined"]

@@ -58,7 +58,7 @@ def study_results(folder: Path) -> StudyResults:
     study, log = read_study(folder)
     spec = validated(StudySpec, study.spec, f"The study in {folder}")
     ranked, session, end = best_so_far(log.endings.values()), log.last_session, log.end
-    best = ranked.record
+    best, findings = ranked.record, findings_of(folder)
     endings = [record for _, record in sorted(log.endings.items())]
     return StudyResults(
         folder=folder.absolute(),
@@ -79,8 +79,8 @@ def study_results(folder: Path) -> StudyResults:
         sessions=len(log.sessions),
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
-        findings=findings_of(folder),
-        identification=_identification(spec, log, best),
+        findings=findings,
+        identification=_identification(spec, log, best, findings),
         unverified_records=log.unverified,
         caveats=log.caveats,
         lowest_gsf=ranked.lowest_gsf,
@@ -178,7 +178,9 @@ def estimates_of(
     if spec.target.constants is not None:
         constants = spec.case.complete(parameters.from_door(spec.target.constants))
         known = {name: value for name, value in constants.items() if name in parameters}
-        target = spec.case.canonical(parameters.to_door(known) | dict(spec.target.constants))
+        stated = parameters.to_door(known) | dict(spec.target.constants)
+        searched = {gene: stated[gene] for gene in spec.search.parameters if gene in stated}
+        target = spec.case.canonical(searched)
     genes = None if best is None else spec.case.canonical(best.genes)
     estimates = {}
     for gene, (lower, upper) in spec.search.parameters.items():
@@ -192,7 +194,10 @@ def estimates_of(
 
 
 def _identification(
-    spec: StudySpec, log: StudyLog, best: EvaluationRecord | None
+    spec: StudySpec,
+    log: StudyLog,
+    best: EvaluationRecord | None,
+    findings: Mapping[str, Any],
 ) -> Identification | None:
     """Return what the image tells of the constants, once the search has stopped."""
     if best is None or log.end is None:
@@ -206,7 +211,8 @@ def _identification(
     if found is not None and found.fit is not None:
         priors = organ_named(spec.case.organ).nuisances(spec.case, spec.target.constants is None)
         others = OtherProblems(found.nuisances, tuple(priors), found.meshes or ())
-        return identification_from_tangents(searched, found.candidate, found.fit, others)
+        derived = [one for one in findings.get("derived", ()) if "mesh_shift" in one]
+        return identification_from_tangents(searched, found.candidate, found.fit, others, derived)
     note = "the study ran before there were tangents" if found is None else found.reason
     alike, here = (
         [spec.constants_of(spec.case.canonical(record.genes)) for record in records]

@@ -4,10 +4,22 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from service.formatting import listed
-from service.identification import WEAK_PART, IdentifiedConstant, IdentifiedRatio, Interval
-from service.local_model import DEVIATIONS
-from service.quotable import Bounds, EstimateFacts, Quotability, quotability
+from service.formatting import at_edge, listed
+from service.identification import (
+    DEPENDENT,
+    WEAK_PART,
+    IdentifiedConstant,
+    IdentifiedRatio,
+    Interval,
+)
+from service.quotable import (
+    MOST_RESIDUAL,
+    Bounds,
+    EstimateFacts,
+    Identifiable,
+    Quotability,
+    quotability,
+)
 from service.ratios import RatioEstimate
 from storage.task_records import Scores
 
@@ -73,25 +85,54 @@ def derived_estimates(results: "StudyResults") -> list[DerivedEstimate]:
     return [_derived(results, one) for one in results.findings.get("derived", ())]
 
 
+def with_intervals(results: "StudyResults") -> Mapping[str, Any]:
+    """Return the findings with the intervals of their derived values; None where withheld."""
+    intervals = {one.name: one.interval for one in derived_estimates(results)}
+    derived = results.findings.get("derived", ())
+    found = [one | {"interval": intervals[one["name"]]} for one in derived]
+    return {**results.findings, "derived": found} if found else results.findings
+
+
 def _derived(results: "StudyResults", found: Mapping[str, Any]) -> DerivedEstimate:
-    value, sd = found["value"], found["relative_sd"][results.target_kind or "image"]
-    interval = value * (1 - DEVIATIONS * sd), value * (1 + DEVIATIONS * sd)
-    known = results.identification
+    value, known = found["value"], results.identification
+    factors = None if known is None else known.derived.get(found["name"])
+    interval = None if factors is None else (value * factors.lower, value * factors.upper)
     answer = quotability(
         EstimateFacts(
             value=value,
             unit=found["unit"],
             interval=interval,
-            identifiable="weak" if interval[1] - interval[0] > WEAK_PART * value else "value",
+            identifiable=_how_known(value, interval),
             finished=results.state == "stopped",
             converged=_converged(results),
             no_better_than=_no_better_than(results),
             residual_factor=1.0 if known is None else known.noise_factor,
-            contradictions=tuple(found["against"]),
+            contradictions=(*_bounded(results, found), *_supported(results), *found["against"]),
         )
     )
-    shown = interval if answer.interval_holds else None
+    explained = known is not None and known.noise_factor <= MOST_RESIDUAL
+    shown = interval if answer.interval_holds and explained else None
     return DerivedEstimate(found["name"], value, found["unit"], shown, answer)
+
+
+def _bounded(results: "StudyResults", found: Mapping[str, Any]) -> list[str]:
+    """Return a clause for each constant at a bound on which a derived value depends."""
+    estimates = results.estimates
+    names = [
+        n for n, by in found.get("slope", {}).items() if n in estimates and abs(by) > DEPENDENT
+    ]
+    return [
+        f"it depends on {name}, which is at a bound of its searched interval"
+        for name in names
+        if (value := estimates[name].estimate) is not None
+        and at_edge(value, (estimates[name].lower, estimates[name].upper))
+    ]
+
+
+def _how_known(value: float, interval: Bounds | None) -> Identifiable:
+    if interval is None:
+        return "unknown"
+    return "weak" if interval[1] - interval[0] > WEAK_PART * abs(value) else "value"
 
 
 def ratio_quotability(results: "StudyResults", ratio: IdentifiedRatio) -> Quotability:

@@ -42,6 +42,7 @@ from service.report.study_sections import difference_legend, present
 from service.results import ParameterEstimate
 from service.results_json import study_json
 from service.study_count import generations_text
+from service.study_quotability import with_intervals
 from storage.plain import to_plain
 
 # How often the page of a running search is loaded again while nobody touches it.
@@ -234,7 +235,7 @@ def _viewer(name: str, shown: Json | None) -> Markup | None:
 
 
 def _findings(data: StudyData) -> dict[str, Any]:
-    findings = data.results.findings
+    findings = with_intervals(data.results)
     drawn = data.bodies.figures(findings)
     return {
         "findings": findings.get("notes", ()),

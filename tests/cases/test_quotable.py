@@ -21,6 +21,7 @@ from storage.task_records import FitJson
 from storage.typed_json import from_json
 from workers.diagnosis.summary import Summary
 from workers.mechanics.parameters import BREAST
+from workers.organs.cornea.constants import CorneaConstants
 from workers.organs.cornea.findings_doubts import against, derived
 from workers.organs.nuisances import Nuisance
 
@@ -271,18 +272,35 @@ def test_a_constant_of_a_cornea_that_its_own_page_calls_unknown_is_not_quotable(
     assert shown.estimates["eta_fat"].quotable
 
 
+def with_shear_modulus(**more: Any) -> StudyResults:
+    """Return a study of a G0 that grows as E_fat does, which is known to 1 %."""
+    g0 = {"name": "G0", "value": 50.0, "unit": "kPa", "slope": {"E_fat": 1.0}, "against": []}
+    found = [g0 | {"mesh_shift": None} | more]
+    known = identification_from_tangents(SearchedConstants(BREAST, BOUNDS), 0, fit(), None, found)
+    return studied(known, findings={"derived": found})
+
+
 def test_the_shear_modulus_of_a_cornea_has_an_interval() -> None:
-    shown = studied(identified(fit()), findings={"derived": derived(eye(0.1, 0.9))})
+    shown = with_shear_modulus()
     (g0,) = derived_estimates(shown)
-    assert g0.interval == pytest.approx((50 * (1 - 0.16449), 50 * (1 + 0.16449)))
-    assert derived_text(g0) == "G0: 50 kPa (41.78 to 58.22, 90 %). Quotable."
+    assert g0.interval == pytest.approx((50 * math.exp(-0.016449), 50 * math.exp(0.016449)))
+    assert derived_text(g0) == "G0: 50 kPa (49.18 to 50.83, 90 %). Quotable."
     assert study_json(shown)["derived"]["G0"]["quotable"] is True
 
 
+def test_the_interval_of_a_shear_modulus_contains_what_the_mesh_adds_to_it() -> None:
+    """The mesh raises G0 by 3 %: the truth is lower by that, to a quarter of it."""
+    (g0,) = derived_estimates(with_shear_modulus(mesh_shift=0.03))
+    reach = 1.6449 * math.hypot(0.01, 0.0075)
+    assert g0.interval == pytest.approx((50 * math.exp(-0.03 - reach), 50 * math.exp(reach)))
+
+
 def test_the_shear_modulus_under_an_assumed_pressure_is_not_quotable() -> None:
-    shown = studied(identified(fit()), findings={"derived": derived(eye(0.1, 0.9, ("iop",)))})
-    (g0,) = derived_estimates(shown)
-    assert g0.answer.reasons == ("the pressure of the eye is assumed, not measured",)
+    numbers = eye(0.1, 0.9, ("iop",)) | {"attained_stretches": [0.98, 1.04]}
+    numbers["constants"] = {"mu1_mpa": 0.01, "alpha1": 30.0}
+    (g0, *_) = derived(numbers, CorneaConstants((0.01,), (30.0,)))
+    (shown, *_) = derived_estimates(with_shear_modulus(against=g0["against"]))
+    assert shown.answer.reasons == ("the pressure of the eye is assumed, not measured",)
 
 
 # --- a diagnosis ---------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 from storage.errors import InputError
+from storage.task_records import FreeParameter
 from workers.mechanics.parameters import unknown_name
 from workers.mechanics.pressed import Pressed
 from workers.organs.organ import Organ
@@ -30,9 +31,20 @@ class Findings(Protocol):
     """Says what a fitted body tells, and draws it and the images it was read from."""
 
     def findings(
-        self, model: Any, case: Any, constants: Mapping[str, float], landmarks: Any, score: Any
+        self,
+        model: Any,
+        case: Any,
+        constants: Mapping[str, float],
+        landmarks: Any,
+        score: Any,
+        body: Any | None = None,
+        free: Sequence[FreeParameter] = (),
     ) -> dict[str, Any]:
-        """Return ``notes``, sentences for a reader, and ``numbers``, plain; maybe nothing."""
+        """Return the findings of a fitted body as plain values; maybe nothing.
+
+        ``notes`` are sentences for a reader, ``numbers`` belong to them, ``derived`` are values
+        that follow from the constants, ``against`` says why constants may not be quoted.
+        """
 
     def figures(
         self, spec: Any, bodies: Sequence[Any], findings: Mapping[str, Any]

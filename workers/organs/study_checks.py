@@ -12,7 +12,10 @@ from storage.errors import InputError
 from workers.mechanics.parameters import Bounds
 
 # The module of each organ that has checks of its own; it holds the object CHECKS.
-MODULES = {"breast": "workers.organs.breast.study_checks"}
+MODULES = {
+    "breast": "workers.organs.breast.study_checks",
+    "cornea": "workers.organs.cornea.study_checks",
+}
 ANYWAY = "If the input is right as it is, continue with --anyway (in Python: anyway=True)."
 FIRST_LINE = "Computed with --anyway, although a plausibility check failed: "
 

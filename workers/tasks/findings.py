@@ -22,4 +22,13 @@ def find(request: EvaluationRequest) -> dict[str, Any]:
     bodies = BodyStore(open_store(request["store"]), organ)
     values = spec.complete(request["constants"])
     landmarks = bodies.landmarks(body, spec)
-    return dict(to_plain(module.findings(bodies.model(mesh), spec, values, landmarks, score)))
+    found = module.findings(
+        bodies.model(mesh),
+        spec,
+        values,
+        landmarks,
+        score,
+        bodies.body(body),
+        request.get("free") or (),
+    )
+    return dict(to_plain(found))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from storage.task_records import FreeParameter
 from storage.values import FloatArray
 from workers.organs.cornea.candidate import Candidate, scale_of
 from workers.organs.cornea.findings_doubts import against, derived
@@ -20,7 +21,6 @@ from workers.organs.cornea.findings_notes import notes
 from workers.organs.cornea.frame_pictures import overlays
 from workers.organs.cornea.identifiability import (
     MODEL_ERROR,
-    NORMAL_95,
     ContourNoise,
     FittedContour,
     Information,
@@ -36,8 +36,9 @@ from workers.organs.cornea.identifiability import (
     stress_slope,
 )
 from workers.organs.cornea.load import MPA_PER_MMHG
+from workers.organs.cornea.mesh_shift import refitted_constants
 from workers.organs.cornea.model_cache import MeshForModels
-from workers.organs.cornea.problem import candidate_of
+from workers.organs.cornea.problem import candidate_of, constants_of
 from workers.organs.cornea.profile import profile_of
 from workers.organs.cornea.section import Section
 from workers.organs.cornea.sensitivity import Change, sensitivity
@@ -65,6 +66,8 @@ def findings(
     constants: Mapping[str, float],
     middle_mm: float,
     score: CorneaScore,
+    body: Section | None = None,
+    free: Sequence[FreeParameter] = (),
 ) -> dict[str, Any]:
     """Return what the deformed section of a fitted eye says of its constants.
 
@@ -78,6 +81,10 @@ def findings(
         See `workers.organs.cornea.problem.middle_of`.
     score : CorneaScore
         Its window says what the image shows, its pixels how fine it is.
+    body : Section, optional
+        The undeformed section, for the error of the mesh.
+    free : sequence of FreeParameter
+        The searched constants.
 
     Returns
     -------
@@ -111,10 +118,14 @@ def findings(
     if case.findings.profiles:
         numbers["profiles"] = _profiles(eye, score)
     numbers["not_measured"] = list(case.findings.not_measured)
+    moved = (
+        None if body is None else refitted_constants(model, case, body, constants, middle_mm, free)
+    )
+    refitted = None if moved is None else constants_of(case, moved)
     return {
         "notes": notes(numbers, case),
         "numbers": numbers,
-        "derived": derived(numbers),
+        "derived": derived(numbers, candidate.constants, refitted),
         "against": against(numbers),
     }
 
@@ -130,12 +141,12 @@ def figures(
     bodies : sequence of Section or None
         Undeformed, deformed, and as the best candidate has it.
     findings : mapping
-        Of `findings`; may be empty.
+        Of `findings`; may be empty. Each of ``derived`` may have an ``interval``.
     """
     for sentence, image in overlays(spec.case, spec.target, *bodies):
         yield image_figure(image), sentence
     if findings:
-        yield from drawn(findings["numbers"])
+        yield from drawn(findings["numbers"], findings.get("derived", ()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +198,6 @@ def _pressures(
 def _curve(eye: FittedEye, largest: float, noise: ContourNoise) -> dict[str, Any]:
     stretch = np.linspace(1.0, 1.0 + BEYOND * (largest - 1.0), CURVE_POINTS)
     curve = stress_curve(eye.candidate.constants, eye.information, noise, stretch)
-    reach = NORMAL_95 * curve.sd_mpa
     known = 1 + int(np.argmin(curve.sd_mpa[1:] / curve.stress_mpa[1:]))
     return {
         "best_known_stretch": float(stretch[known]),
@@ -195,8 +205,6 @@ def _curve(eye: FittedEye, largest: float, noise: ContourNoise) -> dict[str, Any
         "best_known_bound": float(curve.sd_mpa[known] / curve.stress_mpa[known]),
         "stretch": stretch.tolist(),
         "stress_mpa": curve.stress_mpa.tolist(),
-        "low_mpa": (curve.stress_mpa - reach).tolist(),
-        "high_mpa": (curve.stress_mpa + reach).tolist(),
         "attained": largest,
     }
 

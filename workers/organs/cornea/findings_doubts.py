@@ -1,30 +1,85 @@
 """Findings of a fitted eye that bear on which of its values may be quoted."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
+import numpy as np
+
+from storage.values import FloatArray
+from workers.organs.cornea.constants import CorneaConstants
 from workers.organs.cornea.findings_notes import NOT_MEASURED, UNKNOWN_FROM
+from workers.organs.cornea.identifiability import (
+    shear_modulus_slope,
+    stress_slope,
+    uniaxial_stress_mpa,
+)
+from workers.organs.cornea.mesh_shift import PART_SEEN
+
+# Stretches at which the stress is given, as parts of the way from rest to the largest one.
+PARTS_OF_LARGEST = (0.25, 0.5, 0.75, 1.0)
 
 
-def derived(numbers: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the values that follow from the constants: G0, the shear modulus at rest.
+def derived(
+    numbers: Mapping[str, Any],
+    constants: CorneaConstants,
+    refitted: CorneaConstants | None = None,
+) -> list[dict[str, Any]]:
+    """Return the values that follow from the constants: G0, and stress at attained stretches.
+
+    Parameters
+    ----------
+    numbers : mapping
+        See `workers.organs.cornea.findings`.
+    constants : CorneaConstants
+    refitted : CorneaConstants, optional
+        See `workers.organs.cornea.mesh_shift`.
 
     Returns
     -------
     list of dict
-        ``name``, ``value`` in ``unit``, ``relative_sd`` of a simulated and of an imaged target,
-        and ``against``: clauses that say why it may not be quoted.
+        ``name``; ``value`` in ``unit``; ``slope``, the derivatives of its logarithm by the
+        logarithms of the constants; ``mesh_shift``, the part by which the mesh raises it, None
+        where that is not known; ``against``, clauses that say why it may not be quoted; and
+        ``stretch`` of a stress.
     """
-    bounds = numbers["shear_modulus_bounds"]
-    return [
+
+    def shift(value: Callable[[CorneaConstants], float]) -> float | None:
+        if refitted is None:
+            return None
+        return float(np.log(value(refitted) / value(constants)) / PART_SEEN)
+
+    assumed, names = _assumed(numbers), [n.removesuffix("_mpa") for n in numbers["constants"]]
+    found: list[dict[str, Any]] = [
         {
             "name": "G0",
-            "value": 1000 * numbers["shear_modulus_mpa"],
-            "unit": "kPa",
-            "relative_sd": {"simulated": bounds["pixels"], "image": bounds["model"]},
-            "against": _assumed(numbers),
+            "value": 1000 * constants.shear_modulus_mpa,
+            "slope": _named(names, shear_modulus_slope(constants)),
+            "mesh_shift": shift(lambda law: law.shear_modulus_mpa),
         }
     ]
+    largest = numbers["attained_stretches"][1]
+    for part in PARTS_OF_LARGEST:
+        stretch = 1 + part * (largest - 1)
+        at = np.array([stretch])
+        found.append(
+            {
+                "name": f"stress at a stretch of {stretch:.3f}",
+                "value": 1000 * _stress_mpa(constants, at),
+                "slope": _named(names, stress_slope(constants, stretch)),
+                "mesh_shift": shift(partial(_stress_mpa, stretch=at)),
+                "stretch": stretch,
+            }
+        )
+    return [one | {"unit": "kPa", "against": assumed} for one in found]
+
+
+def _stress_mpa(law: CorneaConstants, stretch: FloatArray) -> float:
+    return float(uniaxial_stress_mpa(law, stretch)[0])
+
+
+def _named(names: Sequence[str], slope: FloatArray) -> dict[str, float]:
+    return dict(zip(names, slope.tolist(), strict=True))
 
 
 def against(numbers: Mapping[str, Any]) -> dict[str, list[str]]:

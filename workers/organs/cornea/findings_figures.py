@@ -17,9 +17,14 @@ LEAST_PART = 0.15
 Described = tuple[Figure, str]
 
 
-def figures(numbers: Mapping[str, Any]) -> Iterator[Described]:
-    """Yield figures of the findings, each with the sentence that stands below it."""
-    yield _curve(numbers)
+def figures(
+    numbers: Mapping[str, Any], derived: Sequence[Mapping[str, Any]] = ()
+) -> Iterator[Described]:
+    """Yield figures of the findings, each with its caption.
+
+    ``derived`` are values with their ``interval``, where it is known.
+    """
+    yield _curve(numbers, derived)
     yield _singular_values(numbers)
     yield _bounds(numbers)
     if "profiles" in numbers:
@@ -46,18 +51,25 @@ def _axes(x_label: str, y_label: str, height_in: float = 3.4) -> tuple[Figure, A
     return shown, axes
 
 
-def _curve(numbers: Mapping[str, Any]) -> Described:
+def _curve(numbers: Mapping[str, Any], derived: Sequence[Mapping[str, Any]]) -> Described:
     curve = numbers["stress_curve"]
     shown, axes = _axes("stretch", "stress, MPa")
     axes.plot(curve["stretch"], curve["stress_mpa"], color=COLOURS[0], linewidth=1.8)
-    axes.fill_between(
-        curve["stretch"], curve["low_mpa"], curve["high_mpa"], color=COLOURS[0], alpha=0.2
-    )
+    known = [one for one in derived if "stretch" in one and one.get("interval") is not None]
+    for one in known:
+        low, high = (end / 1000 for end in one["interval"])
+        axes.errorbar(
+            one["stretch"],
+            one["value"] / 1000,
+            [[one["value"] / 1000 - low], [high - one["value"] / 1000]],
+            color=COLOURS[0],
+            capsize=4,
+        )
     axes.axvline(curve["attained"], color=SOFT, linestyle=":", linewidth=1.2)
+    bars = " with 90 % intervals" if known else ""
     return shown, (
-        "Stress over stretch of the fitted law, of a strip that is pulled, with the interval "
-        f"(95 %) that {numbers['noises']['pixels']} leave. Dotted: the largest stretch in this "
-        "eye; beyond it the image says nothing."
+        f"Stress over stretch of the fitted law, of a strip that is pulled{bars}. Dotted: the "
+        "largest stretch in this eye; the image does not determine the curve beyond it."
     )
 
 

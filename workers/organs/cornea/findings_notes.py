@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-from workers.organs.cornea.identifiability import NORMAL_95
 from workers.organs.cornea.spec import CorneaCase
 
 NOT_MEASURED = {
@@ -54,16 +53,11 @@ def _missing(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
 
 def _shear_modulus(numbers: Mapping[str, Any]) -> str:
     bounds, names = numbers["shear_modulus_bounds"], numbers["noises"]
-    curve, value = numbers["stress_curve"], numbers["shear_modulus_mpa"]
-    stress_kpa = 1000 * curve["best_known_stress_mpa"]
-    low, high = (value * (1 + side * NORMAL_95 * bounds["pixels"]) for side in (-1, 1))
     return (
-        f"Best known is the stress at a stretch of {curve['best_known_stretch']:.3f}: "
-        f"{stress_kpa:.3g} kPa ± {_percent(NORMAL_95 * curve['best_known_bound'])}. "
-        f"G0 = 1/2 Σ μα is {value:.3f} MPa, {low:.3f} to {high:.3f}. Both intervals hold with 95 % "
-        f"if nothing but {names['pixels']} were wrong. With an error of model or segmentation of "
-        f"{names['model']}, one such image {_fixes(bounds['model'])} (one standard deviation, "
-        "Cramer-Rao)."
+        "An image determines G0 = 1/2 Σ μα and the stress at the stretches that the eye attains, "
+        f"up to {numbers['attained_stretches'][1]:.3f}; their 90 % intervals are with the "
+        f"estimates. With an error of model or segmentation of {names['model']}, one such image "
+        f"{_fixes(bounds['model'])} (one standard deviation, Cramer-Rao)."
     )
 
 
@@ -81,12 +75,12 @@ def _constants(numbers: Mapping[str, Any]) -> str:
     bounds = numbers["bounds"]["model"]
     loose = [name for name, bound in bounds.items() if bound > UNKNOWN_FROM]
     strong = sum(value > 1.0 for value in values)
-    told = f"{strong} of {len(values)} combinations of the constants move the contour by more "
-    told += "than 1 µm when they grow by a factor of e. "
+    text = f"{strong} of {len(values)} combinations of the constants move the contour by more "
+    text += "than 1 µm when they grow by a factor of e. "
     if len(loose) == len(bounds):
-        return told + "No constant on its own is known better than to half its value."
+        return text + "No constant on its own is known better than to half its value."
     known = ", ".join(_plain(name) for name in bounds if name not in loose)
-    return told + f"On their own, only these are known better than to half their value: {known}."
+    return text + f"On their own, only these are known better than to half their value: {known}."
 
 
 def _several(numbers: Mapping[str, Any]) -> list[str]:

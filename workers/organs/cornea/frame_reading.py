@@ -2,11 +2,8 @@
 
 from pathlib import Path
 
-import numpy as np
-from PIL import Image
-
-from storage.errors import InputError
 from workers.organs.cornea.frame import Frame
+from workers.organs.cornea.picture import read_picture
 
 
 def read_frame(
@@ -14,13 +11,13 @@ def read_frame(
 ) -> Frame:
     """Return the frame in an image file (PNG, TIFF, JPEG, BMP).
 
-    Colours are averaged and transparency is left out.
+    It is turned as its EXIF orientation says. Colours are averaged and transparency is left out.
 
     Parameters
     ----------
     path : Path
     spacing_mm : tuple of float
-        Width and height of a pixel.
+        Width and height of a pixel of the picture as it is seen.
     first_pixel : tuple of float
         Column and row of the first pixel in the raster that all frames share.
 
@@ -31,18 +28,9 @@ def read_frame(
     Raises
     ------
     InputError
-        If the file is missing or not an image, or `Frame` refuses it.
+        If the file is missing, not an image, or holds several, or `Frame` refuses it.
     """
-    if not path.is_file():
-        raise InputError(f"There is no image {path}. Give the path of a frame of the cornea.")
-    try:
-        with Image.open(path) as image:
-            coloured = image.mode not in ("L", "1", "F") and not image.mode.startswith("I")
-            grey = np.asarray(image.convert("RGB") if coloured else image, dtype=np.float64)
-    except (OSError, ValueError, SyntaxError) as error:
-        raise InputError(
-            f"{path} is not an image that can be read ({error}). Give a PNG, TIFF, JPEG or BMP."
-        ) from error
+    grey = read_picture(path)
     if grey.ndim == 3:
         grey = grey.mean(axis=2)
     return Frame(grey=grey, spacing_mm=spacing_mm, first_pixel=first_pixel)

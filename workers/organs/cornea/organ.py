@@ -46,6 +46,13 @@ from workers.spec import Door
 
 # Of a mesh on which constants are fitted first.
 FEWEST_ELEMENTS = 60
+# The eye gives way under a jet by tenths of a millimetre, and looks aside by degrees.
+_MOTION = "the place of the eye, which moves as a whole"
+EYE_MOTION = (
+    Nuisance("eye_shift_x", _MOTION, 0.1, -0.5, 0.5),
+    Nuisance("eye_shift_y", _MOTION, 0.2, -0.5, 0.5),
+    Nuisance("eye_tilt", _MOTION, 1.0, -3.0, 3.0),
+)
 _MESH_ARRAYS = ("nodes_mm", "triangles", "anterior", "posterior", "left", "right")
 
 
@@ -180,8 +187,8 @@ class Cornea:
     no_derivatives = ""
 
     def nuisances(self, case: CorneaCase, imaged: bool) -> Sequence[Nuisance]:
-        """See `Organ.nuisances`; a cornea has none yet."""
-        return ()
+        """See `Organ.nuisances`: between two frames the whole eye may move."""
+        return EYE_MOTION if imaged else ()
 
     def coarse(self, body: Section, spacing_mm: float) -> Section:
         """See `Organ.coarse`: a section has no voxels."""

@@ -1,6 +1,6 @@
 """What may be stated of a cornea: the case, the target and the score of a study."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
@@ -182,7 +182,9 @@ class CorneaCase(CaseSpec):
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
         """See `CaseSpec.complete`; pressures and jet are what the load states.
 
-        The terms of the law stand in the order that the model states.
+        The terms of the law are in the order that the model states. Where some constants of the
+        law are given here and others are held, only terms that are given here in full change
+        places: a name then means the same constant throughout a search.
         """
         jet = self.load.jet
         stated = {
@@ -190,25 +192,31 @@ class CorneaCase(CaseSpec):
             "jet_pressure": jet.pressure_mpa,
             "jet_centre": jet.centre_mm,
         }
-        given = CORNEA.from_door(self.constants)
-        return self._ordered(CORNEA.complete(stated, given, constants or {}), "mu{}", "alpha{}")
+        values = CORNEA.complete(stated, CORNEA.from_door(self.constants), constants or {})
+        given = {name for pair in _pairs("mu{}", "alpha{}") for name in pair} & set(constants or {})
+        return self._ordered(values, given or set(values), _pairs("mu{}", "alpha{}"))
 
     def canonical(self, genes: Mapping[str, float]) -> dict[str, float]:
-        """See `CaseSpec.canonical`: the terms stand in the order that the model states."""
-        return self._ordered(genes, "mu{}_pa", "alpha{}")
+        """See `CaseSpec.canonical`: the terms are in the order that the model states."""
+        return self._ordered(dict(genes), set(genes), _pairs("mu{}_pa", "alpha{}"))
 
-    def _ordered(self, given: Mapping[str, float], mu: str, alpha: str) -> dict[str, float]:
-        values = dict(given)
+    def _ordered(
+        self, values: dict[str, float], movable: Collection[str], pairs: Sequence[tuple[str, str]]
+    ) -> dict[str, float]:
+        """Put in order the terms whose names are all movable."""
         if self.model.order_terms_by == "nothing":
             return values
-        names = [(mu.format(n), alpha.format(n)) for n in range(1, TERMS + 1)]
-        present = [n for n in names if values.get(n[0], 0) > 0 and n[1] in values]
+        present = [p for p in pairs if set(p) <= set(movable) and values[p[0]] > 0]
         key = 0 if self.model.order_terms_by == "mu" else 1
         terms = [tuple(values[name] for name in pair) for pair in present]
         terms.sort(key=lambda term: (term[key], term[1 - key]))
         for pair, term in zip(present, terms, strict=True):
             values |= dict(zip(pair, term, strict=True))
         return values
+
+
+def _pairs(mu: str, alpha: str) -> list[tuple[str, str]]:
+    return [(mu.format(n), alpha.format(n)) for n in range(1, TERMS + 1)]
 
 
 class CorneaTarget(TargetSpec):

@@ -5,7 +5,7 @@ point, moved by the model, from the same surface under the jet. In the words of
 `workers.diagnosis` the outer surface is the outline, and the inner one bounds the gland.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -37,8 +37,10 @@ from workers.organs.cornea.problem import candidate_of
 from workers.organs.cornea.region_rows import SURFACES, region_rows
 from workers.organs.cornea.section import Section
 from workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget
+from workers.organs.cornea.study_checks import CHECKS
 from workers.organs.cornea.surface_residual import ANTERIOR, POSTERIOR, SurfaceResidual
 from workers.organs.cornea.t6_mesh import T6Mesh
+from workers.organs.study_checks import Finding
 from workers.scan_threads import Each
 from workers.spec import validated
 from workers.units import KPA, NUMBER, Unit
@@ -73,6 +75,10 @@ class CorneaStudy:
         The searched parameters of the best candidate; empty if there is none.
     reference, target : Section
     noise : SegmentationNoise
+    caveats : tuple of str
+        Statements with which every result of the study begins.
+    frames : (CorneaCase, CorneaTarget) or None
+        Which say where the frames are, for their checks; None where the study is read again.
     """
 
     name: str
@@ -83,6 +89,8 @@ class CorneaStudy:
     reference: Section
     target: Section
     noise: SegmentationNoise
+    caveats: tuple[str, ...] = ()
+    frames: tuple[CorneaCase, CorneaTarget] | None = None
 
 
 class CorneaStudySource:
@@ -167,6 +175,19 @@ class CorneaStudySource:
                 f"The study {self.name} has searched {', '.join(self.study.bounds) or 'nothing'}; "
                 "a diagnosis needs a constant of the law, such as mu1_pa, under search.parameters."
             )
+
+    def findings(self) -> Iterator[Finding]:
+        """See `workers.organs.study_checks.CheckedSource`."""
+        self.check()
+        if self.study.frames is not None:
+            case, target = self.study.frames
+            bodies = self.study.reference, self.study.target
+            yield from CHECKS.of_bodies(case, target, None, *bodies)
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """Those of the study."""
+        return self.study.caveats
 
     def inverse_problem(
         self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
@@ -270,6 +291,8 @@ def from_study(study: FinishedStudy) -> CorneaStudySource:
             reference=study.reference,
             target=study.deformed,
             noise=SIMULATED if target.frame is None else SEGMENTED,
+            caveats=study.caveats,
+            frames=(case, target),
         )
     )
 

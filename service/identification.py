@@ -188,8 +188,8 @@ def identification_from_tangents(
     others : OtherProblems, optional
         The same candidate with nuisance parameters and on other meshes.
     derived : sequence of mapping
-        Values that the constants determine: ``name``, ``slope`` and ``mesh_shift``, see
-        `LocalModel.relative_interval`.
+        Values that the constants determine: ``name``, ``slope``, ``mesh_shift`` and ``mesh_sd``,
+        see `LocalModel.relative_interval`.
     """
     local = LocalModel(fit, searched, others)
     constants = {name: _constant(searched, local, i) for i, name in enumerate(local.names)}
@@ -205,10 +205,12 @@ def identification_from_tangents(
         noise_factor=local.noise_factor,
         converged=local.converged,
         supported=local.supported,
-        derived={
-            one["name"]: local.relative_interval(one["slope"], one["mesh_shift"]) for one in derived
-        },
+        derived={one["name"]: _interval_of(local, one) for one in derived},
     )
+
+
+def _interval_of(local: LocalModel, one: Mapping[str, Any]) -> RelativeInterval:
+    return local.relative_interval(one["slope"], one["mesh_shift"], one["mesh_sd"])
 
 
 def identification_from_scatter(

@@ -29,8 +29,6 @@ DEVIATIONS = 1.6449
 UNSEEN = 1e-10
 # A sum of squares that a step would lower by more, in units of the noise, is not at its least.
 MOST_FALL = 9.0
-# Standard deviation of a known shift by the mesh, as a part of it.
-MESH_SHIFT_PART = 0.25
 # Constants with a smaller share of a direction are not named in it.
 LEAST_SHARE = 0.15
 
@@ -171,8 +169,11 @@ class LocalModel:
         return np.array([self.moved(i, low), self.moved(i, high)])
 
     def relative_interval(
-        self, slope: Mapping[str, float], mesh_shift: float | None = None
-    ) -> "RelativeInterval":
+        self,
+        slope: Mapping[str, float],
+        mesh_shift: float | None = None,
+        mesh_sd: float | None = None,
+    ) -> RelativeInterval:
         """Return the interval of a value that the constants determine.
 
         Parameters
@@ -180,16 +181,16 @@ class LocalModel:
         slope : mapping of str to float
             Derivatives of the logarithm of the value by the logarithms of the constants, by name
             inside; constants that are not searched are left out.
-        mesh_shift : float, optional
-            Part by which the mesh raises the value, where it is known better than from the
-            least-squares problem on another mesh.
+        mesh_shift, mesh_sd : float, optional
+            Part by which the mesh raises the value, and its standard deviation, where they are
+            known better than from the least-squares problem on another mesh.
         """
         by_log = np.array([slope.get(name, 0.0) for name in self.names])
         held = np.where(self.values == 0.0, 1.0, self.values)
         by_coordinate = by_log * np.where(self.logarithmic, 1.0, self.scale / held)
         errors = {source.name: source.sd_along(by_coordinate) for source in self.sources}
-        if mesh_shift is not None:
-            errors[MESH] = MESH_SHIFT_PART * abs(mesh_shift)
+        if mesh_sd is not None:
+            errors[MESH] = mesh_sd
         unseen = float(((by_coordinate @ self.unseen_root) ** 2).sum())
         reach = DEVIATIONS * float(np.sqrt(unseen + sum(sd**2 for sd in errors.values())))
         step = float(by_coordinate @ self.step) - (mesh_shift or 0.0)

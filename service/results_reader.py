@@ -211,7 +211,7 @@ def _identification(
     if found is not None and found.fit is not None:
         priors = organ_named(spec.case.organ).nuisances(spec.case, spec.target.constants is None)
         others = OtherProblems(found.nuisances, tuple(priors), found.meshes or ())
-        derived = [one for one in findings.get("derived", ()) if "mesh_shift" in one]
+        derived = [one for one in findings.get("derived", ()) if "mesh_sd" in one]
         return identification_from_tangents(searched, found.candidate, found.fit, others, derived)
     note = "the study ran before there were tangents" if found is None else found.reason
     alike, here = (

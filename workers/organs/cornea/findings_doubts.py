@@ -16,6 +16,9 @@ from workers.organs.cornea.identifiability import (
 )
 from workers.organs.cornea.mesh_shift import PART_SEEN
 
+# Standard deviation of a shift by the mesh, as a part of it. With a half, 90 % of the intervals of
+# G0 and stress contain the truth; see tests/benchmarks/cornea_coverage.py.
+SHIFT_KNOWN_TO = 0.5
 # Stretches at which the stress is given, as parts of the way from rest to the largest one.
 PARTS_OF_LARGEST = (0.25, 0.5, 0.75, 1.0)
 
@@ -39,9 +42,9 @@ def derived(
     -------
     list of dict
         ``name``; ``value`` in ``unit``; ``slope``, the derivatives of its logarithm by the
-        logarithms of the constants; ``mesh_shift``, the part by which the mesh raises it, None
-        where that is not known; ``against``, clauses that say why it may not be quoted; and
-        ``stretch`` of a stress.
+        logarithms of the constants; ``mesh_shift`` and ``mesh_sd``, the part by which the mesh
+        raises it with its standard deviation, None where that is not known; ``against``, clauses
+        that say why it may not be quoted; and ``stretch`` of a stress.
     """
 
     def shift(value: Callable[[CorneaConstants], float]) -> float | None:
@@ -71,7 +74,24 @@ def derived(
                 "stretch": stretch,
             }
         )
-    return [one | {"unit": "kPa", "against": assumed} for one in found]
+    sds = _mesh_sds([one["mesh_shift"] for one in found])
+    return [
+        one | {"unit": "kPa", "mesh_sd": sd, "against": assumed}
+        for one, sd in zip(found, sds, strict=True)
+    ]
+
+
+def _mesh_sds(shifts: Sequence[float | None]) -> list[float | None]:
+    """Return how well each shift by the mesh is known.
+
+    A shift that is zero where those of other stretches are not is not known to be zero, so half
+    of the square is the average over all of them.
+    """
+    known = [shift for shift in shifts if shift is not None]
+    if len(known) < len(shifts):
+        return [None] * len(shifts)
+    mean = float(np.mean(np.square(known)))
+    return [SHIFT_KNOWN_TO * float(np.sqrt((shift**2 + mean) / 2)) for shift in known]
 
 
 def _stress_mpa(law: CorneaConstants, stretch: FloatArray) -> float:

@@ -263,7 +263,21 @@ class TestStudiesAndImports:
         assert main(["import", "a.seg.nrrd", "--name", "a", "--labels", numbers]) == 2
         assert "names it 'Skin'" in capsys.readouterr().err
         assert not Path("runs/images/a.png").exists()
-        assert main(["import", "a.seg.nrrd", "--name", "a", "--labels", "Skin=fat", "--json"]) == 0
+        assert (
+            main(
+                [
+                    "import",
+                    "a.seg.nrrd",
+                    "--name",
+                    "a",
+                    "--labels",
+                    "Skin=fat",
+                    "--json",
+                    "--anyway",
+                ]
+            )
+            == 0
+        )
         found = json.loads(capsys.readouterr().out)
         assert found["label_tissues"] == {
             "0": "air",

@@ -314,7 +314,9 @@ class TestImport:
         Path("stack").mkdir()
         for z, page in enumerate(tissues()):
             tifffile.imwrite(f"stack/z_{0.5 * z}.tif", page)
-        assert main(["import", "stack", "--name", "a", "--spacing-mm", "2", "2", "2"]) == 0
+        assert (
+            main(["import", "stack", "--name", "a", "--spacing-mm", "2", "2", "2", "--anyway"]) == 0
+        )
         out = capsys.readouterr().out
         assert "from z_0.0.tif to z_4.5.tif" in out
         assert "unknown: the file does not state where its voxels are" in out
@@ -322,7 +324,17 @@ class TestImport:
 
     def test_states_the_frame_and_the_directions(self, capsys: pytest.CaptureFixture[str]) -> None:
         write_series(Path("s"), tissues(), FrameOfReferenceUID=FRAME)
-        command = ["import", "s", "--name", "a", "--axes", "L S A", "--picture", "a.png"]
+        command = [
+            "import",
+            "s",
+            "--name",
+            "a",
+            "--axes",
+            "L S A",
+            "--picture",
+            "a.png",
+            "--anyway",
+        ]
         assert main(command) == 0
         out = capsys.readouterr().out
         assert f"frame of reference {FRAME}" in out
@@ -332,7 +344,7 @@ class TestImport:
     def test_replaces_a_name_only_when_asked(self, capsys: pytest.CaptureFixture[str]) -> None:
         np.save("first.npy", tissues())
         np.save("second.npy", tissues()[:, :, ::-1])
-        options = ["--name", "a", "--spacing-mm", "2", "2", "2"]
+        options = ["--name", "a", "--spacing-mm", "2", "2", "2", "--anyway"]
         assert main(["import", "first.npy", *options]) == 0
         assert main(["import", "second.npy", *options]) == 2
         assert "another volume named a, read from first.npy" in capsys.readouterr().err

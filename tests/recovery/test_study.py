@@ -366,7 +366,7 @@ def test_waiting_for_workers_has_an_end(client: Any, folder: Path) -> None:
     while client.nthreads():
         pass
     try:
-        with pytest.raises(ClusterError, match="no worker for"):
+        with pytest.raises(ClusterError, match="no worker at"):
             run(folder, Dispatcher(client, no_worker_s=1.0))
     finally:
         client.cluster.scale(2)

@@ -269,7 +269,12 @@ def test_damaged_journals_and_zarr_are_named_and_not_served(
     text = SPEC.replace("name: demo", "name: broken").replace(
         "{phantom: {preset: 445ml}}", "{volume: broken}"
     )
-    job = client.submit_study(text)  # the stand-ins do not read it; it is a name of the store
+    job = client.submit_study(text.replace("name: broken", "name: unreadable"))
+    list(client.follow(job.id))
+    failed = client.job(job.id)
+    assert failed.state == "failed"
+    assert "Traceback" not in (failed.reason or "")
+    job = client.submit_study(SPEC.replace("name: demo", "name: broken"))
     list(client.follow(job.id))
     journal = service.home / "broken" / "journal.jsonl"
     journal.write_bytes(b"\x00garbage\n" + journal.read_bytes())

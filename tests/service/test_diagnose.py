@@ -356,7 +356,8 @@ def test_the_command_refuses_before_it_opens_a_cluster(
     loads_exchanged(copied)
     assert main(["diagnose", str(copied), "--store", str(copied.parent / "store")]) == 2
     said = capsys.readouterr()
-    assert said.err.startswith("Error: The body is ")
+    assert said.err.startswith("Error: The scans did not pass the plausibility checks:")
+    assert "The body is " in said.err
     assert (said.err.count("\n"), said.out) == (1, "")
     assert main(["diagnose", str(copied.parent)]) == 2
     assert "cannot be diagnosed: expected a folder with case.json" in capsys.readouterr().err
@@ -400,7 +401,5 @@ def test_a_stored_diagnosis_needs_no_cluster(
     for constant in shown["constants"].values():
         assert constant["quotable"] is not bool(constant["reasons"])
         assert constant["before_interval"][0] < constant["before"] < constant["before_interval"][1]
-    assert json.loads((tmp_path / "out" / "diagnosis.json").read_text()) == to_json(
-        diagnosed[1].summary
-    )
+    assert json.loads((tmp_path / "out" / "diagnosis.json").read_text()) == shown
     assert "nothing to compute" in said.err

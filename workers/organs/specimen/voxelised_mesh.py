@@ -9,7 +9,6 @@ from scipy import ndimage
 
 from storage.errors import InputError
 from storage.values import BoolArray, FloatArray, IntArray, Volume
-from workers.body.images.scan import whole_numbers
 from workers.compile_flags import CONTRACTED
 from workers.organs.specimen.mesh_file import MeshFile, read_mesh_file
 from workers.organs.specimen.spec import BodySpec, SpecimenSpec
@@ -147,8 +146,11 @@ def _labels(mesh: MeshFile, body: BodySpec, path: Path) -> IntArray:
             f"{path}: body.label_array must name one of the cells' data, found "
             f"{body.label_array!r}; there are {', '.join(known) or 'none'}."
         )
-    own = whole_numbers(np.asarray(known[name]).reshape(1, -1), f"{path}, cell data {name},")
-    return own.ravel().astype(np.int32)
+    values = np.asarray(known[name], np.float64)
+    whole = np.rint(values)
+    if not np.isfinite(values).all() or np.abs(values - whole).max() > WHOLE:
+        raise InputError(f"{path}: the cell data {name} are no labels: not all are whole numbers.")
+    return whole.astype(np.int32)
 
 
 def _closed(crossings: NDArray[np.int64], path: Path) -> None:

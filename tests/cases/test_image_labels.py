@@ -263,21 +263,8 @@ class TestStudiesAndImports:
         assert main(["import", "a.seg.nrrd", "--name", "a", "--labels", numbers]) == 2
         assert "names it 'Skin'" in capsys.readouterr().err
         assert not Path("runs/images/a.png").exists()
-        assert (
-            main(
-                [
-                    "import",
-                    "a.seg.nrrd",
-                    "--name",
-                    "a",
-                    "--labels",
-                    "Skin=fat",
-                    "--json",
-                    "--anyway",
-                ]
-            )
-            == 0
-        )
+        command = ["import", "a.seg.nrrd", "--name", "a", "--labels", "Skin=fat", "--anyway"]
+        assert main([*command, "--json"]) == 0
         found = json.loads(capsys.readouterr().out)
         assert found["label_tissues"] == {
             "0": "air",

@@ -314,9 +314,8 @@ class TestImport:
         Path("stack").mkdir()
         for z, page in enumerate(tissues()):
             tifffile.imwrite(f"stack/z_{0.5 * z}.tif", page)
-        assert (
-            main(["import", "stack", "--name", "a", "--spacing-mm", "2", "2", "2", "--anyway"]) == 0
-        )
+        options = ["--name", "a", "--spacing-mm", "2", "2", "2", "--anyway"]
+        assert main(["import", "stack", *options]) == 0
         out = capsys.readouterr().out
         assert "from z_0.0.tif to z_4.5.tif" in out
         assert "unknown: the file does not state where its voxels are" in out
@@ -324,18 +323,8 @@ class TestImport:
 
     def test_states_the_frame_and_the_directions(self, capsys: pytest.CaptureFixture[str]) -> None:
         write_series(Path("s"), tissues(), FrameOfReferenceUID=FRAME)
-        command = [
-            "import",
-            "s",
-            "--name",
-            "a",
-            "--axes",
-            "L S A",
-            "--picture",
-            "a.png",
-            "--anyway",
-        ]
-        assert main(command) == 0
+        options = ["--name", "a", "--axes", "L S A", "--picture", "a.png", "--anyway"]
+        assert main(["import", "s", *options]) == 0
         out = capsys.readouterr().out
         assert f"frame of reference {FRAME}" in out
         assert "-y of the image, towards anterior: chest wall to nipple" in out

@@ -106,10 +106,13 @@ def test_tasks_and_store_say_what_one_process_says(
     told = {k: v for k, v in stored.items() if k not in ("overlap", "cause_map")}
     # Tangents are solved to a relative error of 1e-4, from other starts than here. Which columns a
     # low rank keeps of the smooth field hangs on the last digits of the normals: a tenth of a nat.
+    # Ends of intervals are order statistics of 400 draws, which are shared out among hypotheses by
+    # rounding their weights: one draw more or less moves an end by some thousandths.
     assert flat(told).keys() == flat(expected).keys()
     for key, value in flat(expected).items():
         if isinstance(value, float):
-            least = 0.2 if key.endswith("/field_gain") else 2e-3
+            drawn = key.endswith(("share/low", "share/high"))
+            least = 0.2 if key.endswith("/field_gain") else 5e-3 if drawn else 2e-3
             value = pytest.approx(value, rel=2e-3, abs=least)
         assert flat(told)[key] == value, key
 

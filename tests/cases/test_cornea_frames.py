@@ -269,6 +269,7 @@ case:
   organ: cornea
   reference: {{frame: {{file: rest.png, pixel_mm: {pixel}, refraction: null}}}}
   mesh: {{elements: 60}}
+  load: {{iop_mmhg: 15, jet: {{pressure_mmhg: 112.5}}}}
 target: {{frame: {{file: jet.png, pixel_mm: {pixel}, refraction: null}}}}
 search: {{parameters: {{mu1_pa: [1, 40000], alpha1: [0.1, 100]}}, population: 4, generations: 1}}
 """

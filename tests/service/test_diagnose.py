@@ -361,7 +361,7 @@ def test_the_command_refuses_before_it_opens_a_cluster(
     said = capsys.readouterr()
     assert said.err.startswith("Error: The scans did not pass the plausibility checks:")
     assert "The body is " in said.err
-    assert (said.err.count("\n"), said.out) == (1, "")
+    assert (said.err.count("\n"), said.out) == (3, "")  # what, why, and how to insist
     assert main(["diagnose", str(copied.parent)]) == 2
     assert "cannot be diagnosed: expected a folder with case.json" in capsys.readouterr().err
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from pages import Page
+from stand_ins import rewrite
 
 from service.dispatch import Dispatcher, Ending
 from service.report.study_page import write_report
@@ -66,7 +67,8 @@ def copied(made: Made, tmp_path: Path) -> Path:
     here = tmp_path / "runs"
     shutil.copytree(made[0].parent, here)
     journal = here / "small" / "journal.jsonl"
-    journal.write_text(journal.read_text().replace(str(made[0].parent), str(here)))
+    text = journal.read_text().replace(str(made[0].parent), str(here))
+    rewrite(journal, [json.loads(line) for line in text.splitlines()])
     (here / "small" / "report.html").unlink(missing_ok=True)
     return here / "small"
 

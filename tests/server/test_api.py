@@ -1,6 +1,5 @@
 """The API as a script uses it: submit, follow, pause, resume, cancel, results, files."""
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import palpate
 from service.client import Client
 from service.server.api import JobView
 from storage.errors import InputError, StoreError
+from storage.seal import unseal
 
 
 def named(name: str, text: str = SPEC) -> str:
@@ -40,7 +40,7 @@ def test_a_study_over_http_equals_one_run_here(
 
     records = [event.record for event in events if event.kind == "record"]
     lines = (service.home / "calm" / "journal.jsonl").read_text().splitlines()
-    assert records == [json.loads(line) for line in lines] == list(client.journal("calm"))
+    assert records == [unseal(line)[0] for line in lines] == list(client.journal("calm"))
     # A stream that is continued gives the rest, each record once.
     position = next(e.position for e in events if e.record.get("candidate") == 7)
     rest = [e.record for e in client.follow("calm", position) if e.kind == "record"]
@@ -139,7 +139,7 @@ def test_a_diagnosis_that_cannot_be_made_fails_with_one_message(
     client.upload(tmp_path / "case.yaml", "empty-case")
     job = client.submit_diagnosis(upload="empty-case", nodes=500)
     failed = until(client, job.id, "failed")
-    assert "case.yaml does not make sense" in failed.reason
+    assert "case.yaml is not finished" in failed.reason
     with pytest.raises(InputError, match="There is no upload nix"):
         client.submit_diagnosis(upload="nix")
 
@@ -168,7 +168,7 @@ def test_the_example_of_the_documentation(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    text = (Path(__file__).parents[2] / "docs" / "service.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "how-to" / "service.md").read_text()
     assert text.count("```python\n") == 1
     example = text.partition("```python\n")[2].partition("```")[0]
     (tmp_path / "demo.yaml").write_text(named("documented"))

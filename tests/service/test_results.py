@@ -140,6 +140,7 @@ SCORE_KEYS = ["jc", "mhd_mm", "mhd_voxels", "gsf"]
 EVALUATION_KEYS = ["candidate", "generation", "status", "reason", "genes", "score", "digest"]
 STUDY_KEYS: dict[str, list[str] | None] = {
     "study": None,
+    "caveats": None,
     "state": None,
     "stopped": None,
     "identifiable": None,

@@ -206,7 +206,7 @@ def weigh_hypotheses(request: DiagnosisRequest, threads: int = 1) -> WeighingRec
         return reached
     summary = summarise(reached, store.effects, store.source.name)
     with scan_threads(threads) as each:
-        displacements = _displacements(reached, each)
+        displacements = model_displacements(reached, each)
         drawn, summary = store.source.describe(
             reached, displacements, summary, store.read_prepared, each
         )
@@ -232,7 +232,7 @@ def replay(store: DiagnosisStore, course: Course) -> Diagnosis | WeighingRecord:
     return reached
 
 
-def _displacements(diagnosis: Diagnosis, each: Each) -> Displacements:
+def model_displacements(diagnosis: Diagnosis, each: Each) -> Displacements:
     """Return those of the nodes before, and after where an effect is accused and simulated.
 
     What the store has of a joint fit are its points; the body is solved once more.

@@ -16,6 +16,7 @@ from workers.mechanics.fem.sensitivity import Change, reactions, tangents_with_r
 from workers.mechanics.fem.solve import equilibrium
 from workers.organs.specimen.experiment_files import read_experiment
 from workers.organs.specimen.prediction import posterior_factor
+from workers.tasks.diagnosis import model_displacements
 
 SD_N = 0.001 * abs(FORCE_N)
 
@@ -133,7 +134,8 @@ def test_what_is_said_of_forces(tmp_path):
     store = diagnosed_store(source, tmp_path / "store", NODES, 0.0, effects)
     diagnosis = diagnosis_in(store)
     summary = summarise(diagnosis, store.effects, source.name)
-    _, summary = source.describe(diagnosis, {}, summary, None)
+    moved = model_displacements(diagnosis, map)
+    _, summary = source.describe(diagnosis, moved, summary, None)
     assert summary.verdict == "no-gap"
     first, second = summary.markers
     assert [r.force_n for r in (*first.reactions, *second.reactions)] == [FORCE_N, FORCE_N / 2]

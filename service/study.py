@@ -7,6 +7,7 @@ the number of workers nor an interruption changes what is proposed next.
 """
 
 import time
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -19,6 +20,7 @@ from service.hooks import Hooks, Observer, StudyFacts
 from service.search.base import Generation, Stopped
 from service.search_replay import PendingGeneration, SearchReplay
 from service.spec import StudySpec
+from service.steady_replay import replayed
 from service.steady_run import SteadyRun
 from service.study_folder import StudyFolder
 from service.study_log import StudyLog
@@ -154,6 +156,7 @@ class _Run:
         self.case = self.spec.case.model_dump(mode="json")
 
     def to_the_end(self, dashboard: str) -> Conclusion:
+        self._check_continuation()
         self._announce(dashboard)
         work = self._prepare()
         evaluation = EvaluationRun(work, self.journal, self.hooks, self.endings)
@@ -166,6 +169,14 @@ class _Run:
             self._append(self._end(stopped, best_candidate, evaluation))
         self.hooks.stopped(stopped.reason)
         return Conclusion(stopped.reason, best_candidate, history)
+
+    def _check_continuation(self) -> None:
+        """Replay the journal, so that a search that has changed is refused before it is written."""
+        if self.spec.search.steady:
+            deque(replayed(self.spec.steady_search, self.log.endings), maxlen=0)
+        else:
+            replay = SearchReplay(self.spec.search_strategy, self.spec.search.space)
+            deque(replay.replay(self.log.endings), maxlen=0)
 
     def _search(self, evaluation: EvaluationRun) -> tuple[Stopped, tuple[Generation, ...]]:
         """Evaluate one generation after the other."""

@@ -44,7 +44,7 @@ from storage.stores import Store, check_schema, open_store
 SCHEMA_VERSION = 1
 MANIFEST = "palpate-study.json"
 MOST_MANIFEST_BYTES = 256 * 2**20
-STUDY_FILES = ("study.yaml", "journal.jsonl", "report.html")
+STUDY_FILES = ("study.yaml", "journal.jsonl", "findings.json", "report.html")
 BLOCK_BYTES = 2**20
 
 _PART = r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}"

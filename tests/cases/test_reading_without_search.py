@@ -56,6 +56,7 @@ def test_everything_reads_after_a_mutation_step_has_changed(
     journal.write_text("".join(cut))
     with pytest.raises(JournalError, match="can still be read with `palpate status`"):
         run(folder, Inline())
+    assert journal.read_text() == "".join(cut)
 
 
 def test_a_cma_study_reads_without_cma(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -45,7 +45,7 @@ def test_serve_prints_a_token_once_and_ends_with_ctrl_c(tmp_path: Path) -> None:
                 while "127.0.0.1:9" not in service.cluster().trouble:
                     assert time.monotonic() < until, service.cluster()
                     time.sleep(0.1)
-                with pytest.raises(InputError, match="does not make sense"):
+                with pytest.raises(InputError, match="not finished"):
                     service.client.submit_study("name: x")
                 with (
                     palpate.connect(service.client.url, "wrong") as stranger,

@@ -39,7 +39,7 @@ CROSSWISE = {
     "file": "pressed_8N_x.nrrd",
     "plate_force_N": 8.0,
     "compression_axis": [1, 0, 0],
-    "lower_mm": -45,
+    "lower_mm": -30,
     "upper_mm": 45,
 }
 

@@ -5,6 +5,9 @@ import os
 import random
 import socket
 import uuid
+from contextlib import nullcontext
+from threading import Lock
+from typing import Any
 from urllib.request import Request, urlopen
 
 import pytest
@@ -32,6 +35,7 @@ class ObjectServer:
 
         self._running = ThreadedMotoServer("127.0.0.1", self._port, verbose=False)
         self._running.start()
+        self._running._server.app = _one_write_at_a_time(self._running._server.app)
 
     def stop(self) -> None:
         if self._running is not None:
@@ -44,6 +48,17 @@ class ObjectServer:
         url = f"{self.environment['AWS_ENDPOINT_URL']}/{name}"
         with urlopen(Request(url, method="PUT")):
             return name
+
+
+def _one_write_at_a_time(app: Any) -> Any:
+    """Let writes queue: moto looks for an object first and writes later, S3 does both at once."""
+    writing = Lock()
+
+    def called(environ: dict[str, Any], start_response: Any) -> Any:
+        with writing if environ["REQUEST_METHOD"] in ("PUT", "POST") else nullcontext():
+            return app(environ, start_response)
+
+    return called
 
 
 def _steady_port() -> int:

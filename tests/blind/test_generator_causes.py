@@ -27,7 +27,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def body(truth):
-    return body_of(truth.anatomy, 700, 1.5)
+    return body_of(truth.anatomy, 600, 1.5)
 
 
 @pytest.fixture(scope="module")

@@ -41,7 +41,7 @@ class BadInput:
     Parameters
     ----------
     command : str
-        For a shell, in the folder of the case; ``palpate`` is the installed command.
+        ``palpate`` is the installed command.
     said : str
         Stands in the message.
     prepare : callable
@@ -52,6 +52,10 @@ class BadInput:
         Variables besides those of the test.
     plain_user : bool
         Run without the right to write anywhere, which root has.
+    folder : str
+        Where it runs, in the folder of the case.
+    in_shell : bool
+        The command is one for a shell.
     """
 
     command: str
@@ -60,6 +64,8 @@ class BadInput:
     code: int = 2
     environment: Mapping[str, str] = field(default_factory=dict)
     plain_user: bool = False
+    folder: str = "."
+    in_shell: bool = False
 
 
 def text(content: str, name: str = "study.yaml") -> Prepare:
@@ -279,21 +285,31 @@ OPTIONS = {
 }
 
 PLACES = {
-    "a full disk for the output": BadInput("palpate parameters > /dev/full", "the disk is full"),
-    "a full disk for JSON": BadInput("palpate parameters --json > /dev/full", "the disk is full"),
-    "a full disk for the help": BadInput("palpate run --help > /dev/full", "the disk is full"),
-    "nobody who reads": BadInput("palpate parameters | true; exit ${PIPESTATUS[0]}", "", code=141),
+    "a full disk for the output": BadInput(
+        "palpate parameters > /dev/full", "the disk is full", in_shell=True
+    ),
+    "a full disk for JSON": BadInput(
+        "palpate parameters --json > /dev/full", "the disk is full", in_shell=True
+    ),
+    "a full disk for the help": BadInput(
+        "palpate run --help > /dev/full", "the disk is full", in_shell=True
+    ),
+    "nobody who reads": BadInput(
+        "palpate parameters | true; exit ${PIPESTATUS[0]}", "", code=141, in_shell=True
+    ),
     "new where nothing may be written": BadInput(
-        "cd locked && palpate new breast mine",
+        "palpate new breast mine",
         "may not write there",
         locked("locked", 0o555),
         plain_user=True,
+        folder="locked",
     ),
     "a run where nothing may be written": BadInput(
-        "cd locked && palpate run ../study.yaml",
+        "palpate run ../study.yaml",
         "locked/runs",
         locked("locked", 0o555),
         plain_user=True,
+        folder="locked",
     ),
     "a study file that may not be read": BadInput(
         RUN, "not readable", locked("study.yaml", 0o000), plain_user=True

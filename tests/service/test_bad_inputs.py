@@ -1,33 +1,33 @@
 """Bad inputs end with one message and exit code 2; nothing is half-written.
 
-All commands run as a user types them, two at a time: a minute in all.
+Interrupts, streams and terminals are those of the command as a user types it; what needs no
+shell runs in forks of one process.
 """
 
 import os
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 import typer
 from bad_inputs import BAD_INPUTS, STUDY, BadInput
+from forked_commands import ForkedCommands, forked_commands
 
 from service import cli
 
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
-AT_ONCE = 2
 # Root may write everywhere; without these rights it is a user like others.
 PLAIN_USER = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search", "--inh-caps"]
 PLAIN_USER += ["-dac_override,-dac_read_search"]
 
-pytestmark = pytest.mark.timeout(1800)
-Ran = tuple[subprocess.CompletedProcess[str], Path, set[str]]
+Ran = subprocess.CompletedProcess[str]
 
 
 @pytest.fixture(scope="module")
@@ -44,44 +44,46 @@ def palpate(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def running(
-    request: pytest.FixtureRequest,
-    tmp_path_factory: pytest.TempPathFactory,
-    palpate: dict[str, str],
-) -> Iterator[dict[str, Future[Ran]]]:
-    """Start all bad inputs that were asked for."""
-    wanted = {
-        item.callspec.params["name"]  # type: ignore[attr-defined]
-        for item in request.session.items
-        if item.path == request.path
-        and "name" in getattr(getattr(item, "callspec", None), "params", {})
-    }
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        yield {
-            name: pool.submit(run, case, tmp_path_factory.mktemp("case"), palpate)
-            for name, case in BAD_INPUTS.items()
-            if name in wanted
-        }
+def forked(palpate: dict[str, str]) -> Iterator[ForkedCommands]:
+    """Run commands without waiting for Python's imports."""
+    with forked_commands(palpate) as commands:
+        yield commands
 
 
-def run(case: BadInput, place: Path, environment: dict[str, str]) -> Ran:
-    (place / "study.yaml").write_text(STUDY)
-    case.prepare(place)
-    before = files(place)
-    command = ["bash", "-c", case.command]
-    if case.plain_user and os.geteuid() == 0:
-        command = [*PLAIN_USER, *command]
-    done = subprocess.run(
-        command,
-        cwd=place,
-        env=environment | dict(case.environment),
-        capture_output=True,
-        text=True,
-        errors="replace",
-        timeout=600,
-        check=False,
-    )
-    return done, place, files(place) - before
+@pytest.fixture(scope="module")
+def forked_as_plain_user(palpate: dict[str, str]) -> Iterator[ForkedCommands]:
+    """The same, by one who may not write everywhere."""
+    if os.geteuid() == 0 and shutil.which("setpriv") is None:
+        pytest.skip("setpriv, which makes root a user like others, is not installed")
+    with forked_commands(palpate, PLAIN_USER if os.geteuid() == 0 else ()) as commands:
+        yield commands
+
+
+@pytest.fixture
+def run(
+    request: pytest.FixtureRequest, palpate: dict[str, str], tmp_path: Path
+) -> Callable[[BadInput, Path], Ran]:
+    """Run a command as its case wants it."""
+
+    def in_shell(case: BadInput, place: Path) -> Ran:
+        return subprocess.run(
+            ["bash", "-c", case.command],
+            cwd=place / case.folder,
+            env=palpate | dict(case.environment),
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+        )
+
+    def in_fork(case: BadInput, place: Path) -> Ran:
+        user = "forked_as_plain_user" if case.plain_user else "forked"
+        name, *arguments = shlex.split(case.command)
+        assert name == "palpate"
+        commands = request.getfixturevalue(user)
+        return commands(arguments, place / case.folder, tmp_path, case.environment)
+
+    return lambda case, place: (in_shell if case.in_shell else in_fork)(case, place)
 
 
 def files(place: Path) -> set[str]:
@@ -92,12 +94,15 @@ def files(place: Path) -> set[str]:
 
 @pytest.mark.parametrize("name", BAD_INPUTS)
 def test_one_message_exit_code_2_and_nothing_half_written(
-    running: dict[str, Future[Ran]], name: str
+    run: Callable[[BadInput, Path], Ran], tmp_path: Path, name: str
 ) -> None:
-    case = BAD_INPUTS[name]
-    if case.plain_user and os.geteuid() == 0 and shutil.which("setpriv") is None:
-        pytest.skip("setpriv, which makes root a user like others, is not installed")
-    done, place, written = running[name].result()
+    case, place = BAD_INPUTS[name], tmp_path / "place"
+    place.mkdir()
+    (place / "study.yaml").write_text(STUDY)
+    case.prepare(place)
+    before = files(place)
+    done = run(case, place)
+    written = files(place) - before
     said = done.stderr
     assert "Traceback" not in said + done.stdout, said
     assert done.returncode == case.code, said

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.bench import Row, _solver, per_unknown
+from service.bench import Bench, Row, _in_processes, _solver, per_unknown
 from service.cli import main
 from service.commands.bench import line
 from service.errors import TaskError
@@ -21,8 +21,22 @@ def test_an_unknown_is_compared_with_that_of_the_mesh_before() -> None:
     assert large.over == "1000 nodes"
 
 
-def test_the_solver_at_two_sizes(tmp_path: Path) -> None:
-    rows = list(_solver([1000, 4000], 2.0, tmp_path))
+def in_this_process(
+    stage: str, spacing_mm: float, nodes: int, store: Path, count: int
+) -> list[Row]:
+    """In place of processes, each of which takes seconds to start."""
+    return [Bench(spacing_mm, nodes, store).run(stage) for _ in range(count)]
+
+
+@pytest.mark.parametrize(
+    "where", ["in this process", pytest.param("in processes", marks=pytest.mark.slow)]
+)
+def test_the_solver_at_two_sizes(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if where == "in this process":
+        monkeypatch.setattr("service.bench._in_processes", in_this_process)
+    rows = list(_solver([1000, 2500], 2.0, tmp_path))
     stages = ["solve", "unknown", "two at once", "one tangent", "ten tangents"]
     assert [row.stage for row in rows] == 2 * stages
     small, large = rows[:5], rows[5:]
@@ -37,6 +51,15 @@ def test_the_solver_at_two_sizes(tmp_path: Path) -> None:
     assert small[0].nodes is not None
     assert large[0].nodes > 2 * small[0].nodes
     assert large[1].over == f"{small[0].nodes} nodes"
+
+
+def test_processes_that_begin_together_tell_their_rows(tmp_path: Path) -> None:
+    first, second = _in_processes("solve", 2.0, 1000, tmp_path, 2)
+    for row in (first, second):
+        assert (row.stage, row.size) == ("solve", "2 mm, 1000 nodes asked")
+        assert row.seconds > 0
+        assert row.peak_mb is not None
+    assert first.nodes == second.nodes
 
 
 def test_a_stage_that_fails_says_where(tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ REFUSALS = {
 
 app = typer.Typer(
     name="palpate",
-    help="The stiffness of living tissue from images, by finite elements and search.",
+    help="Estimate the stiffness of living tissue from images, by finite elements and search.",
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
@@ -84,7 +84,10 @@ def _print_version(requested: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Say it.")
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
+        ),
     ] = False,
 ) -> None:
     pass

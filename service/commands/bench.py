@@ -16,26 +16,34 @@ Number = TypeVar("Number", int, float)
 
 
 def bench(
-    nodes: Annotated[str, typer.Option(help="Mesh sizes.")] = "5000,20000",
-    spacing: Annotated[str, typer.Option(help="Voxel sizes in mm.")] = "1,0.5",
+    nodes: Annotated[
+        str, typer.Option(help="Numbers of mesh nodes, separated by commas.")
+    ] = "5000,20000",
+    spacing: Annotated[str, typer.Option(help="Voxel sizes in mm, separated by commas.")] = "1,0.5",
     service: Annotated[
-        bool, typer.Option("--service", help="Instead: overhead, memory and idle workers.")
+        bool, typer.Option("--service", help="Measure overhead, memory and idle workers instead.")
     ] = False,
     evaluations: Annotated[
-        int, typer.Option(min=200, help="Trivial ones, with --service; a multiple of 200.")
+        int,
+        typer.Option(
+            min=200, help="Number of trivial evaluations for --service; a multiple of 200."
+        ),
     ] = 20_000,
     diagnosis: Annotated[
         Path | None,
-        typer.Option(metavar="CASE", help="Instead: the tasks of a diagnosis.", show_default=False),
+        typer.Option(
+            metavar="CASE", help="Time the tasks of this diagnosis instead.", show_default=False
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Time phantom, mesh, solver, warp and score, and their memory.
+    """Measure the time and memory of each stage of a simulation.
 
-    The thesis' own size is --nodes 90000 --spacing 0.2. Against CalculiX, an
-    independent solver: python -m tests.benchmarks.independent in the sources.
-    With --service everything around the simulations, in some ten minutes.
-    With --diagnosis the tasks of one, and what more workers would make of them.
+    The stages are phantom, mesh, solver, warp and score. The thesis' own size is --nodes 90000
+    --spacing 0.2. --service measures everything but the simulations and takes about ten minutes.
+    --diagnosis times the tasks of a diagnosis and projects the total time for more workers. To
+    compare with CalculiX, an independent solver, run python -m tests.benchmarks.independent in the
+    source tree.
     """
     import tempfile
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 NODES = 5000
 
 app = typer.Typer(
-    help="Test the diagnosis on cases whose cause it cannot know.",
+    help="Test the diagnosis on cases whose true causes are sealed.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -50,37 +50,48 @@ TruthOption = Annotated[
     typer.Option(help="Folder of the truths. Default: SET-truth.", show_default=False),
 ]
 DirectionsOption = Annotated[
-    Which, typer.Option(help="Scans that are shown: all, or those pressed along y.")
+    Which, typer.Option(help="Scans given to the diagnosis: all, or only those compressed along y.")
 ]
 
 
 @app.command("make")
 def make(
     folder: SetArgument,
-    cases: Annotated[int, typer.Option(min=1, help="How many.")] = 60,
+    cases: Annotated[int, typer.Option(min=1, help="Number of cases.")] = 60,
     seed: Annotated[
         int | None,
         typer.Option(
-            min=0, help="Of all cases. Default: one that nobody knows.", show_default=False
+            min=0,
+            help="Random seed of the set. Default: chosen at random and kept secret.",
+            show_default=False,
         ),
     ] = None,
     one_direction: Annotated[
-        bool, typer.Option("--one-direction", help="Press all bodies along y only.")
+        bool, typer.Option("--one-direction", help="Compress all bodies along y only.")
     ] = False,
     controls: Annotated[
-        bool, typer.Option("--controls", help="Only bodies that lack nothing: null replicates.")
+        bool,
+        typer.Option(
+            "--controls", help="Make only controls, without a hidden cause (null replicates)."
+        ),
     ] = False,
     world: Annotated[
-        World, typer.Option(help="Whether all else is as the model has it, or a little off.")
+        World,
+        typer.Option(
+            help="Everything but the cause: as in the model (plain) or slightly off (hard)."
+        ),
     ] = World.plain,
     truth: TruthOption = None,
-    nodes: Annotated[int, typer.Option(min=200, help="Of the diagnosis that is sealed.")] = NODES,
+    nodes: Annotated[
+        int, typer.Option(min=200, help="Approximate number of mesh nodes of the sealed diagnosis.")
+    ] = NODES,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
 ) -> None:
-    """Draw cases, write them without their truths, and seal both.
+    """Generate random cases and their truths, and seal both.
 
-    Ctrl-C stops it at any time; the same command continues it.
+    The truths are kept in a separate folder. Press Ctrl-C to stop at any time; the same command
+    continues.
     """
     scheduler, processes = cluster_options(scheduler, workers)
     from service.blind.make_case import make_case
@@ -114,9 +125,9 @@ def run(
     directions: DirectionsOption = Which.all,
     limit: Annotated[
         int | None,
-        typer.Option(min=1, help="Answer at most so many cases now.", show_default=False),
+        typer.Option(min=1, help="Maximum number of cases to answer now.", show_default=False),
     ] = None,
-    nodes: Annotated[int, typer.Option(min=200, help="Nodes of the mesh.")] = NODES,
+    nodes: Annotated[int, typer.Option(min=200, help="Approximate number of mesh nodes.")] = NODES,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: StoreOption = None,
@@ -124,14 +135,15 @@ def run(
         str | None,
         typer.Option(
             metavar="REASON",
-            help="Why the diagnosis is not the one that was sealed.",
+            help="Reason why the diagnosis differs from the one that was sealed.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Diagnose every case of a set, and seal the answers when all are there.
+    """Diagnose every case of a set and seal the answers.
 
-    Ctrl-C stops it at any time; the same command continues it.
+    The answers are sealed once all are complete. Press Ctrl-C to stop at any time; the same command
+    continues.
     """
     scheduler, processes = cluster_options(scheduler, workers)
     from service.blind.progress import SetProgress
@@ -163,20 +175,23 @@ def run(
 def score(
     folders: Annotated[
         list[Path],
-        typer.Argument(metavar="SET...", help="Folders of the sets; several count as one."),
+        typer.Argument(metavar="SET...", help="Folders of the sets; several are scored as one."),
     ],
     truth: TruthOption = None,
     directions: DirectionsOption = Which.all,
     page: Annotated[
-        Path | None, typer.Option(help="Write a page to this file.", show_default=False)
+        Path | None, typer.Option(help="Also write an HTML page to this file.", show_default=False)
     ] = None,
     into: Annotated[
         Path | None,
-        typer.Option(help="Put the figures into this text, between its marks.", show_default=False),
+        typer.Option(
+            help="Insert the figures into this text file, between its two marks.",
+            show_default=False,
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Open the truths of sets whose answers are sealed, and score the answers."""
+    """Score the sealed answers of sets against their truths."""
     from service.blind.score_set import record, score_sets
     from service.blind.sets import BlindSet, Truths
 

@@ -10,14 +10,17 @@ from service.commands.common import JsonOption, print_json
 
 
 def certs(
-    folder: Annotated[Path, typer.Argument(help="Receives certificates and keys; new or empty.")],
-    days: Annotated[int, typer.Option(min=1, help="How long they are valid.")] = 365,
+    folder: Annotated[Path, typer.Argument(help="New or empty folder for certificates and keys.")],
+    days: Annotated[
+        int, typer.Option(min=1, help="Number of days for which the certificates are valid.")
+    ] = 365,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a CA and certificates for scheduler, workers and clients, so that Dask uses TLS.
+    """Create TLS certificates for a Dask cluster.
 
-    Standard output is lines for a shell: `palpate certs tls > tls.env`, then `. tls.env` before
-    every `dask scheduler --protocol tls`, `dask worker tls://HOST:8786` and
+    Creates a CA and certificates for scheduler, workers and clients. The environment variables that
+    Dask needs are printed as shell commands: run `palpate certs tls > tls.env`, then `. tls.env`
+    before every `dask scheduler --protocol tls`, `dask worker tls://HOST:8786` and
     `palpate run --scheduler tls://HOST:8786`.
     """
     from service.certificates import make_certificates

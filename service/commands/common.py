@@ -15,14 +15,18 @@ if TYPE_CHECKING:
     from service.spec import StudySpec
     from workers.organs.study_checks import Finding
 
-AllOption = Annotated[bool, typer.Option("--all", help="Constants at their neutral values, too.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="One JSON record on standard output.")]
+AllOption = Annotated[
+    bool, typer.Option("--all", help="Also show constants at their neutral values.")
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON record on standard output.")
+]
 StoreOption = Annotated[
     str | None,
     typer.Option(
         "--store",
         metavar="FOLDER|s3://BUCKET/PREFIX",
-        help="Store of volumes and evaluations. Default: $PALPATE_STORE, else runs/store.",
+        help="Store for volumes and evaluations. Default: $PALPATE_STORE, else runs/store.",
         show_default=False,
     ),
 ]
@@ -30,8 +34,8 @@ WorkersOption = Annotated[
     str | None,
     typer.Option(
         "--workers",
-        metavar="N|LEAST-MOST",
-        help="Processes of this machine: 4, or 1-4 for as many as there is work for. "
+        metavar="N|MIN-MAX",
+        help="Worker processes on this machine: 4, or 1-4 to follow the workload. "
         "Default: $PALPATE_WORKERS, else one per core.",
         show_default=False,
     ),
@@ -41,7 +45,8 @@ SchedulerOption = Annotated[
     typer.Option(
         "--scheduler",
         metavar="ADDRESS",
-        help="Use a running Dask cluster, tcp://HOST:8786. Default: $PALPATE_SCHEDULER.",
+        help="Use the running Dask cluster at this address, such as tcp://HOST:8786. "
+        "Default: $PALPATE_SCHEDULER.",
         show_default=False,
     ),
 ]
@@ -49,14 +54,14 @@ AnywayOption = Annotated[
     bool,
     typer.Option(
         "--anyway",
-        help="Continue although a plausibility check fails; the results begin with that.",
+        help="Continue even if a plausibility check fails; the results then begin with a warning.",
     ),
 ]
 StudyArgument = Annotated[
     Path | None,
     typer.Argument(
         metavar="[STUDY]",
-        help="A study's folder, file or name. Default: the study in runs/ that ran last.",
+        help="Study folder, file or name. Default: the study in runs/ that ran last.",
         show_default=False,
     ),
 ]

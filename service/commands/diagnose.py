@@ -35,8 +35,8 @@ def diagnose(
         Path,
         typer.Argument(
             metavar="SOURCE",
-            help="A case (case.yaml, case.json or the folder with it), a study that has run, or "
-            "the file of a bench experiment.",
+            help="A case (case.yaml, case.json or the folder containing it), a study that has been "
+            "run, or a bench experiment file.",
         ),
     ],
     out: Annotated[
@@ -46,13 +46,13 @@ def diagnose(
             show_default=False,
         ),
     ] = None,
-    nodes: Annotated[int, typer.Option(min=200, help="Nodes of the mesh.")] = 5000,
+    nodes: Annotated[int, typer.Option(min=200, help="Approximate number of mesh nodes.")] = 5000,
     plan: Annotated[
         bool | None,
         typer.Option(
             "--plan/--no-plan",
-            help="Find the further measurement that would decide most, as palpate plan does. "
-            "Default: where these scans leave several causes.",
+            help="Also find the most informative further measurement, as palpate plan does. "
+            "Default: only if these scans leave several causes possible.",
             show_default=False,
         ),
     ] = None,
@@ -62,9 +62,11 @@ def diagnose(
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find out where simulated and real body differ, why, and by how much.
+    """Find where and why a simulation differs from the real body.
 
-    Ctrl-C stops it at any time; the same command continues it.
+    Each likely cause is reported with its magnitude.
+
+    Press Ctrl-C to stop at any time; the same command continues the diagnosis.
     """
     import time
     from datetime import UTC, datetime

@@ -16,14 +16,18 @@ def doctor(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Examine this cluster, tcp://HOST:8786. Default: $PALPATE_SCHEDULER.",
+            help="Check the Dask cluster at this address, such as tcp://HOST:8786. "
+            "Default: $PALPATE_SCHEDULER.",
             show_default=False,
         ),
     ] = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check versions, workers, store and kernels; exit code 2 if something would spoil a run."""
+    """Check that everything is ready for a run.
+
+    Checks versions, workers, store and kernels. The exit code is 2 if there is a problem.
+    """
     from service.cluster import open_cluster
     from service.doctor import examine
 

@@ -21,38 +21,41 @@ if TYPE_CHECKING:
 
 
 def export(
-    study: Annotated[Path, typer.Argument(help="A study file, or a study's folder.")],
+    study: Annotated[Path, typer.Argument(help="Study file or study folder.")],
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="What to write: .vtu .vtk .msh (mesh with stress and strain), .stl (surface), "
+            help="Files to write: .vtu .vtk .msh (mesh with stress and strain), .stl (surface), "
             ".nrrd (labels), .inp (CalculiX, Abaqus), .feb (FEBio)."
         ),
     ],
     candidate: Annotated[
         str | None,
-        typer.Option(help="Number of a candidate, or best. Default: the case's own constants."),
+        typer.Option(help="Candidate number, or best. Default: the case's own constants."),
     ] = None,
     constants: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="A constant, such as E_fat_kpa=12."),
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="Set a constant, such as E_fat_kpa=12. Repeatable."
+        ),
     ] = None,
     comparable: Annotated[
         bool,
         typer.Option(
             "--comparable",
-            help="Show in every file the solution of the model that other solvers are told: with "
-            "textbook elements, and without what they do not know.",
+            help="In every file, show the solution of the simplified model that other solvers can "
+            "represent: textbook elements, and no features that they lack.",
         ),
     ] = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Deform a body once more and write it, for ParaView, CAD or another solver.
+    """Export a deformed body to ParaView, CAD or another solver.
 
-    An .inp or a .feb holds the whole model, plates replaced by what they did to the nodes that
-    they touch; its first lines say what was left out. Solved there, it can be compared node by
-    node with a .vtu that was written with --comparable.
+    The body is simulated once more. An .inp or .feb file holds the whole model, with the plates
+    replaced by the displacements of the nodes they touch; its first lines list what was left out.
+    Its solution in the other solver can be compared node by node with a .vtu file written with
+    --comparable.
     """
     from service.export.suffixes import SOLVED_SUFFIXES, check_suffix
 

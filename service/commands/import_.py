@@ -21,26 +21,28 @@ if TYPE_CHECKING:
 
 
 def import_image(
-    path: Annotated[Path, typer.Argument(help="NRRD, NIfTI, TIFF, .npy, or a folder of DICOM.")],
-    name: Annotated[str, typer.Option(help="What studies call it.")],
+    path: Annotated[
+        Path, typer.Argument(help="NRRD, NIfTI, TIFF or .npy file, or folder of DICOM files.")
+    ],
+    name: Annotated[str, typer.Option(help="Name of the image in study files.")],
     labels: Annotated[
         str | None,
         typer.Option(
-            help="The tissue of each label, by number (0=air,1=fat,2=glandular) or by its name in "
-            "the file (Adipose=fat,FGT=glandular), or a file that names the labels: .txt of "
-            "ITK-SNAP, .ctbl of 3D Slicer, .json. Default: by the names in the image."
+            help="Tissue of each label, by number (0=air,1=fat,2=glandular) or by name in the file "
+            "(Adipose=fat,FGT=glandular), or a file that names the labels: .txt from ITK-SNAP, "
+            ".ctbl from 3D Slicer, or .json. Default: from the label names in the image."
         ),
     ] = None,
     spacing_mm: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(metavar="X Y Z", help="Voxel spacing, where the file does not say."),
+        typer.Option(metavar="X Y Z", help="Voxel spacing, if the file does not state it."),
     ] = None,
     axes: Annotated[
         str | None,
         typer.Option(
-            help="Which axes of the image are x (vertical), y (compression) and z (chest wall to "
-            "nipple), such as -z,y,x; or the anatomical directions in which x, y and z increase, "
-            "of L, R, P, A, S and I, such as 'L S A'."
+            help="Image axes that are x (vertical), y (compression) and z (chest wall to nipple), "
+            "such as -z,y,x; or the anatomical directions in which x, y and z increase, from L, R, "
+            "P, A, S and I, such as 'L S A'."
         ),
     ] = None,
     picture: Annotated[
@@ -56,17 +58,18 @@ def import_image(
         bool,
         typer.Option(
             "--replace",
-            help="Let the name mean this image, if it means another one now. The other one stays "
-            "in the store for studies that use it.",
+            help="Reassign the name to this image if it belongs to another one. The other image "
+            "stays in the store for studies that use it.",
         ),
     ] = False,
     anyway: AnywayOption = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Read a labelled image, name its tissues, keep it in the store and show it.
+    """Import a labelled image and show how it was read.
 
-    Check the size, axes, labels and volumes it prints: all later results depend on them.
+    The image is saved in the store. Check the printed size, axes, labels and volumes: all later
+    results depend on them.
     """
     from service.commands.image_preview import doubt
     from service.export.suffixes import check_suffix

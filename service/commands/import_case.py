@@ -12,16 +12,18 @@ from storage.errors import InputError
 
 def import_case(
     case: Annotated[
-        Path, typer.Argument(metavar="CASE", help="A case.json, or the folder that it lies in.")
+        Path, typer.Argument(metavar="CASE", help="A case.json, or the folder containing it.")
     ],
     out: Annotated[
         Path | None,
-        typer.Option(help="The file to write. Default: case.yaml beside it.", show_default=False),
+        typer.Option(
+            help="File to write. Default: case.yaml in the same folder.", show_default=False
+        ),
     ] = None,
 ) -> None:
-    """Write what a case says as case.yaml, every key with its unit.
+    """Convert a case to case.yaml, with the unit in every key.
 
-    A case in prose of which a phrase is not understood is refused, and the phrase is named.
+    A case written in prose is rejected if a phrase is not understood; the error quotes the phrase.
     """
     from storage.atomic import explained, write_file
     from workers.tasks.sources import structured

@@ -21,24 +21,27 @@ def mammogram(
     study: StudyArgument = None,
     view: Annotated[
         list[str] | None,
-        typer.Option(help="CC or MLO; may stand twice. Default: both.", show_default=False),
+        typer.Option(help="View: CC or MLO. Repeatable. Default: both.", show_default=False),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder. Default: mammograms in the study's.", show_default=False),
+        typer.Option(
+            help="Folder to write to. Default: mammograms in the study's folder.",
+            show_default=False,
+        ),
     ] = None,
-    pixel_mm: Annotated[float, typer.Option(help="Edge of the detector's pixels.")] = 0.2,
+    pixel_mm: Annotated[float, typer.Option(help="Detector pixel size in mm.")] = 0.2,
     noise: Annotated[
-        bool, typer.Option("--noise/--no-noise", help="Quantum and electronic noise.")
+        bool, typer.Option("--noise/--no-noise", help="Add quantum and electronic noise.")
     ] = True,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Take CC and MLO mammograms of the body that a study has fitted, as DICOM and PNG.
+    """Simulate CC and MLO mammograms of a study's fitted body.
 
-    The body is pressed with the constants found, by the study's own force or plates, turned
-    by 45 degrees for MLO; where the target's constants are known, it is taken too, with the
-    signed difference.
+    The images are written as DICOM and PNG. The body is compressed with the fitted constants, by
+    the study's own force or plates, rotated by 45 degrees for MLO. If the target's constants are
+    known, the target is imaged too, together with the signed difference.
     """
     from service.results_reader import study_results
     from storage.errors import InputError

@@ -17,19 +17,22 @@ from service.commands.settings import store_place
 
 
 def mesh(
-    study: Annotated[Path, typer.Argument(help="A study file, or a study's folder.")],
+    study: Annotated[Path, typer.Argument(help="Study file or study folder.")],
     nodes: Annotated[
-        int | None, typer.Option(help="About so many, in place of the study's.", show_default=False)
+        int | None,
+        typer.Option(help="Approximate number of nodes. Default: the study's.", show_default=False),
     ] = None,
     element_size_mm: Annotated[
-        float | None, typer.Option(help="Of this size, in place of the study's.")
+        float | None, typer.Option(help="Element size in mm. Default: the study's.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Write it as .vtu, .vtk or .msh.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Also write the mesh to this .vtu, .vtk or .msh file.")
+    ] = None,
     anyway: AnywayOption = False,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Mesh the body of a study, and say what the mesh is like."""
+    """Mesh the body of a study and print the mesh properties."""
     from service.export import MESH_SUFFIXES, check_suffix, export_stored_mesh
     from storage.meshes import load_mesh
     from storage.stores import open_store

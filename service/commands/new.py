@@ -29,14 +29,17 @@ def new(
     kind: Annotated[
         Kind,
         typer.Argument(
-            help="A study of a virtual breast or cornea, or of two images; the diagnosis of a "
-            "breast in scans; a bench experiment."
+            help="A study of a virtual breast (breast), of two breast images (breast-images) or of "
+            "a virtual cornea (cornea); a diagnosis of breast scans; or a bench experiment."
         ),
     ],
-    name: Annotated[str, typer.Argument(help="The file becomes NAME.yaml.")],
-    out: Annotated[Path | None, typer.Option(help="Another file to write.")] = None,
+    name: Annotated[
+        str,
+        typer.Argument(help="Name of the study, diagnosis or experiment; the file is NAME.yaml."),
+    ],
+    out: Annotated[Path | None, typer.Option(help="File to write instead of NAME.yaml.")] = None,
 ) -> None:
-    """Write a commented study file, diagnosis or experiment."""
+    """Write a commented file for a study, diagnosis or experiment."""
     from service.spec import Name
     from service.templates import template
     from storage.atomic import write_file

@@ -9,10 +9,10 @@ from service.commands.common import StudyArgument, find_study
 
 
 def open_(study: StudyArgument = None) -> None:
-    """Open a study's page in the browser; where there is none, print where the page lies.
+    """Open a study's page in the browser and print its path.
 
-    A page that is missing, or older than the journal, is written first. The folder of a
-    diagnosis or of a plan is opened too.
+    A page that is missing or older than the journal is written first. Also opens the page in the
+    folder of a diagnosis or plan.
     """
     page = _page(find_study(study))
     typer.echo(f"page: {page}")

@@ -10,13 +10,13 @@ HEADINGS = ("name", "known interval", "neutral", "description")
 
 
 def parameters(
-    organ: Annotated[str, typer.Option(help="Whose: breast or cornea.")] = "breast",
+    organ: Annotated[str, typer.Option(help="Organ: breast or cornea.")] = "breast",
     effects: Annotated[
-        bool, typer.Option("--effects", help="Only effects, with what each one means.")
+        bool, typer.Option("--effects", help="List only effects, and explain each.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List constants and effects of an organ by the names they have in a study file."""
+    """List an organ's constants and effects for study files."""
     from workers.organs.registry import organ_named
 
     about = organ_named(organ)

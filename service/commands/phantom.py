@@ -10,19 +10,25 @@ from service.commands.settings import store_place
 
 
 def phantom(
-    preset: Annotated[str, typer.Option(help="445ml or 250ml.")] = "445ml",
+    preset: Annotated[str, typer.Option(help="Preset breast: 445ml or 250ml.")] = "445ml",
     spacing_mm: Annotated[
-        float | None, typer.Option(help="Voxel size. Default: the preset's.", show_default=False)
+        float | None,
+        typer.Option(help="Voxel size in mm. Default: the preset's.", show_default=False),
     ] = None,
     glandular_fraction: Annotated[
-        float | None, typer.Option(help="Share of the volume, 0 to 1.", show_default=False)
+        float | None,
+        typer.Option(
+            help="Glandular share of the volume, 0 to 1. Default: the preset's.", show_default=False
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Another seed, another breast.")] = 1,
-    out: Annotated[Path | None, typer.Option(help="Write the labels as .nrrd.")] = None,
+    seed: Annotated[int, typer.Option(help="Random seed; each seed gives a different breast.")] = 1,
+    out: Annotated[
+        Path | None, typer.Option(help="Also write the labels to this .nrrd file.")
+    ] = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Generate a virtual breast and keep it in the store."""
+    """Generate a virtual breast and save it in the store."""
     from service.export import TISSUE_NAMES, VOLUME_SUFFIXES, check_suffix, export_volume
     from storage.stores import open_store
     from workers.body.images.labels import summarise

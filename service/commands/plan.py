@@ -30,23 +30,25 @@ def plan(
         Path,
         typer.Argument(
             metavar="CASE_OR_STUDY",
-            help="A case (case.yaml, case.json or the folder with it), or a study that has run.",
+            help="A case (case.yaml, case.json or the folder containing it), or a study that has "
+            "been run.",
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(help="The page. Default: runs/NAME/plan.html.", show_default=False),
+        typer.Option(help="Page to write. Default: runs/NAME/plan.html.", show_default=False),
     ] = None,
-    nodes: Annotated[int, typer.Option(min=200, help="Nodes of the mesh.")] = 2000,
+    nodes: Annotated[int, typer.Option(min=200, help="Approximate number of mesh nodes.")] = 2000,
     anyway: AnywayOption = False,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """See which causes of a gap scans could show, and which further scan would show more.
+    """Predict which causes of a gap the scans could reveal.
 
-    Loaded scans need not exist: only the reference scan is read.
+    Also shows which further scan would reveal more. The loaded scans need not exist yet: only the
+    reference scan is read.
     """
     from service.fork_server import forked_workers
 

@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 
 def profile(
-    study: Annotated[Path, typer.Argument(help="A study's folder, file or name.")],
-    name: Annotated[str, typer.Argument(help="A searched constant, such as eta_glandular.")],
-    points: Annotated[int, typer.Option(min=3, max=101, help="Values of the constant.")] = 9,
+    study: Annotated[Path, typer.Argument(help="Study folder, file or name.")],
+    name: Annotated[str, typer.Argument(help="Searched constant to hold, such as eta_glandular.")],
+    points: Annotated[int, typer.Option(min=3, max=101, help="Number of values to try.")] = 9,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show how well the image is explained with a constant held at other values.
+    """Show how well the image is fitted as one constant varies.
 
-    The other constants are fitted again at each. Ctrl-C stops it at any time; the same command
-    continues it from the evaluations in the store.
+    The constant is held at several values, and the others are refitted at each. Press Ctrl-C to
+    stop at any time; the same command continues from the evaluations in the store.
     """
     from dataclasses import asdict
 

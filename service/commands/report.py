@@ -21,7 +21,7 @@ ONLY_RATIOS = (
 
 
 def report(study: StudyArgument = None, as_json: JsonOption = False) -> None:
-    """Print what was found, and write the page report.html into the study's folder."""
+    """Print a study's results and write report.html to its folder."""
     from service.results_json import study_json
     from service.results_reader import study_results
 

@@ -26,10 +26,12 @@ if TYPE_CHECKING:
 
 
 def run(
-    study: Annotated[Path, typer.Argument(help="A study file, or a study's folder.")],
+    study: Annotated[Path, typer.Argument(help="Study file or study folder.")],
     folder: Annotated[
         Path | None,
-        typer.Option("--study", help="The study's folder. Default: runs/NAME.", show_default=False),
+        typer.Option(
+            "--study", help="Folder for the study. Default: runs/NAME.", show_default=False
+        ),
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -37,21 +39,22 @@ def run(
         str | None,
         typer.Option(
             metavar="FOLDER|s3://BUCKET/PREFIX",
-            help="Store of volumes and evaluations, seen by all workers. Default: "
-            "$PALPATE_STORE, else that of the last run, else the folder store beside the study's.",
+            help="Store for volumes and evaluations, accessible to all workers. Default: "
+            "$PALPATE_STORE, else the store of the last run, else the folder store next to the "
+            "study's folder.",
             show_default=False,
         ),
     ] = None,
     accept_new_code: Annotated[
-        bool, typer.Option(help="Continue although the code has changed since the last run.")
+        bool, typer.Option(help="Continue even if the code has changed since the last run.")
     ] = False,
     anyway: AnywayOption = False,
     accept_implausible: Annotated[bool, typer.Option(hidden=True)] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a study, or continue it: an existing study goes on where it was.
+    """Run a study, or continue one where it stopped.
 
-    Ctrl-C stops it at any time; the same command continues it. What happened when is in
+    Press Ctrl-C to stop at any time; the same command continues the study. Events are logged in
     palpate.log in the study's folder.
     """
     with interruptible():  # before the imports, which take a while

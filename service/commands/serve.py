@@ -12,7 +12,7 @@ from service.commands.settings import RUNS, cluster_options
 
 def serve(
     home: Annotated[
-        Path, typer.Argument(help="Folder of the service: its studies, queue and uploads.")
+        Path, typer.Argument(help="Folder for the service's studies, queue and uploads.")
     ] = RUNS,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -20,29 +20,39 @@ def serve(
         str | None,
         typer.Option(
             metavar="FOLDER|s3://BUCKET/PREFIX",
-            help="Store of volumes and evaluations that all workers see. Default: HOME/store.",
+            help="Store for volumes and evaluations, accessible to all workers. "
+            "Default: HOME/store.",
             show_default=False,
         ),
     ] = None,
     host: Annotated[
-        str, typer.Option(help="Address to listen at. Default: this machine only.")
+        str, typer.Option(help="Address to listen on. Default: this machine only.")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes any.")] = 8780,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any free port.")
+    ] = 8780,
     allow_host: Annotated[
         list[str] | None,
-        typer.Option(help="A name under which it may be asked, beside localhost. Repeatable."),
+        typer.Option(help="Host name to accept in requests, besides localhost. Repeatable."),
     ] = None,
     read_token: Annotated[
         bool,
-        typer.Option(help="Reading needs a token, too. Always so unless --host is this machine."),
+        typer.Option(
+            help="Require a token for reading, too. Always on unless --host is this machine."
+        ),
     ] = False,
-    at_once: Annotated[int, typer.Option(min=1, help="Jobs that run at the same time.")] = 8,
-    upload_mb: Annotated[int, typer.Option(min=1, help="Size of one upload, at most.")] = 1024,
+    at_once: Annotated[
+        int, typer.Option(min=1, help="Maximum number of jobs that run at the same time.")
+    ] = 8,
+    upload_mb: Annotated[
+        int, typer.Option(min=1, help="Maximum size of one upload, in MiB.")
+    ] = 1024,
 ) -> None:
-    """Serve studies and diagnoses over HTTP: submit, follow, pause, resume, cancel.
+    """Serve studies and diagnoses over HTTP.
 
-    Ctrl-C stops it at any time; the same command goes on where it was. What writes needs a
-    token, which `palpate token new NAME` makes.
+    Clients can submit, follow, pause, resume and cancel jobs. Press Ctrl-C to stop the service at
+    any time; the same command resumes where it stopped. Requests that change anything need a token,
+    created with `palpate token new NAME`.
     """
     with stop_requests() as requests:
         address, processes = cluster_options(scheduler, workers)

@@ -16,12 +16,15 @@ from storage.errors import InputError
 
 
 def show(
-    candidate: Annotated[str, typer.Argument(help="Number of a candidate, or best.")],
+    candidate: Annotated[str, typer.Argument(help="Candidate number, or best.")],
     study: StudyArgument = None,
     everything: AllOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show parameters, score and ending of a candidate; of a failed one, why."""
+    """Show a candidate's parameters, score and outcome.
+
+    For a failed candidate, show the reason.
+    """
     from service.commands.tables import echo_table
     from service.results_json import candidate_json
     from service.results_reader import candidate_results

@@ -23,16 +23,18 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    study: Annotated[Path, typer.Argument(help="A study file, or a study's folder.")],
+    study: Annotated[Path, typer.Argument(help="Study file or study folder.")],
     constants: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="NAME=VALUE", help="A constant, such as E_fat_kpa=12."),
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="Set a constant, such as E_fat_kpa=12. Repeatable."
+        ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Write the deformed mesh (.vtu, .vtk, .msh), volume (.nrrd) or surface (.stl), or "
-            "the whole model (.inp, .feb); see `palpate export`."
+            help="File for the deformed mesh (.vtu, .vtk, .msh), volume (.nrrd) or surface (.stl), "
+            "or for the whole model (.inp, .feb); see `palpate export`."
         ),
     ] = None,
     everything: AllOption = False,
@@ -40,9 +42,10 @@ def simulate(
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compress the body of a study once; constants not set are the case's own.
+    """Compress the body of a study once.
 
-    Of the constants those are printed that are stated or differ from their neutral values.
+    Constants that are not set keep the values of the case. Only constants that are stated or differ
+    from their neutral values are printed.
     """
     from service.export.suffixes import SOLVED_SUFFIXES, VOLUME_SUFFIXES, check_suffix
     from service.quantities import not_neutral, quantities_inside, quantities_json

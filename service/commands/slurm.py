@@ -15,32 +15,39 @@ def slurm(
     workers: Annotated[
         str,
         typer.Option(
-            metavar="N|LEAST-MOST",
-            help="Jobs, each of them one worker: 32, or 2-32 for as many as there is work for.",
+            metavar="N|MIN-MAX",
+            help="Number of jobs, one worker each: 32, or 2-32 to follow the workload.",
         ),
     ],
-    memory: Annotated[str, typer.Option(help="Of each job.")] = "4GB",
-    walltime: Annotated[str, typer.Option(help="Of each job.")] = "24:00:00",
-    queue: Annotated[str | None, typer.Option(help="Partition.")] = None,
-    account: Annotated[str | None, typer.Option(help="Who pays.")] = None,
+    memory: Annotated[str, typer.Option(help="Memory per job.")] = "4GB",
+    walltime: Annotated[str, typer.Option(help="Time limit per job.")] = "24:00:00",
+    queue: Annotated[str | None, typer.Option(help="SLURM partition.")] = None,
+    account: Annotated[str | None, typer.Option(help="Account to charge.")] = None,
     option: Annotated[
-        list[str] | None, typer.Option(help="Another option of sbatch. Repeatable.")
+        list[str] | None, typer.Option(help="Additional sbatch option. Repeatable.")
     ] = None,
     setup: Annotated[
         list[str] | None,
-        typer.Option(help="A line of shell before the worker: 'module load python'. Repeatable."),
+        typer.Option(
+            help="Shell command to run before the worker starts, such as 'module load python'. "
+            "Repeatable."
+        ),
     ] = None,
     host: Annotated[
         str | None, typer.Option(help="Address of this machine that the workers can reach.")
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the scheduler.")] = 0,
-    logs: Annotated[Path | None, typer.Option(help="Folder for what the jobs print.")] = None,
-    show: Annotated[bool, typer.Option(help="Show the script of a job, submit nothing.")] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Submit without asking.")] = False,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the scheduler; 0 for any free port.")
+    ] = 0,
+    logs: Annotated[Path | None, typer.Option(help="Folder for the output of the jobs.")] = None,
+    show: Annotated[bool, typer.Option(help="Show the job script without submitting it.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Submit without asking for confirmation.")
+    ] = False,
 ) -> None:
-    """Start a scheduler here and workers as jobs of SLURM; Ctrl-C cancels them.
+    """Start a scheduler here and workers as SLURM jobs.
 
-    The script is shown before it is submitted.
+    The job script is shown before it is submitted. Press Ctrl-C to cancel the jobs.
     """
     from service.slurm import SlurmRequest, open_slurm
     from service.worker_range import read_workers

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 def status(
     study: StudyArgument = None,
-    failures: Annotated[int, typer.Option(help="How many failures to list.")] = 10,
+    failures: Annotated[int, typer.Option(help="Number of most recent failures to list.")] = 10,
     as_json: JsonOption = False,
 ) -> None:
-    """Say how far a study is; it may be running meanwhile."""
+    """Show a study's progress, even while it is running."""
     from service.results_json import study_json
     from service.results_reader import study_results
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from storage.stores import Store
 
 app = typer.Typer(
-    no_args_is_help=True, help="Look after a store: check it, make room, move studies."
+    no_args_is_help=True, help="Maintain a store: check it, free space, move studies."
 )
 
 GIB = 1024**3
@@ -29,7 +29,10 @@ SHOWN = 20
 
 
 StudiesOption = Annotated[
-    list[Path] | None, typer.Option("--studies", help="Studies, or folders of them. Default: runs.")
+    list[Path] | None,
+    typer.Option(
+        "--studies", help="Study folders, or folders of studies. Repeatable. Default: runs."
+    ),
 ]
 
 
@@ -39,11 +42,14 @@ def check(
     store: StoreOption = None,
     repair: Annotated[
         bool,
-        typer.Option(help="Set aside what is damaged; the next run of a study makes it again."),
+        typer.Option(help="Set damaged entries aside; the next run of a study recreates them."),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Read everything in a store, and the records of studies; exit code 2 if any is damaged."""
+    """Check a store and the records of studies for damage.
+
+    Every entry is read. The exit code is 2 if any is damaged.
+    """
     from service.record_check import check_records
     from service.store_use import studies_in
     from storage.store_check import check_store, set_aside
@@ -101,13 +107,18 @@ def _print_check(
 
 @app.command("rm")
 def rm(
-    names: Annotated[list[str], typer.Argument(help="As given to `palpate import --name`.")],
+    names: Annotated[list[str], typer.Argument(help="Names given to `palpate import --name`.")],
     studies: StudiesOption = None,
     store: StoreOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Although studies need them.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Remove images even if studies need them.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Remove imported images by name; refused while a study needs one."""
+    """Remove imported images by name.
+
+    Nothing is removed if a study needs one of them, unless --force is given.
+    """
     from service.store_use import find_named, refuse_if_needed, studies_in
     from storage.store_lock import maintaining
     from storage.stores import open_store
@@ -134,7 +145,10 @@ def rm(
 
 @app.command("migrate")
 def migrate(store: StoreOption = None, as_json: JsonOption = False) -> None:
-    """Bring a store of an older version to the present schema; nobody may use it meanwhile."""
+    """Upgrade a store of an older version to the current schema.
+
+    Nothing else may use the store meanwhile.
+    """
     from storage.migration import migrate as migrate_store
 
     place = store_place(store)
@@ -151,19 +165,24 @@ def migrate(store: StoreOption = None, as_json: JsonOption = False) -> None:
 def gc(
     studies: Annotated[
         list[Path] | None,
-        typer.Option(help="Studies, or folders of studies, to be kept. Default: runs."),
+        typer.Option(help="Studies to keep, or folders of studies. Repeatable. Default: runs."),
     ] = None,
     store: StoreOption = None,
     older_than_days: Annotated[
-        float, typer.Option(min=0, help="Younger entries stay: a run may be using them.")
+        float, typer.Option(min=0, help="Keep entries newer than this, which a run may be using.")
     ] = 30.0,
     images: Annotated[
-        bool, typer.Option(help="Imported images too, which nobody can make again.")
+        bool, typer.Option(help="Include imported images, which cannot be recreated.")
     ] = False,
-    delete: Annotated[bool, typer.Option("--delete", help="Do it; else it is only said.")] = False,
+    delete: Annotated[
+        bool, typer.Option("--delete", help="Delete the entries, instead of only listing them.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find what no study needs: parts of diagnoses, volumes and evaluations of removed studies."""
+    """List data that no study needs, or delete it with --delete.
+
+    This covers parts of diagnoses, and volumes and evaluations of removed studies.
+    """
     from service.store_use import find_garbage, remove, studies_in, study_use
     from storage.errors import InputError
     from storage.store_lock import maintaining
@@ -203,11 +222,11 @@ def export(
     study: StudyArgument = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="The archive. Default: NAME.palpate.tar.", show_default=False),
+        typer.Option(help="Archive to write. Default: NAME.palpate.tar.", show_default=False),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a study, and what it needs of its store, into one file."""
+    """Write a study and the data it needs to one file."""
     from service.study_archive import export_study
 
     folder = find_study(study)
@@ -223,15 +242,20 @@ def export(
 
 @app.command("import")
 def import_(
-    archive: Annotated[Path, typer.Argument(help="Made by `palpate store export`.")],
+    archive: Annotated[Path, typer.Argument(help="Archive written by `palpate store export`.")],
     folder: Annotated[
         Path | None,
-        typer.Option("--study", help="Default: runs/NAME.", show_default=False),
+        typer.Option(
+            "--study", help="Folder for the study. Default: runs/NAME.", show_default=False
+        ),
     ] = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Unpack a study, to be read, diagnosed or continued here. Import what you trust."""
+    """Unpack a study, to read, diagnose or continue it here.
+
+    Import only archives that you trust.
+    """
     from service.study_archive import archived_name, import_study
 
     home = folder or RUNS / archived_name(archive)

@@ -15,29 +15,32 @@ if TYPE_CHECKING:
 
 
 def strategies(
-    folder: Annotated[Path, typer.Option("--folder", help="Of its studies.")] = Path(
+    folder: Annotated[Path, typer.Option("--folder", help="Folder for the studies.")] = Path(
         "runs/strategies"
     ),
     only: Annotated[
-        str, typer.Option(help="Strategies, separated by commas.")
+        str, typer.Option(help="Strategies to compare, separated by commas.")
     ] = "least-squares,genetic+least-squares,genetic,cma",
-    targets: Annotated[int, typer.Option(min=1, help="How many targets.")] = 10,
-    nodes: Annotated[int, typer.Option(min=100, help="Of the mesh.")] = 2000,
+    targets: Annotated[int, typer.Option(min=1, help="Number of targets.")] = 10,
+    nodes: Annotated[int, typer.Option(min=100, help="Approximate number of mesh nodes.")] = 2000,
     spacing_mm: Annotated[float, typer.Option("--spacing", help="Voxel size in mm.")] = 1.0,
     target_nodes: Annotated[
         int | None,
-        typer.Option(min=100, help="Of the targets' own mesh. Default: that of the candidates."),
+        typer.Option(
+            min=100, help="Approximate number of mesh nodes for the targets. Default: as --nodes."
+        ),
     ] = None,
     workers: Annotated[
-        int, typer.Option(min=1, help="So many studies at a time, each on one core.")
+        int,
+        typer.Option(min=1, help="Number of studies to run at the same time, each on one core."),
     ] = 1,
     as_json: JsonOption = False,
 ) -> None:
-    """Search the same targets by each strategy, and count what it takes.
+    """Compare the cost of search strategies on the same targets.
 
-    Least-squares takes seconds of one core a target, genetic some minutes. Studies that
-    have ended are read, those that were cut go on. FOLDER/strategies.svg shows score and errors
-    over evaluations and seconds.
+    On one core, least-squares takes seconds per target and genetic some minutes. Finished studies
+    are reused; interrupted ones continue. FOLDER/strategies.svg plots score and errors against
+    evaluations and seconds.
     """
     from dataclasses import asdict
 

@@ -30,38 +30,36 @@ def thesis(
         str,
         typer.Argument(
             metavar="NAME",
-            help="coefficients, mesh-quality, mammogram, search, sensitivity, or all.",
+            help="Experiment: coefficients, mesh-quality, mammogram, search, sensitivity, or all.",
         ),
     ],
     full: Annotated[
-        bool, typer.Option("--full", help="At the thesis' own scale: hours to days.")
+        bool, typer.Option("--full", help="Run at the thesis' own scale; takes hours to days.")
     ] = False,
-    sketch: Annotated[
-        bool, typer.Option("--sketch", help="Coarse and quick, to see what comes out.")
-    ] = False,
+    sketch: Annotated[bool, typer.Option("--sketch", help="Run a coarse, quick preview.")] = False,
     out: Annotated[
         Path, typer.Option(help="Folder for the page, its JSON, mammograms and studies.")
     ] = RUNS / "thesis",
     strategy: Annotated[
         str | None,
         typer.Option(
-            help="Of the searches, as search.strategy of a study: genetic is the thesis' own. "
-            "Default: genetic+least-squares, of which the genetic part is told apart.",
+            help="Search strategy, as search.strategy in a study; the thesis uses genetic. "
+            "Default: genetic+least-squares, with the genetic stage reported separately.",
             show_default=False,
         ),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Only say about how long it would take.")
+        bool, typer.Option("--dry-run", help="Only estimate the running time.")
     ] = False,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     store: StoreOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run experiments of the thesis and compare them with what it prints.
+    """Run the thesis' experiments and check its published values.
 
-    Without --full at a reduced scale. Ctrl-C stops it at any time; the same command
-    continues it, and what the store has is not made again.
+    Runs at a reduced scale unless --full is given. Press Ctrl-C to stop at any time; the same
+    command continues and reuses results in the store.
     """
     scheduler, processes = cluster_options(scheduler, workers)
     request = _request(name, full, sketch, out, strategy, store)

@@ -11,15 +11,18 @@ from service.commands.settings import RUNS
 if TYPE_CHECKING:
     from service.server.tokens import Tokens
 
-app = typer.Typer(no_args_is_help=True, help="The tokens of a service: who may write.")
+app = typer.Typer(no_args_is_help=True, help="Manage the access tokens of a service.")
 
 HomeOption = Annotated[Path, typer.Option("--home", help="Folder of the service.")]
-NameArgument = Annotated[str, typer.Argument(help="Whose token it is.")]
+NameArgument = Annotated[str, typer.Argument(help="Name of the token's owner.")]
 
 
 @app.command("new")
 def new(name: NameArgument, home: HomeOption = RUNS, as_json: JsonOption = False) -> None:
-    """Make a token and show it, once; a service that is running knows it at once."""
+    """Create a token and show it once.
+
+    A running service accepts it immediately.
+    """
     token = _tokens(home, make=True).new(name)
     if as_json:
         print_json({"name": name, "token": token})
@@ -39,7 +42,7 @@ def list_(home: HomeOption = RUNS, as_json: JsonOption = False) -> None:
 
 @app.command("remove")
 def remove(name: NameArgument, home: HomeOption = RUNS) -> None:
-    """Make a token worthless, at once."""
+    """Revoke a token, effective immediately."""
     _tokens(home).remove(name)
 
 

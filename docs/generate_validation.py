@@ -17,6 +17,8 @@ def validation_page() -> str:
     lines = [HEAD]
     for group in groups:
         lines += [f"## {group['group']}", "", group["intro"], ""]
+        if "picture" in group:
+            lines += [group["picture"], ""]
         lines += ["| tested | truth | cases | result | repeat with |", "|---|---|---|---|---|"]
         for one in group["records"]:
             note = f" ({one['known']})" if "known" in one else ""

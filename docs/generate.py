@@ -1,6 +1,9 @@
 """Pages that are generated from the code and from records, and a search that needs no server.
 
-MkDocs calls `on_files`, `on_page_markdown` and `on_post_build` (mkdocs.yml, `hooks`).
+MkDocs calls `on_page_markdown` and `on_post_build` (mkdocs.yml, `hooks`). The generated pages are
+part of the repository, so that its links work; after a change of commands, keys or records::
+
+    python docs/generate.py
 """
 
 import json
@@ -16,17 +19,11 @@ from generate_keys import keys_page  # noqa: E402
 from generate_names import public_names  # noqa: E402
 from generate_validation import validation_page  # noqa: E402
 
-GENERATED = ("reference/commands.md", "reference/keys.md", "explanation/validation.md")
-
-
-def on_files(files: Any, config: Any) -> Any:
-    """Add the generated pages, which are not stored in any file."""
-    from mkdocs.structure.files import File
-
-    made = (commands_page(), keys_page(), validation_page())
-    for name, content in zip(GENERATED, made, strict=True):
-        files.append(File.generated(config, name, content=content))
-    return files
+GENERATED = {
+    "reference/commands.md": commands_page,
+    "reference/keys.md": keys_page,
+    "explanation/validation.md": validation_page,
+}
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
@@ -52,3 +49,8 @@ def on_post_build(config: Any) -> None:
     (search / "main.js").write_text("\n".join(scripts))
     for unused in ("worker.js", "lunr.js", "search_index.json"):
         (search / unused).unlink()
+
+
+if __name__ == "__main__":
+    for name, page in GENERATED.items():
+        (HERE / name).write_text(page())

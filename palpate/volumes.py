@@ -22,7 +22,7 @@ def read_volume(
     spacing_mm : tuple of float, optional
         Voxel spacing along x, y and z, where the file does not say.
     axes : str, optional
-        Which axes of the image are x (vertical), y (compression) and z (chest wall to
+        Which axes of the image are x (across), y (compression) and z (chest wall to
         nipple), such as ``"-z,y,x"``; or the anatomical directions in which x, y and z
         increase, such as ``"L S A"``.
 

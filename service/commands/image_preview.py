@@ -12,7 +12,11 @@ from service.report.slices import AXES, VIEWS, Section, View, middle_mm, section
 from storage.values import Tissue, Volume
 from workers.body.images.orient import opposite, world_axes
 
-MEANING = {"x": "vertical", "y": "direction of compression", "z": "chest wall to nipple"}
+MEANING = {
+    "x": "across the compression",
+    "y": "direction of compression",
+    "z": "chest wall to nipple",
+}
 DIRECTIONS = {
     "L": "left",
     "R": "right",

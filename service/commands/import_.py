@@ -40,7 +40,7 @@ def import_image(
     axes: Annotated[
         str | None,
         typer.Option(
-            help="Image axes that are x (vertical), y (compression) and z (chest wall to nipple), "
+            help="Image axes that are x (across), y (compression) and z (chest wall to nipple), "
             "such as -z,y,x; or the anatomical directions in which x, y and z increase, from L, R, "
             "P, A, S and I, such as 'L S A'."
         ),

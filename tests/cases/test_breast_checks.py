@@ -343,3 +343,22 @@ def test_aligned_target_is_said_first(here: Path) -> None:
     assert report.startswith(
         "The target was aligned with the reference: moved by (-5.2, 0.0, -6.0) mm."
     )
+
+
+@pytest.mark.parametrize(("order", "pressed_along"), [((1, 0, 2), "z"), ((0, 2, 1), "x")])
+def test_a_body_pressed_along_another_axis_is_refused(
+    order: tuple[int, int, int], pressed_along: str
+) -> None:
+    """Axes that were left as the file has them, on scans that were pressed along y."""
+    rest, scan = (with_axes(one, order) for one in usual_pair())
+    text = texts(findings(rest, scan))
+    assert f"it was pressed along {pressed_along}" in text
+    assert "look exchanged" not in text
+
+
+def with_axes(volume: Volume, order: tuple[int, int, int]) -> Volume:
+    """Exchange axes of a volume; `order` is that of its array, ``[z, y, x]``."""
+    (a, b, c) = (volume.origin_mm[::-1][k] for k in order)
+    (u, v, w) = (volume.spacing_mm[::-1][k] for k in order)
+    values = np.ascontiguousarray(volume.values.transpose(order))
+    return replace(volume, values=values, origin_mm=(c, b, a), spacing_mm=(w, v, u))

@@ -28,7 +28,7 @@ def test_facts_are_those_of_the_image() -> None:
     assert rows["body x"].startswith("18 mm")  # 18 voxels of 1 mm
     assert rows["body y"].startswith("36 mm")
     assert rows["body z"].startswith("48 mm")
-    assert "y of the image: vertical" in rows["body x"]
+    assert "y of the image: across the compression" in rows["body x"]
     gland = 4 * 4 * 6 * 8 / 1000
     fat = (CONE == 1).sum() * 8 / 1000
     assert rows["glandular"].startswith(f"{gland:.4g} ml, {100 * gland / (fat + gland):.3g} %")

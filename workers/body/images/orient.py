@@ -164,7 +164,7 @@ def parse_axes(axes: str | None) -> FloatArray:
     ----------
     axes : str, optional
         Three world axes with an optional sign, the ones that become house x
-        (vertical), y (compression) and z (chest wall to nipple): ``"-z,y,x"`` stands
+        (across), y (compression) and z (chest wall to nipple): ``"-z,y,x"`` stands
         a body up whose head is at +z and whose nipple is at +x. Or the anatomical
         directions in which x, y and z increase, one letter of L, R, P, A, S and I
         each: ``"L S A"`` is ``"x,z,-y"``. Default: ``"x,y,z"``.
@@ -200,7 +200,9 @@ def parse_axes(axes: str | None) -> FloatArray:
     if np.linalg.det(turn) < 0:
         raise InputError(
             f"axes {_as_given(names, axes)} would mirror the body (a left breast would become a "
-            f"right one). Change one sign more, for example {_as_given(_unmirrored(names), axes)}."
+            f"right one). Exchange two directions, for example "
+            f"{_as_given([names[1], names[0], names[2]], axes)}, or reverse one, for example "
+            f"{_as_given(_unmirrored(names), axes)}; the second is the direction of compression."
         )
     return turn
 

@@ -82,7 +82,7 @@ def read_labels(
         Voxel spacing along x, y, z of the file's frame (before `axes`), for files that
         do not say. Where the file says, both must agree.
     axes : str, optional
-        Which world axes become x (vertical), y (compression) and z (chest wall to
+        Which world axes become x (across), y (compression) and z (chest wall to
         nipple), such as ``"-z,y,x"`` or ``"L S A"``; see `workers.body.images.orient.parse_axes`.
 
     Returns

@@ -25,6 +25,9 @@ COMPRESSED = 1.25
 OTHER_UNIT = 0.7
 # Of the smaller body that must be inside the other one.
 OVERLAP_SHARE = 0.1
+# A body that shrinks this much more along another axis was pressed along that one; a breast
+# pressed by plates shrinks along no other axis by more than its segmentation errs.
+OTHER_AXIS, ALONG = 1.5, 0.7
 # By how much a body may be thicker under the larger force: segmentation and voxels.
 THICKNESS_VOXELS = 2.0
 # Glandular shares this far apart are compared with those of exchanged labels.
@@ -99,8 +102,19 @@ def check_volumes(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def check_thickness(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a pair of which the body under load is thicker than the one at rest."""
+    """Refuse a body that is thicker under load, or was pressed along another axis."""
     for rest, scan, _ in _pairs(facts):
+        other = _pressed_axis(rest, scan)
+        if other is not None:
+            before, after = rest.sides_mm[other], scan.sides_mm[other]
+            yield Finding(
+                "implausible",
+                f"The body is {_extent(rest, scan):.1f} mm thick along the compression in "
+                f"{rest.file} and {scan.thickness_mm:.1f} mm in {scan.file}, but {before:.1f} and "
+                f"{after:.1f} mm along {AXES[other]}: it was pressed along {AXES[other]}. Give "
+                "axes that make it y, or the axis of the load.",
+            )
+            continue
         slack = THICKNESS_VOXELS * max(rest.voxel_mm, scan.voxel_mm)
         thick, thin = _extent(rest, scan), scan.thickness_mm
         if thin > thick + slack and scan.median_thickness_mm > slack + _median(rest, scan):
@@ -243,6 +257,21 @@ def _pairs(facts: BreastFacts) -> Iterator[tuple[Scan, Scan, PlateLoad]]:
 
 def _extent(rest: Scan, scan: Scan) -> float:
     return Scan(rest.file, 0.0, scan.axis, rest.labels).thickness_mm
+
+
+def _pressed_axis(rest: Scan, scan: Scan) -> int | None:
+    """Return the axis along which a body was pressed if it is not the stated one.
+
+    It is the one along which the size changes most, and there the body has become thinner.
+    """
+    change = np.log(np.divide(scan.sides_mm, rest.sides_mm))
+    most = int(np.abs(change).argmax())
+    slack = THICKNESS_VOXELS * max(rest.voxel_mm, scan.voxel_mm)
+    along = math.log(scan.thickness_mm / _extent(rest, scan))
+    thinner = rest.sides_mm[most] - scan.sides_mm[most] > slack
+    if thinner and change[most] < OTHER_AXIS * min(along, 0.0) and change[most] < -abs(along):
+        return None if abs(scan.axis[most]) > ALONG else most
+    return None
 
 
 def _median(rest: Scan, scan: Scan) -> float:

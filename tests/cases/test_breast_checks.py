@@ -356,6 +356,12 @@ def test_a_body_pressed_along_another_axis_is_refused(
     assert "look exchanged" not in text
 
 
+def test_a_scan_under_load_that_shows_the_body_at_rest_is_refused() -> None:
+    rest = usual_pair()[0]
+    assert "nothing moved under 60 N" in texts(findings(rest, rest))
+    assert "nothing moved" not in texts(findings(*usual_pair()))
+
+
 def with_axes(volume: Volume, order: tuple[int, int, int]) -> Volume:
     """Exchange axes of a volume; `order` is that of its array, ``[z, y, x]``."""
     (a, b, c) = (volume.origin_mm[::-1][k] for k in order)

@@ -97,7 +97,7 @@ def test_every_missing_key_is_explained(kind: str) -> None:
 def test_a_study_template_shows_its_strategy(kind: str) -> None:
     text = template(kind, "mine")
     line = next(line for line in text.splitlines() if line.startswith("  strategy:"))
-    assert yaml.safe_load(line)["strategy"] in ("genetic", "genetic+least-squares")
+    assert yaml.safe_load(line)["strategy"] in ("genetic", "genetic+least-squares", "least-squares")
     assert "least-squares:" in text
 
 

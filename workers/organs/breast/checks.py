@@ -6,6 +6,7 @@ from workers.organs.breast.body_checks import BODY_CHECKS
 from workers.organs.breast.load_checks import check_distance, check_force, check_plates
 from workers.organs.breast.pair_checks import (
     check_mirror_image,
+    check_moved,
     check_order_of_loads,
     check_outline,
     check_overlap,
@@ -37,6 +38,7 @@ CHECKS: tuple[tuple[Check, ...], ...] = (
         check_plates,
         check_places,
         check_thickness,
+        check_moved,
         check_overlap,
         check_shares,
         check_mirror_image,

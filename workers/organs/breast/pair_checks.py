@@ -25,6 +25,8 @@ COMPRESSED = 1.25
 OTHER_UNIT = 0.7
 # Of the smaller body that must be inside the other one.
 OVERLAP_SHARE = 0.1
+# Share of voxels with the same label above which nothing has moved.
+NOT_MOVED = 0.98
 # A body that shrinks this much more along another axis was pressed along that one; a breast
 # pressed by plates shrinks along no other axis by more than its segmentation errs.
 OTHER_AXIS, ALONG = 1.5, 0.7
@@ -123,6 +125,22 @@ def check_thickness(facts: BreastFacts) -> Iterator[Finding]:
                 f"The body is {thick:.1f} mm thick between the plates in {rest.file} at rest, but "
                 f"{thin:.1f} mm in {scan.file} under load; compression was expected to make it "
                 "thinner. Reference and target look exchanged.",
+            )
+
+
+def check_moved(facts: BreastFacts) -> Iterator[Finding]:
+    """Refuse a scan under load that shows the body at rest."""
+    for rest, scan, load in _pairs(facts):
+        there = resample_labels(scan.labels, rest.labels).values
+        body = rest.body | (there != Tissue.AIR)
+        same = np.count_nonzero((there == rest.labels.values) & body) / np.count_nonzero(body)
+        if same > NOT_MOVED and abs(_extent(rest, scan) - scan.thickness_mm) < scan.voxel_mm:
+            under = "a load" if load.force_n is None else f"{load.force_n:g} N"
+            yield Finding(
+                "implausible",
+                f"{scan.file} shows the same as {rest.file} in {same:.1%} of the body's voxels: "
+                f"nothing moved under {under}, so it tells nothing about stiffness. Give the scan "
+                "under load.",
             )
 
 

@@ -160,14 +160,38 @@ def test_bodies_overlap_better_with_the_effect(
 # Workers, interruptions, and what is not computed again
 
 
-def test_two_workers_say_the_same_to_the_last_bit(
-    tilted: Path, diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis], tmp_path: Path
-) -> None:
+@pytest.fixture(scope="module")
+def by_two_workers(
+    tilted: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, DiagnosisRequest, FinishedDiagnosis]:
+    """The diagnosis of two workers; the folder of the case is gone before the first task."""
+    place = tmp_path_factory.mktemp("two")
+    folder = place / "case"
+    shutil.copytree(tilted, folder)
+    request = asked(folder, place / "store")
+    shutil.rmtree(folder)
     with open_cluster(workers=2) as cluster:
-        found = run(asked(tilted, tmp_path / "two"), Dispatcher(cluster.client))
+        return folder, request, run(request, Dispatcher(cluster.client))
+
+
+def test_two_workers_say_the_same_to_the_last_bit(
+    diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
+    by_two_workers: tuple[Path, DiagnosisRequest, FinishedDiagnosis],
+) -> None:
+    _, _, found = by_two_workers
     assert found.summary == diagnosed[1].summary
     for name, values in diagnosed[1].maps.items():
         np.testing.assert_array_equal(found.maps[name], values)
+
+
+def test_workers_need_the_store_and_nothing_else(
+    diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
+    by_two_workers: tuple[Path, DiagnosisRequest, FinishedDiagnosis],
+) -> None:
+    folder, request, found = by_two_workers
+    assert not folder.exists()
+    assert str(folder) not in repr(request)
+    assert found.summary == diagnosed[1].summary
 
 
 def test_the_order_of_tasks_leaves_no_trace(
@@ -319,20 +343,6 @@ def test_a_worker_of_another_version_is_refused(
     monkeypatch.setattr(diagnosis_store, "diagnosis_code", lambda kind: "other")
     with pytest.raises(StoreError, match="different versions"):
         calibrate_nominal(request)
-
-
-def test_workers_need_the_store_and_nothing_else(
-    tilted: Path, diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis], tmp_path: Path
-) -> None:
-    """The folder of the case is gone before the first task is sent."""
-    folder = tmp_path / "case"
-    shutil.copytree(tilted, folder)
-    request = asked(folder, tmp_path / "store")
-    shutil.rmtree(folder)
-    with open_cluster(workers=2) as cluster:
-        found = run(request, Dispatcher(cluster.client))
-    assert str(folder) not in repr(request)
-    assert found.summary == diagnosed[1].summary
 
 
 def test_points_that_calibration_did_not_keep_are_no_part(

@@ -384,7 +384,7 @@ def test_the_command_writes_page_and_record(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
-    command = ["diagnose", str(tilted), "--nodes", str(NODES), "--workers", "1"]
+    command = ["diagnose", str(tilted), "--nodes", "600", "--workers", "1"]
     assert main(command) == 0
     said = capsys.readouterr()
     assert said.out.startswith("Model and data differ by ")

@@ -12,6 +12,10 @@ import pytest
 from processes import plain_cluster
 from stand_ins import told
 
+from service.single_process import SingleProcess
+from service.spec import read_spec
+from service.study import Study
+
 STUDY = """
 name: small
 case:
@@ -40,17 +44,8 @@ def palpate(place: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_a_run_on_an_existing_scheduler_and_one_interrupted_here_agree(place: Path) -> None:
-    with plain_cluster(place, workers=2) as address:
-        done = palpate(place, "run", "small.yaml", "--scheduler", address, "--json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert found["stopped"]
-    assert found["evaluations"]["done"] + found["evaluations"]["diverged"] == 6 + 4
-    assert set(found["per_label"]) >= {"fat", "glandular"}
-    assert (place / "runs" / "store" / "volumes" / f"{found['best']['digest']}.zarr").is_dir()
-
-    # The same study elsewhere, with its own workers and store, stopped by Ctrl-C on the way.
+def interrupt_and_continue(place: Path) -> None:
+    """Run it with workers of its own, stopped by Ctrl-C on the way."""
     options = ["run", "small.yaml", "--study", "again/small", "--workers", "2"]
     started = subprocess.Popen(
         [*PALPATE, *options],
@@ -69,6 +64,31 @@ def test_a_run_on_an_existing_scheduler_and_one_interrupted_here_agree(place: Pa
     assert "To continue: palpate run small.yaml --study again/small" in err
     assert "Traceback" not in err
     assert len(told(place / "again" / "small")) < 10
+    run_to_the_end(place, *options)
 
-    assert palpate(place, *options).returncode == 0
+
+def run_to_the_end(place: Path, *command: str) -> None:
+    done = palpate(place, *command, "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["stopped"]
+    assert found["evaluations"]["done"] + found["evaluations"]["diverged"] == 6 + 4
+    assert set(found["per_label"]) >= {"fat", "glandular"}
+    store = place / found["store"]
+    assert (store / "volumes" / f"{found['best']['digest']}.zarr").is_dir()
+
+
+def test_an_interrupted_run_agrees_with_one_in_a_single_process(place: Path) -> None:
+    interrupt_and_continue(place)
+    study = Study(read_spec(place / "small.yaml"), place / "runs" / "small")
+    study.run(SingleProcess())
+    assert told(place / "again" / "small") == told(place / "runs" / "small")
+
+
+@pytest.mark.slow
+def test_a_run_on_an_existing_scheduler_and_one_interrupted_here_agree(place: Path) -> None:
+    with plain_cluster(place, workers=2) as address:
+        run_to_the_end(place, "run", "small.yaml", "--scheduler", address)
+    assert (place / "runs" / "store" / "volumes").is_dir()
+    interrupt_and_continue(place)
     assert told(place / "again" / "small") == told(place / "runs" / "small")

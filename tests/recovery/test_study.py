@@ -6,6 +6,7 @@ The reference is a run without any cluster, one candidate after the other.
 import gc
 import json
 import logging
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -76,7 +77,7 @@ def test_number_of_workers_changes_nothing(
     client.cluster.scale(workers)
     client.wait_for_workers(workers, timeout=60)
     while len(client.nthreads()) != workers:
-        pass
+        time.sleep(0.02)
     run(folder, Dispatcher(client))
     client.cluster.scale(2)
     assert told(folder) == reference
@@ -364,7 +365,7 @@ def test_an_observer_that_fails_is_dropped(
 def test_waiting_for_workers_has_an_end(client: Any, folder: Path) -> None:
     client.cluster.scale(0)
     while client.nthreads():
-        pass
+        time.sleep(0.02)
     try:
         with pytest.raises(ClusterError, match="no worker at"):
             run(folder, Dispatcher(client, no_worker_s=1.0))

@@ -24,7 +24,7 @@ TISSUE = Constants(0.1, 0.49)
 GRAVITY_G = (0.0, -60.0, 0.0)
 FLOOR = Box((-1, -1e-3, -1), (SIDE_MM + 1, 1e-3, SIDE_MM + 1))
 CELLS = (3, 6, 12, 24)
-NODES = (800, 2400, 7200, 21600)
+NODES = (800, 2400, 7200)
 
 
 def order(size: FloatArray, error: FloatArray) -> float:
@@ -80,8 +80,8 @@ def at_coarsest(nodes: FloatArray, moved: FloatArray) -> FloatArray:
 
 def test_a_smooth_displacement_tends_to_that_of_mixed_hexahedra() -> None:
     """Their own error falls with the square of the cell size and is extrapolated away."""
-    coarse, fine = (at_coarsest(*slumped_hexahedra(cells)) for cells in (6, 12))
-    truth = fine + (fine - coarse) / 3
+    coarse, fine = (at_coarsest(*slumped_hexahedra(cells)) for cells in (6, 9))
+    truth = fine + (fine - coarse) / ((9 / 6) ** 2 - 1)
     error = np.array(
         [np.linalg.norm(at_coarsest(*mesh) - truth, axis=1).mean() for mesh in slumped()]
     )

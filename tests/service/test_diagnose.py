@@ -160,14 +160,38 @@ def test_bodies_overlap_better_with_the_effect(
 # Workers, interruptions, and what is not computed again
 
 
-def test_two_workers_say_the_same_to_the_last_bit(
-    tilted: Path, diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis], tmp_path: Path
-) -> None:
+@pytest.fixture(scope="module")
+def by_two_workers(
+    tilted: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, DiagnosisRequest, FinishedDiagnosis]:
+    """The diagnosis of two workers; the folder of the case is gone before the first task."""
+    place = tmp_path_factory.mktemp("two")
+    folder = place / "case"
+    shutil.copytree(tilted, folder)
+    request = asked(folder, place / "store")
+    shutil.rmtree(folder)
     with open_cluster(workers=2) as cluster:
-        found = run(asked(tilted, tmp_path / "two"), Dispatcher(cluster.client))
+        return folder, request, run(request, Dispatcher(cluster.client))
+
+
+def test_two_workers_say_the_same_to_the_last_bit(
+    diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
+    by_two_workers: tuple[Path, DiagnosisRequest, FinishedDiagnosis],
+) -> None:
+    _, _, found = by_two_workers
     assert found.summary == diagnosed[1].summary
     for name, values in diagnosed[1].maps.items():
         np.testing.assert_array_equal(found.maps[name], values)
+
+
+def test_workers_need_the_store_and_nothing_else(
+    diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
+    by_two_workers: tuple[Path, DiagnosisRequest, FinishedDiagnosis],
+) -> None:
+    folder, request, found = by_two_workers
+    assert not folder.exists()
+    assert str(folder) not in repr(request)
+    assert found.summary == diagnosed[1].summary
 
 
 def test_the_order_of_tasks_leaves_no_trace(
@@ -321,20 +345,6 @@ def test_a_worker_of_another_version_is_refused(
         calibrate_nominal(request)
 
 
-def test_workers_need_the_store_and_nothing_else(
-    tilted: Path, diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis], tmp_path: Path
-) -> None:
-    """The folder of the case is gone before the first task is sent."""
-    folder = tmp_path / "case"
-    shutil.copytree(tilted, folder)
-    request = asked(folder, tmp_path / "store")
-    shutil.rmtree(folder)
-    with open_cluster(workers=2) as cluster:
-        found = run(request, Dispatcher(cluster.client))
-    assert str(folder) not in repr(request)
-    assert found.summary == diagnosed[1].summary
-
-
 def test_points_that_calibration_did_not_keep_are_no_part(
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
 ) -> None:
@@ -374,7 +384,7 @@ def test_the_command_writes_page_and_record(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
-    command = ["diagnose", str(tilted), "--nodes", str(NODES), "--workers", "1"]
+    command = ["diagnose", str(tilted), "--nodes", "600", "--workers", "1"]
     assert main(command) == 0
     said = capsys.readouterr()
     assert said.out.startswith("Model and data differ by ")

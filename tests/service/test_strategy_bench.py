@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -82,6 +83,31 @@ def test_the_chart_names_the_strategies_that_ran(tmp_path: Path) -> None:
     assert "cma" not in words
 
 
+class Here:
+    """In place of processes, each of which takes seconds to start."""
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        self.map = map
+
+    def __enter__(self) -> "Here":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def test_a_study_that_has_ended_is_read_and_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.strategy_bench.ProcessPoolExecutor", Here)
+    bench = Bench(targets=1, nodes=850, spacing_mm=2.0)
+    (first,) = measure(tmp_path, ["least-squares"], bench)
+    assert first.target == 0
+    assert first.evaluations > 0
+    assert list(measure(tmp_path, ["least-squares"], bench)) == [first]
+
+
+@pytest.mark.slow
 def test_studies_run_beside_each_other_and_come_in_order(tmp_path: Path) -> None:
     bench = Bench(targets=2, nodes=850, spacing_mm=2.0)
     beside = list(measure(tmp_path / "beside", ["least-squares"], bench, processes=2))

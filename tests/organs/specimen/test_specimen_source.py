@@ -33,8 +33,8 @@ NODES = 700
 
 def shown(force_n, gravity=1.0, stalk_mm=STALK_MM):
     """Displacements of markers on stalks, extrapolated from two finer meshes."""
-    rough, fine = (meshed(n, force_n, gravity, stalk_mm) for n in (5, 7))
-    return fine + (fine - rough) / ((7 / 5) ** 2 - 1)
+    rough, fine = (meshed(n, force_n, gravity, stalk_mm) for n in (4, 6))
+    return fine + (fine - rough) / ((6 / 4) ** 2 - 1)
 
 
 @cache

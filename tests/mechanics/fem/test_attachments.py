@@ -46,7 +46,7 @@ def test_attachment_falls_off_as_a_normal_distribution():
     across = np.sqrt(2 * np.pi) * r * erf(HALF / np.sqrt(2) / r)
     area = 6 * np.exp(-(HALF**2) / (2 * r**2)) * across**2
     patch = Attachment((1e-3,) * 3, (0.0, 0.0, HALF), r)
-    assert shift_mm((patch,), (12, 12, 12)) == pytest.approx(0.02 / (1e-3 * area), rel=0.02)
+    assert shift_mm((patch,), (8, 8, 8)) == pytest.approx(0.02 / (1e-3 * area), rel=0.02)
 
 
 def test_only_springs_along_the_force_count():

@@ -28,7 +28,7 @@ RUN useradd --create-home --uid 1000 palpate \
     && install --directory --owner palpate --group palpate /data /objects /home/palpate/.cache
 COPY --from=build /opt/palpate /opt/palpate
 
-# PYTHONSAFEPATH: a folder named `service` beside a study must not shadow the package.
+# PYTHONSAFEPATH: a folder beside a study must not shadow a package.
 # One thread per evaluation, the cores are used by more workers; memory that is freed is kept
 # for the next evaluation. Compiled kernels are
 # kept in the home folder, for the packages are not writable.

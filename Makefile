@@ -27,7 +27,7 @@ demo: $(READY)
 
 quick: $(READY)
 	$(BIN)/ruff check .
-	$(BIN)/pytest -q -m "not slow" -n 2 --dist loadfile tests/body tests/comparison tests/search tests/storage
+	$(BIN)/pytest -q -m "not slow" -n 2 --dist loadfile tests/workers/body tests/workers/comparison tests/service/search tests/storage
 
 test: lint
 	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile

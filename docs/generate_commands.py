@@ -16,7 +16,7 @@ def commands_page() -> str:
     """Return the help of every command as Markdown."""
     import typer
 
-    from service.cli import app
+    from palpate.service.cli import app
 
     lines = [HEAD]
     for path, command in _commands(typer.main.get_command(app), ()):

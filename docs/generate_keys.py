@@ -18,9 +18,9 @@ files. A key that is not listed is refused. `palpate new` writes a file of each 
 
 def keys_page() -> str:
     """Return the keys of every kind of file as Markdown."""
-    from service.spec import study_of
-    from workers.organs.breast.case_spec import CaseFile
-    from workers.organs.specimen.spec import SpecimenSpec
+    from palpate.service.study.spec import study_of
+    from palpate.workers.organs.breast.case.spec import CaseFile
+    from palpate.workers.organs.specimen.spec import SpecimenSpec
 
     files = (
         ("A study of a breast", study_of("breast")),

@@ -16,12 +16,12 @@ import numpy as np
 import typer
 
 from palpate import study_spec
-from service.cluster import open_cluster
-from service.dispatch import Dispatcher
-from service.results_reader import study_results
-from service.study import Study
-from workers.organs.cornea.cohort import TABLE_5_1, TABLE_5_2
-from workers.organs.registry import organ_named
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from palpate.service.results.read import study_results
+from palpate.service.study.loop import Study
+from palpate.workers.organs.cornea.solver.cohort import TABLE_5_1, TABLE_5_2
+from palpate.workers.organs.registry import organ_named
 
 CASE: dict[str, Any] = {"organ": "cornea", "mesh": {"elements": 960}}
 REPEATS = 5

@@ -52,16 +52,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from palpate.client import Job, Service, connect
     from palpate.diagnosis import Diagnosis, diagnose
-    from palpate.service import Job, Service, connect
+    from palpate.service.results.record import StudyResults
+    from palpate.service.study.observers.hooks import Observer
+    from palpate.service.study.spec import StudySpec
+    from palpate.storage.errors import InputError, PalpateError, StoreError
+    from palpate.storage.values import TetMesh, Tissue, Volume
     from palpate.study import Study, study_spec
     from palpate.vocabulary import parameters
     from palpate.volumes import read_volume, write_volume
-    from service.hooks import Observer
-    from service.results import StudyResults
-    from service.spec import StudySpec
-    from storage.errors import InputError, PalpateError, StoreError
-    from storage.values import TetMesh, Tissue, Volume
 
     __version__: str
 
@@ -71,22 +71,22 @@ _HOMES = {
     "Diagnosis": "palpate.diagnosis",
     "diagnose": "palpate.diagnosis",
     "parameters": "palpate.vocabulary",
-    "Job": "palpate.service",
-    "Service": "palpate.service",
-    "connect": "palpate.service",
+    "Job": "palpate.client",
+    "Service": "palpate.client",
+    "connect": "palpate.client",
     "Study": "palpate.study",
     "study_spec": "palpate.study",
     "read_volume": "palpate.volumes",
     "write_volume": "palpate.volumes",
-    "Observer": "service.hooks",
-    "StudyResults": "service.results",
-    "StudySpec": "service.spec",
-    "InputError": "storage.errors",
-    "PalpateError": "storage.errors",
-    "StoreError": "storage.errors",
-    "TetMesh": "storage.values",
-    "Tissue": "storage.values",
-    "Volume": "storage.values",
+    "Observer": "palpate.service.study.observers.hooks",
+    "StudyResults": "palpate.service.results.record",
+    "StudySpec": "palpate.service.study.spec",
+    "InputError": "palpate.storage.errors",
+    "PalpateError": "palpate.storage.errors",
+    "StoreError": "palpate.storage.errors",
+    "TetMesh": "palpate.storage.values",
+    "Tissue": "palpate.storage.values",
+    "Volume": "palpate.storage.values",
 }
 
 __all__ = [
@@ -114,9 +114,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    import_module("service")  # one thread a process, set before NumPy loads
+    import_module("palpate.service")  # one thread a process, set before NumPy loads
     if name == "__version__":
-        return import_module("service.versions").palpate_version()
+        return import_module("palpate.service.versions").palpate_version()
     if name not in _HOMES:
         raise AttributeError(f"module 'palpate' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)

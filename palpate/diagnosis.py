@@ -4,15 +4,15 @@ import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-from service.dask_diagnosis import run_and_tell
-from service.diagnosis.run import FinishedDiagnosis as Diagnosis
-from service.diagnosis.run import finished, request_for, with_caveats
-from service.errors import Interrupted
-from service.report.diagnosis_page import render
-from service.session import session
-from storage.atomic import write_file
-from workers.diagnosis.settings import SETTINGS
-from workers.tasks.sources import check_source, open_source, source_caveats
+from palpate.service.diagnosis.dask_observer import run_and_tell
+from palpate.service.diagnosis.run import FinishedDiagnosis as Diagnosis
+from palpate.service.diagnosis.run import finished, request_for, with_caveats
+from palpate.service.errors import Interrupted
+from palpate.service.report.diagnosis.page import render
+from palpate.service.study.session import session
+from palpate.storage.backends.atomic import write_file
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.tasks.sources import check_source, open_source, source_caveats
 
 __all__ = ["Diagnosis", "diagnose"]
 

@@ -9,22 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.diagnosis import Diagnosis, diagnose
-from service.errors import Interrupted
-from service.hooks import Observer
-from service.progress import progress_observer
-from service.report.study_data import read_study_data
-from service.report.study_page import write_report
-from service.results import StudyResults
-from service.results_reader import study_results
-from service.run_study import Entrance, run_study
-from service.session import session
-from service.spec import StudySpec, read_spec
-from service.study import Study as StudyLoop
-from service.study_log import read_study
-from storage.errors import InputError
-from storage.layout import StudyLayout
-from storage.values import Volume
-from workers.spec import validated
+from palpate.service.errors import Interrupted
+from palpate.service.report.study.data import read_study_data
+from palpate.service.report.study.page import write_report
+from palpate.service.results.read import study_results
+from palpate.service.results.record import StudyResults
+from palpate.service.run_study import Entrance, run_study
+from palpate.service.study.log import read_study
+from palpate.service.study.loop import Study as StudyLoop
+from palpate.service.study.observers.hooks import Observer
+from palpate.service.study.observers.progress import progress_observer
+from palpate.service.study.session import session
+from palpate.service.study.spec import StudySpec, read_spec
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import InputError
+from palpate.storage.values import Volume
+from palpate.workers.spec import validated
 
 if TYPE_CHECKING:
     from pandas import DataFrame

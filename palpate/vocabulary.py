@@ -1,7 +1,7 @@
 """The constants and effects that a study may hold or search."""
 
-from workers.mechanics.parameters import Parameter
-from workers.organs.registry import DEFAULT, organ_named
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.organs.registry import DEFAULT, organ_named
 
 
 def parameters(organ: str = DEFAULT) -> dict[str, Parameter]:

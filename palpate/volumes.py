@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from service.export import export_volume
-from storage.values import Volume
-from workers.body.images import read
+from palpate.service.export import export_volume
+from palpate.storage.values import Volume
+from palpate.workers.body.images import read
 
 
 def read_volume(

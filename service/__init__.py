@@ -1,3 +1,3 @@
 """Decides what is computed, has it computed, and reports the results."""
 
-import workers  # noqa: F401 - before NumPy loads: one thread
+import palpate.workers  # noqa: F401 - before NumPy loads: one thread

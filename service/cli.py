@@ -14,37 +14,25 @@ from typing import Annotated
 
 import typer
 
-from service.commands import (
-    bench,
-    blind,
-    certs,
-    diagnose,
-    doctor,
+from palpate.service.commands import open_
+from palpate.service.commands.diagnoses import diagnose, plan
+from palpate.service.commands.images import import_, import_case, mammogram, mesh, phantom
+from palpate.service.commands.machines import certs, doctor, serve, slurm, store, token
+from palpate.service.commands.settings import remember_command
+from palpate.service.commands.studies import (
     export,
-    import_,
-    import_case,
-    mammogram,
-    mesh,
     new,
-    open_,
     parameters,
-    phantom,
-    plan,
     profile,
     report,
     run,
-    serve,
     show,
     simulate,
-    slurm,
     status,
-    store,
     strategies,
-    thesis,
-    token,
 )
-from service.commands.settings import remember_command
-from storage.errors import PalpateError
+from palpate.service.commands.validation import bench, blind, thesis
+from palpate.storage.errors import PalpateError
 
 USERS_FAULT = 2
 NO_READER = 141
@@ -75,7 +63,7 @@ app = typer.Typer(
 
 def _print_version(requested: bool) -> None:
     if requested:
-        from service.versions import palpate_version
+        from palpate.service.versions import palpate_version
 
         typer.echo(f"palpate {palpate_version()}")
         raise typer.Exit

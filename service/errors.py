@@ -10,7 +10,7 @@
     Interrupted           the user asked to stop: no error; exit code 130
 """
 
-from storage.errors import PalpateError
+from palpate.storage.errors import PalpateError
 
 
 class ClusterError(PalpateError):

@@ -6,7 +6,7 @@ As JSON a constant is ``{"value": 10.0, "unit": "kPa"}`` under its name in a stu
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
-from workers.mechanics.parameters import Vocabulary
+from palpate.workers.mechanics.parameters import Vocabulary
 
 # Endings of names that state a unit, the longest first.
 SUFFIXES = {"_mm2": "mm2", "_mm": "mm", "_mj": "mJ", "_ml": "ml", "_kpa": "kPa", "_n": "N"}

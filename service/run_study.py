@@ -10,20 +10,20 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from service.errors import GenerationCrashError, Interrupted
-from service.preflight import preflight, preflight_task
-from service.run_log import logging_to
-from service.session import Session
-from service.study import Conclusion, Study
-from storage.errors import PalpateError
-from workers.organs.study_checks import Finding, caveats_of
+from palpate.service.errors import GenerationCrashError, Interrupted
+from palpate.service.study.loop import Conclusion, Study
+from palpate.service.study.observers.run_log import logging_to
+from palpate.service.study.preflight import preflight, preflight_task
+from palpate.service.study.session import Session
+from palpate.storage.errors import PalpateError
+from palpate.workers.organs.study_checks import Finding, caveats_of
 
 _log = logging.getLogger(__name__)
 
 
 def write_page(folder: Path, quick: bool) -> None:
     """Write the page of a study; a failure is logged and is no failure of the study."""
-    from service.report.study_page import write_report
+    from palpate.service.report.study.page import write_report
 
     try:
         write_report(folder, quick=quick)
@@ -83,7 +83,7 @@ def run_study(
     Interrupted
         If the user asks to stop; completed evaluations are saved.
     PalpateError
-        As `service.study.Study.run`.
+        As `service.study.loop.Study.run`.
     """
     if study.ended:
         return None

@@ -5,9 +5,9 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-import service.search
-import workers
-from storage.digest import source_digest
+from palpate import workers
+from palpate.service import search
+from palpate.storage.digest import source_digest
 
 PACKAGES = ("numpy", "scipy", "numba", "scikit-image", "zarr", "dask", "distributed", "cma")
 
@@ -15,7 +15,7 @@ PACKAGES = ("numpy", "scipy", "numba", "scikit-image", "zarr", "dask", "distribu
 @cache
 def code_digest() -> str:
     """Name of all source that a result depends on: the workers' and the search's."""
-    return source_digest([_folder(workers.__file__), _folder(service.search.__file__)])
+    return source_digest([_folder(workers.__file__), _folder(search.__file__)])
 
 
 def palpate_version() -> str:

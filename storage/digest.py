@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.plain import to_plain
+from palpate.storage.errors import InputError
+from palpate.storage.plain import to_plain
 
 LENGTH = 16
 

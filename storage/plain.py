@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from storage.errors import InputError
+from palpate.storage.errors import InputError
 
 _NUMBERS = {"-inf": -math.inf, "inf": math.inf, "nan": math.nan}
 

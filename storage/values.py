@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
+from palpate.storage.errors import InputError
 
 Triple = tuple[float, float, float]
 FloatArray = NDArray[np.float64]

@@ -1,24 +1,15 @@
-"""Helpers of a test room are imported by name from the room's own folder.
+"""Fixtures that several folders need: an object store, a bucket of it."""
 
-Fixtures that several rooms need: an object store, a bucket of it.
-"""
-
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-for room in sorted(Path(__file__).parent.rglob("*")):
-    if room.is_dir() and not room.name.startswith(("_", ".")):
-        sys.path.append(str(room))
 
 
 @pytest.fixture(scope="session")
 def object_server() -> Iterator[Any]:
     """A running S3 server; skips where one is missing."""
-    from object_server import started
+    from tests.storage.object_server import started
 
     server = started()
     yield server
@@ -28,7 +19,7 @@ def object_server() -> Iterator[Any]:
 @pytest.fixture
 def bucket(object_server: Any, monkeypatch: pytest.MonkeyPatch) -> str:
     """The address of an empty bucket, which this process and its children can reach."""
-    from object_server import set_environment
+    from tests.storage.object_server import set_environment
 
     set_environment(object_server.environment, monkeypatch)
     return f"s3://{object_server.new_bucket()}"
@@ -37,7 +28,7 @@ def bucket(object_server: Any, monkeypatch: pytest.MonkeyPatch) -> str:
 @pytest.fixture
 def stoppable_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A server of the test's own, which it may stop and start."""
-    from object_server import set_environment, started
+    from tests.storage.object_server import set_environment, started
 
     server = started()
     set_environment(server.environment, monkeypatch)

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from storage.errors import InputError
+from palpate.storage.errors import InputError
 
 _MERGE = "tag:yaml.org,2002:merge"
 

@@ -18,7 +18,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from distributed import Worker, WorkerPlugin, get_worker
 
-from workers import WORKER_ENVIRONMENT
+from palpate.workers import WORKER_ENVIRONMENT
 
 T = TypeVar("T")
 

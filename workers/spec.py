@@ -12,9 +12,9 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from storage.errors import InputError
-from workers.mechanics.parameters import Vocabulary, unknown_name
-from workers.missing_keys import (
+from palpate.storage.errors import InputError
+from palpate.workers.mechanics.parameters import Vocabulary, unknown_name
+from palpate.workers.missing_keys import (
     Pairs,
     errors_with_pairs,
     is_missing,

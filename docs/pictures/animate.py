@@ -22,16 +22,16 @@ from PIL import Image, ImageDraw, ImageFont
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from service.export.solved_body import solve_body  # noqa: E402
-from service.report.colour_scale import SIGNED, ColourScale  # noqa: E402
-from service.report.study_data import read_study_data  # noqa: E402
-from service.report.study_surfaces import study_surfaces  # noqa: E402
-from service.report.triangle_raster import NONE, front_triangles  # noqa: E402
-from service.spec import read_spec  # noqa: E402
-from service.study_log import read_study  # noqa: E402
-from storage.layout import StudyLayout  # noqa: E402
-from storage.records import EvaluationRecord  # noqa: E402
-from storage.values import FloatArray, IntArray  # noqa: E402
+from palpate.service.export.solved_body import solve_body  # noqa: E402
+from palpate.service.report.drawing.colour_scale import SIGNED, ColourScale  # noqa: E402
+from palpate.service.report.drawing.triangle_raster import NONE, front_triangles  # noqa: E402
+from palpate.service.report.study.data import read_study_data  # noqa: E402
+from palpate.service.report.study.surfaces import study_surfaces  # noqa: E402
+from palpate.service.study.log import read_study  # noqa: E402
+from palpate.service.study.spec import read_spec  # noqa: E402
+from palpate.storage.backends.layout import StudyLayout  # noqa: E402
+from palpate.storage.records.record import EvaluationRecord  # noqa: E402
+from palpate.storage.values import FloatArray, IntArray  # noqa: E402
 
 WIDTH, HEIGHT, SMOOTH = 720, 400, 2
 BACKGROUND, INK, PLATE = (255, 255, 255), (40, 40, 40), (120, 130, 140)

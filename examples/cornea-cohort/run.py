@@ -20,14 +20,14 @@ import numpy as np
 import typer
 
 from palpate import StudySpec, study_spec
-from service.cluster import open_cluster
-from service.dispatch import Dispatcher
-from service.results import StudyResults
-from service.results_reader import study_results
-from service.study import Study
-from storage.errors import InputError
-from storage.stores import open_store
-from workers.organs.cornea.cohort import (
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from palpate.service.results.read import study_results
+from palpate.service.results.record import StudyResults
+from palpate.service.study.loop import Study
+from palpate.storage.errors import InputError
+from palpate.storage.stores.store import open_store
+from palpate.workers.organs.cornea.solver.cohort import (
     AVERAGE_CORNEA_JC,
     AVERAGE_CORNEA_MHD_UM,
     PRINTED_AVERAGE,
@@ -35,8 +35,8 @@ from workers.organs.cornea.cohort import (
     CohortEye,
     OgdenConstants,
 )
-from workers.organs.organ import Scores
-from workers.organs.registry import organ_named
+from palpate.workers.organs.organ import Scores
+from palpate.workers.organs.registry import organ_named
 
 # A cornea is thicker at the limbus; the table prints the centre alone.
 THICKER_AT_LIMBUS_MM = 0.105

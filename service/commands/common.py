@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.commands.settings import RUNS
-from storage.errors import InputError
+from palpate.service.commands.settings import RUNS
+from palpate.storage.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from service.spec import StudySpec
-    from workers.organs.study_checks import Finding
+    from palpate.service.study.spec import StudySpec
+    from palpate.workers.organs.study_checks import Finding
 
 AllOption = Annotated[
     bool, typer.Option("--all", help="Also show constants at their neutral values.")
@@ -75,7 +75,7 @@ def print_findings(findings: "Iterable[Finding]") -> None:
 
 def print_json(value: Any) -> None:
     """Print one record, readable by people as well; infinities as the texts "-inf" and "inf"."""
-    from storage.plain import to_plain
+    from palpate.storage.plain import to_plain
 
     typer.echo(json.dumps(to_plain(value), indent=2, ensure_ascii=False, allow_nan=False))
 
@@ -93,7 +93,7 @@ def find_study(given: Path | None) -> Path:
     if given.is_dir():
         return given
     if given.is_file():
-        from service.spec import read_spec
+        from palpate.service.study.spec import read_spec
 
         return RUNS / read_spec(given).name
     if (RUNS / given).is_dir():
@@ -110,8 +110,8 @@ def load_spec(given: Path) -> "StudySpec":
     InputError
         If there is none, or it makes no sense.
     """
-    from service.spec import read_spec
-    from storage.layout import StudyLayout
+    from palpate.service.study.spec import read_spec
+    from palpate.storage.backends.layout import StudyLayout
 
     return read_spec(StudyLayout(given).study if given.is_dir() else given)
 
@@ -148,7 +148,7 @@ def _latest() -> Path:
 
 def _studies() -> list[Path]:
     """Return the folders with a journal, the one written last at the end."""
-    from storage.layout import StudyLayout
+    from palpate.storage.backends.layout import StudyLayout
 
     if not RUNS.is_dir():
         return []

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from service.spec import StudySpec
+    from palpate.service.study.spec import StudySpec
 
 
 def print_understood(source: Path) -> None:
@@ -17,8 +17,8 @@ def print_understood(source: Path) -> None:
     InputError
         If the file does not make sense.
     """
-    from service.commands.tables import make_console, print_table
-    from workers.tasks.sources import understood
+    from palpate.service.commands.tables import make_console, print_table
+    from palpate.workers.tasks.sources import understood
 
     rows = understood(source)
     if not rows:
@@ -28,7 +28,7 @@ def print_understood(source: Path) -> None:
 
 def print_understood_study(spec: "StudySpec", console: "Console") -> None:
     """Print the physics that a study rests on, its defaults included."""
-    from service.commands.tables import print_table
+    from palpate.service.commands.tables import print_table
 
     rows = spec.case.understood([parameter["name"] for parameter in spec.free_parameters])
     if rows:

@@ -5,9 +5,9 @@ from contextlib import contextmanager
 
 import typer
 
-from service.commands.settings import this_command
-from service.errors import Interrupted
-from service.interrupts import stop_requests
+from palpate.service.commands.settings import this_command
+from palpate.service.errors import Interrupted
+from palpate.service.interrupts import stop_requests
 
 __all__ = ["INTERRUPTED", "interrupted", "interruptible", "stop_requests"]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import typer
 
-from service.commands.common import StudyArgument, find_study
+from palpate.service.commands.common import StudyArgument, find_study
 
 
 def open_(study: StudyArgument = None) -> None:
@@ -22,7 +22,7 @@ def open_(study: StudyArgument = None) -> None:
 
 def _page(folder: Path) -> Path:
     """Return the page in a folder, newer than what it tells of."""
-    from storage.layout import StudyLayout
+    from palpate.storage.backends.layout import StudyLayout
 
     layout = StudyLayout(folder.absolute())
     for other in ("diagnosis.html", "plan.html"):
@@ -30,7 +30,7 @@ def _page(folder: Path) -> Path:
             return layout.root / other
     if _is_newer(layout.report, layout.journal):
         return layout.report
-    from service.report.study_page import write_report
+    from palpate.service.report.study.page import write_report
 
     return write_report(layout.root)
 

@@ -16,11 +16,11 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from storage.errors import InputError
-from storage.places import Place, place_of
+from palpate.storage.backends.places import Place, place_of
+from palpate.storage.errors import InputError
 
 if TYPE_CHECKING:
-    from service.worker_range import Workers
+    from palpate.service.cluster.worker_range import Workers
 
 STORE, SCHEDULER, WORKERS = "PALPATE_STORE", "PALPATE_SCHEDULER", "PALPATE_WORKERS"
 RUNS = Path("runs")
@@ -73,8 +73,8 @@ def cluster_options(
     ClusterError
         If the scheduler's address is none.
     """
-    from service.scheduler_address import host_and_port
-    from service.worker_range import read_workers
+    from palpate.service.cluster.scheduler_address import host_and_port
+    from palpate.service.cluster.worker_range import read_workers
 
     option = "--workers "
     if scheduler is None and workers is None:

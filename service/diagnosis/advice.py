@@ -2,9 +2,9 @@
 
 from itertools import combinations
 
-from service.diagnosis.words import NOT_EFFECTS, listed, spoken, together
-from workers.diagnosis.planning.summary import PlanSummary
-from workers.diagnosis.summary import NextAcquisition, Summary
+from palpate.service.diagnosis.words import NOT_EFFECTS, listed, spoken, together
+from palpate.workers.diagnosis.schema.plan import PlanSummary
+from palpate.workers.diagnosis.schema.summary import NextAcquisition, Summary
 
 # Measurements that are worth a line.
 SHOWN = 4

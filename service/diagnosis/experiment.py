@@ -3,9 +3,9 @@
 import math
 from collections.abc import Iterator, Mapping
 
-from service.diagnosis.words import difference, least_length, measured, spoken
-from service.formatting import NONE, number
-from workers.diagnosis.summary import Summary
+from palpate.service.diagnosis.words import difference, least_length, measured, spoken
+from palpate.service.formatting import NONE, number
+from palpate.workers.diagnosis.schema.summary import Summary
 
 # A relative change of a constant that is not worth a line.
 SMALL = 0.02

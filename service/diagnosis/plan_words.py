@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Literal
 
-from service.diagnosis.words import listed, spoken, together
-from service.formatting import NONE, number
-from workers.diagnosis.planning.summary import (
+from palpate.service.diagnosis.words import listed, spoken, together
+from palpate.service.formatting import NONE, number
+from palpate.workers.diagnosis.schema.plan import (
     FurtherMeasurement,
     ParameterPlan,
     PlannedEffect,

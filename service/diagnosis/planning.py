@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from service.dispatch import Dispatcher, value_of
-from storage.places import Location
-from workers.diagnosis.planning.summary import PlanSummary
-from workers.diagnosis.settings import SETTINGS
-from workers.organs.study_checks import Finding
-from workers.tasks.planning import (
+from palpate.service.cluster.dispatch import Dispatcher, value_of
+from palpate.storage.backends.places import Location
+from palpate.workers.diagnosis.schema.plan import PlanSummary
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.organs.study_checks import Finding
+from palpate.workers.tasks.planning import (
     LoadRecord,
     PlanRequest,
     analyse_load,
@@ -16,8 +16,8 @@ from workers.tasks.planning import (
     named,
     weigh_plan,
 )
-from workers.tasks.sources import add_source, check_nodes, check_source, open_planned
-from workers.tasks.task_store import TaskStore
+from palpate.workers.tasks.sources import add_source, check_nodes, check_source, open_planned
+from palpate.workers.tasks.task_store import TaskStore
 
 PlanObserver = Callable[[int, int, LoadRecord | None], object]
 """Called with the loads that are done, all of them, and the last one; None at the beginning."""

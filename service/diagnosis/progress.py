@@ -6,10 +6,14 @@ import time
 from rich.console import Console
 from rich.status import Status
 
-from service.diagnosis.run import Step
-from service.formatting import number
-from service.progress import clock
-from workers.tasks.diagnosis_store import CalibrationRecord, JointFitRecord, PreparationRecord
+from palpate.service.diagnosis.run import Step
+from palpate.service.formatting import number
+from palpate.service.study.observers.progress import clock
+from palpate.workers.tasks.diagnosis_store import (
+    CalibrationRecord,
+    JointFitRecord,
+    PreparationRecord,
+)
 
 LINE_EVERY_S = 10.0
 _PHASES = {

@@ -4,12 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from service.formatting import listed, number, signed_error
-from service.identification import WEAK_PART
-from service.quotable import Bounds, EstimateFacts, Identifiable, Quotability, quotability
-from storage.typed_json import to_json
-from workers.diagnosis.summary import ConstantEstimate, Summary
-from workers.diagnosis.verdict import NO_GAP
+from palpate.service.formatting import listed, number, signed_error
+from palpate.service.results.identification import WEAK_PART
+from palpate.service.results.quotable import (
+    Bounds,
+    EstimateFacts,
+    Identifiable,
+    Quotability,
+    quotability,
+)
+from palpate.storage.records.typed_json import to_json
+from palpate.workers.diagnosis.schema.summary import ConstantEstimate, Summary
+from palpate.workers.diagnosis.verdict.verdict import NO_GAP
 
 # A constant that an effect changes by less is the same with and without it.
 SAME = 0.05

@@ -10,18 +10,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from service.dispatch import Ending, Task, TaskCalls, value_of
-from service.errors import TaskError
-from storage.arrays import Arrays
-from storage.places import Location
-from workers.diagnosis.settings import SETTINGS
-from workers.diagnosis.source import Source
-from workers.diagnosis.summary import Summary
-from workers.mechanics.effects.inclusion import INCLUSION
-from workers.mechanics.effects.local_attachment import LOCAL_ATTACHMENT
-from workers.mechanics.effects.plate_edge import PLATE_EDGE
-from workers.mechanics.effects.plate_friction import FRICTION
-from workers.tasks.diagnosis import (
+from palpate.service.cluster.dispatch import Ending, Task, TaskCalls, value_of
+from palpate.service.errors import TaskError
+from palpate.storage.backends.places import Location
+from palpate.storage.stores.arrays import Arrays
+from palpate.workers.diagnosis.outcome.source import Source
+from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.inclusion import INCLUSION
+from palpate.workers.mechanics.effects.local_attachment import LOCAL_ATTACHMENT
+from palpate.workers.mechanics.effects.plate_edge import PLATE_EDGE
+from palpate.workers.mechanics.effects.plate_friction import FRICTION
+from palpate.workers.tasks.diagnosis import (
     analyse_effect,
     calibrate_nominal,
     fit_effects,
@@ -29,7 +29,7 @@ from workers.tasks.diagnosis import (
     read_noise_again,
     weigh_hypotheses,
 )
-from workers.tasks.diagnosis_store import (
+from palpate.workers.tasks.diagnosis_store import (
     CalibrationRecord,
     DiagnosisRequest,
     DiagnosisStore,
@@ -37,8 +37,8 @@ from workers.tasks.diagnosis_store import (
     Outcome,
     named,
 )
-from workers.tasks.sources import add_source, check_nodes, open_source
-from workers.tasks.task_store import TaskStore
+from palpate.workers.tasks.sources import add_source, check_nodes, open_source
+from palpate.workers.tasks.task_store import TaskStore
 
 # What takes longest comes first, so that nobody waits for it at the end.
 LONG = {PLATE_EDGE.name, FRICTION.name, INCLUSION.name, LOCAL_ATTACHMENT.name}
@@ -72,7 +72,7 @@ Observer = Callable[[Step], object]
 
 
 class Workers(Protocol):
-    """Who does the work: a `service.dispatch.Dispatcher`, or one process alone."""
+    """Who does the work: a `service.cluster.dispatch.Dispatcher`, or one process alone."""
 
     @property
     def threads(self) -> int:

@@ -4,16 +4,16 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
-from service.formatting import MINUS, NONE, number
-from workers.diagnosis.settings import SETTINGS
-from workers.diagnosis.summary import (
+from palpate.service.formatting import MINUS, NONE, number
+from palpate.workers.diagnosis.schema.summary import (
     EffectSummary,
     GapEstimate,
     GapSummary,
     ParameterEstimate,
     Summary,
 )
-from workers.mechanics.readings import ShownMagnitude
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.readings import ShownMagnitude
 
 MOST_DIGITS = 4
 # Bayes factors beyond this are not told apart by a reader.

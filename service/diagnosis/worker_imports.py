@@ -1,4 +1,4 @@
-"""What every worker of a diagnosis does before its first task; see `service.fork_server`.
+"""What every worker of a diagnosis does before its first task; see `service.cluster.fork_server`.
 
 Imports take 1.2 s, the digest of their code 0.2 s, and the first kernel, whichever it is, 0.25 s:
 with it numba sets up its compiler.
@@ -6,9 +6,9 @@ with it numba sets up its compiler.
 
 import numpy as np
 
-import workers.tasks.diagnosis  # noqa: F401
-from workers.body.mesh.incidence import elements_of_nodes
-from workers.tasks.diagnosis_store import diagnosis_code
+import palpate.workers.tasks.diagnosis  # noqa: F401
+from palpate.workers.body.mesh.incidence import elements_of_nodes
+from palpate.workers.tasks.diagnosis_store import diagnosis_code
 
 diagnosis_code("scanned case")
 elements_of_nodes(np.zeros((1, 4), np.int32), 1)

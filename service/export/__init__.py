@@ -11,8 +11,8 @@
 What another solver is told stands in `solver_model.py`, once for both.
 """
 
-from service.export.stored import TISSUE_NAMES, export_stored_mesh, export_volume
-from service.export.suffixes import MESH_SUFFIXES, VOLUME_SUFFIXES, check_suffix
+from palpate.service.export.stored import TISSUE_NAMES, export_stored_mesh, export_volume
+from palpate.service.export.suffixes import MESH_SUFFIXES, VOLUME_SUFFIXES, check_suffix
 
 __all__ = [
     "MESH_SUFFIXES",

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from service.export.solver_model import Material, SolverModel
-from storage.atomic import explained, write_file
+from palpate.service.export.solver_model import Material, SolverModel
+from palpate.storage.backends.atomic import explained, write_file
 
 # In exp(k2 x^2): so small that the exponential is a square.
 K2 = 1e-4

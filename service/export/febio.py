@@ -15,8 +15,8 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from service.export.solver_model import Fibres, Material, SolverModel
-from storage.atomic import explained, write_file
+from palpate.service.export.solver_model import Fibres, Material, SolverModel
+from palpate.storage.backends.atomic import explained, write_file
 
 STEPS = 10
 # U(J) = k/2 (J - 1)^2, the third of FEBio's pressure models.

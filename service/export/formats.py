@@ -3,15 +3,15 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from service.export.calculix import export_calculix
-from service.export.febio import export_febio
-from service.export.mesh_file import export_solved_mesh
-from service.export.solved_body import SolvedBody
-from service.export.solver_model import comparable, solver_model
-from service.export.stored import TISSUE_NAMES, export_volume
-from service.export.suffixes import SOLVER_SUFFIXES, SURFACE_SUFFIXES, VOLUME_SUFFIXES
-from service.export.surface_file import export_surface
-from workers.body.mesh.boundary import boundary_triangles
+from palpate.service.export.calculix import export_calculix
+from palpate.service.export.febio import export_febio
+from palpate.service.export.mesh_file import export_solved_mesh
+from palpate.service.export.solved_body import SolvedBody
+from palpate.service.export.solver_model import comparable, solver_model
+from palpate.service.export.stored import TISSUE_NAMES, export_volume
+from palpate.service.export.suffixes import SOLVER_SUFFIXES, SURFACE_SUFFIXES, VOLUME_SUFFIXES
+from palpate.service.export.surface_file import export_surface
+from palpate.workers.body.mesh.boundary import boundary_triangles
 
 
 def export_solved(paths: Iterable[Path], body: SolvedBody, *, as_told: bool = False) -> SolvedBody:

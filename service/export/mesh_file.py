@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from service.export.solved_body import SolvedBody
-from storage.meshes import export_mesh
-from storage.values import FloatArray, TetMesh
+from palpate.service.export.solved_body import SolvedBody
+from palpate.storage.stores.meshes import export_mesh
+from palpate.storage.values import FloatArray, TetMesh
 
 # ParaView and Gmsh order a symmetric tensor so when they are given six numbers a cell.
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))

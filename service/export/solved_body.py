@@ -5,17 +5,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from storage.errors import InputError
-from storage.stores import open_store
-from storage.task_records import SpecJson
-from storage.values import FloatArray, Volume
-from workers.mechanics.fem.element_fields import ElementFields, element_fields
-from workers.mechanics.fem.level import Level
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.solve import Equilibrium, equilibrium
-from workers.tasks.body_store import BodyStore
-from workers.tasks.evaluation import case_of, case_organ, make_target, prepare_case
-from workers.tasks.pipeline import Setup
+from palpate.storage.errors import InputError
+from palpate.storage.records.tasks import SpecJson
+from palpate.storage.stores.store import open_store
+from palpate.storage.values import FloatArray, Volume
+from palpate.workers.mechanics.fem.equilibrium.element_fields import ElementFields, element_fields
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.linear.level import Level
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.tasks.body_store import BodyStore
+from palpate.workers.tasks.evaluation import case_of, case_organ, make_target, prepare_case
+from palpate.workers.tasks.pipeline import Setup
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.export.solved_body import SolvedBody
-from storage.values import BoolArray, FloatArray, IntArray, Tissue
-from workers.mechanics.fem.element_energy import deformation_gradients
-from workers.mechanics.fem.external_forces import stated_springs
-from workers.mechanics.fem.problem import Problem
+from palpate.service.export.solved_body import SolvedBody
+from palpate.storage.values import BoolArray, FloatArray, IntArray, Tissue
+from palpate.workers.mechanics.fem.elements.element_energy import deformation_gradients
+from palpate.workers.mechanics.fem.elements.external_forces import stated_springs
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 
 # More materials than this are thinned out: their constants are rounded to fewer digits.
 MOST_MATERIALS = 300

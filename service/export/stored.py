@@ -6,13 +6,13 @@ from pathlib import Path
 import nrrd
 import numpy as np
 
-from storage.atomic import explained, replacing
-from storage.meshes import export_mesh, load_mesh
-from storage.stores import Store
-from storage.values import Tissue, Volume
-from workers.body.images.labels import label_counts
-from workers.body.images.nrrd_file import FRAME_KEY, PLACE_KEY
-from workers.body.mesh.hierarchy import from_arrays
+from palpate.storage.backends.atomic import explained, replacing
+from palpate.storage.stores.meshes import export_mesh, load_mesh
+from palpate.storage.stores.store import Store
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.body.images.labels import label_counts
+from palpate.workers.body.images.nrrd_file import FRAME_KEY, PLACE_KEY
+from palpate.workers.body.mesh.hierarchy import from_arrays
 
 TISSUE_NAMES = {int(tissue): tissue.name.capitalize() for tissue in Tissue if tissue}
 """Names of the labels of a tissue volume; 0 is background everywhere."""

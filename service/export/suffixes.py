@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from storage.errors import InputError
+from palpate.storage.errors import InputError
 
 VOLUME_SUFFIXES = (".nrrd",)
 MESH_SUFFIXES = (".vtu", ".vtk", ".msh")

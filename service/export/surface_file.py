@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.atomic import explained, write_file
-from storage.values import FloatArray, IntArray
+from palpate.storage.backends.atomic import explained, write_file
+from palpate.storage.values import FloatArray, IntArray
 
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
 

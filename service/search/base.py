@@ -20,9 +20,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from service.search.space import FloatArray, Space
-from storage.errors import InputError
-from storage.task_records import FitJson
+from palpate.service.search.space import FloatArray, Space
+from palpate.storage.errors import InputError
+from palpate.storage.records.tasks import FitJson
 
 __all__ = ["FloatArray", "Generation", "Proposal", "Search", "Space", "Stopped"]
 

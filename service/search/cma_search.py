@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from service.search.base import Generation, Proposal, Stopped
-from service.search.log_space import LogSpace
-from service.search.space import FloatArray, Space
-from service.search.stall import Stall
+from palpate.service.search.base import Generation, Proposal, Stopped
+from palpate.service.search.log_space import LogSpace
+from palpate.service.search.space import FloatArray, Space
+from palpate.service.search.stall import Stall
 
 FIRST_SIGMA = 0.3
 # CMA-ES keeps no elite: with small populations its best candidate rests for many generations.

@@ -16,9 +16,9 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from service.search.log_space import LogSpace
-from service.search.space import FloatArray
-from storage.task_records import FitJson
+from palpate.service.search.log_space import LogSpace
+from palpate.service.search.space import FloatArray
+from palpate.storage.records.tasks import FitJson
 
 # The first step changes no constant by more than a factor of two; later ones e^2 at most.
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.7, 2.0, 1e-4

@@ -18,8 +18,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from service.search.base import Generation, Proposal, Stopped
-from service.search.operators import (
+from palpate.service.search.base import Generation, Proposal, Stopped
+from palpate.service.search.operators import (
     AdaptiveFeasible,
     Initial,
     Mutation,
@@ -29,9 +29,9 @@ from service.search.operators import (
     stochastic_uniform,
     uniform_population,
 )
-from service.search.space import FloatArray, Space
-from service.search.stall import Stall
-from storage.errors import InputError
+from palpate.service.search.space import FloatArray, Space
+from palpate.service.search.stall import Stall
+from palpate.storage.errors import InputError
 
 
 @dataclass(frozen=True)

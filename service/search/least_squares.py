@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.search.base import Generation, Proposal, Stopped
-from service.search.descent import Descent, SquaredSum, Tolerance, advance, begin
-from service.search.log_space import LogSpace
-from service.search.space import FloatArray, Space
-from storage.errors import InputError
-from storage.task_records import FitJson
+from palpate.service.search.base import Generation, Proposal, Stopped
+from palpate.service.search.descent import Descent, SquaredSum, Tolerance, advance, begin
+from palpate.service.search.log_space import LogSpace
+from palpate.service.search.space import FloatArray, Space
+from palpate.storage.errors import InputError
+from palpate.storage.records.tasks import FitJson
 
 # Starts beside the middle lie in this part of the box, where simulations converge.
 START_RANGE = (0.15, 0.85)

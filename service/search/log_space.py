@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.search.space import FloatArray, Space
+from palpate.service.search.space import FloatArray, Space
 
 
 @dataclass(frozen=True)

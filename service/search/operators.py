@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from service.search.space import FloatArray, Space
-from storage.errors import InputError
+from palpate.service.search.space import FloatArray, Space
+from palpate.storage.errors import InputError
 
 IndexArray = NDArray[np.intp]
 Initial = Callable[[np.random.Generator, int, Space], FloatArray]
@@ -162,7 +162,7 @@ class AdaptiveFeasible:
     -----
     The defaults were picked by hand from seven settings, after the median and the
     90 % quantile of 30 runs of 15 and of 40 generations on the functions of
-    ``tests/search/test_convergence.py``. They are no constants of MATLAB's.
+    ``tests/service/search/test_convergence.py``. They are no constants of MATLAB's.
     """
 
     initial: float = 0.25
@@ -237,6 +237,6 @@ class Gaussian:
         return space.from_unit(reflect(space.to_unit(parents) + noise))
 
 
-#: What a study file may name; see `service.spec.SearchSpec`.
+#: What a study file may name; see `service.study.spec.SearchSpec`.
 INITIAL: dict[str, Initial] = {"uniform": uniform_population, "latin-hypercube": latin_hypercube}
 MUTATIONS: dict[str, Mutation] = {"adaptive-feasible": AdaptiveFeasible(), "gaussian": Gaussian()}

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.search.base import Generation, Proposal, Stopped
-from service.search.genetic import GeneticSearch
-from service.search.least_squares import LeastSquaresSearch
-from service.search.space import FloatArray
+from palpate.service.search.base import Generation, Proposal, Stopped
+from palpate.service.search.genetic import GeneticSearch
+from palpate.service.search.least_squares import LeastSquaresSearch
+from palpate.service.search.space import FloatArray
 
 # Candidates that are nearer than this part of every searched interval are one start.
 SAME_START = 0.05

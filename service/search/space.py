@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
+from palpate.storage.errors import InputError
 
 FloatArray = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from service.search.space import FloatArray
-from storage.errors import InputError
+from palpate.service.search.space import FloatArray
+from palpate.storage.errors import InputError
 
 Rule = Literal["relative", "weighted"]
 

@@ -16,11 +16,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.search.base import FloatArray, Space, Stopped
-from service.search.genetic import GeneticSettings
-from service.search.operators import Progress, rank_expectation, scattered_crossover
-from service.search.operators import stochastic_uniform as selected
-from storage.errors import InputError
+from palpate.service.search.base import FloatArray, Space, Stopped
+from palpate.service.search.genetic import GeneticSettings
+from palpate.service.search.operators import Progress, rank_expectation, scattered_crossover
+from palpate.service.search.operators import stochastic_uniform as selected
+from palpate.storage.errors import InputError
 
 
 class Pool:

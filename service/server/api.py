@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from service.server.home import NAME_PATTERN
+from palpate.service.server.jobs.home import NAME_PATTERN
 
 PREFIX = "/api/v1"
 

@@ -5,18 +5,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.server.bodies import BodiesMaker
-from service.server.cluster_load import ClusterLoad
-from service.server.home import ServiceHome
-from service.server.job_progress import ProgressBook
-from service.server.limits import Limits
-from service.server.queue import Queue
-from service.server.runner import OpenCluster, Runner
-from service.server.tokens import Tokens
-from service.server.uploads import Uploads
-from service.study import Tasks
-from storage.places import Location, place_of
-from storage.stores import Store, open_store
+from palpate.service.server.jobs.home import ServiceHome
+from palpate.service.server.jobs.limits import Limits
+from palpate.service.server.jobs.queue import Queue
+from palpate.service.server.jobs.runner import OpenCluster, Runner
+from palpate.service.server.jobs.tokens import Tokens
+from palpate.service.server.jobs.uploads import Uploads
+from palpate.service.server.live.bodies import BodiesMaker
+from palpate.service.server.live.cluster_load import ClusterLoad
+from palpate.service.server.live.job_progress import ProgressBook
+from palpate.service.study.loop import Tasks
+from palpate.storage.backends.places import Location, place_of
+from palpate.storage.stores.store import Store, open_store
 
 
 @dataclass(frozen=True, eq=False)

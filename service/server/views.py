@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from service.server.api import Best, Evaluations, JobView, Phase, State
-from service.server.home import inside
-from service.server.job_progress import JobProgress
-from service.server.queue import Job
-from service.server.service import Service
-from service.study_count import left_s
-from storage.errors import PalpateError, StoreError
-from storage.plain import to_plain
+from palpate.service.server.api import Best, Evaluations, JobView, Phase, State
+from palpate.service.server.jobs.home import inside
+from palpate.service.server.jobs.queue import Job
+from palpate.service.server.live.job_progress import JobProgress
+from palpate.service.server.service import Service
+from palpate.service.study.count import left_s
+from palpate.storage.errors import PalpateError, StoreError
+from palpate.storage.plain import to_plain
 
 ENDED = ("finished", "failed", "cancelled")
 FILES = {

@@ -5,15 +5,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from service.formatting import count, duration
-from service.report.template import filled
-from service.thesis import printed
-from service.thesis.chapters import coefficients, mammograms, meshes, search, sensitivity
-from service.thesis.page import Chapter
-from service.thesis.results import ThesisResults
-from service.thesis.verdict import Verdict
-from service.thesis.verdicts import verdicts
-from service.versions import palpate_version
+from palpate.service.formatting import count, duration
+from palpate.service.report.page.template import filled
+from palpate.service.thesis import printed
+from palpate.service.thesis.chapters import coefficients, mammograms, meshes, search, sensitivity
+from palpate.service.thesis.page import Chapter
+from palpate.service.thesis.results import ThesisResults
+from palpate.service.thesis.verdict import Verdict
+from palpate.service.thesis.verdicts import verdicts
+from palpate.service.versions import palpate_version
 
 SCALES = {
     "sketch": "A sketch: coarse voxels, few candidates, two phantoms. Its numbers mean little.",

@@ -9,15 +9,15 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from service.formatting import label
-from service.report.canvas import SMALL_PT, TEXT_PT, calm, figure, legend
-from service.report.palette import BLUE, GREY, INK, ORANGE, SOFT_INK, VERMILION
-from service.thesis import printed
-from service.thesis.results import FoundSearch, Varied
-from workers.comparison.coefficients.coefficients import HAUSDORFF_NAMES
-from workers.thesis.cylinder import CylinderRow
-from workers.thesis.mesh_quality import BINS, MEASURES, RANGES, QualityRow
-from workers.thesis.selection import Selection
+from palpate.service.formatting import label
+from palpate.service.report.drawing.canvas import SMALL_PT, TEXT_PT, calm, figure, legend
+from palpate.service.report.drawing.palette import BLUE, GREY, INK, ORANGE, SOFT_INK, VERMILION
+from palpate.service.thesis import printed
+from palpate.service.thesis.results import FoundSearch, Varied
+from palpate.workers.comparison.coefficients.coefficients import HAUSDORFF_NAMES
+from palpate.workers.thesis.cylinder import CylinderRow
+from palpate.workers.thesis.mesh_quality import BINS, MEASURES, RANGES, QualityRow
+from palpate.workers.thesis.selection import Selection
 
 WIDTH_IN = 10.4
 TARGET_LINE: Mapping[str, Any] = {"color": INK, "linewidth": 1.1, "linestyle": (0, (2, 2))}

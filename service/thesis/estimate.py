@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 
-from service.formatting import duration
-from service.thesis.experiments import phases_of
-from service.thesis.run import ThesisRequest
-from service.thesis.search import SearchRun
-from workers.tasks.thesis.parts import Request, machine
+from palpate.service.formatting import duration
+from palpate.service.thesis.experiments import phases_of
+from palpate.service.thesis.run import ThesisRequest
+from palpate.service.thesis.search import SearchRun
+from palpate.workers.tasks.thesis.parts import Request, machine
 
 RECORDED = Path(__file__).with_name("recorded_seconds.json")
 

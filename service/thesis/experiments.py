@@ -16,8 +16,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from workers.body.mesh.adaptive.tetwild import has_tetwild
-from workers.tasks.thesis.coefficients import (
+from palpate.workers.body.mesh.adaptive.tetwild import has_tetwild
+from palpate.workers.tasks.thesis.coefficients import (
     Bend,
     Compare,
     Turn,
@@ -25,8 +25,8 @@ from workers.tasks.thesis.coefficients import (
     compare_bars,
     turn_cylinder,
 )
-from workers.tasks.thesis.mammograms import Expose, take_mammograms
-from workers.tasks.thesis.meshes import (
+from palpate.workers.tasks.thesis.mammograms import Expose, take_mammograms
+from palpate.workers.tasks.thesis.meshes import (
     ComparePressed,
     Measure,
     Press,
@@ -34,14 +34,14 @@ from workers.tasks.thesis.meshes import (
     measure_mesh,
     press_phantom,
 )
-from workers.tasks.thesis.parts import Request, Spent
-from workers.tasks.thesis.sensitivity import Vary, vary_constant
-from workers.thesis.bar import DEFORMATIONS
-from workers.thesis.compression import AXES, LawName
-from workers.thesis.identification import TARGETS, TargetName, bounds_of
-from workers.thesis.mesh_quality import MeshKind, kinds_at
-from workers.thesis.phantoms import NUMBERS
-from workers.thesis.scale import Scale
+from palpate.workers.tasks.thesis.parts import Request, Spent
+from palpate.workers.tasks.thesis.sensitivity import Vary, vary_constant
+from palpate.workers.thesis.bar import DEFORMATIONS
+from palpate.workers.thesis.compression import AXES, LawName
+from palpate.workers.thesis.identification import TARGETS, TargetName, bounds_of
+from palpate.workers.thesis.mesh_quality import MeshKind, kinds_at
+from palpate.workers.thesis.phantoms import NUMBERS
+from palpate.workers.thesis.scale import Scale
 
 Experiment = Literal["coefficients", "mesh-quality", "mammogram", "search", "sensitivity"]
 EXPERIMENTS: tuple[Experiment, ...] = get_args(Experiment)

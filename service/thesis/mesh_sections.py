@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.report.palette import INK, TISSUES
-from service.report.svg import Svg
-from storage.values import BoolArray, FloatArray, Tissue
+from palpate.service.report.drawing.palette import INK, TISSUES
+from palpate.service.report.drawing.svg import Svg
+from palpate.storage.values import BoolArray, FloatArray, Tissue
 
 WIDTH_PX, TITLE_PX = 980.0, 24.0
 

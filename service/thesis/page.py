@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from markupsafe import Markup
 
-from service.report.pictures import Picture
+from palpate.service.report.drawing.pictures import Picture
 
 Text = str | Markup
 

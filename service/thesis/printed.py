@@ -6,9 +6,9 @@ the breast and the cornea", UPV 2014. Distances in voxels are of 0.2 mm.
 
 from dataclasses import dataclass
 
-from workers.thesis.compression import View
-from workers.thesis.identification import TargetName
-from workers.thesis.mesh_quality import MeshKind
+from palpate.workers.thesis.compression import View
+from palpate.workers.thesis.identification import TargetName
+from palpate.workers.thesis.mesh_quality import MeshKind
 
 VOXEL_MM = 0.2
 HOURS, CORES, SIMULATIONS = 48.0, 12, 1000

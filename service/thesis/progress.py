@@ -5,9 +5,9 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from service.formatting import duration
-from service.progress import clock
-from service.thesis.run import Step
+from palpate.service.formatting import duration
+from palpate.service.study.observers.progress import clock
+from palpate.service.thesis.run import Step
 
 LINE_EVERY_S = 10.0
 

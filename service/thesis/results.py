@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from service.identification import TANGENTS
-from service.local_model import DEVIATIONS
-from service.results import StudyResults
-from service.thesis.estimate import parts_of
-from service.thesis.experiments import (
+from palpate.service.results.identification import TANGENTS
+from palpate.service.results.local_model import DEVIATIONS
+from palpate.service.results.record import StudyResults
+from palpate.service.thesis.estimate import parts_of
+from palpate.service.thesis.experiments import (
     Experiment,
     comparisons,
     compressions,
@@ -19,20 +19,20 @@ from service.thesis.experiments import (
     measured_meshes,
     variations,
 )
-from service.thesis.run import ThesisRequest
-from service.thesis.search import finished
-from workers.tasks.thesis.coefficients import Compare, ComparedBars, Turn, TurnedCylinder
-from workers.tasks.thesis.mammograms import ExposedPhantom
-from workers.tasks.thesis.meshes import ComparedMeshes, MeasuredMesh, Press, PressedPhantom
-from workers.tasks.thesis.parts import machine
-from workers.tasks.thesis.sensitivity import VariedConstant
-from workers.thesis.bar import BarExperiment
-from workers.thesis.compression import CompressionRow, LawName, View
-from workers.thesis.cylinder import CylinderRow
-from workers.thesis.identification import TARGETS, TargetName
-from workers.thesis.mesh_quality import AspectRow, MeshKind, QualityRow, aspect_rows
-from workers.thesis.scale import Scale
-from workers.thesis.selection import Selection, select
+from palpate.service.thesis.run import ThesisRequest
+from palpate.service.thesis.search import finished
+from palpate.workers.tasks.thesis.coefficients import Compare, ComparedBars, Turn, TurnedCylinder
+from palpate.workers.tasks.thesis.mammograms import ExposedPhantom
+from palpate.workers.tasks.thesis.meshes import ComparedMeshes, MeasuredMesh, Press, PressedPhantom
+from palpate.workers.tasks.thesis.parts import machine
+from palpate.workers.tasks.thesis.sensitivity import VariedConstant
+from palpate.workers.thesis.bar import BarExperiment
+from palpate.workers.thesis.compression import CompressionRow, LawName, View
+from palpate.workers.thesis.cylinder import CylinderRow
+from palpate.workers.thesis.identification import TARGETS, TargetName
+from palpate.workers.thesis.mesh_quality import AspectRow, MeshKind, QualityRow, aspect_rows
+from palpate.workers.thesis.scale import Scale
+from palpate.workers.thesis.selection import Selection, select
 
 
 @dataclass(frozen=True)

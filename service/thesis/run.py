@@ -4,11 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.dispatch import Dispatcher, value_of
-from service.thesis.experiments import Experiment, phases_of
-from service.thesis.search import SearchRun, run_search, search_runs
-from storage.places import Place
-from workers.thesis.scale import Scale
+from palpate.service.cluster.dispatch import Dispatcher, value_of
+from palpate.service.thesis.experiments import Experiment, phases_of
+from palpate.service.thesis.search import SearchRun, run_search, search_runs
+from palpate.storage.backends.places import Place
+from palpate.workers.thesis.scale import Scale
 
 
 @dataclass(frozen=True)

@@ -6,23 +6,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from service.dispatch import Dispatcher
-from service.hooks import Observer, StudyFacts
-from service.results import StudyResults
-from service.results_reader import study_results
-from service.run_study import Entrance, run_study
-from service.session import Session
-from service.spec import StudySpec
-from service.study import Study
-from service.study_log import StudyLog
-from service.versions import versions
-from storage.digest import digest
-from storage.layout import StudyLayout
-from storage.places import Place
-from storage.records import EvaluationRecord
-from workers.spec import validated
-from workers.thesis.identification import TARGETS, TargetName, bounds_of, case_of, runs_at
-from workers.thesis.scale import Scale
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.results.read import study_results
+from palpate.service.results.record import StudyResults
+from palpate.service.run_study import Entrance, run_study
+from palpate.service.study.log import StudyLog
+from palpate.service.study.loop import Study
+from palpate.service.study.observers.hooks import Observer, StudyFacts
+from palpate.service.study.session import Session
+from palpate.service.study.spec import StudySpec
+from palpate.service.versions import versions
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.backends.places import Place
+from palpate.storage.digest import digest
+from palpate.storage.records.record import EvaluationRecord
+from palpate.workers.spec import validated
+from palpate.workers.thesis.identification import TARGETS, TargetName, bounds_of, case_of, runs_at
+from palpate.workers.thesis.scale import Scale
 
 GENETIC, POLISHED = "genetic", "genetic+least-squares"
 POPULATION: dict[Scale, int] = {"sketch": 6, "reduced": 30, "full": 84}

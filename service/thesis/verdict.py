@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from service.formatting import number
+from palpate.service.formatting import number
 
 Word = Literal["reproduced", "approached", "not reproduced", "cannot be", "not run"]
 # A number is reproduced within a tenth, or where less is better and it is not more; approached

@@ -5,14 +5,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from statistics import fmean
 
-from service.formatting import number
-from service.thesis import printed
-from service.thesis.results import FoundSearch, MeanCompression, MeshResult, ThesisResults
-from service.thesis.verdict import Verdict, at_most, equal, holds, with_unit
-from workers.thesis.bar import GROUPS
-from workers.thesis.compression import View
-from workers.thesis.identification import TARGETS
-from workers.thesis.scale import Scale
+from palpate.service.formatting import number
+from palpate.service.thesis import printed
+from palpate.service.thesis.results import FoundSearch, MeanCompression, MeshResult, ThesisResults
+from palpate.service.thesis.verdict import Verdict, at_most, equal, holds, with_unit
+from palpate.workers.thesis.bar import GROUPS
+from palpate.workers.thesis.compression import View
+from palpate.workers.thesis.identification import TARGETS
+from palpate.workers.thesis.scale import Scale
 
 NO_BOX = "the thesis prints no size, material or voxels of it"
 ANOTHER_MESHER = "another mesher"

@@ -6,14 +6,14 @@ from pathlib import Path
 
 from matplotlib.image import imsave
 
-from service.thesis.book import render
-from service.thesis.experiments import exposures
-from service.thesis.results import ThesisResults
-from service.thesis.run import ThesisRequest
-from storage.atomic import explained, write_file
-from storage.plain import to_plain
-from storage.typed_json import to_json
-from workers.tasks.thesis.mammograms import ExposedPhantom
+from palpate.service.thesis.book import render
+from palpate.service.thesis.experiments import exposures
+from palpate.service.thesis.results import ThesisResults
+from palpate.service.thesis.run import ThesisRequest
+from palpate.storage.backends.atomic import explained, write_file
+from palpate.storage.plain import to_plain
+from palpate.storage.records.typed_json import to_json
+from palpate.workers.tasks.thesis.mammograms import ExposedPhantom
 
 
 def write_all(results: ThesisResults, request: ThesisRequest, name: str) -> Path:

@@ -26,20 +26,20 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from PIL import Image  # noqa: E402
 
-from service.results_json import study_json  # noqa: E402
-from service.results_reader import study_results  # noqa: E402
-from service.single_process import SingleProcess  # noqa: E402
-from service.spec import StudySpec  # noqa: E402
-from service.study import Study  # noqa: E402
-from workers.organs.cornea.cohort import TABLE_5_2, CohortEye  # noqa: E402
-from workers.organs.cornea.constants import CorneaConstants  # noqa: E402
-from workers.organs.cornea.generated_frame import generated_frame  # noqa: E402
-from workers.organs.cornea.identifiability import uniaxial_stress_mpa  # noqa: E402
-from workers.organs.cornea.organ import ORGAN  # noqa: E402
-from workers.organs.cornea.rigid_motion import RigidMotion  # noqa: E402
-from workers.organs.cornea.section import Section  # noqa: E402
-from workers.organs.cornea.spec import CorneaCase  # noqa: E402
-from workers.spec import validated  # noqa: E402
+from palpate.service.cluster.single_process import SingleProcess  # noqa: E402
+from palpate.service.results.as_json import study_json  # noqa: E402
+from palpate.service.results.read import study_results  # noqa: E402
+from palpate.service.study.loop import Study  # noqa: E402
+from palpate.service.study.spec import StudySpec  # noqa: E402
+from palpate.workers.organs.cornea.comparison.identifiability import uniaxial_stress_mpa  # noqa: E402
+from palpate.workers.organs.cornea.frames.generated import generated_frame  # noqa: E402
+from palpate.workers.organs.cornea.material.constants import CorneaConstants  # noqa: E402
+from palpate.workers.organs.cornea.organ import ORGAN  # noqa: E402
+from palpate.workers.organs.cornea.section.outline import Section  # noqa: E402
+from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion  # noqa: E402
+from palpate.workers.organs.cornea.solver.cohort import TABLE_5_2, CohortEye  # noqa: E402
+from palpate.workers.organs.cornea.spec import CorneaCase  # noqa: E402
+from palpate.workers.spec import validated  # noqa: E402
 
 ELEMENTS, TARGET_ELEMENTS, JET_KPA = 960, 5760, 15.0
 PIXEL_MM, SHAPE = (0.015625, 0.0165), (300, 800)

@@ -25,18 +25,18 @@ ROOMS = Path(__file__).parents[1]
 sys.path.append(str(ROOMS / "reference"))
 
 import numpy as np  # noqa: E402
-from calculix import Answer, Body, Held, Material, available  # noqa: E402
-from calculix import solve as calculix  # noqa: E402
 
-from storage.values import Tissue  # noqa: E402
-from workers.body.mesh.hierarchy import MeshLevel  # noqa: E402
-from workers.mechanics.fem.loads import DistanceControl, Wall  # noqa: E402
-from workers.mechanics.fem.model import Model, prepare  # noqa: E402
-from workers.mechanics.fem.outcome import Solution  # noqa: E402
-from workers.mechanics.fem.problem import Constants, Problem  # noqa: E402
-from workers.mechanics.fem.solve import solve  # noqa: E402
-from workers.organs.breast.organ import ORGAN  # noqa: E402
-from workers.organs.breast.spec import BreastCase  # noqa: E402
+from palpate.storage.values import Tissue  # noqa: E402
+from palpate.workers.body.mesh.hierarchy import MeshLevel  # noqa: E402
+from palpate.workers.mechanics.fem.elements.model import Model, prepare  # noqa: E402
+from palpate.workers.mechanics.fem.equilibrium.solve import solve  # noqa: E402
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem  # noqa: E402
+from palpate.workers.mechanics.fem.problem.loads import DistanceControl, Wall  # noqa: E402
+from palpate.workers.mechanics.fem.problem.outcome import Solution  # noqa: E402
+from palpate.workers.organs.breast.organ import ORGAN  # noqa: E402
+from palpate.workers.organs.breast.spec import BreastCase  # noqa: E402
+from tests.reference.calculix import Answer, Body, Held, Material, available  # noqa: E402
+from tests.reference.calculix import solve as calculix  # noqa: E402
 
 FAT, GLAND = Constants(0.010), Constants(0.040)
 LOWER_MM, UPPER_MM = -37.5, 37.5

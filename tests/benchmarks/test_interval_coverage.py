@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.values import Tissue, Volume
+from palpate.storage.values import Tissue, Volume
 from tests.benchmarks.interval_coverage import KINDS, Interval, intervals_of, moved, table
 
 FAT = int(Tissue.FAT)

@@ -6,9 +6,9 @@ import time
 import numpy as np
 import pytest
 
-from service.search.base import Generation, Proposal
-from service.search.genetic import GeneticSearch, GeneticSettings
-from service.search.space import Space
+from palpate.service.search.base import Generation, Proposal
+from palpate.service.search.genetic import GeneticSearch, GeneticSettings
+from palpate.service.search.space import Space
 
 SPACE = Space.from_bounds({f"E_{index}_kpa": (5, 80) for index in range(5)})
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from service.templates import template
-from storage.values import Tissue, Volume
-from workers.body.phantom.breast import BreastPhantom, generate_breast
+from palpate.service.templates import template
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
 
 SMALL = BreastPhantom(
     lower_mm=30.0,

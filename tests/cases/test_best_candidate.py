@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
-from stand_ins import Inline, run, small_spec
 
-from service.commands.report import print_report
-from service.dask_records import DaskRecords
-from service.dask_rows import IdleTime, StudyRow
-from service.hooks import StudyFacts
-from service.progress import PlainProgress
-from service.results_json import study_json
-from service.results_reader import candidate_results, study_results
-from service.search.base import Generation
-from service.server.job_progress import JobProgress
-from service.study_log import read_study
-from storage.best_candidate import (
+from palpate.service.cluster.dask_rows import IdleTime, StudyRow
+from palpate.service.commands.studies.report import print_report
+from palpate.service.results.as_json import study_json
+from palpate.service.results.read import candidate_results, study_results
+from palpate.service.search.base import Generation
+from palpate.service.server.live.job_progress import JobProgress
+from palpate.service.study.log import read_study
+from palpate.service.study.observers.dask_records import DaskRecords
+from palpate.service.study.observers.hooks import StudyFacts
+from palpate.service.study.observers.progress import PlainProgress
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.records.best_candidate import (
     BestSoFar,
     best_of,
     best_searched,
@@ -29,11 +29,11 @@ from storage.best_candidate import (
     rank_of,
     rank_of_line,
 )
-from storage.journal import Journal
-from storage.layout import StudyLayout
-from storage.records import EvaluationRecord
-from storage.status import Status
-from workers.tasks import studies as studies_module
+from palpate.storage.records.journal import Journal
+from palpate.storage.records.record import EvaluationRecord
+from palpate.storage.records.status import Status
+from palpate.workers.tasks import studies as studies_module
+from tests.recovery.stand_ins import Inline, run, small_spec
 
 LEAST_SQUARES = """
 name: demo

@@ -5,20 +5,20 @@ import json
 
 import httpx
 import pytest
-from experiments import described, write
 from fastapi import APIRouter, FastAPI
 from pydantic import BaseModel
 
-from service.blind.seal import read_json
-from service.server import app, job_routes, watch_routes
-from service.server.strict_json import StrictRoute
-from service.server.yaml_door import parsed_text
-from service.spec import parse_spec
-from storage.errors import InputError
-from workers.documents import parse_json, parse_yaml
-from workers.organs.breast.case_files import read_case_file
-from workers.organs.specimen.spec import read_spec
-from workers.tasks.sources import open_source
+from palpate.service.blind.sealed.seal import read_json
+from palpate.service.server.http import app, job_routes, watch_routes
+from palpate.service.server.http.strict_json import StrictRoute
+from palpate.service.server.jobs.yaml import parsed_text
+from palpate.service.study.spec import parse_spec
+from palpate.storage.errors import InputError
+from palpate.workers.documents import parse_json, parse_yaml
+from palpate.workers.organs.breast.case.files import read_case_file
+from palpate.workers.organs.specimen.spec import read_spec
+from palpate.workers.tasks.sources import open_source
+from tests.workers.organs.specimen.experiments import described, write
 
 NESTED_YAML = "loads:\n  - force_n: 18\n    file: a\n    force_n: 36\n"
 NESTED_JSON = '{"loads": [{"force_n": 18, "file": "a", "force_n": 36}]}'

@@ -6,24 +6,24 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from diagnosis_at_hand import effect, parameter, summary
 from rich.console import Console
 
-from service.commands.diagnose import print_verdict
-from service.diagnosis.plan_words import amounts
-from service.diagnosis.words import ADD_UP, bayes_factor, headline, magnitude
-from service.formatting import number, share
-from service.report import diagnosis_tables as tables
-from service.report.diagnosis_tables import parameter_name
-from storage.typed_json import from_json, to_json
-from workers.diagnosis.planning.summary import ParameterPlan
-from workers.diagnosis.summary import ParameterEstimate, Summary
-from workers.mechanics.effects.base import Effect
-from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS, BREAST_MODEL
-from workers.mechanics.effects.specimen_catalogue import specimen_effects
-from workers.mechanics.parameters import Parameter
-from workers.mechanics.readings import ShownMagnitude, shown, shown_change
-from workers.organs.cornea.effect_catalogue import CORNEA_EFFECTS
+from palpate.service.commands.diagnoses.diagnose import print_verdict
+from palpate.service.diagnosis.plan_words import amounts
+from palpate.service.diagnosis.words import ADD_UP, bayes_factor, headline, magnitude
+from palpate.service.formatting import number, share
+from palpate.service.report.diagnosis import tables as tables
+from palpate.service.report.diagnosis.tables import parameter_name
+from palpate.storage.records.typed_json import from_json, to_json
+from palpate.workers.diagnosis.schema.plan import ParameterPlan
+from palpate.workers.diagnosis.schema.summary import ParameterEstimate, Summary
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS, BREAST_MODEL
+from palpate.workers.mechanics.effects.specimen_catalogue import specimen_effects
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.mechanics.readings import ShownMagnitude, shown, shown_change
+from palpate.workers.organs.cornea.diagnosis.effect_catalogue import CORNEA_EFFECTS
+from tests.service.report.diagnosis_at_hand import effect, parameter, summary
 
 DOWN = (0.0, -1.0, 0.0)
 EFFECTS: list[Effect] = [
@@ -86,10 +86,10 @@ def test_no_parameter_is_shown_as_a_logarithm(name: str) -> None:
 
 
 def test_the_shown_value_is_what_the_effect_does_to_nu() -> None:
-    from workers.mechanics.effects.compressibility import COMPRESSIBILITY
-    from workers.mechanics.fem.fields import Frame
-    from workers.mechanics.fem.loads import ForceControl
-    from workers.mechanics.fem.problem import Constants, Problem
+    from palpate.workers.mechanics.effects.compressibility import COMPRESSIBILITY
+    from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+    from palpate.workers.mechanics.fem.problem.fields import Frame
+    from palpate.workers.mechanics.fem.problem.loads import ForceControl
 
     problem = Problem({2: Constants(0.01, 0.49)}, ForceControl(10.0, -5.0, 5.0))
     changed = COMPRESSIBILITY.apply(problem, {"ln_compressibility": 1.2}, Frame())

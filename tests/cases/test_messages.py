@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-from service.cluster import open_cluster
-from service.errors import ClusterError
-from service.foreign_workers import explained_imports, raise_if_foreign
-from service.main_guard import is_unguarded
-from service.task_failures import as_cluster_error, raise_if_store
-from storage.atomic import hint
-from storage.errors import InputError, JournalError, StoreError
-from storage.journal import Journal
+from palpate.service.cluster.foreign_workers import explained_imports, raise_if_foreign
+from palpate.service.cluster.main_guard import is_unguarded
+from palpate.service.cluster.open import open_cluster
+from palpate.service.cluster.task_failures import as_cluster_error, raise_if_store
+from palpate.service.errors import ClusterError
+from palpate.storage.backends.atomic import hint
+from palpate.storage.errors import InputError, JournalError, StoreError
+from palpate.storage.records.journal import Journal
 
 BARE_WORKER = '''
 import sys
@@ -27,7 +27,7 @@ class Without(MetaPathFinder):
     """Hides Palpate, as in an environment where it is not installed."""
 
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {"palpate", "service", "workers", "storage"}:
+        if name.partition(".")[0] == "palpate":
             raise ModuleNotFoundError(f"No module named '{name}'", name=name)
 
 sys.meta_path.insert(0, Without())
@@ -63,9 +63,9 @@ def test_a_worker_without_palpate_is_named_with_what_to_install(tmp_path: Path) 
 @pytest.mark.parametrize(
     "error",
     [
-        ModuleNotFoundError("No module named 'workers'", name="workers"),
+        ModuleNotFoundError("No module named 'palpate'", name="palpate"),
         ModuleNotFoundError("No module named 'palpate.workers.tasks'"),
-        Exception("ModuleNotFoundError(\"No module named 'service.preflight'\")"),
+        Exception("ModuleNotFoundError(\"No module named 'palpate.service.study.preflight'\")"),
     ],
 )
 def test_every_form_of_a_missing_palpate_is_recognised(error: Exception) -> None:
@@ -76,8 +76,10 @@ def test_every_form_of_a_missing_palpate_is_recognised(error: Exception) -> None
 @pytest.mark.parametrize(
     "error",
     [
-        ImportError("cannot import name 'find' from 'workers.tasks.findings' (/opt/w.py)"),
-        AttributeError("Can't get attribute 'find' on <module 'workers.tasks' from '/opt'>"),
+        ImportError("cannot import name 'find' from 'palpate.workers.tasks.findings' (/opt/w.py)"),
+        AttributeError(
+            "Can't get attribute 'find' on <module 'palpate.workers.tasks' from '/opt'>"
+        ),
     ],
 )
 def test_another_version_of_palpate_is_recognised(error: Exception) -> None:
@@ -102,7 +104,9 @@ def test_other_errors_of_workers_keep_their_words() -> None:
 
 def test_a_script_without_main_guard_is_refused_before_a_process_starts(tmp_path: Path) -> None:
     script = tmp_path / "fit.py"
-    script.write_text("from service.main_guard import check_main_guard\n\ncheck_main_guard()\n")
+    script.write_text(
+        "from palpate.service.cluster.main_guard import check_main_guard\n\ncheck_main_guard()\n"
+    )
     ended = subprocess.run(
         [sys.executable, str(script)], capture_output=True, text=True, check=False
     )

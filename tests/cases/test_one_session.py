@@ -11,22 +11,22 @@ from typing import Any
 
 import pytest
 import typer
-from stand_ins import SPEC, TASKS, Inline, small_spec, told
 
 import palpate
 import palpate.diagnosis
 import palpate.study
-from service import session as session_module
-from service.cli import main
-from service.commands.interrupts import INTERRUPTED, interruptible
-from service.errors import GenerationCrashError, Interrupted
-from service.interrupts import stop_requests
-from service.run_study import Entrance, run_study
-from service.server.study_job import run_job, study_request
-from service.session import Session, session
-from service.study import Study
-from storage.errors import InputError
-from storage.layout import StudyLayout
+from palpate.service.cli import main
+from palpate.service.commands.interrupts import INTERRUPTED, interruptible
+from palpate.service.errors import GenerationCrashError, Interrupted
+from palpate.service.interrupts import stop_requests
+from palpate.service.run_study import Entrance, run_study
+from palpate.service.server.jobs.study_job import run_job, study_request
+from palpate.service.study import session as session_module
+from palpate.service.study.loop import Study
+from palpate.service.study.session import Session, session
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import InputError
+from tests.recovery.stand_ins import SPEC, TASKS, Inline, small_spec, told
 
 IN_PASCAL = SPEC.replace("E_fat_kpa: [5, 20]", "E_fat_kpa: [5000, 20000]")
 
@@ -234,8 +234,8 @@ def interruptible_exit() -> Iterator[None]:
 @pytest.mark.parametrize(
     ("command", "work"),
     [
-        (["profile", "demo", "E_fat"], "service.profile.profile_of"),
-        (["thesis", "coefficients", "--sketch"], "service.thesis.run.run_thesis"),
+        (["profile", "demo", "E_fat"], "palpate.service.results.profile.profile_of"),
+        (["thesis", "coefficients", "--sketch"], "palpate.service.thesis.run.run_thesis"),
     ],
 )
 def test_long_commands_stop_at_ctrl_c_with_how_to_continue(

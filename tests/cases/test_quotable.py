@@ -6,24 +6,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from study_data_at_hand import results
 
-from service.commands.report import derived_text
-from service.diagnosis.quotability import judged_constants, summary_json
-from service.error_budget import DECISIVE, MESH, in_words
-from service.identification import Identification, identification_from_tangents
-from service.local_model import OtherProblems, SearchedConstants
-from service.quotable import EstimateFacts, quotability
-from service.results import ParameterEstimate, StudyResults
-from service.results_json import study_json
-from service.study_quotability import derived_estimates, no_better
-from storage.task_records import FitJson
-from storage.typed_json import from_json
-from workers.diagnosis.summary import Summary
-from workers.mechanics.parameters import BREAST
-from workers.organs.cornea.constants import CorneaConstants
-from workers.organs.cornea.findings_doubts import against, derived
-from workers.organs.nuisances import Nuisance
+from palpate.service.commands.studies.report import derived_text
+from palpate.service.diagnosis.quotability import judged_constants, summary_json
+from palpate.service.results.as_json import study_json
+from palpate.service.results.error_budget import DECISIVE, MESH, in_words
+from palpate.service.results.identification import Identification, identification_from_tangents
+from palpate.service.results.local_model import OtherProblems, SearchedConstants
+from palpate.service.results.quotability import derived_estimates, no_better
+from palpate.service.results.quotable import EstimateFacts, quotability
+from palpate.service.results.record import ParameterEstimate, StudyResults
+from palpate.storage.records.tasks import FitJson
+from palpate.storage.records.typed_json import from_json
+from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.workers.mechanics.parameters import BREAST
+from palpate.workers.organs.cornea.findings.doubts import against, derived
+from palpate.workers.organs.cornea.material.constants import CorneaConstants
+from palpate.workers.organs.nuisances import Nuisance
+from tests.service.report.study_data_at_hand import results
 
 GOOD = EstimateFacts(value=10.0, unit="kPa", searched=(5.0, 20.0), interval=(9.5, 10.5))
 BOUNDS = {"E_fat": (0.005, 0.02), "eta_fat": (0.05, 0.2)}
@@ -307,7 +307,7 @@ def test_the_shear_modulus_under_an_assumed_pressure_is_not_quotable() -> None:
 
 
 def diagnosed(**constant: Any) -> Summary:
-    from diagnosis_at_hand import VERDICTS
+    from tests.service.report.diagnosis_at_hand import VERDICTS
 
     told = VERDICTS["no gap"]
     own = {"before": 25.0, "after": None, "before_interval": [24.0, 26.0], "stated": [20.0, 50.0]}

@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stand_ins import SPEC, Inline, run, small_spec
 
 import palpate
-from service.report.study_data import read_study_data
-from service.results_json import candidate_json, study_json
-from service.results_reader import candidate_results, study_results
-from service.search import operators
-from service.search.cma_search import CmaSearch
-from storage.errors import JournalError
-from storage.layout import StudyLayout
+from palpate.service.report.study.data import read_study_data
+from palpate.service.results.as_json import candidate_json, study_json
+from palpate.service.results.read import candidate_results, study_results
+from palpate.service.search import operators
+from palpate.service.search.cma_search import CmaSearch
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import JournalError
+from tests.recovery.stand_ins import SPEC, Inline, run, small_spec
 
 CMA = SPEC.replace("  population: 12", "  strategy: cma\n  population: 12")
 

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from stand_ins import SPEC, Inline, run, small_spec
 
-from service.cli import main
-from service.results_reader import study_results
-from storage.stores import Store, open_store
-from storage.values import Volume
-from storage.volumes import has_volume, named_volumes, save_volume
+from palpate.service.cli import main
+from palpate.service.results.read import study_results
+from palpate.storage.stores.store import Store, open_store
+from palpate.storage.stores.volumes import has_volume, named_volumes, save_volume
+from palpate.storage.values import Volume
+from tests.recovery.stand_ins import SPEC, Inline, run, small_spec
 
 
 def save(store: Store, digest: str, name: str | None, label: int = 1) -> None:

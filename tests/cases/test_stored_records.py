@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stand_ins import Inline, run
 
-from service.results_json import study_json
-from service.results_reader import study_results
-from service.study_log import StudyLog
-from storage.arrays import load_arrays, save_arrays
-from storage.errors import JournalError, NewerSchemaError, StoreError
-from storage.evaluations import load_evaluation
-from storage.layout import StudyLayout
-from storage.places import place_of
-from storage.plain import dumps, loads
-from storage.seal import KEY, seal, unseal
-from storage.store_check import check_store
-from storage.stores import Store, open_store
+from palpate.service.results.as_json import study_json
+from palpate.service.results.read import study_results
+from palpate.service.study.log import StudyLog
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.backends.places import place_of
+from palpate.storage.errors import JournalError, NewerSchemaError, StoreError
+from palpate.storage.plain import dumps, loads
+from palpate.storage.records.evaluations import load_evaluation
+from palpate.storage.records.seal import KEY, seal, unseal
+from palpate.storage.stores.arrays import load_arrays, save_arrays
+from palpate.storage.stores.store import Store, open_store
+from palpate.storage.upkeep.check import check_store
+from tests.recovery.stand_ins import Inline, run
 
 FLIPS = 100
 

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 import yaml
-from filled_templates import filled, required
 
-from service.cli import main
-from service.spec import StudySpec, study_of
-from service.templates import template
-from storage.errors import InputError
-from workers.missing_keys import description_at
-from workers.organs.breast.case_spec import CaseFile
-from workers.organs.specimen.spec import SpecimenSpec
-from workers.spec import Door, validated
+from palpate.service.cli import main
+from palpate.service.study.spec import StudySpec, study_of
+from palpate.service.templates import template
+from palpate.storage.errors import InputError
+from palpate.workers.missing_keys import description_at
+from palpate.workers.organs.breast.case.spec import CaseFile
+from palpate.workers.organs.specimen.spec import SpecimenSpec
+from palpate.workers.spec import Door, validated
+from tests.cases.filled_templates import filled, required
 
 Command = Callable[..., tuple[int, str]]
 HIDDEN = {"breast": ("E_fat_kpa", "eta_fat_kpa", "E_glandular_kpa", "eta_glandular_kpa")}

@@ -22,10 +22,10 @@ import dask.config
 import pytest
 import yaml
 
-from service import retry
-from service.client import Client
-from service.cluster import CONFIG
-from workers import WORKER_ENVIRONMENT
+from palpate.service.cluster import retry
+from palpate.service.cluster.open import CONFIG
+from palpate.service.remote.client import Client
+from palpate.workers import WORKER_ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"
@@ -184,7 +184,7 @@ def test_every_service_is_bounded_and_writes_where_it_may(compose: dict[str, Any
 def test_the_driver_runs_a_study_that_is_there(compose: dict[str, Any]) -> None:
     command = compose["services"]["driver"]["command"]
     assert command == [
-        *("python", "-m", "service.retry"),
+        *("python", "-m", "palpate.service.cluster.retry"),
         *("palpate", "run", "/studies/demo.yaml", "--study", "/data/runs/demo"),
         *("--scheduler", "tcp://scheduler:8786", "--store", "/data/store"),
     ]

@@ -91,7 +91,7 @@ def test_generated_pages_are_those_of_the_code(tmp_path: Path) -> None:
 
 def test_every_command_is_in_the_reference(site: Path) -> None:
     text = (site / "reference" / "commands.html").read_text()
-    from service.cli import app
+    from palpate.service.cli import app
 
     names = [command.name for command in app.registered_commands]
     assert len(names) > 15

@@ -52,7 +52,7 @@ def test_every_block_is_marked() -> None:
 
 @pytest.mark.parametrize("file", FILES)
 def test_names_only_commands_that_exist(file: str) -> None:
-    from service.cli import app
+    from palpate.service.cli import app
 
     known = {command.name for command in app.registered_commands}
     known |= {group.name for group in app.registered_groups}

@@ -3,10 +3,9 @@
 import sys
 from pathlib import Path
 
-from stand_ins import run
-
-from service.cluster import open_cluster
-from service.dispatch import Dispatcher
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from tests.recovery.stand_ins import run
 
 
 def main(folder: str, where: str, value: str, store: str | None = None) -> None:

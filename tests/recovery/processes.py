@@ -9,11 +9,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from stand_ins import set_manners, told
-
-from service.cluster import ALLOWED_FAILURES
+from palpate.service.cluster.open import ALLOWED_FAILURES
+from tests.recovery.stand_ins import set_manners, told
 
 HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
 
 
 def kill_and_finish(folder: Path, where: list[str], killed_after: list[int]) -> None:
@@ -52,7 +52,7 @@ def plain_cluster(
         os.environ
         | (tls or {})
         | {
-            "PYTHONPATH": str(HERE),
+            "PYTHONPATH": str(ROOT),
             "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(ALLOWED_FAILURES),
         }
     )

@@ -19,18 +19,18 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from service.dispatch import Ending
-from service.spec import StudySpec, parse_spec
-from service.study import Conclusion, Study, Tasks
-from service.study_log import StudyLog
-from storage.digest import digest
-from storage.errors import StoreError
-from storage.evaluations import load_evaluation, save_evaluation
-from storage.layout import StudyLayout
-from storage.places import Location
-from storage.plain import dumps
-from storage.seal import KEY, seal
-from storage.stores import Store, open_store
+from palpate.service.cluster.dispatch import Ending
+from palpate.service.study.log import StudyLog
+from palpate.service.study.loop import Conclusion, Study, Tasks
+from palpate.service.study.spec import StudySpec, parse_spec
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.backends.places import Location
+from palpate.storage.digest import digest
+from palpate.storage.errors import StoreError
+from palpate.storage.plain import dumps
+from palpate.storage.records.evaluations import load_evaluation, save_evaluation
+from palpate.storage.records.seal import KEY, seal
+from palpate.storage.stores.store import Store, open_store
 
 Record = dict[str, Any]
 LOG = "executions.log"

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
-from service import adaptive
-from service.cluster import open_cluster
-from service.dispatch import Dispatcher
-from service.study_log import StudyLog
-from storage.layout import StudyLayout
+from palpate.service.cluster import adaptive
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from palpate.service.study.log import StudyLog
+from palpate.storage.backends.layout import StudyLayout
+from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
 PATIENCE_S = 120.0
 

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stand_ins import Inline, assert_each_ran_once, run, told
 
-from service import study as study_module
-from service.dispatch import Ending
-from service.errors import Interrupted
-from service.results_reader import study_results
+from palpate.service.cluster.dispatch import Ending
+from palpate.service.errors import Interrupted
+from palpate.service.results.read import study_results
+from palpate.service.study import loop as study_module
+from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, told
 
 YEAR = timedelta(days=365)
 

@@ -9,12 +9,12 @@ import time
 from pathlib import Path
 
 import pytest
-from processes import plain_cluster
-from stand_ins import told
 
-from service.single_process import SingleProcess
-from service.spec import read_spec
-from service.study import Study
+from palpate.service.cluster.single_process import SingleProcess
+from palpate.service.study.loop import Study
+from palpate.service.study.spec import read_spec
+from tests.recovery.processes import plain_cluster
+from tests.recovery.stand_ins import told
 
 STUDY = """
 name: small
@@ -29,7 +29,7 @@ search:
   generations: 2
 seed: 2
 """
-PALPATE = [sys.executable, "-m", "service"]
+PALPATE = [sys.executable, "-m", "palpate"]
 
 
 @pytest.fixture

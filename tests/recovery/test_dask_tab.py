@@ -12,20 +12,20 @@ from typing import Any
 import pytest
 from bokeh.client import pull_session
 from distributed import Client, LocalCluster
-from stand_ins import TASKS, set_manners, small_spec
 
-from service import dask_diagnosis
-from service.cluster import open_cluster
-from service.dask_diagnosis import DiagnosisRecords, run_and_tell
-from service.dask_records import DaskRecords
-from service.dask_rows import IdleTime
-from service.dask_tab import PAGE, PalpateTab, add_tab
-from service.diagnosis.run import Step
-from service.dispatch import Dispatcher
-from service.server.study_job import run_job, study_request
-from service.session import Session
-from service.study_log import StudyLog
-from storage.layout import StudyLayout
+from palpate.service.cluster.dask_rows import IdleTime
+from palpate.service.cluster.dask_tab import PAGE, PalpateTab, add_tab
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from palpate.service.diagnosis import dask_observer as dask_diagnosis
+from palpate.service.diagnosis.dask_observer import DiagnosisRecords, run_and_tell
+from palpate.service.diagnosis.run import Step
+from palpate.service.server.jobs.study_job import run_job, study_request
+from palpate.service.study.log import StudyLog
+from palpate.service.study.observers.dask_records import DaskRecords
+from palpate.service.study.session import Session
+from palpate.storage.backends.layout import StudyLayout
+from tests.recovery.stand_ins import TASKS, set_manners, small_spec
 
 DEADLINE_S = 20.0
 
@@ -154,7 +154,7 @@ def test_an_existing_scheduler_gets_it_once(tmp_path: Path) -> None:
 
 
 def test_a_scheduler_without_dashboard_has_no_tab(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level("INFO", "service.dask_tab")
+    caplog.set_level("INFO", "palpate.service.cluster.dask_tab")
     with (
         LocalCluster(
             n_workers=0,

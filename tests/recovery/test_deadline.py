@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stand_ins import SPEC, Inline, run, set_manners, small_spec, told
 
-from service.cluster import open_cluster
-from service.dispatch import Dispatcher
-from storage.stores import open_store
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from palpate.storage.stores.store import open_store
+from tests.recovery.stand_ins import SPEC, Inline, run, set_manners, small_spec, told
 
 TEXT = SPEC.replace("population: 12", "population: 6").replace("generations: 5", "generations: 1")
 DEADLINE = small_spec(TEXT + "deadline_s: 4\n")

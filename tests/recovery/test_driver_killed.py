@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from processes import kill_and_finish
-from stand_ins import Inline, assert_each_ran_once, run, told
+from tests.recovery.processes import kill_and_finish
+from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, told
 
 
 def test_driver_killed_twice(tmp_path: Path) -> None:

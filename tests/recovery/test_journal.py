@@ -10,10 +10,10 @@ import threading
 
 import pytest
 
-from storage.errors import JournalError, NewerSchemaError
-from storage.journal import BLOCK, Journal
-from storage.records import EvaluationRecord, record_of
-from storage.status import Status
+from palpate.storage.errors import JournalError, NewerSchemaError
+from palpate.storage.records.journal import BLOCK, Journal
+from palpate.storage.records.record import EvaluationRecord, record_of
+from palpate.storage.records.status import Status
 
 RECORDS = [{"candidate": i, "gsf": -i / 3, "note": "é\n\u2028\udcff"} for i in range(5)]
 LAST = {"candidate": 99}
@@ -130,7 +130,7 @@ def test_a_second_writer_does_not_cut_off_what_the_first_is_writing(written):
 def test_a_killed_writer_leaves_its_records_and_no_lock(path):
     code = """
 import os, signal, sys
-from storage.journal import Journal
+from palpate.storage.records.journal import Journal
 journal = Journal(sys.argv[1])
 journal.append({"candidate": 0})
 os.write(journal._handle, b'{"candidate": 1')
@@ -164,7 +164,7 @@ def test_a_process_between_fork_and_exec_does_not_keep_the_lock(path):
     """A nanny starts a worker while the journal is closed: the new process has a copy still."""
     code = """
 import os, signal, sys
-from storage.journal import Journal
+from palpate.storage.records.journal import Journal
 journal = Journal(sys.argv[1])
 child = os.fork()
 if child == 0:
@@ -226,8 +226,8 @@ def test_a_file_that_may_not_grow_keeps_its_last_whole_record(path):
     """The kernel cuts the write short at 300 bytes, then refuses (EFBIG)."""
     code = """
 import resource, signal, sys
-from storage.errors import JournalError
-from storage.journal import Journal
+from palpate.storage.errors import JournalError
+from palpate.storage.records.journal import Journal
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300))
 with Journal(sys.argv[1]) as journal:
@@ -387,7 +387,7 @@ def test_a_version_that_is_none_is_damage(written, version):
 def test_readers_never_see_half_a_record_while_another_process_writes(path):
     code = """
 import sys
-from storage.journal import Journal
+from palpate.storage.records.journal import Journal
 with Journal(sys.argv[1]) as journal:
     for number in range(300):
         journal.append({"candidate": number, "note": "x" * (number * 37 % 9000)})

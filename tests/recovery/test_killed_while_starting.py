@@ -7,10 +7,10 @@ from contextlib import suppress
 import psutil
 import pytest
 
-from service import cluster as cluster_module
-from service.cluster import open_cluster
-from service.dispatch import Dispatcher
-from service.errors import ClusterError
+from palpate.service.cluster import open as cluster_module
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from palpate.service.errors import ClusterError
 
 
 class Killer:

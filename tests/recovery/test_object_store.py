@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from object_server import ObjectServer
-from processes import HERE
-from stand_ins import Inline, executed, run, set_manners, small_spec, told
 
-from service.dispatch import Ending
-from service.spec import parse_spec
-from service.study import Study
-from storage.journal import Journal
-from storage.layout import StudyLayout
+from palpate.service.cluster.dispatch import Ending
+from palpate.service.study.loop import Study
+from palpate.service.study.spec import parse_spec
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.records.journal import Journal
+from tests.recovery.processes import HERE
+from tests.recovery.stand_ins import Inline, executed, run, set_manners, small_spec, told
+from tests.storage.object_server import ObjectServer
 
 MOMENTS = ("began", "seconds", "elapsed_s", "store")
 REAL = """

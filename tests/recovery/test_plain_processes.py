@@ -5,8 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from processes import kill_and_finish, plain_cluster
-from stand_ins import Inline, executions, run, told
+from tests.recovery.processes import kill_and_finish, plain_cluster
+from tests.recovery.stand_ins import Inline, executions, run, told
 
 
 def test_drivers_come_and_go_beside_a_running_scheduler(tmp_path: Path) -> None:
@@ -15,7 +15,7 @@ def test_drivers_come_and_go_beside_a_running_scheduler(tmp_path: Path) -> None:
     with plain_cluster(tmp_path, workers=2) as address:
         kill_and_finish(folder, ["--scheduler", address], killed_after=[2, 23])
         doctor = subprocess.run(
-            [sys.executable, "-m", "service", "doctor", "--scheduler", address, "--json"],
+            [sys.executable, "-m", "palpate", "doctor", "--scheduler", address, "--json"],
             cwd=tmp_path,
             capture_output=True,
             text=True,

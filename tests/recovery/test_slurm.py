@@ -11,14 +11,14 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
-from service import adaptive, slurm
-from service.cluster import open_cluster
-from service.dispatch import Dispatcher
-from service.errors import ClusterError
-from service.slurm import SlurmCluster, SlurmRequest, open_slurm
-from service.worker_range import WorkerRange
+from palpate.service.cluster import adaptive, slurm
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from palpate.service.cluster.slurm import SlurmCluster, SlurmRequest, open_slurm
+from palpate.service.cluster.worker_range import WorkerRange
+from palpate.service.errors import ClusterError
+from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed")
 
@@ -45,7 +45,7 @@ def jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         (programs / name).write_text(text.format(jobs=folder))
         (programs / name).chmod(0o755)
     monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
-    here = str(Path(__file__).parent)
+    here = str(Path(__file__).parents[2])
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([here, os.environ.get("PYTHONPATH", "")]))
     yield folder
     for pid in folder.glob("*.pid"):
@@ -153,7 +153,7 @@ def test_the_command_shows_the_script_and_submits_nothing(jobs: Path) -> None:
         [
             sys.executable,
             "-m",
-            "service",
+            "palpate",
             "slurm",
             "--workers",
             "3",

@@ -7,21 +7,21 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stand_ins import SPEC, assert_each_ran_once, run, set_manners, small_spec, told
 
-from service.cluster import open_cluster
-from service.dispatch import NOT_YET, Dispatcher, Ending
-from service.errors import GenerationCrashError, Interrupted
-from service.results_reader import study_results
-from service.search.genetic import GeneticSearch, GeneticSettings
-from service.search.space import Space
-from service.search.steady import Pool, SteadyGenetic
-from service.search_replay import PendingGeneration
-from service.steady_replay import SteadyReplay, replayed
-from service.study_log import StudyLog
-from storage.errors import InputError, JournalError
-from storage.layout import StudyLayout
-from storage.status import Status
+from palpate.service.cluster.dispatch import NOT_YET, Dispatcher, Ending
+from palpate.service.cluster.open import open_cluster
+from palpate.service.errors import GenerationCrashError, Interrupted
+from palpate.service.results.read import study_results
+from palpate.service.search.genetic import GeneticSearch, GeneticSettings
+from palpate.service.search.space import Space
+from palpate.service.search.steady import Pool, SteadyGenetic
+from palpate.service.study.log import StudyLog
+from palpate.service.study.replay import PendingGeneration
+from palpate.service.study.steady_replay import SteadyReplay, replayed
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import InputError, JournalError
+from palpate.storage.records.status import Status
+from tests.recovery.stand_ins import SPEC, assert_each_ran_once, run, set_manners, small_spec, told
 
 STEADY = SPEC.replace("  population: 12", "  mode: steady\n  population: 12")
 SPACE = Space.from_bounds({"a": (0, 1), "b": (0, 1), "c": (0, 1)})

@@ -6,15 +6,23 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stand_ins import SPEC, Inline, assert_each_ran_once, executions, run, small_spec, told
 
-from service.dispatch import Ending
-from service.errors import Interrupted
-from service.results_json import study_json
-from service.results_reader import study_results
-from service.spec import StudySpec
-from service.study_log import StudyLog
-from storage.layout import StudyLayout
+from palpate.service.cluster.dispatch import Ending
+from palpate.service.errors import Interrupted
+from palpate.service.results.as_json import study_json
+from palpate.service.results.read import study_results
+from palpate.service.study.log import StudyLog
+from palpate.service.study.spec import StudySpec
+from palpate.storage.backends.layout import StudyLayout
+from tests.recovery.stand_ins import (
+    SPEC,
+    Inline,
+    assert_each_ran_once,
+    executions,
+    run,
+    small_spec,
+    told,
+)
 
 LEVELS = "  levels: [{nodes: 500, spacing_mm: 2}]\n"
 STRATEGIES = {

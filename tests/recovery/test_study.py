@@ -13,7 +13,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from stand_ins import (
+
+from palpate.service.cluster.dispatch import Dispatcher, Ending
+from palpate.service.cluster.open import open_cluster
+from palpate.service.errors import ClusterError, GenerationCrashError, Interrupted
+from palpate.service.study import folder as study_folder
+from palpate.service.study.log import StudyLog
+from palpate.service.study.loop import Study
+from palpate.service.study.observers.hooks import Observer
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import InputError, JournalError, NewerSchemaError, StoreError
+from palpate.storage.records import journal as storage_journal
+from palpate.storage.records.record import EvaluationRecord
+from palpate.storage.records.status import Status
+from tests.recovery.stand_ins import (
     KEPT,
     SPEC,
     TASKS,
@@ -26,19 +39,6 @@ from stand_ins import (
     small_spec,
     told,
 )
-
-from service import study_folder
-from service.cluster import open_cluster
-from service.dispatch import Dispatcher, Ending
-from service.errors import ClusterError, GenerationCrashError, Interrupted
-from service.hooks import Observer
-from service.study import Study
-from service.study_log import StudyLog
-from storage import journal as storage_journal
-from storage.errors import InputError, JournalError, NewerSchemaError, StoreError
-from storage.layout import StudyLayout
-from storage.records import EvaluationRecord
-from storage.status import Status
 
 
 @pytest.fixture(scope="module")

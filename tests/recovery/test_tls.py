@@ -12,14 +12,14 @@ from pathlib import Path
 
 import dask
 import pytest
-from processes import HERE, plain_cluster
-from stand_ins import Inline, run, told
 
-from service.certificates import ROLES, Certificates, make_certificates
-from service.cli import main
-from service.cluster import open_cluster
-from service.errors import ClusterError
-from storage.errors import InputError
+from palpate.service.cli import main
+from palpate.service.cluster.certificates import ROLES, Certificates, make_certificates
+from palpate.service.cluster.open import open_cluster
+from palpate.service.errors import ClusterError
+from palpate.storage.errors import InputError
+from tests.recovery.processes import HERE, plain_cluster
+from tests.recovery.stand_ins import Inline, run, told
 
 pytest.importorskip("cryptography", reason="cryptography is not installed: pip install '.[tls]'")
 

@@ -8,10 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from stand_ins import Inline, assert_each_ran_once, run, set_manners, told
-
-from service.cluster import open_cluster
-from service.dispatch import Dispatcher
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
 
 def test_five_workers_killed(tmp_path: Path) -> None:

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from blocks import cube, level_of
-from calculix import Material
 
-from storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
-from workers.body.mesh.hierarchy import Hierarchy
-from workers.mechanics.fem.model import Model, prepare
-from workers.mechanics.fem.problem import Constants
+from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
+from palpate.workers.body.mesh.hierarchy import Hierarchy
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants
+from tests.reference.calculix import Material
+from tests.workers.mechanics.fem.blocks import cube, level_of
 
 SIDE_MM = 40.0
 
@@ -35,7 +35,7 @@ class Block:
 
     @property
     def constants(self) -> dict[Tissue, Constants]:
-        """For `workers.mechanics.fem.problem.Problem`."""
+        """For `workers.mechanics.fem.problem.boundary_value_problem.Problem`."""
         return {Tissue.FAT: self.fat, Tissue.GLANDULAR: self.gland}
 
     @property
@@ -49,7 +49,7 @@ class Block:
 
     @cached_property
     def model(self) -> Model:
-        """For `workers.mechanics.fem.solve.solve`."""
+        """For `workers.mechanics.fem.equilibrium.solve.solve`."""
         tissue = np.where(self.inside, Tissue.GLANDULAR, Tissue.FAT)
         return prepare(Hierarchy((level_of(self.mesh, tissue),)))
 

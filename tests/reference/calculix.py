@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.values import FloatArray, IntArray, TetMesh, Triple
+from palpate.storage.values import FloatArray, IntArray, TetMesh, Triple
 
 GRAVITY_MM_PER_S2 = 9806.65
 # Out-of-balance force over the mean nodal force, and last correction over the

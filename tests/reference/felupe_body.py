@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import felupe
 import numpy as np
 
-from storage.values import FloatArray, TetMesh, Triple
+from palpate.storage.values import FloatArray, TetMesh, Triple
 
 GRAVITY_MM_PER_S2 = 9806.65
 TOLERANCE = 1e-10  # out-of-balance force over the force of the supports

@@ -7,16 +7,23 @@ are scaled with its stiffness, so that it deforms as far as a soft one.
 
 import numpy as np
 import pytest
-from bodies import SIDE_MM, Block, block
-from calculix import Answer, Body, Held, Springs, available
-from calculix import solve as calculix
 
-from workers.mechanics.fem.contact import PENALTY_N_PER_MM3
-from workers.mechanics.fem.loads import DeadForce, DistanceControl, Hold, NoPlates, Pressure, Wall
-from workers.mechanics.fem.outcome import Solution
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.regions import Box
-from workers.mechanics.fem.solve import solve
+from palpate.workers.mechanics.fem.contact.plates import PENALTY_N_PER_MM3
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.loads import (
+    DeadForce,
+    DistanceControl,
+    Hold,
+    NoPlates,
+    Pressure,
+    Wall,
+)
+from palpate.workers.mechanics.fem.problem.outcome import Solution
+from palpate.workers.mechanics.fem.problem.regions import Box
+from tests.reference.bodies import SIDE_MM, Block, block
+from tests.reference.calculix import Answer, Body, Held, Springs, available
+from tests.reference.calculix import solve as calculix
 
 pytestmark = pytest.mark.skipif(
     not available(), reason="CalculiX is not installed (Debian: apt install calculix-ccx)"

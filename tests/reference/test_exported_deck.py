@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.export.formats import export_solved
-from service.export.solved_body import SolvedBody, solve_body
-from service.export.solver_model import comparable
-from service.spec import read_spec
-from storage.values import FloatArray
+from palpate.service.export.formats import export_solved
+from palpate.service.export.solved_body import SolvedBody, solve_body
+from palpate.service.export.solver_model import comparable
+from palpate.service.study.spec import read_spec
+from palpate.storage.values import FloatArray
 
 pytestmark = pytest.mark.skipif(
     shutil.which("ccx") is None,

@@ -9,15 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage.values import TetMesh, Tissue, Volume
-from workers.body.mesh.boundary import boundary_triangles, split_boundary
-from workers.body.mesh.hierarchy import Hierarchy, MeshLevel, build_hierarchy
-from workers.body.mesh.prolongation import prolongation
-from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Hold, Plate
-from workers.mechanics.fem.model import Model, prepare
-from workers.mechanics.fem.problem import Constants, Problem
-from workers.mechanics.fem.regions import Box
-from workers.mechanics.fem.solve import solve
+from palpate.storage.values import TetMesh, Tissue, Volume
+from palpate.workers.body.mesh.boundary import boundary_triangles, split_boundary
+from palpate.workers.body.mesh.hierarchy import Hierarchy, MeshLevel, build_hierarchy
+from palpate.workers.body.mesh.prolongation import prolongation
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.loads import (
+    Device,
+    DistanceControl,
+    ForceControl,
+    Hold,
+    Plate,
+)
+from palpate.workers.mechanics.fem.problem.regions import Box
 
 CASES = Path(__file__).parents[3] / "shared" / "reference" / "febio"
 NEO_HOOKEAN = {

@@ -10,16 +10,15 @@ import pytest
 
 pytest.importorskip("felupe", reason="FElupe is not installed (pip install felupe)")
 
-from bodies import half_ellipsoid
-from felupe_body import solve_tets
-
-from storage.values import Tissue
-from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
-from workers.mechanics.fem.contact import PENALTY_N_PER_MM3
-from workers.mechanics.fem.loads import DistanceControl, Wall
-from workers.mechanics.fem.model import Model, prepare
-from workers.mechanics.fem.problem import Constants, Problem
-from workers.mechanics.fem.solve import solve
+from palpate.storage.values import Tissue
+from palpate.workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from palpate.workers.mechanics.fem.contact.plates import PENALTY_N_PER_MM3
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.loads import DistanceControl, Wall
+from tests.reference.bodies import half_ellipsoid
+from tests.reference.felupe_body import solve_tets
 
 CONSTANTS = {Tissue.FAT: Constants(0.01), Tissue.GLANDULAR: Constants(0.04)}
 LOWER_MM, UPPER_MM = -22.0, 24.0

@@ -7,18 +7,18 @@ elements: 2 in the displacement of a smooth solution, and in the energy.
 
 import numpy as np
 import pytest
-from blocks import cube, level_of
-from bodies import SIDE_MM, half_ellipsoid
 
-from storage.values import FloatArray, Tissue
-from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
-from workers.body.mesh.prolongation import prolongation
-from workers.mechanics.fem.loads import ForceControl, Hold, NoPlates, Wall
-from workers.mechanics.fem.model import prepare
-from workers.mechanics.fem.outcome import Solution
-from workers.mechanics.fem.problem import Constants, Problem
-from workers.mechanics.fem.regions import Box
-from workers.mechanics.fem.solve import solve
+from palpate.storage.values import FloatArray, Tissue
+from palpate.workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from palpate.workers.body.mesh.prolongation import prolongation
+from palpate.workers.mechanics.fem.elements.model import prepare
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.loads import ForceControl, Hold, NoPlates, Wall
+from palpate.workers.mechanics.fem.problem.outcome import Solution
+from palpate.workers.mechanics.fem.problem.regions import Box
+from tests.reference.bodies import SIDE_MM, half_ellipsoid
+from tests.workers.mechanics.fem.blocks import cube, level_of
 
 TISSUE = Constants(0.1, 0.49)
 GRAVITY_G = (0.0, -60.0, 0.0)
@@ -59,7 +59,7 @@ def slumped() -> list[tuple[FloatArray, FloatArray]]:
 def slumped_hexahedra(cells: int) -> tuple[FloatArray, FloatArray]:
     """The same by FElupe's hexahedra with a pressure of their own."""
     felupe = pytest.importorskip("felupe", reason="FElupe is not installed (pip install felupe)")
-    from felupe_body import solve_hexahedra
+    from tests.reference.felupe_body import solve_hexahedra
 
     mesh = felupe.Cube(b=(SIDE_MM,) * 3, n=cells + 1)
     held = np.full(mesh.points.shape, np.nan)

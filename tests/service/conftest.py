@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from service import cluster as cluster_module
-from service import session as session_module
-from service.cli import main
+from palpate.service.cli import main
+from palpate.service.cluster import open as cluster_module
+from palpate.service.study import session as session_module
 
 
 @pytest.fixture

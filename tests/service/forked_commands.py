@@ -17,14 +17,14 @@ from pathlib import Path
 
 # What `palpate run` loads on its way to the first check, and other commands to theirs.
 IMPORTS = (
-    "service.cli",
-    "service.cluster",
-    "service.report.study_page",
-    "service.run_study",
-    "workers.blind.causes",
-    "workers.organs.breast.organ",
-    "workers.tasks.diagnosis",
-    "workers.tasks.pipeline",
+    "palpate.service.cli",
+    "palpate.service.cluster.open",
+    "palpate.service.report.study.page",
+    "palpate.service.run_study",
+    "palpate.workers.blind.causes",
+    "palpate.workers.organs.breast.organ",
+    "palpate.workers.tasks.diagnosis",
+    "palpate.workers.tasks.pipeline",
 )
 
 

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from service import formatting
+from palpate.service import formatting
 
 
 def test_the_examples_in_the_docstrings() -> None:

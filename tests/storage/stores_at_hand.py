@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.values import Volume
+from palpate.storage.values import Volume
 
 
 def labels(shape: tuple[int, int, int] = (5, 6, 7), seed: int = 0) -> Volume:

@@ -14,11 +14,11 @@ import zarr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from stores_at_hand import run_python, same_bits
 
-from storage import arrays as module
-from storage.arrays import exists, load_arrays, load_meta, save_arrays
-from storage.errors import NewerSchemaError, StoreError
+from palpate.storage.errors import NewerSchemaError, StoreError
+from palpate.storage.stores import arrays as module
+from palpate.storage.stores.arrays import exists, load_arrays, load_meta, save_arrays
+from tests.storage.stores_at_hand import run_python, same_bits
 
 RNG = np.random.default_rng(1)
 MANY = {
@@ -126,11 +126,11 @@ def test_a_writer_that_comes_second_at_the_very_end_discards_its_own(tmp_path, m
     rename = os.rename
 
     def slow(source: Path, target: Path) -> None:
-        monkeypatch.setattr("storage.atomic.os.rename", rename)
+        monkeypatch.setattr("palpate.storage.backends.atomic.os.rename", rename)
         save_arrays(path, {"a": np.zeros(3)})  # the other one is faster
         rename(source, target)
 
-    monkeypatch.setattr("storage.atomic.os.rename", slow)
+    monkeypatch.setattr("palpate.storage.backends.atomic.os.rename", slow)
     save_arrays(path, {"a": np.ones(3)})
     assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
     assert [p.name for p in tmp_path.iterdir()] == ["x.zarr"]
@@ -139,14 +139,16 @@ def test_a_writer_that_comes_second_at_the_very_end_discards_its_own(tmp_path, m
 def test_a_group_that_appears_while_ours_is_begun_is_never_taken_away(tmp_path, monkeypatch):
     path = tmp_path / "x.zarr"
     save_arrays(path, {"a": np.zeros(3)})
-    monkeypatch.setattr("storage.arrays.exists", lambda _: False)  # asked before it was there
+    monkeypatch.setattr(
+        "palpate.storage.stores.arrays.exists", lambda _: False
+    )  # asked before it was there
     create = zarr.create_group
 
     def while_it_is_filled(*arguments: object, **options: object) -> zarr.Group:
         assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
         return create(*arguments, **options)
 
-    monkeypatch.setattr("storage.local_backend.zarr.create_group", while_it_is_filled)
+    monkeypatch.setattr("palpate.storage.backends.local.zarr.create_group", while_it_is_filled)
     save_arrays(path, {"a": np.ones(3)})
     assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
 
@@ -156,7 +158,7 @@ def test_processes_that_write_one_name_at_once_leave_one_whole_group(tmp_path):
 import sys
 from pathlib import Path
 import numpy as np
-from storage.arrays import load_arrays, save_arrays
+from palpate.storage.stores.arrays import load_arrays, save_arrays
 path = Path(sys.argv[1])
 for n in range(20):
     save_arrays(path / f"{n}.zarr", {"a": np.full((40, 40, 40), int(sys.argv[2]))})
@@ -173,8 +175,8 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from storage import atomic
-from storage.arrays import save_arrays
+from palpate.storage.backends import atomic
+from palpate.storage.stores.arrays import save_arrays
 
 def die(*_):
     os.kill(os.getpid(), signal.SIGKILL)
@@ -202,8 +204,8 @@ def test_a_full_disk_is_an_error_of_the_store_and_leaves_nothing(tmp_path):
 import resource, signal, sys
 from pathlib import Path
 import numpy as np
-from storage.arrays import save_arrays
-from storage.errors import StoreError
+from palpate.storage.stores.arrays import save_arrays
+from palpate.storage.errors import StoreError
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
 try:
@@ -221,7 +223,7 @@ def test_no_space_left_says_what_to_do(tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("storage.atomic.sync", full)
+    monkeypatch.setattr("palpate.storage.backends.atomic.sync", full)
     with pytest.raises(StoreError, match=r"No space left.*free some space"):
         save_arrays(tmp_path / "x.zarr", {"a": np.zeros(3)})
     assert list(tmp_path.iterdir()) == []

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from storage.aws_profile import Profile, read_profile
-from storage.errors import StoreError
+from palpate.storage.backends.aws_profile import Profile, read_profile
+from palpate.storage.errors import StoreError
 
 CREDENTIALS = """\
 [default]

@@ -13,21 +13,27 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stores_at_hand import labels, run_python, same_bits
 
-from storage import backend as backends
-from storage.arrays import exists, load_arrays, load_meta, save_arrays
-from storage.copies import copy_entry
-from storage.errors import NewerSchemaError, StoreError
-from storage.evaluations import load_evaluation, save_evaluation
-from storage.fields import has_field, load_field, save_field
-from storage.meshes import has_mesh, load_mesh, save_mesh
-from storage.object_path import ObjectPath
-from storage.places import Place, place_of
-from storage.store_check import check_store, set_aside
-from storage.store_probe import probe_store
-from storage.stores import Store, open_store
-from storage.volumes import has_volume, list_volumes, load_volume, save_volume, volume_meta
+from palpate.storage.backends import contract as backends
+from palpate.storage.backends.object_path import ObjectPath
+from palpate.storage.backends.places import Place, place_of
+from palpate.storage.errors import NewerSchemaError, StoreError
+from palpate.storage.records.evaluations import load_evaluation, save_evaluation
+from palpate.storage.stores.arrays import exists, load_arrays, load_meta, save_arrays
+from palpate.storage.stores.copies import copy_entry
+from palpate.storage.stores.fields import has_field, load_field, save_field
+from palpate.storage.stores.meshes import has_mesh, load_mesh, save_mesh
+from palpate.storage.stores.probe import probe_store
+from palpate.storage.stores.store import Store, open_store
+from palpate.storage.stores.volumes import (
+    has_volume,
+    list_volumes,
+    load_volume,
+    save_volume,
+    volume_meta,
+)
+from palpate.storage.upkeep.check import check_store, set_aside
+from tests.storage.stores_at_hand import labels, run_python, same_bits
 
 RNG = np.random.default_rng(3)
 MANY = {
@@ -131,7 +137,7 @@ def chunks(store: Store, place: Place) -> list[Place]:
         return [p for p in place.rglob("*") if p.is_file() and p.name != "zarr.json"]
     import obstore
 
-    from storage.object_client import client_of
+    from palpate.storage.backends.object_client import client_of
 
     found = [o["path"] for page in obstore.list(client_of(place), place.key) for o in page]
     return [ObjectPath(place.bucket, key) for key in found if not key.endswith("zarr.json")]
@@ -212,9 +218,9 @@ def test_a_creation_that_is_cut_off_is_tried_again(
 KILLED = """
 import os, sys
 import numpy as np
-from storage import atomic, object_backend
-from storage.fields import save_field
-from storage.stores import open_store
+from palpate.storage.backends import atomic, objects as object_backend
+from palpate.storage.stores.fields import save_field
+from palpate.storage.stores.store import open_store
 
 store = open_store(sys.argv[1])
 def die(*_):

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stores_at_hand import run_python
 
-from storage.digest import array_digest, digest, file_digest, source_digest
-from storage.errors import InputError
+from palpate.storage.digest import array_digest, digest, file_digest, source_digest
+from palpate.storage.errors import InputError
+from tests.storage.stores_at_hand import run_python
 
 CASE = {"E_fat": 0.1 + 0.2, "nodes": 2000, "labels": {10: "fat", 9: "é"}, "a": [1, None, True]}
 
@@ -40,7 +40,7 @@ def test_the_name_is_known_and_does_not_change_between_versions():
 def test_other_processes_with_other_hash_seeds_agree():
     code = """
 import ast, sys
-from storage.digest import digest
+from palpate.storage.digest import digest
 print(digest(ast.literal_eval(sys.argv[1])))
 """
     names = {run_python(code, repr(CASE)).stdout.strip() for _ in range(2)}

@@ -4,9 +4,9 @@ import meshio
 import numpy as np
 import pytest
 
-from storage.errors import InputError, StoreError
-from storage.meshes import FORMATS, export_mesh
-from storage.values import TetMesh
+from palpate.storage.errors import InputError, StoreError
+from palpate.storage.stores.meshes import FORMATS, export_mesh
+from palpate.storage.values import TetMesh
 
 NODES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1 / 3, 1 / 3, -0.7]])
 MESH = TetMesh(NODES, np.array([[0, 1, 2, 3], [0, 2, 1, 4]], np.int32))

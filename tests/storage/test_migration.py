@@ -2,12 +2,13 @@
 
 import pytest
 
-from storage import migration, stores
-from storage.errors import NewerSchemaError, StoreError
-from storage.evaluations import save_evaluation
-from storage.migration import migrate
-from storage.store_lock import maintaining
-from storage.stores import Store, open_store, stored_schema
+from palpate.storage.errors import NewerSchemaError, StoreError
+from palpate.storage.records.evaluations import save_evaluation
+from palpate.storage.stores import store as stores
+from palpate.storage.stores.lock import maintaining
+from palpate.storage.stores.store import Store, open_store, stored_schema
+from palpate.storage.upkeep import migration
+from palpate.storage.upkeep.migration import migrate
 
 
 @pytest.fixture(params=["folder", "bucket"])

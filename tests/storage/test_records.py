@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from storage.errors import JournalError, NewerSchemaError
-from storage.plain import dumps, loads
-from storage.records import EvaluationRecord, StudyRecord, record_of
-from storage.status import Status
+from palpate.storage.errors import JournalError, NewerSchemaError
+from palpate.storage.plain import dumps, loads
+from palpate.storage.records.record import EvaluationRecord, StudyRecord, record_of
+from palpate.storage.records.status import Status
 
 SCORE = {"gsf": -1.5, "jc": 0.97, "mhd_mm": 0.1}
 DONE = {

@@ -1,6 +1,6 @@
 """The life of an evaluation ends in a verdict, or in being asked for again."""
 
-from storage.status import Status
+from palpate.storage.records.status import Status
 
 
 def test_only_a_verdict_on_the_candidate_is_an_ending():

@@ -6,22 +6,22 @@ import math
 import numpy as np
 import pytest
 import zarr
-from stores_at_hand import labels, run_python, same_bits
 
-from storage.atomic import withdraw
-from storage.errors import NewerSchemaError, StoreError
-from storage.evaluations import load_evaluation, save_evaluation
-from storage.fields import has_field, load_field, save_field
-from storage.meshes import has_mesh, load_mesh, save_mesh
-from storage.stores import open_store
-from storage.values import Volume
-from storage.volumes import (
+from palpate.storage.backends.atomic import withdraw
+from palpate.storage.errors import NewerSchemaError, StoreError
+from palpate.storage.records.evaluations import load_evaluation, save_evaluation
+from palpate.storage.stores.fields import has_field, load_field, save_field
+from palpate.storage.stores.meshes import has_mesh, load_mesh, save_mesh
+from palpate.storage.stores.store import open_store
+from palpate.storage.stores.volumes import (
     has_volume,
     list_volumes,
     load_volume,
     save_volume,
     volume_meta,
 )
+from palpate.storage.values import Volume
+from tests.storage.stores_at_hand import labels, run_python, same_bits
 
 
 @pytest.fixture
@@ -124,8 +124,8 @@ def test_a_volume_half_removed_is_gone(store):
     save_volume(store, "v", labels())
     code = """
 import os, signal, sys
-from storage import atomic
-from storage.stores import open_store
+from palpate.storage.backends import atomic
+from palpate.storage.stores.store import open_store
 atomic.discard = lambda path: os.kill(os.getpid(), signal.SIGKILL)
 atomic.withdraw(open_store(sys.argv[1]).layout.volume("v"))
 """
@@ -200,8 +200,8 @@ def test_an_evaluation_is_whole_or_not_there(store):
     code = """
 import os, signal, sys
 from pathlib import Path
-from storage.evaluations import save_evaluation
-from storage.stores import open_store
+from palpate.storage.records.evaluations import save_evaluation
+from palpate.storage.stores.store import open_store
 Path.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 save_evaluation(open_store(sys.argv[1]), "e", {"a": 1})
 """

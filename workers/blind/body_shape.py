@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.values import FloatArray, Triple
-from workers.blind.causes.base import Rng, triple
-from workers.blind.fine_mesh import fine_mesh_of
-from workers.blind.meshed_body import Body
-from workers.blind.quadratic_element import quadratic
-from workers.blind.segmented_scan import deformed_labels, glandular_share
+from palpate.storage.values import FloatArray, Triple
+from palpate.workers.blind.causes.base import Rng, triple
+from palpate.workers.blind.fine_mesh import fine_mesh_of
+from palpate.workers.blind.meshed_body import Body
+from palpate.workers.blind.segmented_scan import deformed_labels, glandular_share
+from palpate.workers.blind.solver.quadratic_element import quadratic
 
 AMPLITUDE = 0.05, 0.12
 WAVE_NUMBER = 1.5, 3.0

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from storage.values import FloatArray
-from workers.blind.body_shape import BodyShape, draw_shape
-from workers.blind.causes.base import Rng, log_uniform
-from workers.blind.scene import NU, Scene
-from workers.blind.world import World
+from palpate.storage.values import FloatArray
+from palpate.workers.blind.body_shape import BodyShape, draw_shape
+from palpate.workers.blind.causes.base import Rng, log_uniform
+from palpate.workers.blind.scene import NU, Scene
+from palpate.workers.blind.world import World
 
 SHIFT_SD_MM = TURN_SD_DEG = 0.3
 # Of what a diagnosis holds: so little that no more than what noise hides follows from it. Springs

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from storage.values import FloatArray, IntArray, TetMesh
-from workers.blind.quadratic_element import EDGES, QuadraticMesh
+from palpate.storage.values import FloatArray, IntArray, TetMesh
+from palpate.workers.blind.solver.quadratic_element import EDGES, QuadraticMesh
 
 HALVINGS = 2  # of every edge
 SAME_MM = 1e-6  # nodes nearer to each other than this are one

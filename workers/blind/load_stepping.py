@@ -6,16 +6,16 @@ from itertools import groupby
 
 import numpy as np
 
-from storage.values import FloatArray, Volume
-from workers.blind.contact import EDGE_FADE_MM, Plate, Skin
-from workers.blind.element_energy import ElementMaterials
-from workers.blind.material_assignment import materials_of
-from workers.blind.newton import FORCE_TOLERANCE, Newton, NoEquilibriumError
-from workers.blind.quadratic_element import FACE_WEIGHTS, QuadraticMesh, face_shapes
-from workers.blind.random_case import Load
-from workers.blind.scene import WALL_SPRING_KPA_PER_MM, Anatomy, Scene
-from workers.blind.skin_membrane import sheet_of
-from workers.blind.system import State, System, Topology, Wall
+from palpate.storage.values import FloatArray, Volume
+from palpate.workers.blind.material_assignment import materials_of
+from palpate.workers.blind.random_case import Load
+from palpate.workers.blind.scene import WALL_SPRING_KPA_PER_MM, Anatomy, Scene
+from palpate.workers.blind.solver.contact import EDGE_FADE_MM, Plate, Skin
+from palpate.workers.blind.solver.element_energy import ElementMaterials
+from palpate.workers.blind.solver.newton import FORCE_TOLERANCE, Newton, NoEquilibriumError
+from palpate.workers.blind.solver.quadratic_element import FACE_WEIGHTS, QuadraticMesh, face_shapes
+from palpate.workers.blind.solver.skin_membrane import sheet_of
+from palpate.workers.blind.solver.system import State, System, Topology, Wall
 
 SAG_ARM_MM = 50.0
 TOUCH_MM = 0.3  # the plates begin a little closer than the body, so that they touch it

@@ -6,10 +6,10 @@ quarter of the element around it, read off the voxels.
 
 import numpy as np
 
-from storage.values import FloatArray, Tissue, Volume
-from workers.blind.element_energy import ElementMaterials
-from workers.blind.quadratic_element import QuadraticMesh, points_in_cells
-from workers.blind.scene import Scene
+from palpate.storage.values import FloatArray, Tissue, Volume
+from palpate.workers.blind.scene import Scene
+from palpate.workers.blind.solver.element_energy import ElementMaterials
+from palpate.workers.blind.solver.quadratic_element import QuadraticMesh, points_in_cells
 
 SAMPLES = 64  # read in every element
 

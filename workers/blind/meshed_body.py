@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from storage.values import Volume
-from workers.blind.quadratic_element import QuadraticMesh, quadratic
-from workers.blind.scene import Anatomy
-from workers.body.mesh.hierarchy import build_hierarchy
-from workers.body.phantom.breast import BreastPhantom, generate_breast
+from palpate.storage.values import Volume
+from palpate.workers.blind.scene import Anatomy
+from palpate.workers.blind.solver.quadratic_element import QuadraticMesh, quadratic
+from palpate.workers.body.mesh.hierarchy import build_hierarchy
+from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
 
 SPACING_MM = 0.8
 CORNERS = 2000  # of the tetrahedra; with the middles of their edges about 14,000 nodes

@@ -8,24 +8,30 @@ from typing import Any, Final
 
 import numpy as np
 
-from storage.errors import InputError
-from workers.blind.causes.base import Cause, log_uniform
-from workers.blind.causes.boundary import (
+from palpate.storage.errors import InputError
+from palpate.workers.blind.causes.base import Cause, log_uniform
+from palpate.workers.blind.causes.boundary import (
     Adhesion,
     Friction,
     Tether,
     WallCompliance,
     WallRise,
 )
-from workers.blind.causes.growth import Oedema, Swelling
-from workers.blind.causes.loading import Gravity, PlateForce
-from workers.blind.causes.local import Inclusion, Ligament
-from workers.blind.causes.material import FibreContrast, Fibres, Gradient, SkinSheet, Stiffening
-from workers.blind.causes.observation import ImageScale, Segmentation
-from workers.blind.causes.plates import BentPlate, ShortPlate, Tilt
-from workers.blind.deviations import Deviations, draw_deviations
-from workers.blind.scene import Anatomy, Constants, Scene
-from workers.blind.world import World
+from palpate.workers.blind.causes.growth import Oedema, Swelling
+from palpate.workers.blind.causes.loading import Gravity, PlateForce
+from palpate.workers.blind.causes.local import Inclusion, Ligament
+from palpate.workers.blind.causes.material import (
+    FibreContrast,
+    Fibres,
+    Gradient,
+    SkinSheet,
+    Stiffening,
+)
+from palpate.workers.blind.causes.observation import ImageScale, Segmentation
+from palpate.workers.blind.causes.plates import BentPlate, ShortPlate, Tilt
+from palpate.workers.blind.deviations import Deviations, draw_deviations
+from palpate.workers.blind.scene import Anatomy, Constants, Scene
+from palpate.workers.blind.world import World
 
 SINGLES: Final[tuple[type[Cause], ...]] = (
     Gravity,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from storage.values import FloatArray, Triple
+from palpate.storage.values import FloatArray, Triple
 
 Field = Callable[[FloatArray], FloatArray]
 """From points (k, 3) in mm to a number at each of them, (k,)."""

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.special import ndtri
 
-from storage.values import FloatArray, Tissue, Volume
-from workers.blind.fine_mesh import FineMesh
-from workers.comparison.warp.warp_volume import warp_grey
+from palpate.storage.values import FloatArray, Tissue, Volume
+from palpate.workers.blind.fine_mesh import FineMesh
+from palpate.workers.comparison.warp.warp_volume import warp_grey
 
 BLUR_VOXELS = 0.8
 MARGIN_MM = 6.0

@@ -12,16 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from storage.values import Volume
-from workers.blind.body_shape import reshaped
-from workers.blind.fine_mesh import fine_mesh_of
-from workers.blind.load_stepping import Solution, plate_starts, solve_scene
-from workers.blind.material_points import points_on
-from workers.blind.meshed_body import CORNERS, SPACING_MM, Body, body_of
-from workers.blind.random_case import Load, Truth
-from workers.blind.scene import NU, WALL_SPRING_KPA_PER_MM
-from workers.blind.segmented_scan import Segmenter, deformed_labels, glandular_share, segmented
-from workers.blind.system import topology_of
+from palpate.storage.values import Volume
+from palpate.workers.blind.body_shape import reshaped
+from palpate.workers.blind.fine_mesh import fine_mesh_of
+from palpate.workers.blind.load_stepping import Solution, plate_starts, solve_scene
+from palpate.workers.blind.meshed_body import CORNERS, SPACING_MM, Body, body_of
+from palpate.workers.blind.random_case import Load, Truth
+from palpate.workers.blind.scene import NU, WALL_SPRING_KPA_PER_MM
+from palpate.workers.blind.segmented_scan import (
+    Segmenter,
+    deformed_labels,
+    glandular_share,
+    segmented,
+)
+from palpate.workers.blind.solver.material_points import points_on
+from palpate.workers.blind.solver.system import topology_of
 
 POINTS = 1500  # on each interface
 TIME_S = 1_000_000_000  # all files are of this time

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TypeVar
 
-from storage.errors import InputError
-from workers.mechanics.readings import AS_IS, Reading
-from workers.units import KPA, NUMBER, Unit
+from palpate.storage.errors import InputError
+from palpate.workers.mechanics.readings import AS_IS, Reading
+from palpate.workers.units import KPA, NUMBER, Unit
 
 Bounds = tuple[float, float]
 T = TypeVar("T")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from storage.values import Triple
+from palpate.storage.values import Triple
 
 ALONG_Y: Triple = (0.0, 1.0, 0.0)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.values import FloatArray
+from palpate.storage.values import FloatArray
 
 # In standard deviations.
 HUBER = 1.5

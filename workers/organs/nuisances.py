@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from storage.task_records import FreeParameter
+from palpate.storage.records.tasks import FreeParameter
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,13 +17,13 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from numpy.typing import NDArray
 
-from storage.task_records import FreeParameter
-from storage.values import FloatArray, Volume
-from workers.mechanics.effects.base import Effect
-from workers.mechanics.parameters import Vocabulary
-from workers.organs.normal_equations import NormalEquations
-from workers.organs.nuisances import Nuisance
-from workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec
+from palpate.storage.records.tasks import FreeParameter
+from palpate.storage.values import FloatArray, Volume
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.parameters import Vocabulary
+from palpate.workers.organs.normal_equations import NormalEquations
+from palpate.workers.organs.nuisances import Nuisance
+from palpate.workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec
 
 Arrays = dict[str, NDArray[Any]]
 Facts = Mapping[str, Any]

@@ -7,24 +7,24 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
-from storage.errors import InputError
-from storage.task_records import FreeParameter
-from workers.mechanics.parameters import unknown_name
-from workers.mechanics.pressed import Pressed
-from workers.organs.organ import Organ
-from workers.spec import CaseSpec
+from palpate.storage.errors import InputError
+from palpate.storage.records.tasks import FreeParameter
+from palpate.workers.mechanics.parameters import unknown_name
+from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.organs.organ import Organ
+from palpate.workers.spec import CaseSpec
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # The module of each organ; it holds the object ORGAN.
 MODULES = {
-    "breast": "workers.organs.breast.organ",
-    "cornea": "workers.organs.cornea.organ",
+    "breast": "palpate.workers.organs.breast.organ",
+    "cornea": "palpate.workers.organs.cornea.organ",
 }
 DEFAULT = "breast"
 # What is said of a fitted body beside its constants, where an organ has something to say.
-FINDINGS = {"cornea": "workers.organs.cornea.findings"}
+FINDINGS = {"cornea": "palpate.workers.organs.cornea.findings.study"}
 
 
 class Findings(Protocol):

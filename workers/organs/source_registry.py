@@ -9,23 +9,31 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
-from storage.errors import InputError, StoreError
-from storage.values import Volume
-from workers.diagnosis.source import FinishedStudy, PlannedSource, Source, SourceContent
-from workers.mechanics.parameters import unknown_name
+from palpate.storage.errors import InputError, StoreError
+from palpate.storage.values import Volume
+from palpate.workers.diagnosis.outcome.source import (
+    FinishedStudy,
+    PlannedSource,
+    Source,
+    SourceContent,
+)
+from palpate.workers.mechanics.parameters import unknown_name
 
 # The module of each kind; it makes the source again from its content.
 MODULES = {
-    "scanned case": "workers.organs.breast.case_source",
-    "planned case": "workers.organs.breast.case_source",
-    "breast study": "workers.organs.breast.study_source",
-    "cornea study": "workers.organs.cornea.study_source",
-    "specimen": "workers.organs.specimen.source",
+    "scanned case": "palpate.workers.organs.breast.case.source",
+    "planned case": "palpate.workers.organs.breast.case.source",
+    "breast study": "palpate.workers.organs.breast.study_source",
+    "cornea study": "palpate.workers.organs.cornea.diagnosis.study_source",
+    "specimen": "palpate.workers.organs.specimen.source",
 }
 # The kind of source that a study of an organ is.
 STUDIES = {"breast": "breast study", "cornea": "cornea study"}
 # Modules that read sources from files, each with an object READER.
-READERS = ("workers.organs.breast.case_files", "workers.organs.specimen.experiment_files")
+READERS = (
+    "palpate.workers.organs.breast.case.files",
+    "palpate.workers.organs.specimen.experiment_files",
+)
 
 
 class Reader(Protocol):

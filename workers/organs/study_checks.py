@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Literal, Protocol, runtime_checkable
 
-from storage.errors import InputError
-from workers.mechanics.parameters import Bounds
+from palpate.storage.errors import InputError
+from palpate.workers.mechanics.parameters import Bounds
 
 # The module of each organ that has checks of its own; it holds the object CHECKS.
 MODULES = {
-    "breast": "workers.organs.breast.study_checks",
-    "cornea": "workers.organs.cornea.study_checks",
+    "breast": "palpate.workers.organs.breast.study_checks",
+    "cornea": "palpate.workers.organs.cornea.study_checks",
 }
 ANYWAY = "If the input is right as it is, continue with --anyway (in Python: anyway=True)."
 FIRST_LINE = "Computed with --anyway, although a plausibility check failed: "

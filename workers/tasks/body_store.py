@@ -10,19 +10,25 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from storage.arrays import Arrays, exists, load_arrays, load_meta, save_arrays
-from storage.digest import array_digest, digest, file_digest
-from storage.errors import InputError
-from storage.meshes import has_mesh, load_mesh, save_mesh
-from storage.stores import Store
-from storage.values import Volume
-from storage.volumes import find_volume, has_volume, load_volume, save_volume, volume_meta
-from workers.organs.organ import AligningOrgan, Facts, Organ
-from workers.organs.registry import organ_module
-from workers.resources import CACHE
-from workers.spec import CaseSpec, Door, ScoreSpec
-from workers.tasks.code_version import code_version
-from workers.tasks.pipeline import Setup, Watch
+from palpate.storage.digest import array_digest, digest, file_digest
+from palpate.storage.errors import InputError
+from palpate.storage.stores.arrays import Arrays, exists, load_arrays, load_meta, save_arrays
+from palpate.storage.stores.meshes import has_mesh, load_mesh, save_mesh
+from palpate.storage.stores.store import Store
+from palpate.storage.stores.volumes import (
+    find_volume,
+    has_volume,
+    load_volume,
+    save_volume,
+    volume_meta,
+)
+from palpate.storage.values import Volume
+from palpate.workers.organs.organ import AligningOrgan, Facts, Organ
+from palpate.workers.organs.registry import organ_module
+from palpate.workers.resources import CACHE
+from palpate.workers.spec import CaseSpec, Door, ScoreSpec
+from palpate.workers.tasks.code_version import code_version
+from palpate.workers.tasks.pipeline import Setup, Watch
 
 T = TypeVar("T")
 

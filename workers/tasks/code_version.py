@@ -12,9 +12,9 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from storage.digest import digest, file_digest
+from palpate.storage.digest import digest, file_digest
 
-PACKAGES = ("workers", "storage")
+PACKAGES = ("palpate.workers", "palpate.storage")
 # Python 3.11 cannot parse in several threads at once (cpython issue 106905), and studies of one
 # process run in threads.
 _PARSING = threading.Lock()
@@ -29,7 +29,7 @@ def code_version(*modules: str) -> str:
     Parameters
     ----------
     *modules : str
-        Dotted names, such as ``"workers.tasks.evaluation"``.
+        Dotted names, such as ``"palpate.workers.tasks.evaluation"``.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def reached(modules: Iterable[str], packages: Iterable[str] = PACKAGES) -> dict[
     modules : iterable of str
         Where to begin.
     packages : iterable of str
-        Top-level packages that are followed; others are left out.
+        Packages that are followed; others are left out.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def reached(modules: Iterable[str], packages: Iterable[str] = PACKAGES) -> dict[
     waiting = list(modules)
     while waiting:
         name = waiting.pop()
-        if name in files or name.split(".", 1)[0] not in roots:
+        if name in files or not _below(name, roots):
             continue
         file = source_file(name)
         if file is None:
@@ -77,6 +77,10 @@ def reached(modules: Iterable[str], packages: Iterable[str] = PACKAGES) -> dict[
         waiting.extend(_parents(name))
         waiting.extend(_imported(file, name))
     return files
+
+
+def _below(module: str, packages: Iterable[str]) -> bool:
+    return any(module == name or module.startswith(f"{name}.") for name in packages)
 
 
 @cache
@@ -130,7 +134,7 @@ def _statements(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def _submodules(base: str, node: ast.ImportFrom) -> Iterator[str]:
-    if base.split(".", 1)[0] not in PACKAGES:
+    if not _below(base, PACKAGES):
         return
     for alias in node.names:
         name = f"{base}.{alias.name}"

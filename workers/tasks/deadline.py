@@ -12,12 +12,12 @@ from collections.abc import Callable, Iterable
 
 from distributed import get_worker
 
-from storage.backend import backend_of
-from storage.evaluations import load_evaluation
-from storage.places import Place
-from storage.stores import open_store
-from storage.task_records import EvaluationRequest, EvaluationResult
-from workers.resources import worker_name
+from palpate.storage.backends.contract import backend_of
+from palpate.storage.backends.places import Place
+from palpate.storage.records.evaluations import load_evaluation
+from palpate.storage.records.tasks import EvaluationRequest, EvaluationResult
+from palpate.storage.stores.store import open_store
+from palpate.workers.resources import worker_name
 
 MOST_OVERRUNS = 2
 EXIT_CODE = 75

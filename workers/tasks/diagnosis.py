@@ -20,21 +20,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.arrays import Arrays
-from storage.values import BoolArray
-from workers.comparison.observation.interface import InterfacePoints
-from workers.diagnosis.calibration import calibrate
-from workers.diagnosis.diagnosis import Course, Diagnosis, SecondReading, advance, base_of, diagnose
-from workers.diagnosis.gauss_newton import SolvedFit
-from workers.diagnosis.inverse_problem import InverseProblem
-from workers.diagnosis.joint_fit import fit_jointly
-from workers.diagnosis.pictures.scan_pictures import Displacements
-from workers.diagnosis.scan_prediction import predict_scan
-from workers.diagnosis.second_reading import read_again
-from workers.diagnosis.sensitivity_analysis import scan_sensitivity
-from workers.diagnosis.summarise import summarise
-from workers.scan_threads import Each, scan_threads
-from workers.tasks.diagnosis_store import (
+from palpate.storage.stores.arrays import Arrays
+from palpate.storage.values import BoolArray
+from palpate.workers.comparison.observation.interface import InterfacePoints
+from palpate.workers.diagnosis.fits.calibration import calibrate
+from palpate.workers.diagnosis.fits.gauss_newton import SolvedFit
+from palpate.workers.diagnosis.fits.sensitivity_analysis import scan_sensitivity
+from palpate.workers.diagnosis.outcome.pictures.scan_pictures import Displacements
+from palpate.workers.diagnosis.outcome.summarise import summarise
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
+from palpate.workers.diagnosis.problem.scan_prediction import predict_scan
+from palpate.workers.diagnosis.verdict.diagnosis import (
+    Course,
+    Diagnosis,
+    SecondReading,
+    advance,
+    base_of,
+    diagnose,
+)
+from palpate.workers.diagnosis.verdict.joint_fit import fit_jointly
+from palpate.workers.diagnosis.verdict.second_reading import read_again
+from palpate.workers.scan_threads import Each, scan_threads
+from palpate.workers.tasks.diagnosis_store import (
     CalibrationRecord,
     DiagnosisRequest,
     DiagnosisStore,
@@ -43,8 +50,8 @@ from workers.tasks.diagnosis_store import (
     PreparationRecord,
     SensitivityRecord,
 )
-from workers.tasks.learnt_noise import noise_arrays
-from workers.tasks.task_store import Part
+from palpate.workers.tasks.learnt_noise import noise_arrays
+from palpate.workers.tasks.task_store import Part
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +79,7 @@ class WeighingRecord:
 
 
 def prepare_scan(request: DiagnosisRequest, name: str) -> PreparationRecord:
-    """Make what has this name in `workers.diagnosis.preparation`, for all processes."""
+    """Make what has this name in `workers.diagnosis.problem.preparation`, for all processes."""
     store = DiagnosisStore(request)
     part = store.preparation(name)
     if not part.is_finished:

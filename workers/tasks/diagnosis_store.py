@@ -3,7 +3,7 @@
 ::
 
     source         what was imaged or measured; see `workers.tasks.sources`
-    preparation    points, body, distances; see `workers.diagnosis.preparation`
+    preparation    points, body, distances; see `workers.diagnosis.problem.preparation`
     calibration    points kept, noise, constants, derivatives
     sensitivity    columns of one effect in one scan
     joint fit      of some effects with the constants
@@ -23,28 +23,28 @@ from typing import TypeVar
 
 import numpy as np
 
-from storage.digest import digest
-from storage.errors import StoreError
-from workers.diagnosis.effect_sensitivity import EffectSensitivity
-from workers.diagnosis.gauss_newton import Fit, SolvedFit
-from workers.diagnosis.inverse_problem import InverseProblem, unknowns
-from workers.diagnosis.joint_fit import JointFit
-from workers.diagnosis.nominal_analysis import NominalAnalysis
-from workers.diagnosis.preparation import Prepared
-from workers.diagnosis.scan_poses import registered
-from workers.diagnosis.scan_prediction import ComparedScan, predict_scan
-from workers.diagnosis.sensitivity_analysis import ScanSensitivity, joined_sensitivity
-from workers.diagnosis.settings import SETTINGS
-from workers.diagnosis.source import PreparedSource, Source
-from workers.diagnosis.summary import Summary
-from workers.mechanics.effects.base import Effect
-from workers.mechanics.fem.model import Model
-from workers.mechanics.fem.solve import Equilibrium
-from workers.organs.source_registry import source_module
-from workers.tasks.code_version import code_version
-from workers.tasks.learnt_noise import with_stored_noise
-from workers.tasks.sources import SourceName, stored_source
-from workers.tasks.task_store import Part, TaskStore
+from palpate.storage.digest import digest
+from palpate.storage.errors import StoreError
+from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
+from palpate.workers.diagnosis.fits.gauss_newton import Fit, SolvedFit
+from palpate.workers.diagnosis.fits.sensitivity_analysis import ScanSensitivity, joined_sensitivity
+from palpate.workers.diagnosis.outcome.source import PreparedSource, Source
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, unknowns
+from palpate.workers.diagnosis.problem.preparation import Prepared
+from palpate.workers.diagnosis.problem.scan_poses import registered
+from palpate.workers.diagnosis.problem.scan_prediction import ComparedScan, predict_scan
+from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.verdict.joint_fit import JointFit
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.fem.elements.model import Model
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
+from palpate.workers.organs.source_registry import source_module
+from palpate.workers.tasks.code_version import code_version
+from palpate.workers.tasks.learnt_noise import with_stored_noise
+from palpate.workers.tasks.sources import SourceName, stored_source
+from palpate.workers.tasks.task_store import Part, TaskStore
 
 T = TypeVar("T")
 
@@ -140,7 +140,7 @@ def named(request: DiagnosisRequest) -> DiagnosisRequest:
 
 def diagnosis_code(kind: str) -> str:
     """Return a digest of all source code that a diagnosis of a kind of source depends on."""
-    return code_version("workers.tasks.diagnosis", source_module(kind))
+    return code_version("palpate.workers.tasks.diagnosis", source_module(kind))
 
 
 class DiagnosisStore:
@@ -214,7 +214,7 @@ class DiagnosisStore:
         return source.preparations if isinstance(source, PreparedSource) else ()
 
     def prepare(self, name: str) -> Prepared:
-        """Make what has this name in `workers.diagnosis.preparation`."""
+        """Make what has this name in `workers.diagnosis.problem.preparation`."""
         source = self.source
         if not isinstance(source, PreparedSource):
             raise KeyError(name)

@@ -20,12 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from storage.digest import digest
-from storage.errors import InputError, StoreError
-from storage.evaluations import load_evaluation, save_evaluation
-from storage.fields import load_field, save_field
-from storage.stores import Store, open_store
-from storage.task_records import (
+from palpate.storage.digest import digest
+from palpate.storage.errors import InputError, StoreError
+from palpate.storage.records.evaluations import load_evaluation, save_evaluation
+from palpate.storage.records.tasks import (
     EvaluationRequest,
     EvaluationResult,
     FreeParameter,
@@ -35,14 +33,16 @@ from storage.task_records import (
     Scores,
     SpecJson,
 )
-from workers.organs.organ import Organ, Solution
-from workers.organs.registry import DEFAULT, organ_module, organ_named
-from workers.resources import worker_name
-from workers.spec import CaseSpec, ScoreSpec, validated
-from workers.tasks import pipeline
-from workers.tasks.body_store import BodyStore
-from workers.tasks.code_version import code_version
-from workers.tasks.pipeline import Watch
+from palpate.storage.stores.fields import load_field, save_field
+from palpate.storage.stores.store import Store, open_store
+from palpate.workers.organs.organ import Organ, Solution
+from palpate.workers.organs.registry import DEFAULT, organ_module, organ_named
+from palpate.workers.resources import worker_name
+from palpate.workers.spec import CaseSpec, ScoreSpec, validated
+from palpate.workers.tasks import pipeline
+from palpate.workers.tasks.body_store import BodyStore
+from palpate.workers.tasks.code_version import code_version
+from palpate.workers.tasks.pipeline import Watch
 
 
 def case_organ(case: SpecJson) -> Organ[Any, Any, Any]:

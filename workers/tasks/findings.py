@@ -2,13 +2,13 @@
 
 from typing import Any
 
-from storage.plain import to_plain
-from storage.stores import open_store
-from storage.task_records import EvaluationRequest
-from workers.organs.registry import findings_of
-from workers.spec import validated
-from workers.tasks.body_store import BodyStore
-from workers.tasks.evaluation import case_of, case_organ
+from palpate.storage.plain import to_plain
+from palpate.storage.records.tasks import EvaluationRequest
+from palpate.storage.stores.store import open_store
+from palpate.workers.organs.registry import findings_of
+from palpate.workers.spec import validated
+from palpate.workers.tasks.body_store import BodyStore
+from palpate.workers.tasks.evaluation import case_of, case_organ
 
 
 def find(request: EvaluationRequest) -> dict[str, Any]:

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from storage.arrays import Arrays
-from workers.diagnosis.calibration import with_anchored_scans
-from workers.diagnosis.inverse_problem import InverseProblem
-from workers.diagnosis.noise_model import LearntNoise, NoiseParts, NoiseState
-from workers.diagnosis.noise_parts import noise_lengths, stated_covariances
-from workers.diagnosis.pressed_points import with_pressed_points
-from workers.diagnosis.uneven_noise import with_factors
+from palpate.storage.stores.arrays import Arrays
+from palpate.workers.diagnosis.fits.calibration import with_anchored_scans
+from palpate.workers.diagnosis.noise.model import LearntNoise, NoiseParts, NoiseState
+from palpate.workers.diagnosis.noise.uneven import with_factors
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
+from palpate.workers.diagnosis.problem.noise_parts import noise_lengths, stated_covariances
+from palpate.workers.diagnosis.problem.pressed_points import with_pressed_points
 
 
 def noise_arrays(inverse: InverseProblem) -> Arrays:

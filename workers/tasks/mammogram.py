@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from storage.errors import InputError
-from storage.stores import open_store
-from storage.volumes import load_volume
-from workers.comparison.mammogram.dicom_image import View
-from workers.comparison.mammogram.exposure import Mammogram, Noise, expose
-from workers.comparison.mammogram.geometry import CC_AXIS, Unit, geometry_of, mlo_axis
-from workers.comparison.mammogram.spectrum import spectrum_of
-from workers.tasks.evaluation import simulate_once
+from palpate.storage.errors import InputError
+from palpate.storage.stores.store import open_store
+from palpate.storage.stores.volumes import load_volume
+from palpate.workers.comparison.mammogram.dicom_image import View
+from palpate.workers.comparison.mammogram.exposure import Mammogram, Noise, expose
+from palpate.workers.comparison.mammogram.geometry import CC_AXIS, Unit, geometry_of, mlo_axis
+from palpate.workers.comparison.mammogram.spectrum import spectrum_of
+from palpate.workers.tasks.evaluation import simulate_once
 
 OBLIQUE_DEG: dict[View, float] = {"CC": 0.0, "MLO": 45.0}
 

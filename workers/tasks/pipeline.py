@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from storage.task_records import FitJson, FreeParameter
-from workers.organs.organ import Organ, Residuals, Scorer, Scores, Solution, logarithmic
-from workers.spec import CaseSpec
+from palpate.storage.records.tasks import FitJson, FreeParameter
+from palpate.workers.organs.organ import Organ, Residuals, Scorer, Scores, Solution, logarithmic
+from palpate.workers.spec import CaseSpec
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,18 +13,18 @@ workers need the store and nothing else.
 import time
 from dataclasses import dataclass, replace
 
-from storage.digest import digest
-from storage.errors import InputError
-from workers.diagnosis.acquisition import Acquisition, inverse_problem_of
-from workers.diagnosis.inverse_problem import InverseProblem
-from workers.diagnosis.planning.candidate_loads import CandidateLoad, candidate_loads
-from workers.diagnosis.planning.load_sensitivity import LoadSensitivity, load_sensitivity
-from workers.diagnosis.planning.plan import make_plan
-from workers.diagnosis.planning.summary import PlanSummary
-from workers.organs.source_registry import source_module
-from workers.tasks.code_version import code_version
-from workers.tasks.sources import SourceName, stored_planned
-from workers.tasks.task_store import Part, TaskStore
+from palpate.storage.digest import digest
+from palpate.storage.errors import InputError
+from palpate.workers.diagnosis.planning.candidate_loads import CandidateLoad, candidate_loads
+from palpate.workers.diagnosis.planning.load_sensitivity import LoadSensitivity, load_sensitivity
+from palpate.workers.diagnosis.planning.plan import make_plan
+from palpate.workers.diagnosis.problem.acquisition import Acquisition, inverse_problem_of
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
+from palpate.workers.diagnosis.schema.plan import PlanSummary
+from palpate.workers.organs.source_registry import source_module
+from palpate.workers.tasks.code_version import code_version
+from palpate.workers.tasks.sources import SourceName, stored_planned
+from palpate.workers.tasks.task_store import Part, TaskStore
 
 NOMINAL = "nominal"
 
@@ -79,7 +79,7 @@ def named(request: PlanRequest) -> PlanRequest:
 
 
 def _code(kind: str) -> str:
-    return code_version("workers.tasks.planning", source_module(kind))
+    return code_version("palpate.workers.tasks.planning", source_module(kind))
 
 
 def list_loads(request: PlanRequest) -> LoadsRecord:

@@ -9,26 +9,32 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from storage.digest import array_digest, digest
-from storage.errors import InputError
-from storage.places import Location
-from storage.plain import dumps, loads, to_plain
-from storage.stores import open_store
-from storage.values import Volume
-from storage.volumes import find_volume, load_volume
-from workers.body.mesh.node_count import check_node_count_of
-from workers.diagnosis.source import (
+from palpate.storage.backends.places import Location
+from palpate.storage.digest import array_digest, digest
+from palpate.storage.errors import InputError
+from palpate.storage.plain import dumps, loads, to_plain
+from palpate.storage.stores.store import open_store
+from palpate.storage.stores.volumes import find_volume, load_volume
+from palpate.storage.values import Volume
+from palpate.workers.body.mesh.node_count import check_node_count_of
+from palpate.workers.diagnosis.outcome.source import (
     Checkable,
     HasContent,
     PlannedSource,
     Source,
     SourceContent,
 )
-from workers.documents import parse_yaml
-from workers.organs.source_registry import Reader, planned_source_of, readers, source_of
-from workers.organs.study_checks import FIRST_LINE, CheckedSource, Finding, accept, caveats_of
-from workers.tasks.studies import is_study, open_study
-from workers.tasks.task_store import TaskStore
+from palpate.workers.documents import parse_yaml
+from palpate.workers.organs.source_registry import Reader, planned_source_of, readers, source_of
+from palpate.workers.organs.study_checks import (
+    FIRST_LINE,
+    CheckedSource,
+    Finding,
+    accept,
+    caveats_of,
+)
+from palpate.workers.tasks.studies import is_study, open_study
+from palpate.workers.tasks.task_store import TaskStore
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,16 +2,22 @@
 
 from pathlib import Path
 
-from storage.best_candidate import best_of
-from storage.errors import InputError
-from storage.journal import Journal
-from storage.layout import StudyLayout
-from storage.records import EvaluationRecord, SessionRecord, StudyRecord, caveats_in, record_of
-from storage.stores import open_store
-from workers.diagnosis.source import FinishedStudy
-from workers.organs.registry import DEFAULT, organ_named
-from workers.organs.source_registry import StudySource, source_of_study
-from workers.tasks.body_store import BodyStore
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import InputError
+from palpate.storage.records.best_candidate import best_of
+from palpate.storage.records.journal import Journal
+from palpate.storage.records.record import (
+    EvaluationRecord,
+    SessionRecord,
+    StudyRecord,
+    caveats_in,
+    record_of,
+)
+from palpate.storage.stores.store import open_store
+from palpate.workers.diagnosis.outcome.source import FinishedStudy
+from palpate.workers.organs.registry import DEFAULT, organ_named
+from palpate.workers.organs.source_registry import StudySource, source_of_study
+from palpate.workers.tasks.body_store import BodyStore
 
 
 def is_study(folder: Path) -> bool:

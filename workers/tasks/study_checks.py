@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from storage.errors import InputError
-from storage.stores import open_store
-from workers.mechanics.parameters import Bounds
-from workers.organs.registry import organ_named
-from workers.organs.study_checks import (
+from palpate.storage.errors import InputError
+from palpate.storage.stores.store import open_store
+from palpate.workers.mechanics.parameters import Bounds
+from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.study_checks import (
     BodyChecks,
     Finding,
     SearchChecks,
@@ -15,8 +15,8 @@ from workers.organs.study_checks import (
     accept,
     checks_of,
 )
-from workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec
-from workers.tasks.body_store import BodyStore, aligned_target
+from palpate.workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec
+from palpate.workers.tasks.body_store import BodyStore, aligned_target
 
 
 def study_findings(

@@ -2,7 +2,7 @@
 
 A part is written whole or not at all, so what has its name is finished, and whoever asks for
 the same name anywhere gets the same thing. Records are frozen dataclasses; see
-`storage.typed_json`.
+`storage.records.typed_json`.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -11,15 +11,15 @@ from typing import Any, TypeVar
 
 from numpy.typing import NDArray
 
-from storage.arrays import Arrays, exists, load_arrays, load_meta, save_arrays
-from storage.digest import array_digest, digest
-from storage.errors import StoreError
-from storage.places import Location, Place
-from storage.stores import open_store
-from storage.typed_json import from_json, to_json
-from storage.values import Volume
-from storage.volumes import has_volume, load_volume, save_volume
-from workers.resources import CACHE
+from palpate.storage.backends.places import Location, Place
+from palpate.storage.digest import array_digest, digest
+from palpate.storage.errors import StoreError
+from palpate.storage.records.typed_json import from_json, to_json
+from palpate.storage.stores.arrays import Arrays, exists, load_arrays, load_meta, save_arrays
+from palpate.storage.stores.store import open_store
+from palpate.storage.stores.volumes import has_volume, load_volume, save_volume
+from palpate.storage.values import Volume
+from palpate.workers.resources import CACHE
 
 R = TypeVar("R")
 T = TypeVar("T")

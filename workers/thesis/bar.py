@@ -12,19 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray, TetMesh, Tissue, Triple, Volume
-from workers.comparison.coefficients.coefficients import Coefficients, coefficients
-from workers.comparison.similarity.score import Surface
-from workers.comparison.warp.warp_volume import warp_labels
-from workers.mechanics.fem.loads import DeadForce, NoPlates, Wall
-from workers.mechanics.fem.model import Model, prepare
-from workers.mechanics.fem.outcome import Outcome
-from workers.mechanics.fem.problem import Constants, Problem
-from workers.mechanics.fem.regions import Box
-from workers.mechanics.fem.solve import solve
-from workers.organs.specimen.block import block
-from workers.thesis.scale import Scale, check_scale
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, TetMesh, Tissue, Triple, Volume
+from palpate.workers.comparison.coefficients.coefficients import Coefficients, coefficients
+from palpate.workers.comparison.similarity.score import Surface
+from palpate.workers.comparison.warp.warp_volume import warp_labels
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.loads import DeadForce, NoPlates, Wall
+from palpate.workers.mechanics.fem.problem.outcome import Outcome
+from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.organs.specimen.block import block
+from palpate.workers.thesis.scale import Scale, check_scale
 
 LENGTH_MM, SIDE_MM = 100.0, 20.0
 # A gel of 30 kPa, nearly incompressible as all tissues of the thesis.

@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from storage.errors import InputError
-from storage.values import FloatArray, Tissue, Triple, Volume
-from workers.body.mesh.hierarchy import Hierarchy
-from workers.body.phantom.breast import Phantom
-from workers.comparison.coefficients.coefficients import coefficients
-from workers.comparison.mammogram.geometry import CC_AXIS, mlo_axis
-from workers.comparison.warp.warp_volume import warp_labels
-from workers.mechanics.fem.loads import Device, DistanceControl, Hold
-from workers.mechanics.fem.model import prepare
-from workers.mechanics.fem.outcome import Outcome
-from workers.mechanics.fem.problem import Constants, Problem
-from workers.mechanics.fem.regions import Ball
-from workers.mechanics.fem.solve import solve
-from workers.mechanics.materials.mooney_rivlin import MooneyRivlin
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Tissue, Triple, Volume
+from palpate.workers.body.mesh.hierarchy import Hierarchy
+from palpate.workers.body.phantom.breast import Phantom
+from palpate.workers.comparison.coefficients.coefficients import coefficients
+from palpate.workers.comparison.mammogram.geometry import CC_AXIS, mlo_axis
+from palpate.workers.comparison.warp.warp_volume import warp_labels
+from palpate.workers.mechanics.fem.elements.model import prepare
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.loads import Device, DistanceControl, Hold
+from palpate.workers.mechanics.fem.problem.outcome import Outcome
+from palpate.workers.mechanics.fem.problem.regions import Ball
+from palpate.workers.mechanics.materials.mooney_rivlin import MooneyRivlin
 
 View = Literal["CC", "MLO"]
 LawName = Literal["neo-Hookean", "Mooney-Rivlin"]

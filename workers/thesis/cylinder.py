@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import Tissue, Volume
-from workers.comparison.coefficients.coefficients import coefficients
-from workers.comparison.similarity.score import Surface
-from workers.thesis.scale import Scale, check_scale
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.comparison.coefficients.coefficients import coefficients
+from palpate.workers.comparison.similarity.score import Surface
+from palpate.workers.thesis.scale import Scale, check_scale
 
 LENGTH_MM, RADIUS_MM = 80.0, 10.0
 VOXEL_MM: dict[Scale, float] = {"sketch": 1.0, "reduced": 1.0, "full": 0.5}

@@ -7,9 +7,9 @@ to phantoms 1 to 5 again.
 from dataclasses import asdict
 from typing import Any, Literal, get_args
 
-from storage.errors import InputError
-from workers.thesis.phantoms import FULL, NUMBERS, REDUCED, density_of
-from workers.thesis.scale import Scale, check_scale
+from palpate.storage.errors import InputError
+from palpate.workers.thesis.phantoms import FULL, NUMBERS, REDUCED, density_of
+from palpate.workers.thesis.scale import Scale, check_scale
 
 TargetName = Literal["X1", "X2", "X3"]
 TARGETS: dict[TargetName, dict[str, float]] = {

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from workers.comparison.mammogram.exposure import Mammogram, Noise, expose
-from workers.comparison.mammogram.geometry import Unit, geometry_of
-from workers.comparison.mammogram.picture import difference_picture, grey_picture
-from workers.comparison.mammogram.spectrum import Beam, spectrum_of
-from workers.thesis.compression import AXES, Compressed, View
-from workers.thesis.scale import Scale
+from palpate.storage.errors import InputError
+from palpate.workers.comparison.mammogram.exposure import Mammogram, Noise, expose
+from palpate.workers.comparison.mammogram.geometry import Unit, geometry_of
+from palpate.workers.comparison.mammogram.picture import difference_picture, grey_picture
+from palpate.workers.comparison.mammogram.spectrum import Beam, spectrum_of
+from palpate.workers.thesis.compression import AXES, Compressed, View
+from palpate.workers.thesis.scale import Scale
 
 PIXEL_MM: dict[Scale, float] = {"sketch": 0.8, "reduced": 0.3, "full": 0.2}
 

@@ -6,17 +6,17 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import BoolArray, FloatArray, TetMesh, Tissue, Volume
-from workers.body.mesh.adaptive.agreement import Agreement, agreement
-from workers.body.mesh.adaptive.nested import adaptive_hierarchy
-from workers.body.mesh.adaptive.sizing import Sizes
-from workers.body.mesh.adaptive.tetwild import tetwild_mesh
-from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
-from workers.body.mesh.plane_section import PlaneSection, plane_section
-from workers.body.mesh.quality import measures, summarise
-from workers.thesis.phantoms import thesis_phantom, two_materials
-from workers.thesis.scale import Scale, check_scale
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, TetMesh, Tissue, Volume
+from palpate.workers.body.mesh.adaptive.agreement import Agreement, agreement
+from palpate.workers.body.mesh.adaptive.nested import adaptive_hierarchy
+from palpate.workers.body.mesh.adaptive.sizing import Sizes
+from palpate.workers.body.mesh.adaptive.tetwild import tetwild_mesh
+from palpate.workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from palpate.workers.body.mesh.plane_section import PlaneSection, plane_section
+from palpate.workers.body.mesh.quality import measures, summarise
+from palpate.workers.thesis.phantoms import thesis_phantom, two_materials
+from palpate.workers.thesis.scale import Scale, check_scale
 
 MeshKind = Literal[
     "adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm", "homogeneous", "fTetWild"

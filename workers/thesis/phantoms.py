@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import Tissue, Volume
-from workers.body.phantom.breast import BreastPhantom, Phantom, generate_breast
-from workers.thesis.scale import Scale, check_scale
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.body.phantom.breast import BreastPhantom, Phantom, generate_breast
+from palpate.workers.thesis.scale import Scale, check_scale
 
 COUNT = 10
 SPARSEST, DENSEST = 0.07, 0.35

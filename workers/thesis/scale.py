@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from storage.errors import InputError
+from palpate.storage.errors import InputError
 
 # A sketch takes a minute and shows what comes out; its numbers mean little.
 Scale = Literal["sketch", "reduced", "full"]

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from itertools import pairwise
 
-from workers.comparison.coefficients.coefficients import HAUSDORFF_NAMES, NAMES
-from workers.thesis.bar import GROUPS, BarExperiment
+from palpate.workers.comparison.coefficients.coefficients import HAUSDORFF_NAMES, NAMES
+from palpate.workers.thesis.bar import GROUPS, BarExperiment
 
 WORST = GROUPS[2]  # the deformations that "must be considered the least similar"
 RIGHT_HALF = (*GROUPS[0], *GROUPS[1])

@@ -1,15 +1,15 @@
 """The chapter of the 28 similarity coefficients."""
 
-from service.formatting import number
-from service.report.pictures import picture
-from service.thesis import charts
-from service.thesis.chapters.costs import cost_rows
-from service.thesis.page import Chapter, Table
-from service.thesis.results import CoefficientsResult, Cost
-from workers.comparison.coefficients.coefficients import NAMES
-from workers.thesis.bar import GOLD_FORCE_N, GROUPS, LENGTH_MM, SIDE_MM
-from workers.thesis.cylinder import LENGTH_MM as CYLINDER_MM
-from workers.thesis.cylinder import RADIUS_MM
+from palpate.service.formatting import number
+from palpate.service.report.drawing.pictures import picture
+from palpate.service.thesis import charts
+from palpate.service.thesis.chapters.costs import cost_rows
+from palpate.service.thesis.page import Chapter, Table
+from palpate.service.thesis.results import CoefficientsResult, Cost
+from palpate.workers.comparison.coefficients.coefficients import NAMES
+from palpate.workers.thesis.bar import GOLD_FORCE_N, GROUPS, LENGTH_MM, SIDE_MM
+from palpate.workers.thesis.cylinder import LENGTH_MM as CYLINDER_MM
+from palpate.workers.thesis.cylinder import RADIUS_MM
 
 ANGLES = (0, 1, 5, 10, 30, 45, 60, 90)
 

@@ -1,7 +1,7 @@
 """What an experiment has cost, beside what the thesis prints."""
 
-from service.formatting import count, duration
-from service.thesis.results import Cost
+from palpate.service.formatting import count, duration
+from palpate.service.thesis.results import Cost
 
 
 def cost_rows(cost: Cost | None, thesis: str) -> list[tuple[str, str]]:

@@ -2,16 +2,16 @@
 
 from collections.abc import Sequence
 
-from service.formatting import number
-from service.report.pictures import Picture, picture
-from service.thesis import charts
-from service.thesis.chapters.costs import cost_rows
-from service.thesis.experiments import SHOWN_PHANTOM, exposures
-from service.thesis.page import Chapter, Table
-from service.thesis.results import Cost, Exposed
-from workers.tasks.thesis.mammograms import ExposedPhantom
-from workers.thesis.mammogram import PIXEL_MM
-from workers.thesis.scale import Scale
+from palpate.service.formatting import number
+from palpate.service.report.drawing.pictures import Picture, picture
+from palpate.service.thesis import charts
+from palpate.service.thesis.chapters.costs import cost_rows
+from palpate.service.thesis.experiments import SHOWN_PHANTOM, exposures
+from palpate.service.thesis.page import Chapter, Table
+from palpate.service.thesis.results import Cost, Exposed
+from palpate.workers.tasks.thesis.mammograms import ExposedPhantom
+from palpate.workers.thesis.mammogram import PIXEL_MM
+from palpate.workers.thesis.scale import Scale
 
 
 def chapter(found: Sequence[Exposed], cost: Cost | None, store: str, scale: Scale) -> Chapter:

@@ -6,20 +6,20 @@ from statistics import fmean
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formatting import count, duration, number
-from service.report.palette import TISSUES, lookup
-from service.report.pictures import Picture, picture, small_chart
-from service.report.slices import VIEWS, middle_mm, section
-from service.thesis import charts, printed
-from service.thesis.chapters.costs import cost_rows
-from service.thesis.experiments import SHOWN_PHANTOM
-from service.thesis.mesh_sections import mesh_sections
-from service.thesis.page import Chapter, Table
-from service.thesis.results import Cost, MeanCompression, MeshResult
-from storage.values import Tissue
-from workers.tasks.thesis.meshes import Measure, Press, coronal_section, pressed
-from workers.thesis.mesh_quality import KINDS, MEASURES, MeshKind, QualityRow
-from workers.thesis.scale import Scale
+from palpate.service.formatting import count, duration, number
+from palpate.service.report.drawing.palette import TISSUES, lookup
+from palpate.service.report.drawing.pictures import Picture, picture, small_chart
+from palpate.service.report.drawing.slices import VIEWS, middle_mm, section
+from palpate.service.thesis import charts, printed
+from palpate.service.thesis.chapters.costs import cost_rows
+from palpate.service.thesis.experiments import SHOWN_PHANTOM
+from palpate.service.thesis.mesh_sections import mesh_sections
+from palpate.service.thesis.page import Chapter, Table
+from palpate.service.thesis.results import Cost, MeanCompression, MeshResult
+from palpate.storage.values import Tissue
+from palpate.workers.tasks.thesis.meshes import Measure, Press, coronal_section, pressed
+from palpate.workers.thesis.mesh_quality import KINDS, MEASURES, MeshKind, QualityRow
+from palpate.workers.thesis.scale import Scale
 
 THESIS_TIME = (
     "7 h and 2 h for a CC compression, 2 h and 1.45 h for MLO, adaptive and homogeneous, "

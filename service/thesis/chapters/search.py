@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from statistics import fmean, stdev
 
-from service.formatting import count, duration, number, symbol
-from service.report.pictures import picture
-from service.thesis import charts, printed
-from service.thesis.page import Chapter, Table, Text
-from service.thesis.results import Cost, FoundSearch, SearchResult
-from workers.thesis.identification import FORCE_N, TARGETS, TargetName
-from workers.thesis.scale import Scale
+from palpate.service.formatting import count, duration, number, symbol
+from palpate.service.report.drawing.pictures import picture
+from palpate.service.thesis import charts, printed
+from palpate.service.thesis.page import Chapter, Table, Text
+from palpate.service.thesis.results import Cost, FoundSearch, SearchResult
+from palpate.workers.thesis.identification import FORCE_N, TARGETS, TargetName
+from palpate.workers.thesis.scale import Scale
 
 
 def chapter(found: SearchResult, cost: Cost | None, scale: Scale) -> Chapter:

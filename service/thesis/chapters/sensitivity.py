@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
-from service.formatting import number, symbol
-from service.report.pictures import picture
-from service.thesis import charts, printed
-from service.thesis.chapters.costs import cost_rows
-from service.thesis.experiments import SHOWN_PHANTOM
-from service.thesis.page import Chapter, Table
-from service.thesis.results import Cost, Varied
+from palpate.service.formatting import number, symbol
+from palpate.service.report.drawing.pictures import picture
+from palpate.service.thesis import charts, printed
+from palpate.service.thesis.chapters.costs import cost_rows
+from palpate.service.thesis.experiments import SHOWN_PHANTOM
+from palpate.service.thesis.page import Chapter, Table
+from palpate.service.thesis.results import Cost, Varied
 
 
 def chapter(found: Sequence[Varied], cost: Cost | None) -> Chapter:

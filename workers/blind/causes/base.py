@@ -9,8 +9,8 @@ from typing import ClassVar, Protocol, Self
 
 import numpy as np
 
-from storage.values import FloatArray, Triple
-from workers.blind.scene import Anatomy, Scene
+from palpate.storage.values import FloatArray, Triple
+from palpate.workers.blind.scene import Anatomy, Scene
 
 Rng = np.random.Generator
 

@@ -5,9 +5,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from storage.values import FloatArray, Triple
-from workers.blind.causes.base import Rng, log_uniform, triple
-from workers.blind.scene import Anatomy, Scene
+from palpate.storage.values import FloatArray, Triple
+from palpate.workers.blind.causes.base import Rng, log_uniform, triple
+from palpate.workers.blind.scene import Anatomy, Scene
 
 
 @dataclass(frozen=True, slots=True)

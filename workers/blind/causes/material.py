@@ -6,9 +6,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from storage.values import FloatArray
-from workers.blind.causes.base import Rng, log_uniform, sign
-from workers.blind.scene import Anatomy, Scene
+from palpate.storage.values import FloatArray
+from palpate.workers.blind.causes.base import Rng, log_uniform, sign
+from palpate.workers.blind.scene import Anatomy, Scene
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from storage.values import Triple
-from workers.blind.causes.base import Rng, log_uniform, sign, triple
-from workers.blind.scene import Anatomy, Scene
+from palpate.storage.values import Triple
+from palpate.workers.blind.causes.base import Rng, log_uniform, sign, triple
+from palpate.workers.blind.scene import Anatomy, Scene
 
 
 @dataclass(frozen=True, slots=True)

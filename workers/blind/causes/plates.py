@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-from workers.blind.causes.base import Rng, log_uniform, sign
-from workers.blind.scene import Anatomy, Scene
+from palpate.workers.blind.causes.base import Rng, log_uniform, sign
+from palpate.workers.blind.scene import Anatomy, Scene
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from storage.values import Volume
-from workers.body.images.labels import resample_labels
+from palpate.storage.values import Volume
+from palpate.workers.body.images.labels import resample_labels
 
 
 def in_coarser_voxels(volume: Volume, spacing_mm: float) -> Volume:

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from storage.errors import InputError
+from palpate.storage.errors import InputError
 
 _ITK_SNAP = re.compile(r'(-?\d+)\s+\d+\s+\d+\s+\d+\s+[\d.]+\s+[01]\s+[01]\s+"(.*)"')
 _SLICER = re.compile(r"(-?\d+)\s+(\S+)\s+\d+\s+\d+\s+\d+\s+\d+")

@@ -4,8 +4,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from storage.errors import InputError
-from workers.body.images.labels import tissue_named
+from palpate.storage.errors import InputError
+from palpate.workers.body.images.labels import tissue_named
 
 FORMS = "such as {0: air, 1: fat}, by name such as {Adipose: fat}, or a file that names labels"
 

@@ -8,8 +8,8 @@ from typing import Any, NotRequired, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import Tissue, Volume
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Volume
 
 _TABLE = 1 << 16
 """Widest range of labels that is counted and renamed through a table."""

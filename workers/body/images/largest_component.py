@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import label
 
-from storage.values import BoolArray, Tissue, Volume
-from workers.body.images.labels import crop_to_body
+from palpate.storage.values import BoolArray, Tissue, Volume
+from palpate.workers.body.images.labels import crop_to_body
 
 # Around the body: more than an interface is blurred by.
 AIR_VOXELS = 4

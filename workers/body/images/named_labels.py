@@ -4,18 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from storage.errors import InputError
-from storage.values import Tissue, Triple, Volume
-from workers.body.images.label_files import read_label_file
-from workers.body.images.labels import (
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Triple, Volume
+from palpate.workers.body.images.label_files import read_label_file
+from palpate.workers.body.images.labels import (
     crop_to_body,
     default_map,
     label_counts,
     relabel,
     tissue_named,
 )
-from workers.body.images.read import LabelImage, read_labels
-from workers.body.images.tissue_names import tissue_in
+from palpate.workers.body.images.read import LabelImage, read_labels
+from palpate.workers.body.images.tissue_names import tissue_in
 
 LabelMap = Mapping[int | str, Tissue | str]
 """Tissues by the number or the name of a label."""

@@ -21,10 +21,10 @@ import numpy as np
 from nibabel.arrayproxy import ArrayProxy
 from nibabel.openers import ImageOpener
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.body.images.nifti_forms import check_forms
-from workers.body.images.scan import RAS_TO_LPS, Scan
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.body.images.nifti_forms import check_forms
+from palpate.workers.body.images.scan import RAS_TO_LPS, Scan
 
 _UNIT_MM = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
 """Millimetres in the unit of a code of ``xyzt_units``: unknown, metre, millimetre, micrometre."""

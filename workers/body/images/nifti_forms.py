@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.body.images.scan import SPACING_TOLERANCE
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.body.images.scan import SPACING_TOLERANCE
 
 PLACE_TOLERANCE = 0.5
 """Distance of one voxel's two places that is rounding, in voxels."""

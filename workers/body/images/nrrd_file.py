@@ -19,9 +19,9 @@ import nrrd
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.body.images.scan import RAS_TO_LPS, SPACING_TOLERANCE, Scan, three_axes
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.body.images.scan import RAS_TO_LPS, SPACING_TOLERANCE, Scan, three_axes
 
 _FRAMES: dict[str, FloatArray] = {
     "left-posterior-superior": np.eye(3),

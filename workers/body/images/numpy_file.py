@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from workers.body.images.scan import Scan, three_axes
+from palpate.workers.body.images.scan import Scan, three_axes
 
 
 def read_numpy(path: Path) -> Scan:

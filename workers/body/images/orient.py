@@ -14,9 +14,9 @@ reordered and with signs changed.
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray, Triple, Volume
-from workers.body.images.scan import SPACING_TOLERANCE, Scan
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Triple, Volume
+from palpate.workers.body.images.scan import SPACING_TOLERANCE, Scan
 
 OBLIQUE_DEG = 1.0
 """Index axes further than this from a world axis are refused."""

@@ -6,8 +6,8 @@
 ``.tif`` ``.tiff``        `workers.body.images.tiff_stack`, spacing must be given
 folder of TIFF slices     the same
 ``.npy``                  `workers.body.images.numpy_file`, spacing must be given
-``.dcm``                  `workers.body.images.dicom_segmentation` (a multi-frame file)
-folder of DICOM slices    `workers.body.images.dicom_series`
+``.dcm``                  `workers.body.images.dicom.segmentation` (a multi-frame file)
+folder of DICOM slices    `workers.body.images.dicom.series`
 ========================  ==========================================================
 """
 
@@ -15,16 +15,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from storage.errors import InputError
-from storage.values import Triple, Volume
-from workers.body.images.dicom_series import read_dicom
-from workers.body.images.labels import relabel
-from workers.body.images.nifti import read_nifti
-from workers.body.images.nrrd_file import read_nrrd
-from workers.body.images.numpy_file import read_numpy
-from workers.body.images.orient import parse_axes, to_volume
-from workers.body.images.scan import Scan, check_shape, whole_numbers
-from workers.body.images.tiff_stack import TIFF_SUFFIXES, read_tiff
+from palpate.storage.errors import InputError
+from palpate.storage.values import Triple, Volume
+from palpate.workers.body.images.dicom.series import read_dicom
+from palpate.workers.body.images.labels import relabel
+from palpate.workers.body.images.nifti import read_nifti
+from palpate.workers.body.images.nrrd_file import read_nrrd
+from palpate.workers.body.images.numpy_file import read_numpy
+from palpate.workers.body.images.orient import parse_axes, to_volume
+from palpate.workers.body.images.scan import Scan, check_shape, whole_numbers
+from palpate.workers.body.images.tiff_stack import TIFF_SUFFIXES, read_tiff
 
 __all__ = ["LabelImage", "read_labels", "read_volume", "relabel"]
 

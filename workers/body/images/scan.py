@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
 
 RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0])
 """From NIfTI's frame (x right, y anterior) to LPS."""

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
 
 # A minus sign follows a letter only if the names make no sense otherwise: slice-1 is slice 1.
 _SIGNED = re.compile(r"((?<![^\W_])[+-]?\d+(?:[.,]\d+)*)")

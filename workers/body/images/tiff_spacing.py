@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from tifffile import TiffFile
 
-from storage.values import FloatArray
+from palpate.storage.values import FloatArray
 
 _UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "micron": 1e-3, "nm": 1e-6}
 _NAMES = {

@@ -16,11 +16,11 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.body.images.scan import Scan, three_axes
-from workers.body.images.slice_names import in_order
-from workers.body.images.tiff_spacing import stated_spacing_mm
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.body.images.scan import Scan, three_axes
+from palpate.workers.body.images.slice_names import in_order
+from palpate.workers.body.images.tiff_spacing import stated_spacing_mm
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 

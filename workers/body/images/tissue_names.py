@@ -2,7 +2,7 @@
 
 import re
 
-from storage.values import Tissue
+from palpate.storage.values import Tissue
 
 _WORDS = {
     Tissue.AIR: "air background exterior outside clear",

@@ -14,9 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import FloatArray, IntArray
-from workers.body.mesh.outline import Outline, distance_at
-from workers.compile_flags import EXACT
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.body.mesh.outline import Outline, distance_at
+from palpate.workers.compile_flags import EXACT
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from storage.values import FloatArray, IntArray
-from workers.body.mesh.quality import FACES, PAIRS
-from workers.compile_flags import EXACT
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.body.mesh.quality import FACES, PAIRS
+from palpate.workers.compile_flags import EXACT
 
 
 def boundary_triangles(tets: IntArray) -> IntArray:

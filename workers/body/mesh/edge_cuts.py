@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import BoolArray, FloatArray, IntArray
-from workers.compile_flags import EXACT
+from palpate.storage.values import BoolArray, FloatArray, IntArray
+from palpate.workers.compile_flags import EXACT
 
 # A node moves when an edge is cut nearer to it than this fraction of the edge: the "safe"
 # values of the paper's table 3 for edges of length a and sqrt(3)/2 a.

@@ -6,22 +6,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import BoolArray, FloatArray, IntArray, TetMesh
-from workers.body.mesh.bcc_lattice import bcc_lattice
-from workers.body.mesh.boundary import (
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, IntArray, TetMesh
+from palpate.workers.body.mesh.bcc_lattice import bcc_lattice
+from palpate.workers.body.mesh.boundary import (
     boundary_triangles,
     split_boundary,
     triangle_areas_mm2,
     wall_nodes,
     without_nonmanifold_edges,
 )
-from workers.body.mesh.isosurface_stuffing import stuff_isosurface
-from workers.body.mesh.node_order import in_memory_order
-from workers.body.mesh.node_smoothing import improve_shape
-from workers.body.mesh.outline import Outline, project
-from workers.body.mesh.quality import volumes_mm3
-from workers.compile_flags import EXACT
+from palpate.workers.body.mesh.isosurface_stuffing import stuff_isosurface
+from palpate.workers.body.mesh.node_order import in_memory_order
+from palpate.workers.body.mesh.node_smoothing import improve_shape
+from palpate.workers.body.mesh.outline import Outline, project
+from palpate.workers.body.mesh.quality import volumes_mm3
+from palpate.workers.compile_flags import EXACT
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from storage.errors import InputError
-from storage.values import IntArray, TetMesh, Volume
-from workers.body.mesh.boundary import boundary_triangles, split_boundary
-from workers.body.mesh.generate import FittedMesh, fitted_mesh
-from workers.body.mesh.node_count import FEWEST_CELLS
-from workers.body.mesh.outline import Outline, outline_of
-from workers.body.mesh.prolongation import prolongation
-from workers.body.mesh.tissue_fractions import majority_fractions, volume_fractions
+from palpate.storage.errors import InputError
+from palpate.storage.values import IntArray, TetMesh, Volume
+from palpate.workers.body.mesh.boundary import boundary_triangles, split_boundary
+from palpate.workers.body.mesh.generate import FittedMesh, fitted_mesh
+from palpate.workers.body.mesh.node_count import FEWEST_CELLS
+from palpate.workers.body.mesh.outline import Outline, outline_of
+from palpate.workers.body.mesh.prolongation import prolongation
+from palpate.workers.body.mesh.tissue_fractions import majority_fractions, volume_fractions
 
 STEPS_PER_CELL = 3.5  # samples of the outline along one lattice cell
 COARSEST_CELL = 0.43  # of the body's shortest side

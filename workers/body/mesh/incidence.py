@@ -3,8 +3,8 @@
 import numpy as np
 from numba import njit
 
-from storage.values import IntArray
-from workers.compile_flags import EXACT
+from palpate.storage.values import IntArray
+from palpate.workers.compile_flags import EXACT
 
 
 @njit(**EXACT)

@@ -12,9 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import BoolArray, FloatArray, IntArray, TetMesh
-from workers.body.mesh.bcc_lattice import Lattice
-from workers.body.mesh.edge_cuts import (
+from palpate.storage.values import BoolArray, FloatArray, IntArray, TetMesh
+from palpate.workers.body.mesh.bcc_lattice import Lattice
+from palpate.workers.body.mesh.edge_cuts import (
     NEAR_LONG,
     NEAR_SHORT,
     add_tet,
@@ -24,9 +24,9 @@ from workers.body.mesh.edge_cuts import (
     most_urgent_first,
     squared_length,
 )
-from workers.body.mesh.incidence import elements_of_nodes
-from workers.body.mesh.outline import Outline, distance_at, project
-from workers.compile_flags import EXACT
+from palpate.workers.body.mesh.incidence import elements_of_nodes
+from palpate.workers.body.mesh.outline import Outline, distance_at, project
+from palpate.workers.compile_flags import EXACT
 
 
 def stuff_isosurface(lattice: Lattice, outline: Outline) -> TetMesh:

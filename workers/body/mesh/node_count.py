@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import Volume
+from palpate.storage.errors import InputError
+from palpate.storage.values import Volume
 
 FEWEST_CELLS = 4  # across the body's shortest side, for the finest mesh
 # Nodes of the coarsest mesh of a breast over those of a lattice inside it: measured 1.6 and

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.values import TetMesh
+from palpate.storage.values import TetMesh
 
 
 def in_memory_order(mesh: TetMesh, step_mm: float) -> TetMesh:

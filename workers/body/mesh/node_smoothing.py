@@ -4,10 +4,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import BoolArray, FloatArray, IntArray, TetMesh
-from workers.body.mesh.incidence import elements_of_nodes
-from workers.body.mesh.outline import Outline, project
-from workers.compile_flags import EXACT
+from palpate.storage.values import BoolArray, FloatArray, IntArray, TetMesh
+from palpate.workers.body.mesh.incidence import elements_of_nodes
+from palpate.workers.body.mesh.outline import Outline, project
+from palpate.workers.compile_flags import EXACT
 
 
 def improve_shape(

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.special import ndtri
 
-from storage.errors import InputError
-from storage.values import FloatArray, Triple, Volume
-from workers.compile_flags import EXACT
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Triple, Volume
+from palpate.workers.compile_flags import EXACT
 
 BLUR = 0.9  # blur in grid steps; less shows the voxels' staircase, more rounds the rim
 MARGIN = 6  # samples of air around the body

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.values import FloatArray, IntArray, TetMesh
+from palpate.storage.values import FloatArray, IntArray, TetMesh
 
 # The six edges of a tetrahedron, and the order in which those of a quadrangle follow each
 # other where corners (0, 1) lie on one side and (2, 3) on the other.

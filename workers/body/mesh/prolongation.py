@@ -12,9 +12,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from storage.values import FloatArray, IntArray, TetMesh
-from workers.body.mesh.boundary import boundary_triangles, split_boundary
-from workers.compile_flags import EXACT
+from palpate.storage.values import FloatArray, IntArray, TetMesh
+from palpate.workers.body.mesh.boundary import boundary_triangles, split_boundary
+from palpate.workers.compile_flags import EXACT
 
 FARTHEST = 0.75  # in barycentric weight: this part of an altitude outside the tetrahedron
 

@@ -21,7 +21,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from storage.values import FloatArray, TetMesh
+from palpate.storage.values import FloatArray, TetMesh
 
 PAIRS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))  # face i is opposite to node i

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from storage.values import Tissue, Volume
-from workers.body.mesh.outline import outline_of
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.body.mesh.outline import outline_of
 
 
 def skin_thickness_mm(labels: Volume) -> float:

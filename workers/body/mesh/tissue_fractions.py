@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
-from workers.compile_flags import EXACT
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
+from palpate.workers.compile_flags import EXACT
 
 N_TISSUES = len(Tissue)
 NUDGE = 1e-3  # nodes are asked this part of the way towards the centroid: never on a voxel face

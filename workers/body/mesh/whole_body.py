@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.ndimage import label
 
-from storage.errors import InputError
-from storage.values import TetMesh, Volume
-from workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from palpate.storage.errors import InputError
+from palpate.storage.values import TetMesh, Volume
+from palpate.workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
 
 VOLUME_TOLERANCE = 0.02  # of the volume of the labels
 

@@ -7,18 +7,18 @@ from typing import TypedDict
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import Volume
-from workers.body.phantom.compartments import draw_compartments
-from workers.body.phantom.glandular import (
+from palpate.storage.errors import InputError
+from palpate.storage.values import Volume
+from palpate.workers.body.phantom.compartments import draw_compartments
+from palpate.workers.body.phantom.glandular import (
     choose_compartments,
     count_ids,
     gland_weight,
     label_tissue,
 )
-from workers.body.phantom.octree import partition
-from workers.body.phantom.settings import PRESETS, BreastPhantom
-from workers.body.phantom.voxel_classification import FIRST_ID
+from palpate.workers.body.phantom.octree import partition
+from palpate.workers.body.phantom.settings import PRESETS, BreastPhantom
+from palpate.workers.body.phantom.voxel_classification import FIRST_ID
 
 __all__ = ["PRESETS", "BreastPhantom", "Phantom", "generate_breast"]
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.values import FloatArray
-from workers.body.phantom.settings import BreastPhantom
+from palpate.storage.values import FloatArray
+from palpate.workers.body.phantom.settings import BreastPhantom
 
 SEED_DISTANCE = 0.45  # smallest distance of two seeds, in pitches
 MEAN_RADIUS = 0.9  # geometric mean of the half-axes, in pitches

@@ -7,17 +7,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import FloatArray, Tissue
-from workers.body.phantom.compartments import vertical_semi_axis
-from workers.body.phantom.settings import BreastPhantom
-from workers.body.phantom.voxel_classification import (
+from palpate.storage.values import FloatArray, Tissue
+from palpate.workers.body.phantom.compartments import vertical_semi_axis
+from palpate.workers.body.phantom.settings import BreastPhantom
+from palpate.workers.body.phantom.voxel_classification import (
     AIR_ID,
     FIRST_ID,
     LIGAMENT_ID,
     SKIN_ID,
     Ids,
 )
-from workers.compile_flags import EXACT
+from palpate.workers.compile_flags import EXACT
 
 Labels = NDArray[np.uint8]
 Counts = NDArray[np.int64]

@@ -17,10 +17,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import FloatArray
-from workers.body.phantom.compartments import Compartments
-from workers.body.phantom.settings import BreastPhantom
-from workers.body.phantom.voxel_classification import (
+from palpate.storage.values import FloatArray
+from palpate.workers.body.phantom.compartments import Compartments
+from palpate.workers.body.phantom.settings import BreastPhantom
+from palpate.workers.body.phantom.voxel_classification import (
     DEPTH,
     FIRST_ID,
     HALF_LIGAMENT,
@@ -34,7 +34,7 @@ from workers.body.phantom.voxel_classification import (
     fill_voxels,
     ray_length,
 )
-from workers.compile_flags import EXACT
+from palpate.workers.compile_flags import EXACT
 
 Box = NDArray[np.int32]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 from numbers import Integral, Real
 from typing import Any, Final, Self
 
-from storage.errors import InputError
+from palpate.storage.errors import InputError
 
 MAX_VOXELS: Final = 600_000_000  # 1.8 GB of ids and labels together
 

@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import FloatArray
-from workers.compile_flags import EXACT
+from palpate.storage.values import FloatArray
+from palpate.workers.compile_flags import EXACT
 
 Ids = NDArray[np.uint16]
 Candidates = NDArray[np.int16]

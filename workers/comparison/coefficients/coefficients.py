@@ -5,19 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import Tissue, Volume
-from workers.comparison.coefficients.directed import directed_distances
-from workers.comparison.coefficients.hausdorff_variants import (
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.comparison.coefficients.directed import directed_distances
+from palpate.workers.comparison.coefficients.hausdorff_variants import (
     MODIFIED_HAUSDORFF,
     VARIANTS,
     hausdorff_variants_mm,
 )
-from workers.comparison.similarity.gsf import gsf
-from workers.comparison.similarity.overlap import dice, intersection_count, jaccard
-from workers.comparison.similarity.score import Surface
-from workers.comparison.similarity.voxel_metric import Metric
-from workers.comparison.similarity.voxel_set import BOUNDARY, INTERIOR, VoxelSet, voxel_set
+from palpate.workers.comparison.similarity.gsf import gsf
+from palpate.workers.comparison.similarity.overlap import dice, intersection_count, jaccard
+from palpate.workers.comparison.similarity.score import Surface
+from palpate.workers.comparison.similarity.voxel_metric import Metric
+from palpate.workers.comparison.similarity.voxel_set import BOUNDARY, INTERIOR, VoxelSet, voxel_set
 
 HAUSDORFF_NAMES = tuple(f"D{number}" for number in VARIANTS)
 NAMES = ("JC", "DC", "dV", *HAUSDORFF_NAMES, "SM", "mean_dX", "mean_dY", "std_dX", "std_dY")

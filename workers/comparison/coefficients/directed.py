@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.comparison.similarity.distance_transform import distance_map
-from workers.comparison.similarity.nearest_voxel import squared_distances_from_map
-from workers.comparison.similarity.voxel_metric import Metric
-from workers.comparison.similarity.voxel_set import BOUNDARY, Index, VoxelSet
+from palpate.workers.comparison.similarity.distance_transform import distance_map
+from palpate.workers.comparison.similarity.nearest_voxel import squared_distances_from_map
+from palpate.workers.comparison.similarity.voxel_metric import Metric
+from palpate.workers.comparison.similarity.voxel_set import BOUNDARY, Index, VoxelSet
 
 PERCENTILES = (50, 75, 90)
 

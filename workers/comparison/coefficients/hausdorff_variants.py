@@ -1,6 +1,6 @@
 """The 24 modified Hausdorff distances (Eqs. 3.20 to 3.29 and Table 3.1 of the thesis)."""
 
-from workers.comparison.coefficients.directed import DirectedDistances
+from palpate.workers.comparison.coefficients.directed import DirectedDistances
 
 # D1 to D4 combine minima and are zero whenever the sets touch; the thesis leaves them out.
 FIRST_KEPT = 5

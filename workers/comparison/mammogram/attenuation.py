@@ -4,9 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray, Tissue
-from workers.comparison.mammogram.tables import table
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Tissue
+from palpate.workers.comparison.mammogram.tables import table
 
 # Cooper's ligaments are fibrous like the stroma of the gland.
 TABLES: Final = {

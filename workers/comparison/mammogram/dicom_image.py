@@ -14,9 +14,9 @@ from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
 from pydicom.sequence import Sequence
 from pydicom.uid import ExplicitVRLittleEndian, generate_uid
 
-from storage.errors import InputError
-from workers.comparison.mammogram.exposure import Mammogram
-from workers.comparison.mammogram.picture import presentation_values, processing_values
+from palpate.storage.errors import InputError
+from palpate.workers.comparison.mammogram.exposure import Mammogram
+from palpate.workers.comparison.mammogram.picture import presentation_values, processing_values
 
 View = Literal["CC", "MLO"]
 Intent = Literal["presentation", "processing"]

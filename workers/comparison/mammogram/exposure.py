@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray, Volume
-from workers.comparison.mammogram.attenuation import attenuation_table
-from workers.comparison.mammogram.geometry import Geometry
-from workers.comparison.mammogram.path_lengths import path_lengths_mm
-from workers.comparison.mammogram.spectrum import TABLE_DISTANCE_MM, Spectrum, spectrum_of
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Volume
+from palpate.workers.comparison.mammogram.attenuation import attenuation_table
+from palpate.workers.comparison.mammogram.geometry import Geometry
+from palpate.workers.comparison.mammogram.path_lengths import path_lengths_mm
+from palpate.workers.comparison.mammogram.spectrum import TABLE_DISTANCE_MM, Spectrum, spectrum_of
 
 # Events of the electronic Poisson process; its skewness is one tenth.
 ELECTRONIC_EVENTS = 100.0

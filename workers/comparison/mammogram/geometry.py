@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray, Tissue, Triple, Volume
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Tissue, Triple, Volume
 
 CC_AXIS: Triple = (0.0, 1.0, 0.0)
 

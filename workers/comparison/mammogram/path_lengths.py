@@ -4,10 +4,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray, Tissue, Volume
-from workers.comparison.mammogram.geometry import Geometry
-from workers.compile_flags import EXACT, EXACT_UNCHECKED
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Tissue, Volume
+from palpate.workers.comparison.mammogram.geometry import Geometry
+from palpate.workers.compile_flags import EXACT, EXACT_UNCHECKED
 
 N_TISSUES = len(Tissue)
 # Pixels of a square are followed one after the other: their rays share cache lines.

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.comparison.mammogram.exposure import Mammogram
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.comparison.mammogram.exposure import Mammogram
 
 # Of the pixels behind the body; what is darker or brighter saturates.
 PERCENTILES = (1.0, 99.5)

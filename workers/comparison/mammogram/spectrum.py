@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.comparison.mammogram.tables import table
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.comparison.mammogram.tables import table
 
 Beam = Literal["mo_mo", "rh_rh", "w_rh"]
 BEAMS: tuple[Beam, ...] = get_args(Beam)

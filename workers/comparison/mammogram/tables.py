@@ -5,7 +5,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from storage.values import FloatArray
+from palpate.storage.values import FloatArray
 
 
 @lru_cache(maxsize=32)
@@ -17,7 +17,9 @@ def table(name: str) -> FloatArray:
     name : str
         Of a file in ``tables/``, without its ending.
     """
-    text = files("workers.comparison.mammogram").joinpath("tables", f"{name}.csv").read_text()
+    text = (
+        files("palpate.workers.comparison.mammogram").joinpath("tables", f"{name}.csv").read_text()
+    )
     rows = [line.split(",") for line in text.splitlines() if not line.startswith("#")]
     values = np.array(rows[1:], dtype=np.float64)  # the first row names the columns
     values.setflags(write=False)  # shared by everyone who asks again

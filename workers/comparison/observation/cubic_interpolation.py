@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import FloatArray, Triple
-from workers.compile_flags import CONTRACTED
+from palpate.storage.values import FloatArray, Triple
+from palpate.workers.compile_flags import CONTRACTED
 
 
 def at_points(

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from workers.compile_flags import CONTRACTED
+from palpate.workers.compile_flags import CONTRACTED
 
 PIECE = 4096  # voxels of a line that are summed before the next: their neighbours stay in the cache
 

@@ -9,10 +9,10 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from storage.errors import InputError
-from storage.values import BoolArray, FloatArray, IntArray, Tissue, Volume
-from workers.comparison.observation.isosurface import SMOOTH_VOXELS, Surface, surface
-from workers.comparison.observation.signed_distance import SignedDistance, distance_to
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, IntArray, Tissue, Volume
+from palpate.workers.comparison.observation.isosurface import SMOOTH_VOXELS, Surface, surface
+from palpate.workers.comparison.observation.signed_distance import SignedDistance, distance_to
 
 SMALLEST_VOXELS = 30  # a ball of so many voxels is the smallest part that counts
 # Points put down at random, no two nearer than r, end up with one for 1.44 r^2 (Renyi's

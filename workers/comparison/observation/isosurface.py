@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
-from storage.errors import InputError
-from storage.values import FloatArray, IntArray, Tissue, Triple, Volume
-from workers.comparison.observation.cubic_interpolation import at_points
-from workers.comparison.observation.gaussian_blur import blurred
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, IntArray, Tissue, Triple, Volume
+from palpate.workers.comparison.observation.cubic_interpolation import at_points
+from palpate.workers.comparison.observation.gaussian_blur import blurred
 
 LEVEL = 0.5
 SMOOTH_VOXELS = 1.5  # less shows the staircase of the voxels, more loses thin sheets

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from storage.values import BoolArray, FloatArray, IntArray
+from palpate.storage.values import BoolArray, FloatArray, IntArray
 
 # A marker that moves this much more than any other has jumped.
 ALONE = 5.0

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

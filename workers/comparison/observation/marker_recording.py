@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.comparison.observation.lost_markers import without_lost
-from workers.comparison.observation.number_table import read_table
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.comparison.observation.lost_markers import without_lost
+from palpate.workers.comparison.observation.number_table import read_table
 
 AXES = "xyz"
 LENGTHS = {

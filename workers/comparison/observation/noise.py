@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.comparison.observation.interface import InterfacePoints
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.comparison.observation.interface import InterfacePoints
 
 SMALLEST_NUGGET = 1e-3  # of the largest standard deviation; less and Cholesky may fail
 

@@ -21,18 +21,18 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
-from storage.errors import InputError
-from storage.values import FloatArray, Volume
-from workers.comparison.observation.interface import (
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Volume
+from palpate.workers.comparison.observation.interface import (
     GLANDULAR,
     OUTLINE,
     Interface,
     InterfacePoints,
     interface_points,
 )
-from workers.comparison.observation.isosurface import SMOOTH_VOXELS
-from workers.comparison.observation.noise import SMALLEST_NUGGET, SegmentationNoise
-from workers.comparison.observation.residual import observe, residual
+from palpate.workers.comparison.observation.isosurface import SMOOTH_VOXELS
+from palpate.workers.comparison.observation.noise import SMALLEST_NUGGET, SegmentationNoise
+from palpate.workers.comparison.observation.residual import observe, residual
 
 BINS = 24
 FEWEST_PAIRS = 1000

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
 
 COMMENTS = ("#", "%")
 SEPARATORS = (",", ";", "\t", "|", None)

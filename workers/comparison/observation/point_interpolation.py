@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from storage.errors import InputError
-from storage.values import FloatArray, TetMesh
-from workers.body.mesh.prolongation import prolongation
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, TetMesh
+from palpate.workers.body.mesh.prolongation import prolongation
 
 _NO_WALL = np.empty(0, np.int32)
 

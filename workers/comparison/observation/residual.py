@@ -5,11 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray, Volume
-from workers.comparison.observation.interface import Interface, InterfacePoints, checked_interfaces
-from workers.comparison.observation.isosurface import SMOOTH_VOXELS
-from workers.comparison.observation.signed_distance import SignedDistance, signed_distance
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Volume
+from palpate.workers.comparison.observation.interface import (
+    Interface,
+    InterfacePoints,
+    checked_interfaces,
+)
+from palpate.workers.comparison.observation.isosurface import SMOOTH_VOXELS
+from palpate.workers.comparison.observation.signed_distance import SignedDistance, signed_distance
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ A 32 (1976) 922; B. K. P. Horn, J. Opt. Soc. Am. A 4 (1987) 629) gives the rotat
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
 
 
 def rotation_to(body_mm: FloatArray, seen_mm: FloatArray) -> FloatArray:

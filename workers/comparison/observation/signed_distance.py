@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray, Tissue, Triple, Volume
-from workers.comparison.observation.cubic_interpolation import at_points
-from workers.comparison.observation.isosurface import LEVEL, SMOOTH_VOXELS, Surface, surface
-from workers.comparison.observation.triangle_distance import distances
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Tissue, Triple, Volume
+from palpate.workers.comparison.observation.cubic_interpolation import at_points
+from palpate.workers.comparison.observation.isosurface import LEVEL, SMOOTH_VOXELS, Surface, surface
+from palpate.workers.comparison.observation.triangle_distance import distances
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import Tissue, Volume
-from workers.comparison.observation.gaussian_blur import blurred
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.comparison.observation.gaussian_blur import blurred
 
 LEVEL = 0.5
 FARTHEST = 3.0  # reach of a Gaussian in standard deviations

@@ -16,9 +16,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import FloatArray, IntArray
-from workers.body.mesh.incidence import elements_of_nodes
-from workers.compile_flags import CONTRACTED
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.body.mesh.incidence import elements_of_nodes
+from palpate.workers.compile_flags import CONTRACTED
 
 BLOCK = 16  # voxels of a line that are asked together whether a neighbour has anything nearer
 NEAR = 6.0  # voxels within which the triangles are asked

@@ -19,10 +19,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from workers.comparison.similarity.voxel_metric import Metric
-from workers.comparison.similarity.voxel_set import Index, VoxelSet
-from workers.compile_flags import EXACT, EXACT_UNCHECKED
+from palpate.storage.errors import InputError
+from palpate.workers.comparison.similarity.voxel_metric import Metric
+from palpate.workers.comparison.similarity.voxel_set import Index, VoxelSet
+from palpate.workers.compile_flags import EXACT, EXACT_UNCHECKED
 
 # Lines side by side that share cache lines while they are copied out and back.
 TILE = 16

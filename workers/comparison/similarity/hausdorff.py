@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from workers.comparison.similarity.distance_transform import DistanceMap, distance_map
-from workers.comparison.similarity.nearest_voxel import (
+from palpate.workers.comparison.similarity.distance_transform import DistanceMap, distance_map
+from palpate.workers.comparison.similarity.nearest_voxel import (
     Distances,
     squared_distances,
     squared_distances_from_map,
 )
-from workers.comparison.similarity.voxel_metric import Metric
-from workers.comparison.similarity.voxel_set import BOUNDARY, INTERIOR, Index, VoxelSet
+from palpate.workers.comparison.similarity.voxel_metric import Metric
+from palpate.workers.comparison.similarity.voxel_set import BOUNDARY, INTERIOR, Index, VoxelSet
 
 # Part of its size by which a distance map is made larger on each side than what needs it.
 MARGIN = 0.05

@@ -19,11 +19,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import IntArray
-from workers.comparison.similarity.distance_transform import DistanceMap
-from workers.comparison.similarity.voxel_metric import Metric
-from workers.comparison.similarity.voxel_set import VoxelSet
-from workers.compile_flags import EXACT
+from palpate.storage.values import IntArray
+from palpate.workers.comparison.similarity.distance_transform import DistanceMap
+from palpate.workers.comparison.similarity.voxel_metric import Metric
+from palpate.workers.comparison.similarity.voxel_set import VoxelSet
+from palpate.workers.compile_flags import EXACT
 
 NEAR = 12
 FAR = 64

@@ -4,8 +4,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from workers.comparison.similarity.voxel_set import VoxelSet
-from workers.compile_flags import EXACT
+from palpate.workers.comparison.similarity.voxel_set import VoxelSet
+from palpate.workers.compile_flags import EXACT
 
 
 def intersection_count(x: VoxelSet, y: VoxelSet) -> int:

@@ -6,13 +6,13 @@ from typing import Literal
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import Tissue, Volume
-from workers.comparison.similarity.gsf import gsf
-from workers.comparison.similarity.hausdorff import ModifiedHausdorff
-from workers.comparison.similarity.overlap import dice, intersection_count, jaccard
-from workers.comparison.similarity.voxel_metric import Metric
-from workers.comparison.similarity.voxel_set import VoxelSet, voxel_set
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.comparison.similarity.gsf import gsf
+from palpate.workers.comparison.similarity.hausdorff import ModifiedHausdorff
+from palpate.workers.comparison.similarity.overlap import dice, intersection_count, jaccard
+from palpate.workers.comparison.similarity.voxel_metric import Metric
+from palpate.workers.comparison.similarity.voxel_set import VoxelSet, voxel_set
 
 Surface = Literal["boundary", "all"]
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.values import Triple
+from palpate.storage.values import Triple
 
 # A spacing ratio such as 0.2 : 0.5 is met exactly by small whole weights.
 MAX_SMALL_UNIT = 1000

@@ -7,9 +7,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import BoolArray, Volume
-from workers.compile_flags import EXACT
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, Volume
+from palpate.workers.compile_flags import EXACT
 
 Index = tuple[int, int, int]
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray, TetMesh, Triple, Volume
-from workers.comparison.warp.rasterisation import fixed_point, run_buffer
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, TetMesh, Triple, Volume
+from palpate.workers.comparison.warp.rasterisation import fixed_point, run_buffer
 
 MAX_VOXELS = 2**32
 

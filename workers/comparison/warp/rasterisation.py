@@ -29,9 +29,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray, IntArray
-from workers.compile_flags import EXACT, EXACT_UNCHECKED
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.compile_flags import EXACT, EXACT_UNCHECKED
 
 MAX_BITS = 16
 # Extents below 2**19 steps keep products of three of them within 64 bits.

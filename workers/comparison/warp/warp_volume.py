@@ -21,10 +21,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
-from workers.comparison.warp.deformed_mesh import index_coordinates, place_on_lattice
-from workers.comparison.warp.rasterisation import signed_volume, tet_runs
-from workers.compile_flags import EXACT
+from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
+from palpate.workers.comparison.warp.deformed_mesh import index_coordinates, place_on_lattice
+from palpate.workers.comparison.warp.rasterisation import signed_volume, tet_runs
+from palpate.workers.compile_flags import EXACT
 
 # A point midway between two voxels takes the upper one, whatever the last bits say.
 HALF = 0.5 + 1e-7

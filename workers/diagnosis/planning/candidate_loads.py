@@ -13,13 +13,13 @@ from typing import Literal
 
 import numpy as np
 
-from storage.values import FloatArray, Triple
-from workers.diagnosis.acquisition import Acquisition, ProblemBuilder
-from workers.diagnosis.inverse_problem import Values
-from workers.diagnosis.settings import SETTINGS
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.loads import DistanceControl, ForceControl, Load, Wall
-from workers.mechanics.fem.problem import Problem
+from palpate.storage.values import FloatArray, Triple
+from palpate.workers.diagnosis.problem.acquisition import Acquisition, ProblemBuilder
+from palpate.workers.diagnosis.problem.inverse_problem import Values
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import DistanceControl, ForceControl, Load, Wall
 
 Kind = Literal["planned", "load", "view"]
 

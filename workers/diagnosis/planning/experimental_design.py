@@ -15,18 +15,22 @@ from itertools import combinations
 import numpy as np
 from scipy.linalg import block_diag
 
-from storage.values import BoolArray, FloatArray
-from workers.comparison.observation.interface import InterfacePoints
-from workers.diagnosis.detectability import confusion
-from workers.diagnosis.effect_sensitivity import EffectSensitivity
-from workers.diagnosis.inverse_problem import InverseProblem, Scan, Values
-from workers.diagnosis.linearisation import Linearised, factored
-from workers.diagnosis.noise_parts import planned_covariance
-from workers.diagnosis.planning.load_sensitivity import LoadSensitivity
-from workers.diagnosis.planning.state_information import Detectability, detectability, separation
-from workers.diagnosis.settings import SETTINGS
-from workers.mechanics.effects.base import Effect, one_sided
-from workers.mechanics.fem.problem import Problem
+from palpate.storage.values import BoolArray, FloatArray
+from palpate.workers.comparison.observation.interface import InterfacePoints
+from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
+from palpate.workers.diagnosis.algebra.linearisation import Linearised, factored
+from palpate.workers.diagnosis.planning.load_sensitivity import LoadSensitivity
+from palpate.workers.diagnosis.planning.state_information import (
+    Detectability,
+    detectability,
+    separation,
+)
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, Scan, Values
+from palpate.workers.diagnosis.problem.noise_parts import planned_covariance
+from palpate.workers.diagnosis.screening.detectability import confusion
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.base import Effect, one_sided
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +128,7 @@ def evaluate_design(
     Parameters
     ----------
     unloaded : InverseProblem
-        See `workers.diagnosis.acquisition.inverse_problem_of`.
+        See `workers.diagnosis.problem.acquisition.inverse_problem_of`.
     design : Design
     load_sensitivities : mapping of int to LoadSensitivity
         Of every state of the design at least.

@@ -17,20 +17,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.comparison.observation.interface import InterfacePoints
-from workers.diagnosis.acquisition import INTERFACES, ProblemBuilder
-from workers.diagnosis.gauss_newton import SolvedFit
-from workers.diagnosis.inverse_problem import InverseProblem, Scan, Unknowns, unknowns
-from workers.diagnosis.scan_prediction import PredictedScan, columns_of
-from workers.diagnosis.sensitivity_analysis import scan_sensitivity
-from workers.diagnosis.settings import SETTINGS
-from workers.mechanics.effects.base import Effect
-from workers.mechanics.fem.loads import NoPlates
-from workers.mechanics.fem.model import LevelModel
-from workers.mechanics.fem.sensitivity import Change
-from workers.mechanics.fem.solve import Equilibrium, equilibrium
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.comparison.observation.interface import InterfacePoints
+from palpate.workers.diagnosis.fits.gauss_newton import SolvedFit
+from palpate.workers.diagnosis.fits.sensitivity_analysis import scan_sensitivity
+from palpate.workers.diagnosis.problem.acquisition import INTERFACES, ProblemBuilder
+from palpate.workers.diagnosis.problem.inverse_problem import (
+    InverseProblem,
+    Scan,
+    Unknowns,
+    unknowns,
+)
+from palpate.workers.diagnosis.problem.scan_prediction import PredictedScan, columns_of
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.fem.elements.model import LevelModel
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.problem.loads import NoPlates
 
 # The number of the row that is the plates' distance, among interfaces.
 PLATES = len(INTERFACES)
@@ -66,7 +71,7 @@ def load_sensitivity(
     Parameters
     ----------
     unloaded : InverseProblem
-        The body at rest; see `workers.diagnosis.acquisition.inverse_problem_of`.
+        The body at rest; see `workers.diagnosis.problem.acquisition.inverse_problem_of`.
     name : str
         Of the load.
     problem : callable

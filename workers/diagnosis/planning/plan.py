@@ -5,10 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from storage.values import FloatArray
-from workers.diagnosis.inverse_problem import InverseProblem
-from workers.diagnosis.planning.candidate_loads import CandidateLoad
-from workers.diagnosis.planning.experimental_design import (
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.planning.candidate_loads import CandidateLoad
+from palpate.workers.diagnosis.planning.experimental_design import (
     Design,
     DesignEvaluation,
     evaluate_design,
@@ -16,19 +15,20 @@ from workers.diagnosis.planning.experimental_design import (
     plausible,
     simulated,
 )
-from workers.diagnosis.planning.load_sensitivity import LoadSensitivity
-from workers.diagnosis.planning.summary import (
+from palpate.workers.diagnosis.planning.load_sensitivity import LoadSensitivity
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
+from palpate.workers.diagnosis.schema.plan import (
     ConfusablePair,
     FurtherMeasurement,
     ParameterPlan,
     PlannedEffect,
     PlanSummary,
 )
-from workers.diagnosis.settings import SETTINGS
-from workers.mechanics.effects.base import Effect
-from workers.mechanics.fem.loads import ForceControl
-from workers.mechanics.parameters import Parameter
-from workers.mechanics.readings import shown_change
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.fem.problem.loads import ForceControl
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.mechanics.readings import shown_change
 
 
 def make_plan(
@@ -45,7 +45,7 @@ def make_plan(
     name : str
         Of the case.
     unloaded : InverseProblem
-        The body at rest; see `workers.diagnosis.acquisition.inverse_problem_of`.
+        The body at rest; see `workers.diagnosis.problem.acquisition.inverse_problem_of`.
     loads : sequence of CandidateLoad
         See `workers.diagnosis.planning.candidate_loads`.
     sensitivities : mapping of int to LoadSensitivity

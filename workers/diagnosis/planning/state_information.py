@@ -17,10 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.values import FloatArray
-from workers.diagnosis.detectability import absorbed_share, confusion, minimum_detectable
-from workers.diagnosis.effect_sensitivity import EffectSensitivity
-from workers.diagnosis.linearisation import Linearised
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
+from palpate.workers.diagnosis.algebra.linearisation import Linearised
+from palpate.workers.diagnosis.screening.detectability import (
+    absorbed_share,
+    confusion,
+    minimum_detectable,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

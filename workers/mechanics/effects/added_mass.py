@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, replace
 
-from storage.values import Triple
-from workers.mechanics.effects.base import Effect, Values, from_zero
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.loads import DeadForce
-from workers.mechanics.fem.problem import GRAVITY_MM_PER_S2, Problem
-from workers.mechanics.fem.regions import Region
-from workers.units import Unit
+from palpate.storage.values import Triple
+from palpate.workers.mechanics.effects.base import Effect, Values, from_zero
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import GRAVITY_MM_PER_S2, Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import DeadForce
+from palpate.workers.mechanics.fem.problem.regions import Region
+from palpate.workers.units import Unit
 
 NAME = "added_mass"
 # Inside a mass is in t, so that t mm/s^2 is N.

@@ -13,14 +13,14 @@ from typing import Literal
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray, IntArray
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.sensitivity import Change
-from workers.mechanics.parameters import Parameter, Vocabulary
-from workers.mechanics.readings import AS_IS, Reading
-from workers.units import Unit
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.parameters import Parameter, Vocabulary
+from palpate.workers.mechanics.readings import AS_IS, Reading
+from palpate.workers.units import Unit
 
 Family = Literal[
     "loading",
@@ -213,7 +213,7 @@ class Effect:
         Returns
         -------
         tuple of Change
-            One for each parameter, for `workers.mechanics.fem.sensitivity.tangents` at the
+            One for each parameter, for `mechanics.fem.equilibrium.sensitivity.tangents` at the
             equilibrium of ``apply(problem, at, frame)``. Differences are central
             where both sides are admissible, else one-sided.
 

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from storage.values import FloatArray, IntArray, Triple
-from workers.mechanics.effects.base import Effect, two_sided
-from workers.mechanics.effects.problem_changes import unchanged
-from workers.mechanics.effects.rigid_motion import rigid_columns
-from workers.mechanics.fem.fields import Frame
-from workers.units import DEGREE, MM
+from palpate.storage.values import FloatArray, IntArray, Triple
+from palpate.workers.mechanics.effects.base import Effect, two_sided
+from palpate.workers.mechanics.effects.problem_changes import unchanged
+from palpate.workers.mechanics.effects.rigid_motion import rigid_columns
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.units import DEGREE, MM
 
 SHIFTS = ("base_x", "base_y", "base_z")
 TURNS = ("base_turn_x", "base_turn_y", "base_turn_z")

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, from_zero
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Problem
-from workers.units import MM_PER_KPA
+from palpate.workers.mechanics.effects.base import Effect, Values, from_zero
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.units import MM_PER_KPA
 
 NAME = "clamp_compliance"
 

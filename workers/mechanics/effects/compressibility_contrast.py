@@ -3,13 +3,13 @@
 import math
 from dataclasses import replace
 
-from storage.values import Tissue
-from workers.mechanics.effects.base import ANY, Effect, Values
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.parameters import Parameter
-from workers.mechanics.readings import poisson
-from workers.units import NUMBER
+from palpate.storage.values import Tissue
+from palpate.workers.mechanics.effects.base import ANY, Effect, Values
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.mechanics.readings import poisson
+from palpate.workers.units import NUMBER
 
 NAME = "ln_compressibility_contrast"
 

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, two_sided
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Problem
-from workers.units import DEGREE
+from palpate.workers.mechanics.effects.base import Effect, Values, two_sided
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.units import DEGREE
 
 NAMES = ("fibre_turn_x", "fibre_turn_y")
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from storage.values import FloatArray, IntArray
-from workers.mechanics.effects.base import Effect, two_sided
-from workers.mechanics.effects.problem_changes import unchanged
-from workers.mechanics.fem.fields import Frame
-from workers.units import DEGREE
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.mechanics.effects.base import Effect, two_sided
+from palpate.workers.mechanics.effects.problem_changes import unchanged
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.units import DEGREE
 
 TURNS = ("frame_turn_x", "frame_turn_y", "frame_turn_z")
 

@@ -3,12 +3,12 @@
 import math
 from dataclasses import replace
 
-from storage.values import Tissue
-from workers.mechanics.effects.base import Effect, Values, two_sided
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Constants, Problem
-from workers.mechanics.readings import ratio
-from workers.units import NUMBER
+from palpate.storage.values import Tissue
+from palpate.workers.mechanics.effects.base import Effect, Values, two_sided
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.readings import ratio
+from palpate.workers.units import NUMBER
 
 NAMES = {Tissue.FAT: "ln_growth_fat", Tissue.GLANDULAR: "ln_growth_glandular"}
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from storage.values import FloatArray, IntArray
-from workers.mechanics.effects.base import Effect, two_sided
-from workers.mechanics.effects.problem_changes import unchanged
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.readings import percent
-from workers.units import NUMBER
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.mechanics.effects.base import Effect, two_sided
+from palpate.workers.mechanics.effects.problem_changes import unchanged
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.readings import percent
+from palpate.workers.units import NUMBER
 
 NAMES = ("scale_x", "scale_y", "scale_z")
 

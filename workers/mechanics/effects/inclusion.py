@@ -3,13 +3,13 @@
 import math
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Place, Values, two_sided
-from workers.mechanics.effects.problem_changes import plus
-from workers.mechanics.fem.fields import Frame, Inclusion
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.parameters import Parameter
-from workers.mechanics.readings import ratio
-from workers.units import MM, NUMBER
+from palpate.workers.mechanics.effects.base import Effect, Place, Values, two_sided
+from palpate.workers.mechanics.effects.problem_changes import plus
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame, Inclusion
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.mechanics.readings import ratio
+from palpate.workers.units import MM, NUMBER
 
 RATIO, RADIUS = "inclusion_ln_ratio", "inclusion_radius"
 PLACE = ("inclusion_x", "inclusion_y", "inclusion_z")

@@ -3,11 +3,11 @@
 import math
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, two_sided
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.readings import ratio
-from workers.units import NUMBER
+from palpate.workers.mechanics.effects.base import Effect, Values, two_sided
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.readings import ratio
+from palpate.workers.units import NUMBER
 
 NAME = "ln_load"
 

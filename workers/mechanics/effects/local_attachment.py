@@ -3,13 +3,13 @@
 import math
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Place, Values, from_zero, two_sided
-from workers.mechanics.effects.problem_changes import plus
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.loads import Attachment
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.parameters import Parameter
-from workers.units import KPA_PER_MM, MM
+from palpate.workers.mechanics.effects.base import Effect, Place, Values, from_zero, two_sided
+from palpate.workers.mechanics.effects.problem_changes import plus
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import Attachment
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.units import KPA_PER_MM, MM
 
 STIFFNESS = ("attachment_stiffness_x", "attachment_stiffness_y", "attachment_stiffness_z")
 PLACE = ("attachment_x", "attachment_y", "attachment_z")

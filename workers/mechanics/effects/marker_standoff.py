@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from storage.values import FloatArray, IntArray
-from workers.mechanics.effects.base import Effect, from_zero
-from workers.mechanics.effects.problem_changes import unchanged
-from workers.mechanics.fem.fields import Frame
-from workers.units import MM
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.mechanics.effects.base import Effect, from_zero
+from palpate.workers.mechanics.effects.problem_changes import unchanged
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.units import MM
 
 NAME = "marker_standoff"
 

@@ -3,13 +3,13 @@
 import math
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, from_zero
-from workers.mechanics.effects.problem_changes import with_device
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.loads import Device
-from workers.mechanics.fem.plate_surface import EDGE_RADIUS_MM
-from workers.mechanics.fem.problem import Problem
-from workers.units import MM
+from palpate.workers.mechanics.effects.base import Effect, Values, from_zero
+from palpate.workers.mechanics.effects.problem_changes import with_device
+from palpate.workers.mechanics.fem.contact.plate_surface import EDGE_RADIUS_MM
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import Device
+from palpate.workers.units import MM
 
 NAME = "plate_edge"
 

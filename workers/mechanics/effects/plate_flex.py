@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, two_sided
-from workers.mechanics.effects.problem_changes import with_device
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.loads import Device
-from workers.mechanics.fem.problem import Problem
-from workers.units import MM
+from palpate.workers.mechanics.effects.base import Effect, Values, two_sided
+from palpate.workers.mechanics.effects.problem_changes import with_device
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import Device
+from palpate.workers.units import MM
 
 # Across lies the first in-plane axis, and the depth along the second.
 ACROSS, DEPTH = "flex_across", "flex_depth"

@@ -3,13 +3,13 @@
 import math
 from dataclasses import replace
 
-from workers.mechanics.effects.base import ANY, Effect, Values
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.loads import ForceControl
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.parameters import Parameter
-from workers.mechanics.readings import ratio
-from workers.units import NUMBER
+from palpate.workers.mechanics.effects.base import ANY, Effect, Values
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import ForceControl
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.mechanics.readings import ratio
+from palpate.workers.units import NUMBER
 
 NAME = "ln_plate_force"
 

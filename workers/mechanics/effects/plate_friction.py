@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, from_zero
-from workers.mechanics.effects.problem_changes import with_device
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.readings import Reading
-from workers.units import NUMBER
+from palpate.workers.mechanics.effects.base import Effect, Values, from_zero
+from palpate.workers.mechanics.effects.problem_changes import with_device
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.readings import Reading
+from palpate.workers.units import NUMBER
 
 NAME = "friction"
 

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, two_sided
-from workers.mechanics.effects.problem_changes import with_device
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.loads import Device
-from workers.mechanics.fem.problem import Problem
-from workers.units import DEGREE
+from palpate.workers.mechanics.effects.base import Effect, Values, two_sided
+from palpate.workers.mechanics.effects.problem_changes import with_device
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import Device
+from palpate.workers.units import DEGREE
 
 # A turn about the first in-plane axis lifts the plate along the depth, and one about
 # the second lifts it across.

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from storage.values import Triple
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.loads import Device, NoPlates
-from workers.mechanics.fem.problem import Constants, Problem
+from palpate.storage.values import Triple
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import Device, NoPlates
 
 
 def with_device(problem: Problem, change: Callable[[Device], Device]) -> Problem:

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from storage.values import FloatArray, IntArray, Triple
-from workers.mechanics.effects.base import Effect, two_sided
-from workers.mechanics.effects.problem_changes import unchanged
-from workers.mechanics.fem.fields import Frame
-from workers.units import DEGREE, MM
+from palpate.storage.values import FloatArray, IntArray, Triple
+from palpate.workers.mechanics.effects.base import Effect, two_sided
+from palpate.workers.mechanics.effects.problem_changes import unchanged
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.units import DEGREE, MM
 
 SHIFTS = ("motion_x", "motion_y", "motion_z")
 TURNS = ("motion_turn_x", "motion_turn_y", "motion_turn_z")

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from storage.values import Triple
-from workers.mechanics.effects.base import Effect, Values, from_zero
-from workers.mechanics.effects.problem_changes import with_constants
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Constants, Problem
-from workers.units import KPA
+from palpate.storage.values import Triple
+from palpate.workers.mechanics.effects.base import Effect, Values, from_zero
+from palpate.workers.mechanics.effects.problem_changes import with_constants
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.units import KPA
 
 NAME = "second_fibres"
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from storage.values import FloatArray, IntArray, Tissue
-from workers.mechanics.effects.base import Effect, two_sided
-from workers.mechanics.effects.problem_changes import unchanged
-from workers.mechanics.fem.fields import Frame
-from workers.units import MM
+from palpate.storage.values import FloatArray, IntArray, Tissue
+from palpate.workers.mechanics.effects.base import Effect, two_sided
+from palpate.workers.mechanics.effects.problem_changes import unchanged
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.units import MM
 
 TISSUES = (Tissue.FAT, Tissue.GLANDULAR, Tissue.SKIN, Tissue.MUSCLE)
 

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, replace
 
-from storage.values import Triple
-from workers.mechanics.effects.base import Effect, Values, from_zero
-from workers.mechanics.effects.problem_changes import plus
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.readings import Reading
-from workers.units import G
+from palpate.storage.values import Triple
+from palpate.workers.mechanics.effects.base import Effect, Values, from_zero
+from palpate.workers.mechanics.effects.problem_changes import plus
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.readings import Reading
+from palpate.workers.units import G
 
 NAME = "self_weight"
 # Of the density of a material that was cast or printed, relative.

@@ -3,11 +3,11 @@
 import math
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, from_zero, two_sided
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Membrane, Problem
-from workers.mechanics.readings import ratio
-from workers.units import N_PER_M, NUMBER
+from palpate.workers.mechanics.effects.base import Effect, Values, from_zero, two_sided
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Membrane, Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.readings import ratio
+from palpate.workers.units import N_PER_M, NUMBER
 
 ADDED, FACTOR = "skin_added", "ln_skin"
 # A sheet feels E t alone; where there is none yet, this says how it is split.

@@ -2,20 +2,20 @@
 
 from dataclasses import replace
 
-from storage.values import Triple
-from workers.mechanics.effects.added_mass import added_mass
-from workers.mechanics.effects.base import Effect
-from workers.mechanics.effects.base_motion import base_motion
-from workers.mechanics.effects.clamp_compliance import CLAMP_COMPLIANCE
-from workers.mechanics.effects.compressibility import COMPRESSIBILITY
-from workers.mechanics.effects.creep import CREEP
-from workers.mechanics.effects.frame_turn import FRAME_TURN
-from workers.mechanics.effects.load_scale import LOAD_SCALE
-from workers.mechanics.effects.marker_standoff import MARKER_STANDOFF
-from workers.mechanics.effects.self_weight import self_weight
-from workers.mechanics.effects.stiffness_gradient import STIFFNESS_GRADIENT
-from workers.mechanics.effects.strain_stiffening import STIFFENING
-from workers.mechanics.fem.regions import Region
+from palpate.storage.values import Triple
+from palpate.workers.mechanics.effects.added_mass import added_mass
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.base_motion import base_motion
+from palpate.workers.mechanics.effects.clamp_compliance import CLAMP_COMPLIANCE
+from palpate.workers.mechanics.effects.compressibility import COMPRESSIBILITY
+from palpate.workers.mechanics.effects.creep import CREEP
+from palpate.workers.mechanics.effects.frame_turn import FRAME_TURN
+from palpate.workers.mechanics.effects.load_scale import LOAD_SCALE
+from palpate.workers.mechanics.effects.marker_standoff import MARKER_STANDOFF
+from palpate.workers.mechanics.effects.self_weight import self_weight
+from palpate.workers.mechanics.effects.stiffness_gradient import STIFFNESS_GRADIENT
+from palpate.workers.mechanics.effects.strain_stiffening import STIFFENING
+from palpate.workers.mechanics.fem.problem.regions import Region
 
 GRADIENT = replace(
     STIFFNESS_GRADIENT, summary="The material is stiffer at one end of the body than at the other."

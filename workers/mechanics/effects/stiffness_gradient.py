@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, two_sided
-from workers.mechanics.fem.fields import Frame, Gradient
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.readings import ratio
-from workers.units import NUMBER
+from palpate.workers.mechanics.effects.base import Effect, Values, two_sided
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame, Gradient
+from palpate.workers.mechanics.readings import ratio
+from palpate.workers.units import NUMBER
 
 NAMES = ("ln_gradient_x", "ln_gradient_y", "ln_gradient_z")
 

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from workers.mechanics.effects.base import Effect, Values, from_zero
-from workers.mechanics.effects.problem_changes import plus
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.problem import Problem
-from workers.units import KPA_PER_MM
+from palpate.workers.mechanics.effects.base import Effect, Values, from_zero
+from palpate.workers.mechanics.effects.problem_changes import plus
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.units import KPA_PER_MM
 
 NAMES = ("wall_hold_x", "wall_hold_y")
 

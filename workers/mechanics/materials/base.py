@@ -14,7 +14,7 @@ The laws here use it: they work at J = 1 and scale the result.
 
 from typing import Protocol
 
-from storage.values import FloatArray
+from palpate.storage.values import FloatArray
 
 
 class Law(Protocol):

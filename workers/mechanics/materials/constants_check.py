@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 
-from storage.errors import InputError
+from palpate.storage.errors import InputError
 
 
 def require(

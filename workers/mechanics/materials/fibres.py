@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.mechanics.materials.invariants import Shape, shape_of, tangent_of_quadratic
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.materials.invariants import Shape, shape_of, tangent_of_quadratic
 
 
 @dataclass(frozen=True, eq=False)

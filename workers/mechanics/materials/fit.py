@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.mechanics.materials.base import Isochoric, Law
-from workers.mechanics.materials.homogeneous_deformation import Table, nominal_stress_mpa
-from workers.mechanics.materials.law_families import Family
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.materials.base import Isochoric, Law
+from palpate.workers.mechanics.materials.homogeneous_deformation import Table, nominal_stress_mpa
+from palpate.workers.mechanics.materials.law_families import Family
 
 POLISHED = 2  # starts that are searched from to the end
 WORTHLESS = 0.999  # an error of 1 is that of no stress at all

@@ -16,9 +16,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.mechanics.materials.base import Law
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.materials.base import Law
 
 
 class Mode(StrEnum):
@@ -124,7 +124,7 @@ def nominal_stress_mpa(law: Law, mode: Mode, deformation: FloatArray) -> FloatAr
 
     Examples
     --------
-    >>> from workers.mechanics.materials.neo_hookean import NeoHookean
+    >>> from palpate.workers.mechanics.materials.neo_hookean import NeoHookean
     >>> pulled = nominal_stress_mpa(NeoHookean(1.0), Mode.UNIAXIAL, np.array([1.0, 2.0]))
     >>> pulled.round(12).tolist()  # mu (l - 1/l^2)
     [0.0, 1.75]

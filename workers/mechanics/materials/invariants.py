@@ -28,7 +28,7 @@ from functools import cached_property
 
 import numpy as np
 
-from storage.values import FloatArray
+from palpate.storage.values import FloatArray
 
 Scalar = FloatArray | float
 

@@ -11,14 +11,14 @@ from itertools import combinations
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.mechanics.materials.base import Isochoric
-from workers.mechanics.materials.fung import Fung
-from workers.mechanics.materials.mooney_rivlin import MooneyRivlin
-from workers.mechanics.materials.neo_hookean import NeoHookean
-from workers.mechanics.materials.ogden import Ogden
-from workers.mechanics.materials.yeoh import Yeoh
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.materials.base import Isochoric
+from palpate.workers.mechanics.materials.fung import Fung
+from palpate.workers.mechanics.materials.mooney_rivlin import MooneyRivlin
+from palpate.workers.mechanics.materials.neo_hookean import NeoHookean
+from palpate.workers.mechanics.materials.ogden import Ogden
+from palpate.workers.mechanics.materials.yeoh import Yeoh
 
 ALPHAS = (-25.0, -16.0, -8.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 25.0)
 MOST_TERMS = 4

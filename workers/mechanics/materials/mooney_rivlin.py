@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from storage.values import FloatArray
-from workers.mechanics.materials.constants_check import require
-from workers.mechanics.materials.invariants import Shape, shape_of, stress, tangent_of_both
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.materials.constants_check import require
+from palpate.workers.mechanics.materials.invariants import Shape, shape_of, stress, tangent_of_both
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,10 +29,10 @@ from typing import Literal
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.mechanics.materials.constants_check import require
-from workers.mechanics.materials.invariants import Shape, shape_of
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.materials.constants_check import require
+from palpate.workers.mechanics.materials.invariants import Shape, shape_of
 
 Convention = Literal["ogden", "abaqus", "febio"]
 

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from storage.values import FloatArray
-from workers.mechanics.materials.constants_check import require
-from workers.mechanics.materials.invariants import shape_of, stress, tangent_of_first
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.materials.constants_check import require
+from palpate.workers.mechanics.materials.invariants import shape_of, stress, tangent_of_first
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,9 @@ the isochoric part, ``I4bar``, has to be stated.
 
 from typing import Literal
 
-from storage.values import Triple
-from workers.mechanics.fem.fields import WALL_TO_NIPPLE
-from workers.mechanics.parameters import BREAST
+from palpate.storage.values import Triple
+from palpate.workers.mechanics.fem.problem.fields import WALL_TO_NIPPLE
+from palpate.workers.mechanics.parameters import BREAST
 
 Law = Literal["neo-hookean", "fibre-neo-hookean"]
 Fibres = Literal["tension-only", "literal"]

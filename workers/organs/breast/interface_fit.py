@@ -14,36 +14,36 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.sparse import csr_matrix
 
-from storage.task_records import FreeParameter
-from storage.values import FloatArray, Tissue, Volume
-from workers.body.images.coarser_voxels import in_coarser_voxels
-from workers.body.images.largest_component import in_air
-from workers.body.mesh.hierarchy import Hierarchy
-from workers.comparison.observation.interface import (
+from palpate.storage.records.tasks import FreeParameter
+from palpate.storage.values import FloatArray, Tissue, Volume
+from palpate.workers.body.images.coarser_voxels import in_coarser_voxels
+from palpate.workers.body.images.largest_component import in_air
+from palpate.workers.body.mesh.hierarchy import Hierarchy
+from palpate.workers.comparison.observation.interface import (
     GLANDULAR,
     OUTLINE,
     Interface,
     InterfacePoints,
     interface_points,
 )
-from workers.comparison.observation.noise import SegmentationNoise, correlation, covariance
-from workers.comparison.observation.point_interpolation import interpolation
-from workers.comparison.observation.residual import observe, residual
-from workers.comparison.warp.warp_volume import warp_labels
-from workers.diagnosis.linearisation import factored
-from workers.diagnosis.settings import SETTINGS
-from workers.mechanics.effects.base import Effect
-from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
-from workers.mechanics.effects.plate_friction import FRICTION
-from workers.mechanics.fem.fields import frame_of
-from workers.mechanics.fem.model import Model
-from workers.mechanics.fem.outcome import Solution
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.sensitivity import Change, tangents
-from workers.mechanics.fem.solve import Equilibrium, equilibrium
-from workers.organs.breast.study_noise import NUGGET_VOXELS, study_noise
-from workers.organs.normal_equations import normal_equations
-from workers.organs.organ import Residuals, logarithmic
+from palpate.workers.comparison.observation.noise import SegmentationNoise, correlation, covariance
+from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.comparison.observation.residual import observe, residual
+from palpate.workers.comparison.warp.warp_volume import warp_labels
+from palpate.workers.diagnosis.algebra.linearisation import factored
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
+from palpate.workers.mechanics.effects.plate_friction import FRICTION
+from palpate.workers.mechanics.fem.elements.model import Model
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change, tangents
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import frame_of
+from palpate.workers.mechanics.fem.problem.outcome import Solution
+from palpate.workers.organs.breast.study_noise import NUGGET_VOXELS, study_noise
+from palpate.workers.organs.normal_equations import normal_equations
+from palpate.workers.organs.organ import Residuals, logarithmic
 
 # Between neighbouring points: a breast of 445 ml then has some 2,000.
 SPACING_MM = 4.0
@@ -277,7 +277,7 @@ def _whitening(
 
     What voxels leave of an interface is independent from point to point. Of drawn images the
     covariance counts, with what segmentations err by in common; see
-    `workers.diagnosis.noise_parts`.
+    `workers.diagnosis.problem.noise_parts`.
     """
     if not imaged:
         sd = float(np.hypot(MOVED_VOXELS * noise.nugget_mm / NUGGET_VOXELS, noise.nugget_mm))

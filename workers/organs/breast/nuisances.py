@@ -1,9 +1,9 @@
 """Nuisance parameters of a breast study: place and scale of the scan, load, law of the tissue."""
 
-from workers.mechanics.effects.base import Effect
-from workers.mechanics.effects.breast_catalogue import effect
-from workers.organs.breast.spec import LoadSpec
-from workers.organs.nuisances import Nuisance
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.breast_catalogue import effect
+from palpate.workers.organs.breast.spec import LoadSpec
+from palpate.workers.organs.nuisances import Nuisance
 
 PLACE, SCALE, FORCE = "the place of the scan", "the scale of the scan", "the force"
 FRICTION = "the friction of the plates"

@@ -7,44 +7,44 @@ from typing import Any
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.task_records import FreeParameter
-from storage.values import FloatArray, Tissue, Volume
-from workers.body.images.coarser_voxels import in_coarser_voxels
-from workers.body.images.labels import (
+from palpate.storage.errors import InputError
+from palpate.storage.records.tasks import FreeParameter
+from palpate.storage.values import FloatArray, Tissue, Volume
+from palpate.workers.body.images.coarser_voxels import in_coarser_voxels
+from palpate.workers.body.images.labels import (
     crop_to_body,
     default_map,
     label_counts,
     relabel,
     resample_labels,
 )
-from workers.body.images.named_labels import label_tissues, read_tissues
-from workers.body.images.read import LabelImage
-from workers.body.mesh.hierarchy import Hierarchy, from_arrays, to_arrays
-from workers.body.mesh.whole_body import mesh_whole_body
-from workers.body.phantom.breast import generate_breast
-from workers.comparison.similarity.score import Scorer, Surface, score_labels
-from workers.comparison.warp.warp_volume import warp_labels
-from workers.mechanics.effects.breast_catalogue import (
+from palpate.workers.body.images.named_labels import label_tissues, read_tissues
+from palpate.workers.body.images.read import LabelImage
+from palpate.workers.body.mesh.hierarchy import Hierarchy, from_arrays, to_arrays
+from palpate.workers.body.mesh.whole_body import mesh_whole_body
+from palpate.workers.body.phantom.breast import generate_breast
+from palpate.workers.comparison.similarity.score import Scorer, Surface, score_labels
+from palpate.workers.comparison.warp.warp_volume import warp_labels
+from palpate.workers.mechanics.effects.breast_catalogue import (
     BREAST_EFFECTS,
     BREAST_MODEL,
     NOT_SIMULATED,
 )
-from workers.mechanics.fem.fields import frame_of
-from workers.mechanics.fem.model import Model, prepare
-from workers.mechanics.fem.outcome import Solution
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.solve import solve
-from workers.mechanics.pressed import Pressed
-from workers.organs.breast.alignment import aligned, study_load
-from workers.organs.breast.interface_fit import (
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import frame_of
+from palpate.workers.mechanics.fem.problem.outcome import Solution
+from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.organs.breast.interface_fit import (
     BreastObservation,
     FittedBreast,
     fit_interfaces,
     observe_target,
 )
-from workers.organs.breast.nuisances import nuisances
-from workers.organs.breast.problem import (
+from palpate.workers.organs.breast.nuisances import nuisances
+from palpate.workers.organs.breast.plausibility.alignment import aligned, study_load
+from palpate.workers.organs.breast.problem import (
     Extent,
     check_skin_layer,
     extent_of,
@@ -52,7 +52,7 @@ from workers.organs.breast.problem import (
     pressed_by,
     problem_of,
 )
-from workers.organs.breast.spec import (
+from palpate.workers.organs.breast.spec import (
     BreastCase,
     BreastScore,
     BreastTarget,
@@ -61,9 +61,9 @@ from workers.organs.breast.spec import (
     PhantomSpec,
     ReferenceSpec,
 )
-from workers.organs.nuisances import Nuisance
-from workers.organs.organ import Arrays, Facts, Scores
-from workers.spec import Door
+from palpate.workers.organs.nuisances import Nuisance
+from palpate.workers.organs.organ import Arrays, Facts, Scores
+from palpate.workers.spec import Door
 
 OUTLINE = "outline"
 

@@ -1,6 +1,6 @@
 """The physics of a breast in words, alike for a study and for a diagnosis."""
 
-from storage.values import Triple
+from palpate.storage.values import Triple
 
 
 def law_text(fibres: str, fibre_invariant: str, direction: Triple) -> str:

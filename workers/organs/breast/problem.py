@@ -11,16 +11,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import Tissue, Triple, Volume
-from workers.body.mesh.skin_thickness import skin_thickness_mm
-from workers.mechanics.effects.breast_catalogue import BREAST_MODEL, with_effects
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.loads import Device, DistanceControl, ForceControl, Load
-from workers.mechanics.fem.problem import Constants, Membrane, Problem
-from workers.mechanics.parameters import BREAST
-from workers.mechanics.pressed import Pressed
-from workers.organs.breast.spec import LoadSpec, ModelSpec
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Triple, Volume
+from palpate.workers.body.mesh.skin_thickness import skin_thickness_mm
+from palpate.workers.mechanics.effects.breast_catalogue import BREAST_MODEL, with_effects
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
+    Constants,
+    Membrane,
+    Problem,
+)
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import Device, DistanceControl, ForceControl, Load
+from palpate.workers.mechanics.parameters import BREAST
+from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.organs.breast.spec import LoadSpec, ModelSpec
 
 Extent = tuple[float, float]
 """From here to there along the axis of compression, in mm."""

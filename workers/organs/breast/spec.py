@@ -5,18 +5,18 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, Field, StringConstraints, model_validator
 
-from storage.errors import InputError
-from storage.values import Tissue
-from workers.body.images.label_map import label_map
-from workers.body.images.labels import tissue_named
-from workers.body.images.orient import parse_axes
-from workers.body.phantom.settings import BreastPhantom
-from workers.mechanics.effects.breast_catalogue import BREAST_MODEL
-from workers.mechanics.parameters import BREAST, Vocabulary
-from workers.missing_keys import Pairs
-from workers.organs.breast import default_physics as physics
-from workers.organs.breast.physics_words import law_text, wall_text
-from workers.spec import (
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue
+from palpate.workers.body.images.label_map import label_map
+from palpate.workers.body.images.labels import tissue_named
+from palpate.workers.body.images.orient import parse_axes
+from palpate.workers.body.phantom.settings import BreastPhantom
+from palpate.workers.mechanics.effects.breast_catalogue import BREAST_MODEL
+from palpate.workers.mechanics.parameters import BREAST, Vocabulary
+from palpate.workers.missing_keys import Pairs
+from palpate.workers.organs.breast import default_physics as physics
+from palpate.workers.organs.breast.physics_words import law_text, wall_text
+from palpate.workers.spec import (
     CaseSpec,
     Door,
     Finite,
@@ -26,7 +26,7 @@ from workers.spec import (
     TargetSpec,
     checked,
 )
-from workers.units import FORCE_UNITS, KPA
+from palpate.workers.units import FORCE_UNITS, KPA
 
 
 def _three(given: Any) -> Any:
@@ -265,7 +265,7 @@ class BreastTarget(ImageSpec, TargetSpec):
     """The deformed body to be explained: simulated with hidden constants, or an image.
 
     With ``align: rigid`` an image is first moved into the frame of the reference; see
-    `workers.organs.breast.rigid_motion`.
+    `workers.organs.breast.plausibility.rigid_motion`.
     """
 
     exactly_one: ClassVar[Pairs] = (("constants", "volume"),)

@@ -7,22 +7,22 @@ from typing import Self
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import Tissue, Volume
-from workers.body.mesh.node_count import check_node_count, check_node_count_of
-from workers.mechanics.effects.breast_catalogue import BREAST_MODEL
-from workers.mechanics.parameters import BREAST, Bounds
-from workers.organs.breast.alignment import study_load
-from workers.organs.breast.body_checks import (
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.body.mesh.node_count import check_node_count, check_node_count_of
+from palpate.workers.mechanics.effects.breast_catalogue import BREAST_MODEL
+from palpate.workers.mechanics.parameters import BREAST, Bounds
+from palpate.workers.organs.breast.plausibility.alignment import study_load
+from palpate.workers.organs.breast.plausibility.body import (
     check_empty_slices,
     check_pieces,
     check_volume_range,
 )
-from workers.organs.breast.checks import findings_of
-from workers.organs.breast.problem import compression_axis
-from workers.organs.breast.scan_facts import BreastFacts, Scan
-from workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget, PhantomSpec
-from workers.organs.study_checks import Finding
+from palpate.workers.organs.breast.plausibility.checks import findings_of
+from palpate.workers.organs.breast.plausibility.scan_facts import BreastFacts, Scan
+from palpate.workers.organs.breast.problem import compression_axis
+from palpate.workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget, PhantomSpec
+from palpate.workers.organs.study_checks import Finding
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Default noise of the interfaces of label volumes, for studies and diagnoses alike."""
 
-from storage.values import Volume
-from workers.comparison.observation.noise import SegmentationNoise
+from palpate.storage.values import Volume
+from palpate.workers.comparison.observation.noise import SegmentationNoise
 
 # Error of an image that somebody has drawn: half a voxel, since labels place a boundary no better,
 # and alike over 4 mm, an assumption. A second segmentation of the scan at rest measures both.

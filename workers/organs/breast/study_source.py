@@ -12,40 +12,43 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import Volume
-from workers.body.images.largest_component import in_air
-from workers.body.mesh.hierarchy import Hierarchy
-from workers.body.mesh.whole_body import mesh_whole_body
-from workers.comparison.observation.noise import SegmentationNoise
-from workers.comparison.observation.smooth_outline import smooth_outline
-from workers.diagnosis.acquisition import (
+from palpate.storage.errors import InputError
+from palpate.storage.values import Volume
+from palpate.workers.body.images.largest_component import in_air
+from palpate.workers.body.mesh.hierarchy import Hierarchy
+from palpate.workers.body.mesh.whole_body import mesh_whole_body
+from palpate.workers.comparison.observation.noise import SegmentationNoise
+from palpate.workers.comparison.observation.smooth_outline import smooth_outline
+from palpate.workers.diagnosis.outcome.pictures.scan_pictures import (
+    Displacements,
+    pictures_of_scans,
+)
+from palpate.workers.diagnosis.outcome.source import FinishedStudy, SourceContent
+from palpate.workers.diagnosis.problem.acquisition import (
     Acquisition,
     ProblemBuilder,
     finer_model,
     inverse_problem_of,
     prepare_scan,
 )
-from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Values
-from workers.diagnosis.pictures.scan_pictures import Displacements, pictures_of_scans
-from workers.diagnosis.preparation import Prepared, ReadPrepared, preparations_of
-from workers.diagnosis.source import FinishedStudy, SourceContent
-from workers.diagnosis.summary import Summary
-from workers.mechanics.effects.base import Effect
-from workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
-from workers.mechanics.fem.fields import Frame
-from workers.mechanics.fem.model import Model
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.parameters import Bounds
-from workers.mechanics.pressed import Pressed
-from workers.organs.breast.problem import extent_of, materials_of, pressed_by, problem_of
-from workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
-from workers.organs.breast.study_checks import BreastChecks
-from workers.organs.breast.study_noise import study_noise
-from workers.organs.study_checks import Finding
-from workers.scan_threads import Each
-from workers.spec import validated
+from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, InverseProblem, Values
+from palpate.workers.diagnosis.problem.preparation import Prepared, ReadPrepared, preparations_of
+from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
+from palpate.workers.mechanics.fem.elements.model import Model
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.parameters import Bounds
+from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.organs.breast.problem import extent_of, materials_of, pressed_by, problem_of
+from palpate.workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
+from palpate.workers.organs.breast.study_checks import BreastChecks
+from palpate.workers.organs.breast.study_noise import study_noise
+from palpate.workers.organs.study_checks import Finding
+from palpate.workers.scan_threads import Each
+from palpate.workers.spec import validated
 
 # Names of both volumes in the content of a study.
 REFERENCE, TARGET = "reference", "target"
@@ -87,7 +90,7 @@ class StudyPieces:
 
 
 class StudySource:
-    """See `workers.diagnosis.source.Source`.
+    """See `workers.diagnosis.outcome.source.Source`.
 
     Parameters
     ----------

@@ -6,25 +6,32 @@ from typing import Any
 
 import numpy as np
 
-from storage.task_records import FreeParameter
-from storage.values import FloatArray, Volume
-from workers.mechanics.effects.base import Effect
-from workers.organs.cornea.candidate import Candidate
-from workers.organs.cornea.contour_distance import distances
-from workers.organs.cornea.deformed_section import deformed_section
-from workers.organs.cornea.generated_section import generated_section
-from workers.organs.cornea.imaged_section import imaged_section
-from workers.organs.cornea.mesh_quality import t6_quality
-from workers.organs.cornea.model_cache import MeshForModels
-from workers.organs.cornea.outcome import CorneaOutcome
-from workers.organs.cornea.parameters import CORNEA
-from workers.organs.cornea.problem import candidate_of, jet_nodes_x_mm, middle_of
-from workers.organs.cornea.section import Section
-from workers.organs.cornea.section_image import CORNEA_LABEL, section_image
-from workers.organs.cornea.section_mesh import mesh_section
-from workers.organs.cornea.section_scorer import SectionScorer
-from workers.organs.cornea.solve import solve_prepared
-from workers.organs.cornea.spec import (
+from palpate.storage.records.tasks import FreeParameter
+from palpate.storage.values import FloatArray, Volume
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.organs.cornea.comparison.section_scorer import SectionScorer
+from palpate.workers.organs.cornea.comparison.surface_fit import (
+    FittedCornea,
+    SurfaceObservation,
+    fit_surfaces,
+    observe_surfaces,
+)
+from palpate.workers.organs.cornea.frames.imaged_section import imaged_section
+from palpate.workers.organs.cornea.mesh.deformed_section import deformed_section
+from palpate.workers.organs.cornea.mesh.quality import t6_quality
+from palpate.workers.organs.cornea.mesh.section_mesh import mesh_section
+from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
+from palpate.workers.organs.cornea.parameters import CORNEA
+from palpate.workers.organs.cornea.problem import candidate_of, jet_nodes_x_mm, middle_of
+from palpate.workers.organs.cornea.section.contour_distance import distances
+from palpate.workers.organs.cornea.section.generated import generated_section
+from palpate.workers.organs.cornea.section.image import CORNEA_LABEL, section_image
+from palpate.workers.organs.cornea.section.outline import Section
+from palpate.workers.organs.cornea.solver.candidate import Candidate
+from palpate.workers.organs.cornea.solver.model_cache import MeshForModels
+from palpate.workers.organs.cornea.solver.outcome import CorneaOutcome
+from palpate.workers.organs.cornea.solver.solve import solve_prepared
+from palpate.workers.organs.cornea.spec import (
     CorneaCase,
     CorneaReference,
     CorneaScore,
@@ -33,16 +40,9 @@ from workers.organs.cornea.spec import (
     GeneratedSectionSpec,
     MeshSpec,
 )
-from workers.organs.cornea.surface_fit import (
-    FittedCornea,
-    SurfaceObservation,
-    fit_surfaces,
-    observe_surfaces,
-)
-from workers.organs.cornea.t6_mesh import T6Mesh
-from workers.organs.nuisances import Nuisance
-from workers.organs.organ import Arrays, Facts, Scores
-from workers.spec import Door
+from palpate.workers.organs.nuisances import Nuisance
+from palpate.workers.organs.organ import Arrays, Facts, Scores
+from palpate.workers.spec import Door
 
 # Of a mesh on which constants are fitted first.
 FEWEST_ELEMENTS = 60

@@ -4,15 +4,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.organs.cornea.contour_distance import distances
-from workers.organs.cornea.frame_checks import SMOOTH_MM, Imaged
-from workers.organs.cornea.frame_registration import register_periphery
-from workers.organs.cornea.section import Section
-from workers.organs.cornea.section_shape import depth_mm
-from workers.organs.cornea.spec import CorneaCase
-from workers.organs.study_checks import Finding
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.organs.cornea.frames.checks import SMOOTH_MM, Imaged
+from palpate.workers.organs.cornea.frames.registration import register_periphery
+from palpate.workers.organs.cornea.section.contour_distance import distances
+from palpate.workers.organs.cornea.section.outline import Section
+from palpate.workers.organs.cornea.section.shape import depth_mm
+from palpate.workers.organs.cornea.spec import CorneaCase
+from palpate.workers.organs.study_checks import Finding
 
 # Of the middle whose motion is the depth of the dent; what may pass for one.
 MIDDLE_MM = 0.5

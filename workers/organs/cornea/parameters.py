@@ -6,9 +6,9 @@ pressures and the jet stand at what the case states.
 
 import math
 
-from workers.mechanics.parameters import Parameter, Vocabulary
-from workers.organs.cornea.constants import DEFAULT_BULK_MPA
-from workers.units import DEGREE, KPA, MM, MM_PER_KPA, MMHG, NUMBER, PA, Unit
+from palpate.workers.mechanics.parameters import Parameter, Vocabulary
+from palpate.workers.organs.cornea.material.constants import DEFAULT_BULK_MPA
+from palpate.workers.units import DEGREE, KPA, MM, MM_PER_KPA, MMHG, NUMBER, PA, Unit
 
 # Terms of the Ogden law that a study can name; the thesis has two.
 TERMS = 3

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from workers.organs.cornea.load import MPA_PER_MMHG
+from palpate.workers.organs.cornea.material.load import MPA_PER_MMHG
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from workers.organs.cornea.candidate import Candidate
-from workers.organs.cornea.constants import CorneaConstants
-from workers.organs.cornea.load import CorneaLoad
-from workers.organs.cornea.model import CorneaModel
-from workers.organs.cornea.model_cache import MeshForModels
-from workers.organs.cornea.parameters import TERMS
-from workers.organs.cornea.section import Section
-from workers.organs.cornea.spec import CorneaCase
+from palpate.workers.organs.cornea.material.constants import CorneaConstants
+from palpate.workers.organs.cornea.material.load import CorneaLoad
+from palpate.workers.organs.cornea.material.model import CorneaModel
+from palpate.workers.organs.cornea.parameters import TERMS
+from palpate.workers.organs.cornea.section.outline import Section
+from palpate.workers.organs.cornea.solver.candidate import Candidate
+from palpate.workers.organs.cornea.solver.model_cache import MeshForModels
+from palpate.workers.organs.cornea.spec import CorneaCase
 
 
 def candidate_of(

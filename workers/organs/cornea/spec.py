@@ -5,23 +5,15 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from storage.errors import InputError
-from workers.mechanics.parameters import Vocabulary
-from workers.missing_keys import Pairs
-from workers.organs.cornea.constants import Convention
-from workers.organs.cornea.load import MPA_PER_MMHG, JetProfile
-from workers.organs.cornea.model import Kind, PrestressMethod
-from workers.organs.cornea.parameters import CORNEA, TERMS
-from workers.organs.cornea.refraction import CAMERA_ANGLE_DEG, CORNEA_INDEX
-from workers.spec import (
-    CaseSpec,
-    Door,
-    Finite,
-    Positive,
-    ScoreSpec,
-    TargetSpec,
-    checked,
-)
+from palpate.storage.errors import InputError
+from palpate.workers.mechanics.parameters import Vocabulary
+from palpate.workers.missing_keys import Pairs
+from palpate.workers.organs.cornea.material.constants import Convention
+from palpate.workers.organs.cornea.material.load import MPA_PER_MMHG, JetProfile
+from palpate.workers.organs.cornea.material.model import Kind, PrestressMethod
+from palpate.workers.organs.cornea.parameters import CORNEA, TERMS
+from palpate.workers.organs.cornea.section.refraction import CAMERA_ANGLE_DEG, CORNEA_INDEX
+from palpate.workers.spec import CaseSpec, Door, Finite, Positive, ScoreSpec, TargetSpec, checked
 
 DoorConstants = Annotated[dict[str, float], checked(CORNEA.from_door)]
 Zero = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -29,7 +21,7 @@ Interval = tuple[Finite, Finite]
 
 
 class GeneratedSectionSpec(Door):
-    """A generated section; see `workers.organs.cornea.generated_section`."""
+    """A generated section; see `workers.organs.cornea.section.generated`."""
 
     radius_mm: Positive = 7.8
     chord_mm: Positive = 11.7
@@ -39,14 +31,14 @@ class GeneratedSectionSpec(Door):
 
 
 class RefractionSpec(Door):
-    """How the camera saw the posterior surface; see `workers.organs.cornea.refraction`."""
+    """How the camera saw the posterior surface; see `workers.organs.cornea.section.refraction`."""
 
     index: Annotated[float, Field(ge=1, allow_inf_nan=False)] = CORNEA_INDEX
     camera_angle_deg: Annotated[float, Field(gt=0, lt=80)] = CAMERA_ANGLE_DEG
 
 
 class FrameSpec(Door):
-    """An image of a section and its scale; see `workers.organs.cornea.frame_reading`.
+    """An image of a section and its scale; see `workers.organs.cornea.frames.reading`.
 
     ``first_pixel`` is the column and row of its first pixel in the raster that both frames
     of a pair share. ``refraction: null`` leaves the posterior surface where it appears.
@@ -76,7 +68,7 @@ class MeshSpec(Door):
 
 
 class ModelSpec(Door):
-    """How a section is modelled; see `workers.organs.cornea.model`.
+    """How a section is modelled; see `workers.organs.cornea.material.model`.
 
     Two terms of the law that change places are the same cornea. ``order_terms_by`` says by
     which constant they are put in order, least first, before they are simulated and reported.
@@ -113,7 +105,7 @@ class JetSpec(Door):
 
     ``centre_mm`` is measured from the middle of the section. The default of 15 kPa is the
     reading of the thesis' "15 mmHg" with which its corneas turn concave; see
-    `workers.organs.cornea.load.CorneaLoad`.
+    `workers.organs.cornea.material.load.CorneaLoad`.
     """
 
     exactly_one: ClassVar[Pairs] = (("pressure_kpa", "pressure_mmhg"),)
@@ -145,7 +137,7 @@ class LoadSpec(Door):
 
 
 class FindingsSpec(Door):
-    """What is said of the fitted eye; see `workers.organs.cornea.findings`.
+    """What is said of the fitted eye; see `workers.organs.cornea.findings.study`.
 
     ``profiles`` takes about a minute. ``jet_fractions`` are the pressures, as parts of the
     full one, whose images would be taken together. ``not_measured`` names what was assumed.

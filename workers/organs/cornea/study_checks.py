@@ -6,9 +6,9 @@ A frame that is refused here would be searched to the end and be explained by wr
 from collections.abc import Iterator
 from pathlib import Path
 
-from workers.organs.cornea.frame_checks import Imaged, check_frame, check_under_jet
-from workers.organs.cornea.pair_checks import check_pair, exchanged
-from workers.organs.cornea.plausible import (
+from palpate.workers.organs.cornea.frames.checks import Imaged, check_frame, check_under_jet
+from palpate.workers.organs.cornea.pair_checks import check_pair, exchanged
+from palpate.workers.organs.cornea.plausible import (
     CENTRAL_MM,
     IOP_MMHG,
     JET_KPA,
@@ -16,9 +16,9 @@ from workers.organs.cornea.plausible import (
     WIDTH_MM,
     Range,
 )
-from workers.organs.cornea.section import Section
-from workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget, FrameSpec
-from workers.organs.study_checks import Finding
+from palpate.workers.organs.cornea.section.outline import Section
+from palpate.workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget, FrameSpec
+from palpate.workers.organs.study_checks import Finding
 
 
 class CorneaChecks:

@@ -12,11 +12,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.errors import InputError
-from storage.values import FloatArray, IntArray, TetMesh, Tissue, Triple
-from workers.body.mesh.boundary import boundary_triangles, split_boundary
-from workers.body.mesh.hierarchy import Hierarchy, MeshLevel
-from workers.body.mesh.prolongation import prolongation
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Triple
+from palpate.workers.body.mesh.boundary import boundary_triangles, split_boundary
+from palpate.workers.body.mesh.hierarchy import Hierarchy, MeshLevel
+from palpate.workers.body.mesh.prolongation import prolongation
 
 Cells = tuple[int, int, int]
 Numbers = NDArray[np.int64]

@@ -6,15 +6,15 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from storage.values import FloatArray, TetMesh, Triple, Volume
-from workers.body.mesh.boundary import boundary_triangles
-from workers.body.mesh.hierarchy import Hierarchy
-from workers.body.mesh.whole_body import mesh_whole_body
-from workers.comparison.observation.point_interpolation import interpolation
-from workers.organs.specimen.block import block
-from workers.organs.specimen.problem import region_of
-from workers.organs.specimen.spec import FinitePoint, SpecimenSpec
-from workers.organs.specimen.surface_normal import outward_normals
+from palpate.storage.values import FloatArray, TetMesh, Triple, Volume
+from palpate.workers.body.mesh.boundary import boundary_triangles
+from palpate.workers.body.mesh.hierarchy import Hierarchy
+from palpate.workers.body.mesh.whole_body import mesh_whole_body
+from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.organs.specimen.block import block
+from palpate.workers.organs.specimen.problem import region_of
+from palpate.workers.organs.specimen.spec import FinitePoint, SpecimenSpec
+from palpate.workers.organs.specimen.surface_normal import outward_normals
 
 # A point off the mesh by more than this lies on another body.
 FARTHEST_MM = 3.0

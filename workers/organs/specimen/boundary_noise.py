@@ -17,13 +17,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.diagnosis.forward import Forward
-from workers.mechanics.fem.loads import DisplacementField, Hold
-from workers.mechanics.fem.model import Model
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.sensitivity import RELATIVE_ERROR, Change
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.problem.forward import Forward
+from palpate.workers.mechanics.fem.elements.model import Model
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import RELATIVE_ERROR, Change
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.loads import DisplacementField, Hold
 
 # Singular values below this part of the largest are those of points in a plane.
 FLAT = 1e-9

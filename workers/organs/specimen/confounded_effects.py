@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.experiment_summary import ConfoundedEffect
-from workers.diagnosis.gauss_newton import Fit, fit
-from workers.diagnosis.inverse_problem import unknowns
-from workers.diagnosis.linearisation import Linearised
-from workers.mechanics.effects.base import Effect
-from workers.units import KPA
+from palpate.workers.diagnosis.algebra.linearisation import Linearised
+from palpate.workers.diagnosis.fits.gauss_newton import Fit, fit
+from palpate.workers.diagnosis.problem.inverse_problem import unknowns
+from palpate.workers.diagnosis.schema.experiment_summary import ConfoundedEffect
+from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.units import KPA
 
 
 def confounded_effects(

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from storage.errors import InputError
-from storage.values import Volume
-from workers.organs.specimen.experiment_table import understood
-from workers.organs.specimen.marker_data import observed
-from workers.organs.specimen.source import SpecimenSource
-from workers.organs.specimen.spec import SpecimenSpec, read_spec
-from workers.organs.specimen.voxelised_mesh import body_of_file
+from palpate.storage.errors import InputError
+from palpate.storage.values import Volume
+from palpate.workers.organs.specimen.readings.experiment_table import understood
+from palpate.workers.organs.specimen.readings.marker_data import observed
+from palpate.workers.organs.specimen.source import SpecimenSource
+from palpate.workers.organs.specimen.spec import SpecimenSpec, read_spec
+from palpate.workers.organs.specimen.voxelised_mesh import body_of_file
 
 
 def read_experiment(path: Path) -> SpecimenSource:

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from storage.values import FloatArray
-from workers.diagnosis.inverse_problem import InverseProblem
-from workers.mechanics.fem.external_forces import spring_stiffness, stated_springs
-from workers.mechanics.fem.model import LevelModel
-from workers.mechanics.fem.problem import Problem
-from workers.organs.specimen.spec import StateSpec
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
+from palpate.workers.mechanics.fem.elements.external_forces import spring_stiffness, stated_springs
+from palpate.workers.mechanics.fem.elements.model import LevelModel
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.organs.specimen.spec import StateSpec
 
 # Supports that carry less than this part of the known forces are not felt.
 MOST_OF_FORCES = 0.01

@@ -6,14 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from storage.values import BoolArray, FloatArray
-from workers.diagnosis.forward import Tetrahedra
-from workers.mechanics.fem.outcome import Solution
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.regions import nodes_in
-from workers.mechanics.fem.sensitivity import Change, reactions, tangents_with_reactions
-from workers.mechanics.fem.solve import Equilibrium
-from workers.organs.specimen.load_cells import LoadCell
+from palpate.storage.values import BoolArray, FloatArray
+from palpate.workers.diagnosis.problem.forward import Tetrahedra
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import (
+    Change,
+    reactions,
+    tangents_with_reactions,
+)
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.outcome import Solution
+from palpate.workers.mechanics.fem.problem.regions import nodes_in
+from palpate.workers.organs.specimen.load_cells import LoadCell
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +34,7 @@ class EquilibriumWithCells:
 
 
 class TetrahedraWithCells(Tetrahedra):
-    """See `workers.diagnosis.forward.Forward`; load cells are nodes beyond those of the mesh.
+    """See `diagnosis.problem.forward.Forward`; load cells are nodes beyond those of the mesh.
 
     Parameters
     ----------

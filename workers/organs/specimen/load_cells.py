@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from storage.values import FloatArray
-from workers.comparison.observation.interface import InterfacePoints
-from workers.diagnosis.force_readings import FORCE
-from workers.mechanics.fem.regions import Region
-from workers.organs.specimen.problem import AXES, region_of
-from workers.organs.specimen.spec import SpecimenSpec, StateSpec
+from palpate.storage.values import FloatArray
+from palpate.workers.comparison.observation.interface import InterfacePoints
+from palpate.workers.diagnosis.problem.force_readings import FORCE
+from palpate.workers.mechanics.fem.problem.regions import Region
+from palpate.workers.organs.specimen.problem import AXES, region_of
+from palpate.workers.organs.specimen.spec import SpecimenSpec, StateSpec
 
 # Of load cells, times their number: no correlation length reaches so far.
 FAR_MM = 1e6

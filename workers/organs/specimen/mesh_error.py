@@ -12,13 +12,13 @@ softer by the same part makes good for it.
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray, Triple
-from workers.comparison.observation.point_interpolation import interpolation
-from workers.mechanics.fem.model import Model, prepare
-from workers.mechanics.fem.problem import Problem
-from workers.mechanics.fem.solve import solve
-from workers.organs.specimen.block import Cells, cells_of, lattices
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Triple
+from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.organs.specimen.block import Cells, cells_of, lattices
 
 # Cells of the coarser lattice over those of the working one.
 COARSER = 0.75

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from storage.values import FloatArray
-from workers.organs.specimen.marker_data import Observed
-from workers.organs.specimen.problem import compressibility_name, young_name
-from workers.organs.specimen.spec import SpecimenSpec
-from workers.organs.study_checks import Finding
-from workers.units import KPA
+from palpate.storage.values import FloatArray
+from palpate.workers.organs.specimen.problem import compressibility_name, young_name
+from palpate.workers.organs.specimen.readings.marker_data import Observed
+from palpate.workers.organs.specimen.spec import SpecimenSpec
+from palpate.workers.organs.study_checks import Finding
+from palpate.workers.units import KPA
 
 # Points that span less than this part of the body are in another unit.
 LEAST_SPAN = 0.01

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray
-from workers.diagnosis.gauss_newton import Fit
-from workers.diagnosis.inverse_problem import InverseProblem, Scan
-from workers.diagnosis.scan_prediction import PredictedScan, predict_scan
-from workers.mechanics.fem.solve import Equilibrium
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.fits.gauss_newton import Fit
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, Scan
+from palpate.workers.diagnosis.problem.scan_prediction import PredictedScan, predict_scan
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
 
 # Of a parameter, in standard deviations of its posterior.
 STEP = 0.5

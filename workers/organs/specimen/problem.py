@@ -5,19 +5,29 @@ from types import MappingProxyType
 
 import numpy as np
 
-from storage.values import Tissue, Triple
-from workers.diagnosis.inverse_problem import FreeConstant
-from workers.mechanics.fem.loads import DeadForce, DisplacementField, Hold, NoPlates, Wall
-from workers.mechanics.fem.problem import GRAVITY_MM_PER_S2, Constants, Problem
-from workers.mechanics.fem.regions import Box
-from workers.organs.specimen.spec import (
+from palpate.storage.values import Tissue, Triple
+from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
+    GRAVITY_MM_PER_S2,
+    Constants,
+    Problem,
+)
+from palpate.workers.mechanics.fem.problem.loads import (
+    DeadForce,
+    DisplacementField,
+    Hold,
+    NoPlates,
+    Wall,
+)
+from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.organs.specimen.spec import (
     Axis,
     ForceSpec,
     LoadsSpec,
     RegionSpec,
     SpecimenSpec,
 )
-from workers.units import KPA, NUMBER
+from palpate.workers.units import KPA, NUMBER
 
 AXES = ("x", "y", "z")
 # A plane takes nodes this near to it.

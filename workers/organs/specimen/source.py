@@ -9,54 +9,58 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from storage.errors import InputError
-from storage.values import BoolArray, FloatArray, TetMesh, Volume
-from workers.comparison.observation.interface import InterfacePoints
-from workers.comparison.observation.noise import SegmentationNoise
-from workers.comparison.observation.point_interpolation import interpolation
-from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.experiment_summary import PredictedState
-from workers.diagnosis.force_readings import at_points_with_forces
-from workers.diagnosis.forward import Tetrahedra
-from workers.diagnosis.gauss_newton import Fit
-from workers.diagnosis.inverse_problem import FreeConstant, InverseProblem, Scan
-from workers.diagnosis.pictures.scan_pictures import Displacements
-from workers.diagnosis.preparation import ReadPrepared
-from workers.diagnosis.source import SourceContent
-from workers.diagnosis.summary import Summary
-from workers.mechanics.effects.base import Effect
-from workers.mechanics.effects.specimen_catalogue import NOT_SIMULATED, specimen_effects
-from workers.mechanics.fem.fields import frame_of
-from workers.mechanics.fem.loads import DisplacementField
-from workers.mechanics.fem.model import Model, prepare
-from workers.mechanics.fem.problem import Problem
-from workers.organs.specimen.body import FARTHEST_MM, Body, arms
-from workers.organs.specimen.boundary_noise import boundary_covariance
-from workers.organs.specimen.confounded_effects import confounded_effects
-from workers.organs.specimen.force_balance import supported
-from workers.organs.specimen.load_cell_forces import TetrahedraWithCells
-from workers.organs.specimen.load_cells import (
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, TetMesh, Volume
+from palpate.workers.comparison.observation.interface import InterfacePoints
+from palpate.workers.comparison.observation.noise import SegmentationNoise
+from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.diagnosis.fits.gauss_newton import Fit
+from palpate.workers.diagnosis.outcome.pictures.scan_pictures import Displacements
+from palpate.workers.diagnosis.outcome.source import SourceContent
+from palpate.workers.diagnosis.problem.force_readings import at_points_with_forces
+from palpate.workers.diagnosis.problem.forward import Tetrahedra
+from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, InverseProblem, Scan
+from palpate.workers.diagnosis.problem.preparation import ReadPrepared
+from palpate.workers.diagnosis.schema.experiment_summary import PredictedState
+from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.specimen_catalogue import NOT_SIMULATED, specimen_effects
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import frame_of
+from palpate.workers.mechanics.fem.problem.loads import DisplacementField
+from palpate.workers.organs.specimen.body import FARTHEST_MM, Body, arms
+from palpate.workers.organs.specimen.boundary_noise import boundary_covariance
+from palpate.workers.organs.specimen.confounded_effects import confounded_effects
+from palpate.workers.organs.specimen.force_balance import supported
+from palpate.workers.organs.specimen.load_cell_forces import TetrahedraWithCells
+from palpate.workers.organs.specimen.load_cells import (
     LoadCell,
     covariance_with,
     load_cells,
     readings_mm,
     with_load_cells,
 )
-from workers.organs.specimen.marker_data import Observed
-from workers.organs.specimen.mesh_error import part_of_compliance
-from workers.organs.specimen.plausibility import confirmed_scatter, findings, outside_intervals
-from workers.organs.specimen.prediction import predict
-from workers.organs.specimen.problem import free_constants, is_wall, problem_of, region_of
-from workers.organs.specimen.spec import LoadsSpec, SpecimenSpec, StateSpec
-from workers.organs.specimen.summary_rows import (
+from palpate.workers.organs.specimen.mesh_error import part_of_compliance
+from palpate.workers.organs.specimen.plausibility import (
+    confirmed_scatter,
+    findings,
+    outside_intervals,
+)
+from palpate.workers.organs.specimen.prediction import predict
+from palpate.workers.organs.specimen.problem import free_constants, is_wall, problem_of, region_of
+from palpate.workers.organs.specimen.readings.marker_data import Observed
+from palpate.workers.organs.specimen.spec import LoadsSpec, SpecimenSpec, StateSpec
+from palpate.workers.organs.specimen.summary_rows import (
     COMPONENTS,
     marker_states,
     predicted_states,
     region_rows,
 )
-from workers.organs.study_checks import Finding
-from workers.scan_threads import Each
-from workers.spec import validated
+from palpate.workers.organs.study_checks import Finding
+from palpate.workers.scan_threads import Each
+from palpate.workers.spec import validated
 
 # Name of the volume in the content of an experiment.
 BODY = "body"
@@ -83,7 +87,7 @@ class Components:
 
 
 class SpecimenSource:
-    """A bench experiment; see `workers.diagnosis.source.Source`.
+    """A bench experiment; see `workers.diagnosis.outcome.source.Source`.
 
     Parameters
     ----------

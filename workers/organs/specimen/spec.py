@@ -11,12 +11,12 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from storage.errors import InputError
-from storage.values import Tissue, Triple
-from workers.documents import parse_yaml
-from workers.mechanics.parameters import unknown_name
-from workers.missing_keys import Pairs
-from workers.spec import Door, Finite, Positive, validated
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Triple
+from palpate.workers.documents import parse_yaml
+from palpate.workers.mechanics.parameters import unknown_name
+from palpate.workers.missing_keys import Pairs
+from palpate.workers.spec import Door, Finite, Positive, validated
 
 FinitePoint = tuple[Finite, Finite, Finite]
 Poisson = Annotated[float, Field(gt=0, lt=0.5)]

@@ -4,9 +4,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from storage.values import FloatArray, Triple
-from workers.diagnosis.diagnosis import Diagnosis
-from workers.diagnosis.experiment_summary import (
+from palpate.storage.values import FloatArray, Triple
+from palpate.workers.diagnosis.algebra.linear_fit import LinearFit
+from palpate.workers.diagnosis.outcome.region_gap import region_gap
+from palpate.workers.diagnosis.schema.experiment_summary import (
     MarkerResidual,
     MarkerState,
     PredictedPoint,
@@ -14,14 +15,13 @@ from workers.diagnosis.experiment_summary import (
     Reaction,
     ReactionResidual,
 )
-from workers.diagnosis.linear_fit import LinearFit
-from workers.diagnosis.region_gap import region_gap
-from workers.diagnosis.settings import SETTINGS
-from workers.diagnosis.summary import RegionGap
-from workers.organs.specimen.load_cells import LoadCell
-from workers.organs.specimen.marker_data import Observed
-from workers.organs.specimen.prediction import Prediction
-from workers.organs.specimen.spec import PredictSpec, SpecimenSpec
+from palpate.workers.diagnosis.schema.summary import RegionGap
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
+from palpate.workers.organs.specimen.load_cells import LoadCell
+from palpate.workers.organs.specimen.prediction import Prediction
+from palpate.workers.organs.specimen.readings.marker_data import Observed
+from palpate.workers.organs.specimen.spec import PredictSpec, SpecimenSpec
 
 COMPONENTS = ("displacement along x", "displacement along y", "displacement along z")
 

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import FloatArray, IntArray
-from workers.organs.specimen.spec import FinitePoint
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.organs.specimen.spec import FinitePoint
 
 # Faces as near as the nearest one, up to this part of an element, count as touching.
 TOUCH = 1e-3

@@ -7,11 +7,11 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from storage.errors import InputError
-from storage.values import BoolArray, FloatArray, IntArray, Volume
-from workers.compile_flags import CONTRACTED
-from workers.organs.specimen.mesh_file import MeshFile, read_mesh_file
-from workers.organs.specimen.spec import BodySpec, SpecimenSpec
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, IntArray, Volume
+from palpate.workers.compile_flags import CONTRACTED
+from palpate.workers.organs.specimen.readings.mesh_file import MeshFile, read_mesh_file
+from palpate.workers.organs.specimen.spec import BodySpec, SpecimenSpec
 
 # Where the groups of Gmsh are, unless another array is named.
 PHYSICAL = "gmsh:physical"

@@ -10,11 +10,11 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from storage.values import FloatArray
-from workers.mechanics.fem.outcome import Outcome
-from workers.tasks.task_store import TaskStore
-from workers.tasks.thesis.parts import Request, Spent, Watch
-from workers.thesis.bar import (
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.fem.problem.outcome import Outcome
+from palpate.workers.tasks.task_store import TaskStore
+from palpate.workers.tasks.thesis.parts import Request, Spent, Watch
+from palpate.workers.thesis.bar import (
     DEFORMATIONS,
     Bar,
     BarExperiment,
@@ -23,7 +23,7 @@ from workers.thesis.bar import (
     force_of,
     make_bar,
 )
-from workers.thesis.cylinder import CylinderRow, cylinder_experiment
+from palpate.workers.thesis.cylinder import CylinderRow, cylinder_experiment
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from workers.comparison.mammogram.dicom_image import dicom_bytes, mammogram_dataset
-from workers.tasks.thesis.meshes import Press, pressed
-from workers.tasks.thesis.parts import Request, Spent, Watch
-from workers.thesis.compression import View
-from workers.thesis.mammogram import PIXEL_MM, mammogram_pair
+from palpate.workers.comparison.mammogram.dicom_image import dicom_bytes, mammogram_dataset
+from palpate.workers.tasks.thesis.meshes import Press, pressed
+from palpate.workers.tasks.thesis.parts import Request, Spent, Watch
+from palpate.workers.thesis.compression import View
+from palpate.workers.thesis.mammogram import PIXEL_MM, mammogram_pair
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,23 @@ from typing import ClassVar
 
 import numpy as np
 
-from storage.arrays import Arrays
-from storage.values import BoolArray, FloatArray, Triple, Volume
-from workers.body.mesh.hierarchy import Hierarchy
-from workers.mechanics.fem.outcome import Outcome
-from workers.tasks.task_store import TaskStore
-from workers.tasks.thesis.parts import Request, Spent, Watch, cached_phantom
-from workers.thesis.compression import Compressed, CompressionRow, LawName, View, compared, compress
-from workers.thesis.mesh_quality import MeshKind, QualityRow, made_mesh, mesh_of, row_of
-from workers.thesis.phantoms import two_materials
-from workers.thesis.scale import Scale
+from palpate.storage.stores.arrays import Arrays
+from palpate.storage.values import BoolArray, FloatArray, Triple, Volume
+from palpate.workers.body.mesh.hierarchy import Hierarchy
+from palpate.workers.mechanics.fem.problem.outcome import Outcome
+from palpate.workers.tasks.task_store import TaskStore
+from palpate.workers.tasks.thesis.parts import Request, Spent, Watch, cached_phantom
+from palpate.workers.thesis.compression import (
+    Compressed,
+    CompressionRow,
+    LawName,
+    View,
+    compared,
+    compress,
+)
+from palpate.workers.thesis.mesh_quality import MeshKind, QualityRow, made_mesh, mesh_of, row_of
+from palpate.workers.thesis.phantoms import two_materials
+from palpate.workers.thesis.scale import Scale
 
 
 @dataclass(frozen=True)

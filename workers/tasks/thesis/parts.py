@@ -7,12 +7,12 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from storage.digest import digest
-from workers.body.phantom.breast import Phantom
-from workers.tasks.code_version import code_version
-from workers.tasks.task_store import Part, TaskStore
-from workers.thesis.phantoms import thesis_phantom
-from workers.thesis.scale import Scale
+from palpate.storage.digest import digest
+from palpate.workers.body.phantom.breast import Phantom
+from palpate.workers.tasks.code_version import code_version
+from palpate.workers.tasks.task_store import Part, TaskStore
+from palpate.workers.thesis.phantoms import thesis_phantom
+from palpate.workers.thesis.scale import Scale
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from workers.tasks.evaluation import case_of as read_case
-from workers.tasks.evaluation import evaluate, make_target, prepare_case
-from workers.tasks.thesis.parts import Request, Spent, Watch
-from workers.thesis.identification import TARGETS, TargetName, case_of
+from palpate.workers.tasks.evaluation import case_of as read_case
+from palpate.workers.tasks.evaluation import evaluate, make_target, prepare_case
+from palpate.workers.tasks.thesis.parts import Request, Spent, Watch
+from palpate.workers.thesis.identification import TARGETS, TargetName, case_of
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import BoolArray, FloatArray, IntArray, TetMesh, Tissue, Volume
-from workers.body.mesh.quality import volumes_mm3
-from workers.compile_flags import EXACT
+from palpate.storage.values import BoolArray, FloatArray, IntArray, TetMesh, Tissue, Volume
+from palpate.workers.body.mesh.quality import volumes_mm3
+from palpate.workers.compile_flags import EXACT
 
 OUTSIDE, OTHER, INSIDE = 0, 1, 2
 ON_A_FACE = 1e-9  # barycentric weight that still counts as inside

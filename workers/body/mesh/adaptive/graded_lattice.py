@@ -21,9 +21,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import FloatArray, IntArray, TetMesh
-from workers.body.mesh.adaptive.octree import Levels
-from workers.compile_flags import EXACT
+from palpate.storage.values import FloatArray, IntArray, TetMesh
+from palpate.workers.body.mesh.adaptive.octree import Levels
+from palpate.workers.compile_flags import EXACT
 
 
 @dataclass(frozen=True, eq=False)

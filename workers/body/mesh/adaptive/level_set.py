@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.special import ndtri
 
-from storage.values import FloatArray, Tissue, Volume
-from workers.body.mesh.outline import SATURATION
+from palpate.storage.values import FloatArray, Tissue, Volume
+from palpate.workers.body.mesh.outline import SATURATION
 
 # Standard deviation of the blur in samples: less shows the staircase of the voxels, more
 # closes the gaps between neighbouring compartments.

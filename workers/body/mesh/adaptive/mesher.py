@@ -4,17 +4,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from storage.errors import InputError
-from storage.values import BoolArray, FloatArray, IntArray, TetMesh, Tissue, Volume
-from workers.body.mesh.adaptive.cut import cut
-from workers.body.mesh.adaptive.graded_lattice import graded_lattice
-from workers.body.mesh.adaptive.level_set import LevelSet, level_set_of
-from workers.body.mesh.adaptive.sizing import Sizes, cell_levels
-from workers.body.mesh.adaptive.smooth import Constraints, on_levels, smoothed
-from workers.body.mesh.boundary import wall_nodes, without_nonmanifold_edges
-from workers.body.mesh.node_order import in_memory_order
-from workers.body.mesh.outline import Outline, outline_of
-from workers.body.mesh.quality import volumes_mm3
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, IntArray, TetMesh, Tissue, Volume
+from palpate.workers.body.mesh.adaptive.cut import cut
+from palpate.workers.body.mesh.adaptive.graded_lattice import graded_lattice
+from palpate.workers.body.mesh.adaptive.level_set import LevelSet, level_set_of
+from palpate.workers.body.mesh.adaptive.sizing import Sizes, cell_levels
+from palpate.workers.body.mesh.adaptive.smooth import Constraints, on_levels, smoothed
+from palpate.workers.body.mesh.boundary import wall_nodes, without_nonmanifold_edges
+from palpate.workers.body.mesh.node_order import in_memory_order
+from palpate.workers.body.mesh.outline import Outline, outline_of
+from palpate.workers.body.mesh.quality import volumes_mm3
 
 ROUNDS = 3  # of matching the volumes and smoothing
 SWEEPS = 4

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.values import IntArray, TetMesh, Tissue, Volume
-from workers.body.mesh.adaptive.mesher import adaptive_mesh
-from workers.body.mesh.adaptive.sizing import Sizes
-from workers.body.mesh.boundary import boundary_triangles, split_boundary
-from workers.body.mesh.generate import fitted_mesh
-from workers.body.mesh.hierarchy import STEPS_PER_CELL, Hierarchy, MeshLevel, _coarser_cells
-from workers.body.mesh.outline import outline_of
-from workers.body.mesh.prolongation import prolongation
-from workers.body.mesh.tissue_fractions import N_TISSUES, volume_fractions
+from palpate.storage.values import IntArray, TetMesh, Tissue, Volume
+from palpate.workers.body.mesh.adaptive.mesher import adaptive_mesh
+from palpate.workers.body.mesh.adaptive.sizing import Sizes
+from palpate.workers.body.mesh.boundary import boundary_triangles, split_boundary
+from palpate.workers.body.mesh.generate import fitted_mesh
+from palpate.workers.body.mesh.hierarchy import STEPS_PER_CELL, Hierarchy, MeshLevel, _coarser_cells
+from palpate.workers.body.mesh.outline import outline_of
+from palpate.workers.body.mesh.prolongation import prolongation
+from palpate.workers.body.mesh.tissue_fractions import N_TISSUES, volume_fractions
 
 
 def adaptive_hierarchy(

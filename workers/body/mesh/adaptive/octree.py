@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
-from storage.errors import InputError
-from storage.values import BoolArray
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray
 
 Levels = NDArray[np.uint8]
 

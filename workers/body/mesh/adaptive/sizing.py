@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects
 
-from storage.errors import InputError
-from storage.values import BoolArray, FloatArray, Tissue, Volume
-from workers.body.mesh.adaptive.octree import Levels, graded_levels
-from workers.body.mesh.outline import Outline
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, Tissue, Volume
+from palpate.workers.body.mesh.adaptive.octree import Levels, graded_levels
+from palpate.workers.body.mesh.outline import Outline
 
 
 @dataclass(frozen=True)

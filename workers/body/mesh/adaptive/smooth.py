@@ -6,12 +6,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from storage.values import BoolArray, FloatArray, IntArray, TetMesh
-from workers.body.mesh.adaptive.level_set import LevelSet
-from workers.body.mesh.incidence import elements_of_nodes
-from workers.body.mesh.node_smoothing import _mean_ratio
-from workers.body.mesh.outline import project
-from workers.compile_flags import EXACT
+from palpate.storage.values import BoolArray, FloatArray, IntArray, TetMesh
+from palpate.workers.body.mesh.adaptive.level_set import LevelSet
+from palpate.workers.body.mesh.incidence import elements_of_nodes
+from palpate.workers.body.mesh.node_smoothing import _mean_ratio
+from palpate.workers.body.mesh.outline import project
+from palpate.workers.compile_flags import EXACT
 
 # Badness of a tetrahedron is M3^-3: the worst ones count most. This one is turned inside out.
 FLAT = 1e9

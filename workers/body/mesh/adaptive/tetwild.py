@@ -15,13 +15,13 @@ import numpy as np
 from scipy import ndimage
 from skimage.measure import marching_cubes
 
-from storage.errors import InputError
-from storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
-from workers.body.mesh.adaptive.level_set import level_set_of
-from workers.body.mesh.adaptive.mesher import AdaptiveMesh
-from workers.body.mesh.boundary import wall_nodes
-from workers.body.mesh.outline import outline_of
-from workers.body.mesh.quality import volumes_mm3
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
+from palpate.workers.body.mesh.adaptive.level_set import level_set_of
+from palpate.workers.body.mesh.adaptive.mesher import AdaptiveMesh
+from palpate.workers.body.mesh.boundary import wall_nodes
+from palpate.workers.body.mesh.outline import outline_of
+from palpate.workers.body.mesh.quality import volumes_mm3
 
 MISSING = "fTetWild is not installed: pip install 'palpate[mesh]'"
 # Distance from the surfaces that are given, as a part of the size; its energy is 3 for a

@@ -1,0 +1,276 @@
+"""A service that runs elsewhere: submit studies and diagnoses, follow them, read results."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from rich.console import Console
+
+from palpate.service.remote.client import Client, JobEvent
+from palpate.service.remote.uploads import with_uploaded_images
+from palpate.service.server.api import ClusterView, JobView
+from palpate.service.study.spec import StudySpec
+from palpate.storage.errors import InputError
+from palpate.storage.plain import to_number
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+__all__ = ["Job", "Service", "connect"]
+
+ENDED = {"finished", "failed", "cancelled"}
+
+
+def connect(url: str = "http://127.0.0.1:8780", token: str | None = None) -> "Service":
+    """Connect to a service that `palpate serve` runs.
+
+    Parameters
+    ----------
+    url : str
+    token : str, optional
+        Of `palpate token new NAME`; default: the variable PALPATE_TOKEN. Without one
+        reading alone is allowed.
+
+    Raises
+    ------
+    InputError
+        If `url` is no address.
+    ClusterError
+        If nobody answers there.
+    """
+    client = Client(url, token, patience_s=5.0)
+    try:
+        client.health()
+    except BaseException:
+        client.close()
+        raise
+    client.patience_s = 120.0
+    return Service(client)
+
+
+class Service:
+    """A service; see `connect`.
+
+    Parameters
+    ----------
+    client : Client
+    """
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+
+    def submit(
+        self,
+        study: str | Path | Mapping[str, Any] | StudySpec,
+        *,
+        priority: int = 0,
+        key: str = "",
+        accept_new_code: bool = False,
+        anyway: bool = False,
+    ) -> "Job":
+        """Queue a study; images of this machine that it names are uploaded first.
+
+        Parameters
+        ----------
+        study : path, mapping or StudySpec
+            A study file, or its keys.
+        priority : int
+            Studies of higher priority get workers first, -100 to 100.
+        key : str
+            A text of your own; submitting the same key again gives the same job.
+        accept_new_code : bool
+            Continue although the code has changed since the study last ran.
+        anyway : bool
+            Run the study even though its inputs look implausible; its results say so.
+
+        Raises
+        ------
+        InputError
+            If the study makes no sense, or an image cannot be read.
+        """
+        data = with_uploaded_images(self.client, study)
+        job = self.client.submit_study(
+            data, priority=priority, key=key, accept_new_code=accept_new_code, anyway=anyway
+        )
+        return Job(self.client, job)
+
+    def diagnose(
+        self,
+        source: "str | Path | Job",
+        *,
+        nodes: int = 5000,
+        effects: list[str] | None = None,
+        anyway: bool = False,
+        priority: int = 0,
+        key: str = "",
+    ) -> "Job":
+        """Queue a diagnosis of a study of the service, or of a folder of scans of this machine.
+
+        Raises
+        ------
+        InputError
+            If the folder holds nothing that can be uploaded.
+        """
+        options: dict[str, Any] = {"nodes": nodes, "effects": effects, "anyway": anyway}
+        options |= {"priority": priority, "key": key}
+        if isinstance(source, Job):
+            return Job(self.client, self.client.submit_diagnosis(study=source.id, **options))
+        folder = Path(source)
+        files = sorted(p for p in folder.iterdir() if p.is_file()) if folder.is_dir() else []
+        if not files:
+            raise InputError(f"{folder} is no folder with a case and its scans.")
+        for file in files:
+            self.client.upload(file, folder.resolve().name)
+        upload = folder.resolve().name
+        return Job(self.client, self.client.submit_diagnosis(upload=upload, **options))
+
+    def jobs(self) -> "list[Job]":
+        """Return all studies and diagnoses, the last submitted first."""
+        return [Job(self.client, job) for job in self.client.jobs()]
+
+    def job(self, identifier: str) -> "Job":
+        """Return one by its name in the service.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        return Job(self.client, self.client.job(identifier))
+
+    def cluster(self) -> ClusterView:
+        """Return what the cluster can do and does."""
+        return self.client.cluster()
+
+    def close(self) -> None:
+        """Close the connection; jobs go on."""
+        self.client.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class Job:
+    """A study or a diagnosis of a service.
+
+    Parameters
+    ----------
+    client : Client
+    view : JobView
+    """
+
+    def __init__(self, client: Client, view: JobView) -> None:
+        self.client = client
+        self.id = view.id
+        self._view = view
+
+    def __repr__(self) -> str:
+        return f"<palpate {self._view.kind} {self.id}: {self._view.state}>"
+
+    def _repr_markdown_(self) -> str:
+        return f"**{self.id}** {describe(self.status)}"
+
+    @property
+    def status(self) -> JobView:
+        """Return the job as it is now."""
+        self._view = self.client.job(self.id)
+        return self._view
+
+    def follow(self, since: int = 0) -> Iterator[JobEvent]:
+        """Yield what happens, from the beginning or a position on, until the job has ended."""
+        for event in self.client.follow(self.id, since):
+            self._view = event.job or self._view
+            yield event
+
+    def wait(self, *, progress: bool = False) -> JobView:
+        """Return the job when it has ended.
+
+        Parameters
+        ----------
+        progress : bool
+            Write a line, renewed once a second; in a notebook, too.
+
+        Raises
+        ------
+        InputError
+            If it has failed, with the reason.
+        """
+        console = Console(stderr=True, highlight=False)
+        status = console.status(self.id) if progress else None
+        if status is not None:
+            status.start()
+        try:
+            for event in self.follow(self.status.journal_bytes):
+                if status is not None and event.job is not None:
+                    status.update(f"{self.id} {describe(event.job)}")
+        finally:
+            if status is not None:
+                status.stop()
+        if self._view.state == "failed":
+            raise InputError(f"{self.id} has failed: {self._view.reason}")
+        return self._view
+
+    def pause(self) -> JobView:
+        """Stop it for a while; what is finished is kept."""
+        return self.client.change(self.id, "pause")
+
+    def resume(self) -> JobView:
+        """Let it go on after a pause or a failure."""
+        return self.client.change(self.id, "resume")
+
+    def cancel(self) -> JobView:
+        """Stop it for good."""
+        return self.client.change(self.id, "cancel")
+
+    @property
+    def results(self) -> dict[str, Any]:
+        """Return what it has found: as `palpate report --json`, or the record of a diagnosis."""
+        return self.client.results(self.id)
+
+    def candidates(self) -> list[dict[str, Any]]:
+        """Return the records of all evaluations that have ended, in the order of candidates."""
+        records = [r for r in self.client.journal(self.id) if r.get("kind") == "evaluation"]
+        for record in records:
+            record["score"] = to_number(record["score"])
+        return sorted(records, key=lambda record: int(record["candidate"]))
+
+    def table(self) -> "DataFrame":
+        """Return `candidates` as a pandas table.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame
+        except ImportError:
+            raise InputError("A table needs pandas: run `pip install pandas`.") from None
+        rows = [
+            {key: r[key] for key in ("candidate", "generation", "status", "reason")}
+            | dict(r["genes"])
+            | dict(r["score"] or {})
+            for r in self.candidates()
+        ]
+        return DataFrame(rows).set_index("candidate")
+
+    def download(self, name: str, folder: str | Path = ".") -> Path:
+        """Write one of its files, such as report.html, into a folder; return its path."""
+        return self.client.download(self.id, name, Path(folder) / name)
+
+
+def describe(job: JobView) -> str:
+    """Say in a line how far a job is."""
+    text = job.state + (f": {job.reason or job.note}" if job.reason or job.note else "")
+    if job.evaluations is not None:
+        ended = job.evaluations
+        count = ended.done + ended.diverged + ended.crashed + ended.lost
+        text += f", {count} of at most {ended.at_most} evaluations"
+        if job.best is not None:
+            text += f", best GSF {to_number(job.best.score.get('gsf')):.5g}"
+    if job.phase is not None:
+        text += f", {job.phase.phase} {job.phase.done} of {job.phase.of}"
+    return text

@@ -1,0 +1,291 @@
+"""Measures time and memory of each stage, each in a process of its own.
+
+A stage first runs on a tiny body, so that compiled kernels are loaded and not
+timed, then on the size that is asked for; of the solver the fastest of three counts.
+What matters of some stages is a ratio: tangents over the solution that they belong
+to, an unknown of a large mesh over one of the mesh before, two solutions at once
+over one alone. Peak memory is that of the process; it
+includes about 0.25 GB for Python and the libraries themselves.
+"""
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from palpate.service.errors import TaskError
+from palpate.storage.stores.store import open_store
+from palpate.workers.mechanics.effects.breast_catalogue import effect
+from palpate.workers.mechanics.fem.elements.model import prepare
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
+from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium
+from palpate.workers.mechanics.fem.problem.fields import frame_of
+from palpate.workers.organs.registry import organ_named
+from palpate.workers.spec import validated
+from palpate.workers.tasks.body_store import BodyStore
+
+BREAST = organ_named("breast")
+STAGES = ("phantom", "mesh", "prepare", "solve", "tangent", "tangents", "warp", "score")
+REPEATED = {"solve": 3, "tangent": 3, "tangents": 3}
+# Ten parameters whose forces are of every kind: loads, plates, stiffness, fibres.
+TEN_OF = ("gravity_change", "plate_force", "plate_tilt", "stiffness_gradient", "fibre_rotation")
+TINY_SPACING_MM, TINY_NODES = 2.0, 1000
+# A target and a candidate near the optimum, as most are that a search looks at for long.
+TRUE_MPA = {"E_fat": 0.010, "E_glandular": 0.040}
+OTHER_MPA = {"E_fat": 0.0102, "E_glandular": 0.041}
+TRIVIAL_TASKS = 200
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement; `peak_mb` is None where other processes do the work.
+
+    ``ratio`` is that of `seconds` to what `over` says.
+    """
+
+    stage: str
+    size: str
+    nodes: int | None
+    voxels: int | None
+    seconds: float
+    peak_mb: float | None
+    ratio: float | None = None
+    over: str = ""
+
+
+def measure(nodes: Sequence[int], spacings_mm: Sequence[float], store: Path) -> Iterator[Row]:
+    """Measure every stage at every size, then the overhead of the scheduler.
+
+    Parameters
+    ----------
+    nodes : sequence of int
+        Mesh sizes; mesh, prepare and the solver run at each, on the first spacing.
+    spacings_mm : sequence of float
+        Voxel sizes; phantom, warp and score run at each, with the first mesh size.
+    store : Path
+        What a stage needs from those before is kept here.
+
+    Raises
+    ------
+    TaskError
+        If a stage fails.
+    """
+    for spacing in spacings_mm:
+        yield _in_process("phantom", spacing, nodes[0], store)
+    for stage in ("mesh", "prepare"):
+        for count in nodes:
+            yield _in_process(stage, spacings_mm[0], count, store)
+    yield from _solver(nodes, spacings_mm[0], store)
+    for stage in ("warp", "score"):
+        for spacing in spacings_mm:
+            yield _in_process(stage, spacing, nodes[0], store)
+    yield scheduler_overhead()
+
+
+def _solver(nodes: Sequence[int], spacing_mm: float, store: Path) -> Iterator[Row]:
+    """Measure one solution, two at once, and the derivatives of one, at every size."""
+    before: Row | None = None
+    for count in nodes:
+        alone = _in_process("solve", spacing_mm, count, store)
+        yield alone
+        each = per_unknown(alone, before)
+        yield each
+        before = each
+        both = _in_processes("solve", spacing_mm, count, store, 2)
+        slower = max(both, key=lambda row: row.seconds)
+        yield _compared(slower, alone, "two at once", "one alone")
+        for stage, name in (("tangent", "one tangent"), ("tangents", "ten tangents")):
+            yield _compared(_in_process(stage, spacing_mm, count, store), alone, name, "a solution")
+
+
+def _compared(row: Row, other: Row, stage: str, over: str) -> Row:
+    return replace(row, stage=stage, ratio=row.seconds / other.seconds, over=over)
+
+
+def per_unknown(solve: Row, before: Row | None) -> Row:
+    """Time for each unknown, three a node, over that of the mesh `before`."""
+    assert solve.nodes is not None
+    seconds = solve.seconds / (3 * solve.nodes)
+    row = replace(solve, stage="unknown", seconds=seconds, peak_mb=None)
+    if before is None:
+        return row
+    return replace(row, ratio=seconds / before.seconds, over=f"{before.nodes} nodes")
+
+
+def scheduler_overhead(tasks: int = TRIVIAL_TASKS) -> Row:
+    """Time for each of many tasks that do nothing, on one worker."""
+    with open_cluster(workers=1) as cluster:
+        dispatcher = Dispatcher(cluster.client)
+        list(dispatcher.run(nothing, ((i, (i,)) for i in range(10))))
+        begun = time.perf_counter()
+        ended = sum(1 for _ in dispatcher.run(nothing, ((i, (i,)) for i in range(tasks))))
+        seconds = (time.perf_counter() - begun) / ended
+    return Row("scheduler", "one task", None, None, seconds, None)
+
+
+def nothing(number: int) -> dict[str, int]:
+    """Do no work."""
+    return {"number": number}
+
+
+def _in_process(stage: str, spacing_mm: float, nodes: int, store: Path) -> Row:
+    return _in_processes(stage, spacing_mm, nodes, store, 1)[0]
+
+
+def _in_processes(stage: str, spacing_mm: float, nodes: int, store: Path, count: int) -> list[Row]:
+    """Run the same stage in `count` processes that begin together."""
+    command = [
+        sys.executable,
+        "-m",
+        "palpate.service.bench.stages",
+        stage,
+        str(spacing_mm),
+        str(nodes),
+        str(store),
+    ]
+    with ThreadPoolExecutor(count) as threads:
+        done = list(threads.map(_finished, [command] * count))
+    for process in done:
+        if process.returncode:
+            lines = process.stderr.strip().splitlines()[-3:]
+            message = "\n".join(lines) or f"exit code {process.returncode}"
+            where = f"{nodes} nodes and {spacing_mm} mm"
+            raise TaskError(f"The stage {stage} at {where} failed: {message}")
+    return [Row(**json.loads(process.stdout.splitlines()[-1])) for process in done]
+
+
+def _finished(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+class Bench:
+    """The stages of a breast of this voxel and mesh size.
+
+    Parameters
+    ----------
+    spacing_mm, nodes
+        The size.
+    store : Path
+        Where inputs of a stage are found, or made first.
+    """
+
+    def __init__(self, spacing_mm: float, nodes: int, store: Path) -> None:
+        self.case = validated(
+            BREAST.case_spec,
+            {
+                "reference": {"phantom": {"spacing_mm": spacing_mm}},
+                "mesh": {"nodes": nodes},
+                "load": {"force_n": 100.0},
+            },
+            "The size",
+        )
+        self.bodies = BodyStore(open_store(store), BREAST)
+        self.size = f"{spacing_mm:g} mm, {nodes} nodes asked"
+        self.voxels: int | None = None
+        self.nodes: int | None = None
+
+    def run(self, stage: str) -> Row:
+        """Prepare what the stage needs, then time it."""
+        work = getattr(self, f"_{stage}")()
+        seconds = float("inf")
+        for _ in range(REPEATED.get(stage, 1)):
+            begun = time.perf_counter()
+            work()
+            seconds = min(seconds, time.perf_counter() - begun)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        per_mb = 1024**2 if sys.platform == "darwin" else 1024
+        return Row(stage, self.size, self.nodes, self.voxels, seconds, peak / per_mb)
+
+    def _body(self) -> Any:
+        self.body = self.bodies.bring_body(self.case.reference)
+        volume = self.bodies.body(self.body)
+        self.voxels = volume.values.size
+        return volume
+
+    def _hierarchy(self) -> Any:
+        self._body()
+        name, facts = self.bodies.bring_mesh(self.body, self.case)
+        self.mesh = name
+        self.nodes = facts["nodes"]
+        return self.bodies.mesh(name)
+
+    def _phantom(self) -> Any:
+
+        def work() -> None:
+            self.voxels = BREAST.make_body(self.case.reference).values.size
+
+        return work
+
+    def _mesh(self) -> Any:
+        volume = self._body()
+
+        def work() -> None:
+            made = BREAST.make_mesh(volume, self.case)
+            self.nodes = len(made.finest.mesh.nodes)
+
+        return work
+
+    def _prepare(self) -> Any:
+        hierarchy = self._hierarchy()
+        return lambda: prepare(hierarchy)
+
+    def _simulation(self, constants: Mapping[str, float]) -> Any:
+        model = self.bodies.model(self.mesh)
+        values = self.case.complete(constants)
+        body = self.bodies.landmarks(self.body, self.case)
+        return lambda: BREAST.solve(model, BREAST.problem(model, self.case, values, body))
+
+    def _solve(self) -> Any:
+        self._hierarchy()
+        return self._simulation(TRUE_MPA)
+
+    def _tangents(self, count: int = 10) -> Any:
+        self._hierarchy()
+        model = self.bodies.model(self.mesh)
+        frame = frame_of(model.finest.nodes)
+        values, body = self.case.complete(TRUE_MPA), self.bodies.landmarks(self.body, self.case)
+        problem = BREAST.problem(model, self.case, values, body)
+        at = equilibrium(model, problem)
+        changes = [c for name in TEN_OF for c in effect(name).changes(problem, frame)][:count]
+        assert len(changes) == count
+        return lambda: tangents(at, changes)
+
+    def _tangent(self) -> Any:
+        return self._tangents(1)
+
+    def _deformation(self, constants: Mapping[str, float]) -> Any:
+        mesh = self._hierarchy()
+        moved = self._simulation(constants)().displacement_mm
+        volume = self.bodies.body(self.body)
+        return lambda: BREAST.deform(volume, mesh, np.ascontiguousarray(moved))
+
+    def _warp(self) -> Any:
+        return self._deformation(TRUE_MPA)
+
+    def _score(self) -> Any:
+        target = self._deformation(TRUE_MPA)()
+        candidate = self._deformation(OTHER_MPA)()
+        against = BREAST.scorer(target, BREAST.score_spec())
+        against.score(candidate)  # the target's distance map is made once for all candidates
+        return lambda: against.score(candidate)
+
+
+def main(stage: str, spacing_mm: str, nodes: str, store: str) -> None:
+    """Run one stage in this process and write its row."""
+    Bench(TINY_SPACING_MM, TINY_NODES, Path(store)).run(stage)
+    row = Bench(float(spacing_mm), int(nodes), Path(store)).run(stage)
+    sys.stdout.write(json.dumps(asdict(row)) + "\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,294 @@
+"""Measures strategies on the same targets: evaluations and core-seconds to given errors.
+
+Each target is a compressed body with constants that the search does not see. Its study runs to
+its end in one process and counts seconds on the processor; it is resumed where it was cut.
+"""
+
+import signal
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from palpate.service.cluster.dispatch import Ending, Task, TaskCalls
+from palpate.service.cluster.single_process import SingleProcess
+from palpate.service.results.read import study_results
+from palpate.service.study.log import StudyLog
+from palpate.service.study.loop import Study
+from palpate.service.study.spec import StudySpec, parse_spec
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.records.best_candidate import BestSoFar, best_of, score_of
+from palpate.storage.records.record import EvaluationRecord
+
+STRATEGIES = ("least-squares", "genetic+least-squares", "genetic", "cma")
+# Young's moduli are the constants that a breast's image determines well.
+MODULI = ("E_fat_kpa", "E_glandular_kpa")
+NEAR = 0.02
+BOUNDS = {
+    "E_fat_kpa": (5, 20),
+    "eta_fat_kpa": (50, 200),
+    "E_glandular_kpa": (5, 80),
+    "eta_glandular_kpa": (50, 200),
+}
+# Targets lie in this part of the searched intervals, in logarithms.
+INNER = (0.1, 0.9)
+SEED, TEN = 445, 10
+
+TEMPLATE = """
+name: {name}
+case:
+  reference: {{phantom: {{preset: 445ml, spacing_mm: {spacing_mm}, glandular_fraction: 0.2}}}}
+  mesh: {{nodes: {nodes}}}
+  load: {{force_n: 100}}
+target: {{constants: {constants}{target_mesh}}}
+search:
+  strategy: {strategy}
+  parameters: {bounds}
+  {population}
+seed: {seed}
+"""
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """The best candidate of a study after some evaluations.
+
+    Parameters
+    ----------
+    evaluations : int
+    core_s : float
+        Of these evaluations.
+    gsf : float
+    error : float
+        The larger relative error of the two Young's moduli.
+    """
+
+    evaluations: int
+    core_s: float
+    gsf: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What one study has reached.
+
+    Parameters
+    ----------
+    strategy : str
+    target : int
+    evaluations : int
+        In all.
+    core_s : float
+        Of all its evaluations.
+    until_near : int or None
+        Evaluations until the best so far has both moduli within 2 %; None if never.
+    core_s_until_near : float or None
+    gsf : float
+        Of the best candidate.
+    errors : mapping of str to float
+        Signed relative errors of the best candidate, by gene.
+    within : mapping of str to bool
+        Whether the 90 % interval holds the true value, by gene.
+    improvements : tuple of Improvement
+        Every change of the best candidate.
+    """
+
+    strategy: str
+    target: int
+    evaluations: int
+    core_s: float
+    until_near: int | None
+    core_s_until_near: float | None
+    gsf: float
+    errors: Mapping[str, float]
+    within: Mapping[str, bool]
+    improvements: tuple[Improvement, ...]
+
+
+def targets(count: int) -> list[dict[str, float]]:
+    """Return the constants of targets: a Latin hypercube in the logarithms.
+
+    Fewer than ten are the first of the ten.
+    """
+    rng, strata = np.random.default_rng(SEED), max(count, TEN)
+    found: list[dict[str, float]] = [{} for _ in range(strata)]
+    for name, (lower, upper) in BOUNDS.items():
+        unit = (rng.permutation(strata) + rng.random(strata)) / strata
+        share = INNER[0] + (INNER[1] - INNER[0]) * unit
+        for target, s in zip(found, share, strict=True):
+            target[name] = float(f"{lower * (upper / lower) ** s:.4g}")
+    return found[:count]
+
+
+class OneCore(SingleProcess):
+    """Has evaluations say their seconds on the processor, which others' work does not lengthen."""
+
+    def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
+        """Run tasks that may fail, see `SingleProcess.run`."""
+        for call in calls:
+            began = time.process_time()
+            for ending in super().run(task, [call]):
+                yield _with_seconds(ending, time.process_time() - began)
+
+
+def _with_seconds(ending: Ending, core_s: float) -> Ending:
+    """Let the stages of an evaluation that was made now take so many seconds together."""
+    value = ending.value
+    if not isinstance(value, Mapping) or value.get("reused") or not value.get("seconds"):
+        return ending
+    wall_s = sum(value["seconds"].values())
+    share = core_s / wall_s if wall_s > 0 else 1.0
+    seconds = {stage: share * s for stage, s in value["seconds"].items()}
+    return replace(ending, value={**value, "seconds": seconds})
+
+
+@dataclass(frozen=True)
+class Bench:
+    """How large the bench is.
+
+    Parameters
+    ----------
+    targets : int
+    nodes : int
+        Of the candidates' mesh.
+    spacing_mm : float
+    target_nodes : int or None
+        Of the target's own mesh; None where target and candidates share one.
+    """
+
+    targets: int = 10
+    nodes: int = 2000
+    spacing_mm: float = 1.0
+    target_nodes: int | None = None
+
+
+def study_of(strategy: str, target: int, constants: Mapping[str, float], bench: Bench) -> StudySpec:
+    """Return the study of one strategy and target."""
+    few = "genetic" in strategy
+    finer = bench.target_nodes
+    text = TEMPLATE.format(
+        name=f"{strategy.replace('+', '-')}-{target}",
+        spacing_mm=bench.spacing_mm,
+        nodes=bench.nodes,
+        constants=dict(constants),
+        target_mesh="" if finer is None else f", mesh: {{nodes: {finer}}}",
+        strategy=strategy,
+        bounds={name: list(ends) for name, ends in BOUNDS.items()},
+        population=_population(strategy) if few else "",
+        seed=target + 1,
+    )
+    return parse_spec(text, "the bench of strategies", Path())
+
+
+def measure(
+    folder: Path, strategies: Sequence[str], bench: Bench, processes: int = 1
+) -> Iterator[Reached]:
+    """Run the studies that have not ended yet, and yield what each has reached.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the studies; what is there is continued.
+    strategies : sequence of str
+    bench : Bench
+    processes : int
+        So many studies at a time, each on one core.
+    """
+    each = [
+        (folder, strategy, number, constants, bench)
+        for number, constants in enumerate(targets(bench.targets))
+        for strategy in strategies
+    ]
+    # Processes of their own even for one at a time: libraries in them use one thread.
+    # Ctrl-C ends them at once, and the journals are kept.
+    at_ctrl_c = (signal.SIGINT, signal.SIG_DFL)
+    with ProcessPoolExecutor(
+        processes, get_context("spawn"), initializer=signal.signal, initargs=at_ctrl_c
+    ) as pool:
+        yield from pool.map(_measure_one, *zip(*each, strict=True))
+
+
+def _measure_one(
+    folder: Path, strategy: str, target: int, constants: Mapping[str, float], bench: Bench
+) -> Reached:
+    """Run one study to its end."""
+    spec = study_of(strategy, target, constants, bench)
+    home = folder / spec.name
+    study = Study(spec, home, folder / "store")
+    if not study.ended:
+        study.run(OneCore())  # type: ignore[arg-type]
+    return reached(home, strategy, target, constants)
+
+
+def reached(home: Path, strategy: str, target: int, constants: Mapping[str, float]) -> Reached:
+    """Read from the journal of a study what it has reached."""
+    log, results = StudyLog.read(StudyLayout(home).journal), study_results(home)
+    best = best_of(log.endings)
+    if best is None:
+        raise AssertionError("a target of the bench can be simulated")
+    order = [log.endings[c] for c in sorted(log.endings)]
+    improvements = _improvements(order, constants)
+    near = near_from(improvements)
+    within = {}
+    if results.identification is not None:
+        for name, found in results.identification.constants.items():
+            gene, interval = results.estimates[name].gene, found.interval
+            inside = interval is not None and interval.lower <= constants[gene] <= interval.upper
+            within[gene] = inside
+    return Reached(
+        strategy=strategy,
+        target=target,
+        evaluations=len(order),
+        core_s=_seconds(order),
+        until_near=None if near is None else near.evaluations,
+        core_s_until_near=None if near is None else near.core_s,
+        gsf=score_of(best),
+        errors={gene: best.genes[gene] / value - 1 for gene, value in constants.items()},
+        within=within,
+        improvements=improvements,
+    )
+
+
+def _improvements(
+    order: Sequence[EvaluationRecord], constants: Mapping[str, float]
+) -> tuple[Improvement, ...]:
+    """Return every change of the best candidate, in the order of the candidates."""
+    found: list[Improvement] = []
+    so_far, before, core_s = BestSoFar(), None, 0.0
+    for i, record in enumerate(order):
+        core_s += _seconds([record])
+        so_far.add(record)
+        best = so_far.record
+        if best is None or best is before:
+            continue
+        before = best
+        error = max(abs(best.genes[gene] / constants[gene] - 1) for gene in MODULI)
+        found.append(Improvement(i + 1, core_s, score_of(best), error))
+    return tuple(found)
+
+
+def near_from(improvements: Sequence[Improvement]) -> Improvement | None:
+    """Return that from which the best candidate stays near in both moduli."""
+    near = None
+    for one in improvements:
+        if one.error > NEAR:
+            near = None
+        elif near is None:
+            near = one
+    return near
+
+
+def _seconds(records: Sequence[EvaluationRecord]) -> float:
+    return float(sum(sum(record.seconds.values()) for record in records))
+
+
+def _population(strategy: str) -> str:
+    """Return the settings of the genetic part: the thesis' own, or a few generations of it."""
+    if strategy == "genetic":
+        return "population: 84\n  generations: 15"
+    return "population: 24\n  generations: 3"

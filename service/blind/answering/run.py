@@ -1,0 +1,244 @@
+"""Has the diagnosis answer a sealed set, one worker a case, and seals the answers.
+
+The diagnosis is told the folder of a case and nothing else. Where fewer cases are left
+than half of the workers, the rest is done one case after the other by all of them.
+"""
+
+import json
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from palpate.service.blind.answering.answers import seal_answers, write_answer, write_failure
+from palpate.service.blind.answering.single_process import diagnose_alone
+from palpate.service.blind.sealed.seal import file_hash, read_json
+from palpate.service.blind.sealed.sealed_settings import differences, frozen
+from palpate.service.blind.sealed.sets import BlindSet, Directions, check_cases, read_manifest
+from palpate.service.cluster.dispatch import Dispatcher, Ending
+from palpate.service.diagnosis.run import finished, request_for, run
+from palpate.service.errors import ClusterError, TaskError
+from palpate.storage.backends.atomic import explained
+from palpate.storage.backends.places import Location
+from palpate.storage.errors import InputError, StoreError
+from palpate.storage.stores.store import open_store
+from palpate.workers.tasks.diagnosis_store import DiagnosisRequest
+
+Tell = Callable[[str], object]
+Y_AXIS = [0, 1, 0]
+
+
+@dataclass(frozen=True)
+class Answering:
+    """How a set is answered.
+
+    Parameters
+    ----------
+    blind : BlindSet
+    store : str or Path
+        Which all workers see.
+    directions : {"all", "y"}
+        Scans that the diagnosis is given: all, or those pressed along y.
+    nodes : int
+        Of the mesh.
+    limit : int or None
+        Most cases to answer in this call.
+    declared : str or None
+        Why the diagnosis is not the one that was sealed.
+    """
+
+    blind: BlindSet
+    store: Location
+    directions: Directions
+    nodes: int
+    limit: int | None = None
+    declared: str | None = None
+
+
+def unanswered(answering: Answering) -> list[str]:
+    """Check that the set is as sealed, and which cases wait for an answer.
+
+    Raises
+    ------
+    InputError
+        If a case has changed, or the diagnosis has and nobody says why, or there are
+        answers of other code.
+    """
+    blind = answering.blind
+    manifest = read_manifest(blind)
+    check_cases(blind, manifest)
+    now = frozen(answering.nodes)
+    changed = differences(manifest["diagnosis"], now)
+    if changed and not answering.declared:
+        raise InputError(
+            f"The diagnosis is not the one that {blind.manifest} was sealed against: "
+            f"{', '.join(changed)} changed. Answer with that one, make a new set, or say why "
+            'with --declare "..."; the score repeats it.'
+        )
+    names = sorted(manifest["cases"])
+    answered = [n for n in names if blind.answer(n, answering.directions).is_file()]
+    others = [n for n in answered if _code(answering, n) != now.code]
+    if others:
+        raise InputError(
+            f"{blind.answers(answering.directions)} has answers of other code: "
+            f"{', '.join(others)}. "
+            "Answer a set with one version: go back to that one, or remove these answers."
+        )
+    return [n for n in names if n not in answered]
+
+
+def answer(answering: Answering, names: Sequence[str], dispatcher: Dispatcher, tell: Tell) -> None:
+    """Diagnose cases and keep the answers.
+
+    Parameters
+    ----------
+    names : sequence of str
+        See `unanswered`; only so many as the limit says are answered.
+    tell : callable
+        Told of each case: empty, or why it failed.
+
+    Raises
+    ------
+    StoreError
+        If the store or the set cannot be written.
+    ClusterError
+        If the workers cannot do the work; what is answered is kept.
+    Interrupted
+        If the dispatcher is told to stop.
+    """
+    chosen = list(names[: answering.limit])
+    workers = max(1, dispatcher.threads)
+    rest = len(chosen) % workers
+    together = rest if 2 * rest < workers else 0
+    whole, last = chosen[: len(chosen) - together], chosen[len(chosen) - together :]
+    code = frozen(answering.nodes).code
+    for name, request, failed in _whole(answering, whole, dispatcher):
+        _keep(answering, name, request, failed, code)
+        tell(failed)
+    for name in last:
+        asking, failed = _one(answering, name, dispatcher)
+        _keep(answering, name, asking, failed, code)
+        tell(failed)
+
+
+def seal(answering: Answering) -> str | None:
+    """Seal the answers if all are there; the hash of the seal, or None."""
+    if unanswered(answering):
+        return None
+    path = answering.blind.sealed_answers(answering.directions)
+    manifest = read_manifest(answering.blind)
+    now = frozen(answering.nodes)
+    reason = answering.declared if differences(manifest["diagnosis"], now) else None
+    if path.is_file():
+        return file_hash(path)
+    return seal_answers(
+        answering.blind, answering.directions, sorted(manifest["cases"]), now, reason
+    )
+
+
+def request_of(answering: Answering, name: str) -> DiagnosisRequest:
+    """Return what is asked of the diagnosis: the folder of a case, or of its scans along y.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be diagnosed.
+    StoreError
+        If the store cannot be used.
+    """
+    folder = answering.blind.case(name)
+    if answering.directions == "y":
+        root = open_store(answering.store).root
+        copies = root if isinstance(root, Path) else answering.blind.root  # a bucket has no folders
+        folder = along_y(folder, copies / "along-y" / name)
+    return request_for(folder, answering.store, answering.nodes)
+
+
+def along_y(case: Path, copy: Path) -> Path:
+    """Copy a case without the scans that are pressed along another axis than y.
+
+    Raises
+    ------
+    InputError
+        If none is left.
+    StoreError
+        If it cannot be written.
+    """
+    said = read_json(case / "case.json")
+    scans = said["scans"]
+    kept = [d for d in scans["deformed"] if d.get("compression_axis", Y_AXIS) == Y_AXIS]
+    if not kept:
+        raise InputError(f"{case} has no scan pressed along y: answer it with --directions all.")
+    said["scans"] = scans | {"deformed": kept}
+    with explained(copy):
+        copy.mkdir(parents=True, exist_ok=True)
+        for file in [scans["reference"], *(d["file"] for d in kept)]:
+            shutil.copy2(case / file, copy / file)
+        (copy / "case.json").write_text(json.dumps(said, indent=1), encoding="utf-8")
+    return copy
+
+
+def _whole(
+    answering: Answering, names: Sequence[str], dispatcher: Dispatcher
+) -> Iterator[tuple[str, DiagnosisRequest | None, str]]:
+    """Return cases in order of arrival: the name, what was asked, and why it failed if it did."""
+    requests: dict[str, DiagnosisRequest] = {}
+    refused: dict[str, str] = {}
+
+    def calls() -> Iterator[tuple[str, tuple[DiagnosisRequest]]]:
+        for name in names:
+            try:
+                requests[name] = request_of(answering, name)
+            except InputError as error:
+                refused[name] = _sentence(error)
+                continue
+            yield name, (requests[name],)
+
+    for ending in dispatcher.run(diagnose_alone, calls()):
+        yield ending.key, requests.pop(ending.key), _reason(ending)
+    for name, why in refused.items():
+        yield name, None, why
+
+
+def _reason(ending: Ending) -> str:
+    if ending.kind == "lost":
+        raise ClusterError(
+            f"The case {ending.key} was lost: {ending.reason}. Give the workers more memory, or "
+            "start fewer with --workers; the same command goes on."
+        )
+    return ending.reason if ending.kind != "returned" else ""
+
+
+def _one(
+    answering: Answering, name: str, dispatcher: Dispatcher
+) -> tuple[DiagnosisRequest | None, str]:
+    """Diagnose with all workers: what was asked, and why it failed if it did."""
+    try:
+        request = request_of(answering, name)
+        run(request, dispatcher)
+    except (InputError, TaskError) as error:
+        return None, _sentence(error)
+    return request, ""
+
+
+def _sentence(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def _keep(
+    answering: Answering, name: str, request: DiagnosisRequest | None, failed: str, code: str
+) -> None:
+    if failed or request is None:
+        write_failure(answering.blind, name, answering.directions, failed, code)
+        return
+    found = finished(request)
+    if found is None:
+        raise StoreError(
+            f"The case {name} is diagnosed, but {request.store} does not hold it. Give a "
+            "--store that workers and driver share."
+        )
+    write_answer(answering.blind, name, answering.directions, request, found, code)
+
+
+def _code(answering: Answering, name: str) -> str:
+    return str(read_json(answering.blind.answer(name, answering.directions)).get("code"))

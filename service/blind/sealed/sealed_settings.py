@@ -1,0 +1,99 @@
+"""What a set is sealed against: the code of the diagnosis and all that it was told."""
+
+import subprocess
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from palpate import workers
+from palpate.service.versions import palpate_version
+from palpate.storage.digest import digest
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
+from palpate.workers.tasks.diagnosis_store import diagnosis_code
+
+# The kind of source that a blind case is.
+SCANNED_CASE = "scanned case"
+
+
+@dataclass(frozen=True, slots=True)
+class FrozenDiagnosis:
+    """The diagnosis as it stands.
+
+    Parameters
+    ----------
+    version : str
+        Of Palpate.
+    commit : str or None
+        None outside of a repository.
+    code : str
+        A digest of all source that a diagnosis depends on.
+    settings : mapping
+        All of `diagnosis.settings.values`, by its groups, and the ``effects`` with their priors.
+    settings_digest : str
+        Of these.
+    """
+
+    version: str
+    commit: str | None
+    code: str
+    settings: Mapping[str, Any]
+    settings_digest: str = ""
+
+
+def frozen(nodes: int = SETTINGS.mesh.nodes) -> FrozenDiagnosis:
+    """Return the diagnosis as it stands.
+
+    Parameters
+    ----------
+    nodes : int
+        Of the working mesh.
+    """
+    meshed = replace(SETTINGS, mesh=replace(SETTINGS.mesh, nodes=nodes))
+    settings = asdict(meshed) | {"effects": [_effect(e) for e in BREAST_EFFECTS]}
+    return FrozenDiagnosis(
+        palpate_version(), _commit(), diagnosis_code(SCANNED_CASE), settings, digest(settings)
+    )
+
+
+def differences(sealed: Mapping[str, Any], now: FrozenDiagnosis) -> list[str]:
+    """Return what of the diagnosis is not as it was sealed, in words; empty if nothing.
+
+    Parameters
+    ----------
+    sealed : mapping
+        As a manifest holds it.
+    now : FrozenDiagnosis
+    """
+    found = ["code"] if sealed["code"] != now.code else []
+    if sealed.get("settings_digest") == now.settings_digest:
+        return found
+    before, after = sealed["settings"], now.settings
+    named = {
+        k for k in before.keys() | after.keys() if digest(before.get(k)) != digest(after.get(k))
+    }
+    return found + sorted(named)
+
+
+def _effect(effect: Effect) -> dict[str, object]:
+    return {
+        "name": effect.name,
+        "family": effect.family,
+        "odds": effect.odds,
+        "prior_sd": dict(zip(effect.names, effect.prior_sd, strict=True)),
+    }
+
+
+def _commit() -> str | None:
+    """Return that of the repository in which the code lies, with a plus if it has changed."""
+    here = Path(workers.__file__ or "").parent
+    command = ["git", "-C", str(here), "describe", "--always", "--exclude=*", "--dirty=+"]
+    try:
+        answer = subprocess.run(
+            [*command, "--abbrev=40"], capture_output=True, text=True, timeout=20, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return answer.stdout.strip() or None

@@ -1,0 +1,237 @@
+"""Finds a blind set on disk, and checks that it still is what was sealed.
+
+::
+
+    SET/manifest.json         hashes of all cases and truths, and the diagnosis as it stood
+    SET/cases/<id>/           what a diagnosis may see
+    SET/answers/<id>.json     what it said, and <id>.npz: where it put the points
+    SET/answers.json          hashes of all answers
+    SET-truth/plan.json       seeds, kinds and salts
+    SET-truth/<id>/           truth.json, truth.npz
+
+Nothing in SET tells one kind of case from another: names are drawn, cases lie in the order
+of their names, and the truth lies elsewhere. Answers on the scans pressed along y alone are
+in ``answers-y`` and ``answers-y.json``.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypedDict, cast
+
+from palpate.service.blind.sealed.seal import file_hash, folder_hash, read_json, salted_hash
+from palpate.storage.errors import InputError
+
+Directions = Literal["all", "y"]
+
+
+class CaseHashes(TypedDict):
+    """Hashes of the folder of a case, and of its truth with its salt."""
+
+    case: str
+    truth: str
+
+
+class Manifest(TypedDict):
+    """What is sealed when a set is made: every case, and the diagnosis as it stood."""
+
+    cases: dict[str, CaseHashes]
+    diagnosis: dict[str, Any]
+
+
+class AnswerHashes(TypedDict):
+    """Hashes of what was said of a case; ``npz`` is None where the diagnosis failed."""
+
+    json: str
+    npz: str | None
+
+
+class SealedAnswers(TypedDict):
+    """What is sealed when a set is answered.
+
+    ``manifest`` is the hash of the set, ``diagnosis`` the one that answered, ``declared`` says
+    why it is not the one of the manifest.
+    """
+
+    manifest: str
+    directions: Directions
+    answers: dict[str, AnswerHashes]
+    diagnosis: dict[str, Any]
+    declared: str | None
+
+
+class PlannedCase(TypedDict):
+    """A case that is to be made: its name, seed and kind, and the salt of its truth."""
+
+    id: str
+    seed: int
+    kind: str
+    salt: str
+
+
+@dataclass(frozen=True)
+class BlindSet:
+    """Paths of a set.
+
+    Parameters
+    ----------
+    root : Path
+    """
+
+    root: Path
+
+    @property
+    def manifest(self) -> Path:
+        """Return the file of what was sealed."""
+        return self.root / "manifest.json"
+
+    @property
+    def cases(self) -> Path:
+        """Return the folder that holds a folder for each case."""
+        return self.root / "cases"
+
+    def case(self, name: str) -> Path:
+        """Return the folder of one case."""
+        return self.cases / name
+
+    def answers(self, directions: Directions) -> Path:
+        """Return the folder of answers."""
+        return self.root / _suffixed("answers", directions)
+
+    def answer(self, name: str, directions: Directions) -> Path:
+        """Return the file of what was said of one case."""
+        return self.answers(directions) / f"{name}.json"
+
+    def points(self, name: str, directions: Directions) -> Path:
+        """Return the file of where the points of one case went."""
+        return self.answers(directions) / f"{name}.npz"
+
+    def sealed_answers(self, directions: Directions) -> Path:
+        """Return the file of the hashes of all answers."""
+        return self.root / f"{_suffixed('answers', directions)}.json"
+
+    def truth_beside(self) -> Path:
+        """Return where truths lie unless somebody says otherwise."""
+        root = self.root.absolute()
+        return root.with_name(f"{root.name}-truth")
+
+
+@dataclass(frozen=True)
+class Truths:
+    """Paths of the truths, which no diagnosis is given."""
+
+    root: Path
+
+    @property
+    def plan(self) -> Path:
+        """Return the file of seeds, kinds and salts."""
+        return self.root / "plan.json"
+
+    def of(self, name: str) -> Path:
+        """Return the folder of one truth."""
+        return self.root / name
+
+
+def read_manifest(blind: BlindSet) -> Manifest:
+    """Read what was sealed when the set was made.
+
+    Raises
+    ------
+    InputError
+        If the set is not finished.
+    """
+    if not blind.manifest.is_file():
+        raise InputError(
+            f"{blind.root} is no sealed set: it has no {blind.manifest.name}. Make one with "
+            f"`palpate blind make {blind.root}`; the same command finishes one that is half made."
+        )
+    record = read_json(blind.manifest)
+    if not isinstance(record.get("cases"), dict) or not isinstance(record.get("diagnosis"), dict):
+        raise InputError(f"{blind.manifest} is no manifest: expected `cases` and `diagnosis`.")
+    return cast(Manifest, record)
+
+
+def check_cases(blind: BlindSet, manifest: Manifest) -> None:
+    """Compare every case with the manifest.
+
+    Raises
+    ------
+    InputError
+        Naming the cases that are missing, added or changed.
+    """
+    sealed = manifest["cases"]
+    there = {p.name for p in blind.cases.iterdir() if p.is_dir() and p.name[0] != "."}
+    missing, added = sorted(sealed.keys() - there), sorted(there - sealed.keys())
+    same = sorted(there & sealed.keys())
+    changed = [name for name in same if folder_hash(blind.case(name)) != sealed[name]["case"]]
+    what = {"missing": missing, "added": added, "changed": changed}
+    differences = "; ".join(f"{word}: {', '.join(names)}" for word, names in what.items() if names)
+    if differences:
+        raise InputError(
+            f"{blind.cases} is not what {blind.manifest.name} seals ({differences}). Restore it, "
+            "or make a new set."
+        )
+
+
+def check_truths(truths: Truths, manifest: Manifest) -> None:
+    """Compare every truth and its salt with the manifest.
+
+    Raises
+    ------
+    InputError
+        Naming the truths that are missing or changed.
+    """
+    plan = read_json(truths.plan)
+    salts = {entry["id"]: entry["salt"] for entry in plan["cases"]}
+    wrong = [
+        name
+        for name, sealed in sorted(manifest["cases"].items())
+        if name not in salts or salted_hash(salts[name], truths.of(name)) != sealed["truth"]
+    ]
+    if wrong:
+        raise InputError(
+            f"{truths.root} does not hold the sealed truth of {', '.join(wrong)}. Give the folder "
+            "that was made with the set by --truth, unchanged."
+        )
+
+
+def check_answers(blind: BlindSet, directions: Directions) -> SealedAnswers:
+    """Read the sealed answers and compare them with manifest and answers.
+
+    Raises
+    ------
+    InputError
+        If answers are missing or changed, or belong to another set.
+    """
+    path = blind.sealed_answers(directions)
+    if not path.is_file():
+        raise InputError(
+            f"{blind.root} has no {path.name}: not all cases are answered. Go on with "
+            f"`palpate blind run {blind.root} --directions {directions}`."
+        )
+    record = cast(SealedAnswers, read_json(path))
+    if record["manifest"] != file_hash(blind.manifest):
+        raise InputError(f"{path} answers another manifest than {blind.manifest}.")
+    wrong = [
+        name
+        for name, hashes in sorted(record["answers"].items())
+        if hashes != answer_hashes(blind, name, directions)
+    ]
+    if wrong:
+        raise InputError(
+            f"Answers have changed since they were sealed in {path}: {', '.join(wrong)}. Restore "
+            "them; a second run needs a new set."
+        )
+    return record
+
+
+def answer_hashes(blind: BlindSet, name: str, directions: Directions) -> AnswerHashes:
+    """Hash what was said of a case."""
+    points = blind.points(name, directions)
+    return {
+        "json": file_hash(blind.answer(name, directions)),
+        "npz": file_hash(points) if points.is_file() else None,
+    }
+
+
+def _suffixed(word: str, directions: Directions) -> str:
+    return word if directions == "all" else f"{word}-{directions}"

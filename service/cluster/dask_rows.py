@@ -1,0 +1,144 @@
+"""Sums up what the tab of `service.cluster.dask_tab` shows of one study and of one diagnosis."""
+
+import math
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+# Of the scheduler's events that hold records of studies.
+TOPIC = "palpate"
+
+MOST_GENERATIONS = 200
+
+
+class IdleTime:
+    """Integrates the time in which threads of workers have no task.
+
+    Parameters
+    ----------
+    clock : callable
+        In seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._since = clock()
+        self._threads = self._busy = 0
+        self._idle_s = self._all_s = 0.0
+
+    def note(self, tasks_and_threads: list[tuple[int, int]]) -> None:
+        """Note the tasks that each worker has from now on, and its threads."""
+        self.so_far()
+        self._threads = sum(threads for _, threads in tasks_and_threads)
+        self._busy = sum(min(pair) for pair in tasks_and_threads)
+
+    def so_far(self) -> tuple[float, float]:
+        """Return idle seconds and all seconds, summed over threads."""
+        now = self._clock()
+        passed, self._since = now - self._since, now
+        self._idle_s += passed * (self._threads - self._busy)
+        self._all_s += passed * self._threads
+        return self._idle_s, self._all_s
+
+
+@dataclass
+class StudyRow:
+    """What the tab shows of one study.
+
+    Parameters
+    ----------
+    name : str
+    most : int
+        Evaluations, if the search runs to its last generation.
+    client : str
+        Who runs it.
+    state : str
+        In words.
+    best_gsf : float
+        GSF of the best candidate so far; infinite while there is none.
+    endings : Counter of str
+        Evaluations by their ending.
+    stages : Counter of str
+        Seconds by stage, of what was computed in this run.
+    generations : deque of (int, float)
+        Number from 1, and share of the workers' time without a task until its barrier.
+    begun : tuple of float
+        Idle and all seconds when the generation began.
+    computed : bool
+        Whether the generation had anything to compute; one that is known says nothing of barriers.
+    """
+
+    name: str
+    most: int
+    client: str
+    state: str = "preparing"
+    best_gsf: float = math.inf
+    endings: Counter[str] = field(default_factory=Counter)
+    stages: Counter[str] = field(default_factory=Counter)
+    generations: deque[tuple[int, float]] = field(
+        default_factory=lambda: deque(maxlen=MOST_GENERATIONS)
+    )
+    begun: tuple[float, float] = (0.0, 0.0)
+    computed: bool = False
+
+    def add(self, record: dict[str, Any], idle: IdleTime) -> None:
+        """Take in one record of `service.study.observers.dask_records.DaskRecords`."""
+        what = record["what"]
+        if what == "ended":
+            self.endings[record["status"]] += 1
+            self.computed |= record["computed"]
+            self.stages.update(record["seconds"])
+            self.best_gsf = math.inf if record["best_gsf"] is None else record["best_gsf"]
+        elif what == "generation begun":
+            self.state = f"generation {record['number'] + 1}"
+            self.begun, self.computed = idle.so_far(), False
+        elif what == "generation ended" and self.computed:
+            idle_s, all_s = (
+                now - then for now, then in zip(idle.so_far(), self.begun, strict=True)
+            )
+            if all_s > 0.0:
+                self.generations.append((record["number"] + 1, idle_s / all_s))
+        elif what == "stopped":
+            self.state = record["reason"]
+            self.client = ""
+
+
+@dataclass
+class DiagnosisRow:
+    """What the tab shows of one diagnosis.
+
+    Parameters
+    ----------
+    name : str
+    client : str
+        Who runs it.
+    state : str
+        In words: the phase and how far it is, in the end the verdict.
+    tasks : int
+        That have ended.
+    begun : tuple of float
+        Idle and all seconds of the workers when it began.
+    idle : float or None
+        Share of the workers' time without a task since then; None while nothing is known.
+    """
+
+    name: str
+    client: str
+    begun: tuple[float, float]
+    state: str = "reading"
+    tasks: int = 0
+    idle: float | None = None
+
+    def add(self, record: dict[str, Any], idle: IdleTime) -> None:
+        """Take in one record of `service.diagnosis.dask_observer.DiagnosisRecords`."""
+        if record["what"] == "step":
+            done, of, task = record["done"], record["of"], record["task"]
+            self.tasks += done > 0
+            self.state = f"{record['phase']}, {done} of {of}" + (f": {task}" if task else "")
+        elif record["what"] == "stopped":
+            self.state, self.client = record["reason"], ""
+        idle_s, all_s = (now - then for now, then in zip(idle.so_far(), self.begun, strict=True))
+        if all_s > 0.0:
+            self.idle = idle_s / all_s

@@ -1,0 +1,372 @@
+"""Sends tasks to a Dask cluster and gives back their endings.
+
+A future is released as soon as its ending has been dealt with: `Dispatcher.run`
+yields an ending and releases the future when it is asked for the next one. What
+a worker finished is then never run again because some other worker died.
+
+How a submission ends::
+
+    finished                          returned, with the record of the task
+    raised                            crashed, with the traceback of the worker
+    the worker died, once too often   submitted again, `max_attempts` times in all, at last
+                                      alone; then lost
+    the scheduler forgot it           submitted again, as often as it takes
+
+An error of the store (a full disk, another version) is no verdict on a candidate:
+it is raised here and stops the study.
+"""
+
+import queue
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
+from uuid import uuid4
+
+from distributed import Client, Future, KilledWorker
+
+from palpate.service.cluster.foreign_workers import raise_if_foreign
+from palpate.service.cluster.slots import OwnSlots, Slots
+from palpate.service.cluster.submission import (
+    NOT_YET,
+    Patience,
+    Submission,
+    TaskCalls,
+    WaitingCalls,
+)
+from palpate.service.cluster.task_failures import (
+    as_cluster_error,
+    death,
+    raise_if_store,
+    scheduler_gone,
+    sentence,
+)
+from palpate.service.errors import ClusterError, Interrupted, TaskError
+from palpate.storage.errors import PalpateError
+
+__all__ = ["NOT_YET", "Dispatcher", "Ending", "TaskCalls", "value_of"]
+
+Task = Callable[..., Any]
+"""A function that workers can import: small arguments, a small record back."""
+Returned = TypeVar("Returned")
+
+TICK_S = 0.25
+TICK_FOR_SLOT_S = 0.05
+COUNT_EVERY_S = 1.0
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a task ended.
+
+    Parameters
+    ----------
+    key : hashable
+        As given to `Dispatcher.run`.
+    kind : {"returned", "crashed", "lost"}
+        See the top of this file.
+    value : object
+        The record that the task returned; None unless returned.
+    error : Exception or None
+        What it raised.
+    reason : str
+        Why there is no value; empty if there is one.
+    traceback : str
+        On the worker; empty unless crashed.
+    attempts : int
+        How often it was submitted.
+    """
+
+    key: Any
+    kind: Literal["returned", "crashed", "lost"]
+    value: Any = None
+    error: BaseException | None = None
+    reason: str = ""
+    traceback: str = ""
+    attempts: int = 1
+
+
+_Arrived = queue.SimpleQueue[Submission]
+
+
+class Dispatcher:
+    """A bounded number of tasks in flight, and a deadline on every wait.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Connected to the scheduler.
+    max_attempts : int
+        How often a task is submitted whose workers die, before it is lost. (The
+        scheduler itself already tries again; see `service.cluster.open`.)
+    no_worker_s : float
+        How long to wait while there is no worker.
+    no_ending_s : float
+        How long to wait while there are workers but no task ends.
+    stop : callable
+        Called between waits; True ends the run with `Interrupted`.
+    slots : Slots, optional
+        How many tasks it may have on the cluster; by default as if nobody else used it.
+    priority : int
+        Of its tasks among those that wait for a worker; higher ones run first.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        *,
+        max_attempts: int = 5,
+        no_worker_s: float = 120.0,
+        no_ending_s: float = 4 * 3600.0,
+        stop: Callable[[], bool] = lambda: False,
+        slots: Slots | None = None,
+        priority: int = 0,
+    ) -> None:
+        self.client = client
+        self.slots = slots or OwnSlots()
+        self.priority = priority
+        self.max_attempts = max_attempts
+        self.no_worker_s = no_worker_s
+        self.no_ending_s = no_ending_s
+        self.stop = stop
+        self._threads = 0
+        self._counted = -COUNT_EVERY_S
+
+    @property
+    def threads(self) -> int:
+        """Return how many tasks can run at once, counted anew every `COUNT_EVERY_S`."""
+        now = time.monotonic()
+        if now - self._counted >= COUNT_EVERY_S:
+            self._threads = sum(self._threads_by_worker().values())
+            self._counted = now
+        return self._threads
+
+    def call(self, task: Callable[..., Returned], *arguments: Any) -> Returned:
+        """Run one task and return its record.
+
+        Raises
+        ------
+        PalpateError
+            As the task raised it; `TaskError` for any other exception.
+        ClusterError
+            If its workers die again and again, or there are none.
+        Interrupted
+            If the study is told to stop.
+        """
+        (record,) = self.all(task, [(task.__name__, arguments)])
+        return record
+
+    def all(self, task: Callable[..., Returned], calls: TaskCalls) -> list[Returned]:
+        """Run tasks that must not fail and return their records in order of arrival.
+
+        Raises
+        ------
+        PalpateError, ClusterError, Interrupted
+            As `call`.
+        """
+        return [value_of(ending, task.__name__) for ending in self.run(task, calls)]
+
+    def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
+        """Send tasks, yield their endings as they arrive.
+
+        Parameters
+        ----------
+        task : callable
+            Importable by the workers; small arguments, a small record back.
+        calls : iterable of (key, arguments)
+            Read only as fast as tasks end. `NOT_YET` stands for one that has to wait for an
+            ending; there must be a task under way then.
+
+        Raises
+        ------
+        ClusterError
+            If a wait passes its deadline, or the scheduler is gone.
+        StoreError
+            If a worker cannot use the store.
+        Interrupted
+            If the study is told to stop.
+        """
+        arrived: _Arrived = queue.SimpleQueue()
+        waiting, patience = WaitingCalls(calls), Patience()
+        in_flight: dict[int, Submission] = {}
+        suspects: list[Submission] = []  # have one attempt left, and nothing else runs meanwhile
+        try:
+            while True:
+                for submission in self._to_send(waiting, suspects, in_flight):
+                    in_flight[id(submission)] = submission
+                    self._send(task, submission, arrived)
+                if not (in_flight or waiting or suspects):
+                    return
+                arrival = self._wait(arrived, patience, waiting.ready, bool(in_flight))
+                if arrival is None:
+                    continue
+                ending = self._ending(arrival)
+                if ending is not None:
+                    yield ending
+                    # Whoever asks for the next ending has written this one down.
+                    self._leave(in_flight, arrival)
+                    continue
+                self._release(arrival)
+                if arrival.attempts < self.max_attempts - 1:
+                    self._send(task, arrival, arrived)
+                else:
+                    self._leave(in_flight, arrival)
+                    suspects.append(arrival)
+        finally:
+            for submission in list(in_flight.values()):
+                self._leave(in_flight, submission)
+
+    def _to_send(
+        self, waiting: WaitingCalls, suspects: list[Submission], in_flight: dict[int, Submission]
+    ) -> Iterator[Submission]:
+        """Yield what can be sent now; whatever kills its workers goes last and alone.
+
+        If a worker dies, the task that waited behind another one is submitted again.
+        """
+        while waiting.ready and self.slots.take(self.threads):
+            yield waiting.pop()
+        if suspects and not (waiting.ready or in_flight) and self.slots.take(self.threads):
+            yield suspects.pop()
+
+    def _leave(self, in_flight: dict[int, Submission], submission: Submission) -> None:
+        del in_flight[id(submission)]
+        self.slots.give_back()
+        self._release(submission)
+
+    def _send(self, task: Task, submission: Submission, arrived: _Arrived) -> None:
+        submission.attempts += 1
+        # The key is new every time: Dask remembers the end of a key for a while.
+        key = f"{task.__name__}-{uuid4().hex}"
+        with as_cluster_error():
+            submission.future = self.client.submit(
+                task, *submission.arguments, key=key, pure=False, priority=self.priority
+            )
+        submission.future.add_done_callback(lambda _: arrived.put(submission))
+
+    def _release(self, submission: Submission) -> None:
+        """Let the scheduler forget a task; one that has not started will not start."""
+        if submission.future is not None:
+            with suppress(Exception):
+                submission.future.release()
+            submission.future = None
+
+    def _wait(
+        self, arrived: _Arrived, patience: Patience, waiting: bool, in_flight: bool
+    ) -> Submission | None:
+        """Return what arrives next; None after a moment, for a slot may have become free."""
+        if self.stop():
+            raise Interrupted
+        with suppress(queue.Empty):
+            arrival = arrived.get(timeout=TICK_FOR_SLOT_S if waiting else TICK_S)
+            patience.restart()
+            return arrival
+        now = time.monotonic()
+        if self.threads:
+            patience.worked = now
+        if not in_flight:
+            patience.ended = now  # others have all the slots
+        self._check_deadlines(now - patience.ended, now - patience.worked)
+        return None
+
+    def _check_deadlines(self, waited_s: float, without_worker_s: float) -> None:
+        if without_worker_s > self.no_worker_s:
+            address = self.client.scheduler.address if self.client.scheduler else "ADDRESS"
+            raise ClusterError(
+                f"There has been no worker at {address} for {without_worker_s:.0f} s. Start one "
+                f"with `dask worker {address} --nthreads 1`, or use the workers of this machine. "
+                "What is finished is kept: run the same command again to continue."
+            )
+        if waited_s > self.no_ending_s:
+            raise ClusterError(
+                f"There are {self._threads} workers, but no task has ended for "
+                f"{waited_s:.0f} s. Look at the dashboard, restart the workers, and run the "
+                "same command again to continue."
+            )
+
+    def _threads_by_worker(self) -> dict[str, int]:
+        with as_cluster_error():
+            if self.client.status == "connecting":
+                return {}
+            if self.client.status != "running":
+                raise OSError(f"the connection is {self.client.status}")
+            return dict(self.client.nthreads())
+
+    def _ending(self, submission: Submission) -> Ending | None:
+        """Return the ending of a task that has arrived; None if it is to be submitted again."""
+        future: Future = submission.future
+        if future is None or future.status in ("cancelled", "lost"):
+            # The scheduler was restarted or the connection broke; no worker is to blame.
+            submission.attempts -= 1
+            self._outlast_disconnection()
+            return None
+        try:
+            value = future.result(timeout=60.0)
+        except KilledWorker as killed:
+            if submission.attempts < self.max_attempts:
+                return None
+            return Ending(
+                submission.key, "lost", reason=death(killed), attempts=submission.attempts
+            )
+        except Exception as caught:
+            error = caught
+        else:
+            return Ending(submission.key, "returned", value, attempts=submission.attempts)
+        if future.status != "error":
+            # The result was on a worker that is gone: submit again, the store has it.
+            if submission.attempts < self.max_attempts:
+                return None
+            return Ending(
+                submission.key, "lost", reason=sentence(error), attempts=submission.attempts
+            )
+        raise_if_store(error)
+        raise_if_foreign(error)
+        trace = future.traceback(timeout=60.0)  # of the worker, without our own frames
+        text = "".join(traceback.format_exception(type(error), error, trace))
+        return Ending(
+            submission.key, "crashed", None, error, sentence(error), text, submission.attempts
+        )
+
+    def _outlast_disconnection(self) -> None:
+        begun = time.monotonic()
+        while self.client.status == "connecting":
+            if self.stop():
+                raise Interrupted
+            if time.monotonic() - begun > self.no_worker_s:
+                break
+            time.sleep(TICK_S)
+        if self.client.status != "running":
+            raise scheduler_gone(f"the connection is {self.client.status}")
+
+
+def value_of(ending: Ending, what: str) -> Any:
+    """Return the record of a task that must not fail.
+
+    Parameters
+    ----------
+    ending : Ending
+    what : str
+        The task as a message calls it.
+
+    Raises
+    ------
+    PalpateError
+        As the task raised it.
+    ClusterError
+        If the task was lost.
+    TaskError
+        If it raised anything else; with the traceback of the worker.
+    """
+    if ending.kind == "returned":
+        return ending.value
+    if isinstance(ending.error, PalpateError):
+        raise ending.error
+    if ending.kind == "lost":
+        raise ClusterError(
+            f"{what} was lost: {ending.reason}. Give the workers more memory, or start fewer with "
+            "--workers, and run the same command again: what is finished is kept."
+        )
+    raise TaskError(
+        f"{what} failed: {ending.reason}.\n{ending.traceback}".rstrip()
+    ) from ending.error

@@ -1,0 +1,226 @@
+"""Looks for what would spoil a run: mixed code, an unusable store, no room."""
+
+import os
+import platform
+import socket
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypedDict, TypeVar
+
+from palpate import storage, workers
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import Cluster, usable_cores
+from palpate.service.errors import ClusterError
+from palpate.service.versions import code_digest, versions
+from palpate.storage.digest import source_digest
+from palpate.storage.errors import PalpateError
+from palpate.storage.stores.probe import probe_store
+
+GIB = 1024**3
+SCARCE_BYTES = 2 * GIB
+Checked = TypeVar("Checked")
+
+
+class ProcessFacts(TypedDict):
+    """What one process imports, from where, and what it may use.
+
+    ``packages`` are the folders of ours by name, ``source`` is the digest of all their code,
+    ``code`` of what results depend on.
+    """
+
+    host: str
+    pid: int
+    python: str
+    packages: dict[str, str]
+    source: str
+    code: str
+    versions: dict[str, str]
+    cores: int
+    memory_bytes: int
+    platform: str
+
+
+class KernelFacts(TypedDict):
+    """The compiler that was tried, and its threads."""
+
+    numba: str
+    threads: int
+
+
+class StoreFacts(TypedDict):
+    """The store that was tried; ``free_bytes`` is None in a bucket.
+
+    ``takes_once`` says whether of two processes that create one name the second is refused: by a
+    file system always, by an object store if it honours If-None-Match.
+    """
+
+    root: str
+    free_bytes: int | None
+    takes_once: bool
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What the doctor has found.
+
+    Parameters
+    ----------
+    problems : list of str
+        Empty when all is well.
+    processes : dict of str to ProcessFacts
+        By role: client, scheduler, and each worker by its address.
+    dashboard : str
+        Address of Dask's page; empty if there is none.
+    store : StoreFacts or None
+        None if it cannot be used.
+    kernels : KernelFacts or None
+        None if none can be compiled.
+    """
+
+    problems: list[str]
+    processes: dict[str, ProcessFacts]
+    dashboard: str
+    store: StoreFacts | None
+    kernels: KernelFacts | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the record that `palpate doctor --json` prints."""
+        return asdict(self)
+
+
+def describe_process() -> ProcessFacts:
+    """Describe this process; sent to workers and scheduler as it is, to describe theirs."""
+    from distributed.system import MEMORY_LIMIT
+
+    from palpate import service
+
+    packages = {
+        p.__name__.removeprefix("palpate."): str(Path(str(p.__file__)).parent)
+        for p in (service, workers, storage)
+    }
+    return {
+        "host": socket.gethostname(),
+        "pid": os.getpid(),
+        "python": sys.executable,
+        "packages": packages,
+        "source": source_digest(sorted(packages.values())),
+        "code": code_digest(),
+        "versions": versions(),
+        "cores": usable_cores(),
+        "memory_bytes": int(MEMORY_LIMIT or 0),
+        "platform": platform.platform(),
+    }
+
+
+def try_kernels() -> KernelFacts:
+    """Compile and run a kernel in this process.
+
+    Raises
+    ------
+    RuntimeError
+        If it gives a wrong result.
+    """
+    import numba
+    import numpy as np
+
+    @numba.njit(nogil=True)
+    def total(values: Any) -> float:
+        result = 0.0
+        for value in values:
+            result += value
+        return result
+
+    result = float(total(np.arange(10.0)))
+    if result != 45.0:
+        raise RuntimeError(f"numba added 0 to 9 and got {result}")
+    return {"numba": numba.__version__, "threads": numba.get_num_threads()}
+
+
+def try_store(location: str) -> StoreFacts:
+    """Write, read and list from this process, and see how much room there is.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be used.
+    """
+    probe = probe_store(location)
+    return {"root": probe.root, "free_bytes": probe.free_bytes, "takes_once": probe.takes_once}
+
+
+def examine(cluster: Cluster, store: str) -> Examination:
+    """Look at client, scheduler, workers and store."""
+    problems: list[str] = []
+    processes = {"client": describe_process()}
+    processes |= _cluster_processes(cluster, problems)
+    problems += _mixed(processes)
+    store_facts = _try("the store cannot be used here", lambda: try_store(store), problems)
+    kernels = _try("numba does not work here", try_kernels, problems)
+    if any(role.startswith("worker") for role in processes):
+        dispatcher = Dispatcher(cluster.client, no_ending_s=120.0)
+        what = "a worker cannot use the store: all need the same folder"
+        _try(what, lambda: dispatcher.call(try_store, store), problems)
+        _try("numba does not work on a worker", lambda: dispatcher.call(try_kernels), problems)
+    if store_facts is not None:
+        problems += _store_problems(store_facts)
+    return Examination(problems, processes, cluster.dashboard, store_facts, kernels)
+
+
+def _store_problems(facts: StoreFacts) -> list[str]:
+    problems = []
+    free = facts["free_bytes"]
+    if free is not None and free < SCARCE_BYTES:
+        problems.append(f"only {free / GIB:.1f} GiB are free where the store is")
+    if not facts["takes_once"]:
+        problems.append(
+            "the object store ignores If-None-Match: studies are safe, but two maintenance "
+            "commands (migrate, gc --delete, check --repair) can run at once. Use a server that "
+            "honours it, or see to it that only one runs"
+        )
+    return problems
+
+
+def _cluster_processes(cluster: Cluster, problems: list[str]) -> dict[str, ProcessFacts]:
+    try:
+        scheduler = cluster.client.run_on_scheduler(describe_process)
+        by_address = cluster.client.run(describe_process, on_error="return")
+    except Exception as error:
+        problems.append(f"the scheduler cannot run palpate's code: {error}")
+        return {}
+    processes: dict[str, ProcessFacts] = {"scheduler": scheduler}
+    for address, facts in by_address.items():
+        if isinstance(facts, Exception):
+            problems.append(f"the worker {address} cannot run palpate's code: {facts}")
+        else:
+            processes[f"worker {address}"] = facts
+    if not by_address:
+        problems.append(str(ClusterError("the scheduler has no workers")))
+    return processes
+
+
+def _mixed(processes: Mapping[str, ProcessFacts]) -> list[str]:
+    """Describe what differs between the processes that must not."""
+    here = processes["client"]
+    problems = []
+    for role, facts in processes.items():
+        if facts["source"] != here["source"]:
+            problems.append(
+                f"{role} on {facts['host']} has another palpate ({facts['packages']['workers']}) "
+                f"than the client ({here['packages']['workers']}): install the same everywhere"
+            )
+        for name, version in facts["versions"].items():
+            if name != "code" and version != here["versions"][name]:
+                problems.append(f"{role} has {name} {version}, the client {here['versions'][name]}")
+    return problems
+
+
+def _try(what: str, check: Callable[[], Checked], problems: list[str]) -> Checked | None:
+    try:
+        return check()
+    except PalpateError as error:
+        problems.append(f"{what}: {error}")
+    except Exception as error:
+        problems.append(f"{what}: {type(error).__name__}: {error}")
+    return None

@@ -1,0 +1,320 @@
+"""Opens the cluster that does the work: local processes, or an existing scheduler.
+
+One evaluation per process, one thread per evaluation. Worker processes are
+spawned, or forked within `service.cluster.fork_server.forked_workers`; either way a script
+that opens a cluster needs ``if __name__ == "__main__":``.
+"""
+
+import logging
+import os
+import socket
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import dask
+import dask.system
+from distributed import Client, LocalCluster, Security, Status
+from tornado.ioloop import PeriodicCallback
+
+from palpate.service.cluster.adaptive import follow_the_work
+from palpate.service.cluster.dask_tab import add_tab
+from palpate.service.cluster.foreign_workers import prepare_workers
+from palpate.service.cluster.fork_server import unheard_interrupts
+from palpate.service.cluster.main_guard import check_main_guard, lacks_guard
+from palpate.service.cluster.scheduler_address import check_reachable
+from palpate.service.cluster.task_failures import sentence
+from palpate.service.cluster.worker_range import WorkerRange, Workers, read_workers
+from palpate.service.errors import ClusterError
+from palpate.storage.errors import InputError
+from palpate.workers import WORKER_ENVIRONMENT
+
+ALLOWED_FAILURES = 5
+DASHBOARD_PORT = 8787
+MEND_EVERY_S = 5.0
+HANDSHAKE_S = 10.0
+START_ATTEMPTS = 3
+GIVEN_UP = {Status.closed, Status.failed}
+
+# Read by the scheduler when it starts, so they have to be set before.
+CONFIG: dict[str, Any] = {
+    # A task is given up after so many deaths of its worker; most are not its fault.
+    "distributed.scheduler.allowed-failures": ALLOWED_FAILURES,
+    # A worker holds a cache on purpose and no results: nothing to spill, no reason to pause.
+    # Beyond 95 % of its share it is ended, which is better than the kernel's choice.
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 0.95,
+    "distributed.worker.use-file-locking": False,
+    # After this long Dask would strike a worker that is just then being restarted off its list.
+    "distributed.deploy.lost-worker-timeout": "10000 days",
+    "distributed.admin.large-graph-warning-threshold": "1MB",
+}
+
+
+class _SteadyCluster(LocalCluster):
+    """Survives workers that come and go quickly, and such as are killed while they start.
+
+    Dask's own trips over the end of a worker that it never knew or has forgotten (KeyError),
+    then again when it is closed. A worker that dies is restarted by its nanny; a nanny that
+    fails is restarted by nobody, and its failure ends the cluster that is just starting.
+    """
+
+    failure = ""
+
+    def _update_worker_status(self, op: str, msg: Any) -> None:
+        if op != "remove" or msg in self.scheduler_info["workers"]:
+            super()._update_worker_status(op, msg)
+
+    async def _correct_state_internal(self) -> None:
+        try:
+            await super()._correct_state_internal()
+        except Exception as error:
+            self.failure = sentence(error.__cause__ or error)
+
+    @property
+    def has_workers(self) -> bool:
+        """Whether there is a worker that has not been given up."""
+        return any(worker.status not in GIVEN_UP for worker in self.workers.values())
+
+    def forget_given_up(self) -> bool:
+        """Forget nannies that have failed; True if workers are missing then."""
+        for name in [n for n, worker in self.workers.items() if worker.status in GIVEN_UP]:
+            del self.workers[name]
+        return self.worker_spec.keys() > self.workers.keys()
+
+    def mend(self) -> None:
+        """Open what is missing; called in the cluster's own thread."""
+        if self.forget_given_up():
+            self.scale(len(self.worker_spec))  # as many as before
+
+    def start_again(self) -> None:
+        """Start those that did not start, and wait for them."""
+        self.forget_given_up()
+        self.sync(self._correct_state_internal)
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A connection to the workers.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        To send tasks with.
+    dashboard : str
+        Address of Dask's page; empty if there is none.
+    local : bool
+        Whether the processes were started by us, and end with us.
+    """
+
+    client: Client
+    dashboard: str
+    local: bool
+
+
+@contextmanager
+def open_cluster(
+    scheduler: str | None = None,
+    workers: Workers | str | None = None,
+    *,
+    allowed_failures: int = ALLOWED_FAILURES,
+    connect_s: float = 5.0,
+) -> Iterator[Cluster]:
+    """Start local workers, or connect to a scheduler; close again what was opened.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address such as ``tcp://10.0.0.5:8786``. Default: a cluster of this machine.
+    workers : int, WorkerRange or str, optional
+        Local processes, >= 1; default: one per core. In a range, such as ``"1-8"``, as many as
+        there is work for.
+    allowed_failures : int
+        Deaths of a worker after which the scheduler gives a task up (local only).
+    connect_s : float
+        How long to wait for somebody to listen at `scheduler`.
+
+    Raises
+    ------
+    ClusterError
+        If the scheduler cannot be reached.
+    InputError
+        If both `scheduler` and `workers` are given, or there are too few workers.
+    """
+    if isinstance(workers, str):
+        workers = read_workers(workers, "workers=")
+    if isinstance(workers, int) and workers < 1:
+        raise InputError(
+            f"workers={workers}: at least one worker is needed. Leave it out for one per core."
+        )
+    if scheduler is not None and workers is not None:
+        raise InputError(
+            "--workers starts processes of this machine, --scheduler uses those of a running "
+            "cluster: give one of them."
+        )
+    opened = (
+        _existing(scheduler, connect_s)
+        if scheduler is not None
+        else _local(workers, allowed_failures)
+    )
+    with opened as cluster:
+        prepare_workers(cluster.client)
+        if cluster.dashboard:
+            with _unlogged("distributed"):
+                add_tab(cluster.client)
+        yield cluster
+
+
+@contextmanager
+def _existing(address: str, connect_s: float) -> Iterator[Cluster]:
+    check_reachable(address, connect_s)
+    _check_encryption(address)
+    with _unlogged("distributed"):
+        try:
+            client = Client(address, timeout=HANDSHAKE_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise ClusterError(
+                f"There is no scheduler at {address}: somebody listens, who does not answer as "
+                f"Dask's scheduler of the same version does ({reason}). `dask scheduler` starts "
+                "one; without --scheduler this machine is used."
+            ) from error
+    with client:
+        yield Cluster(client, client.dashboard_link or "", local=False)
+
+
+def _check_encryption(address: str) -> None:
+    """Refuse an address that does not fit Dask's configuration for TLS.
+
+    Raises
+    ------
+    ClusterError
+        If there are no certificates for ``tls://``, or they are asked for and it is another.
+    """
+    required = dask.config.get("distributed.comm.require-encryption", False)
+    if address.startswith("tls://"):
+        try:
+            context = Security().get_connection_args("client").get("ssl_context")
+        except OSError as error:
+            raise ClusterError(
+                f"A certificate for {address} cannot be read: {error}. Check the paths in "
+                "DASK_DISTRIBUTED__COMM__TLS__...; `palpate certs` makes certificates."
+            ) from error
+        if context is None:
+            raise ClusterError(
+                f"{address} is encrypted and needs certificates. Set the variables that `palpate "
+                "certs` printed for this cluster, then run the same command again."
+            )
+    elif required:
+        raise ClusterError(
+            f"{address} is not encrypted, but DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION asks for "
+            "it. Give a tls:// address, or unset that variable."
+        )
+
+
+@contextmanager
+def _unlogged(name: str) -> Iterator[None]:
+    """Keep a library's own account of an error that is explained to the user."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+@contextmanager
+def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
+    count = workers.least if isinstance(workers, WorkerRange) else workers or usable_cores()
+    check_main_guard()
+    os.environ.update(WORKER_ENVIRONMENT)  # inherited by the workers, before they load NumPy
+    with ExitStack() as stack:
+        scratch = stack.enter_context(
+            tempfile.TemporaryDirectory(prefix="palpate-dask-", ignore_cleanup_errors=True)
+        )
+        config = CONFIG | {"distributed.scheduler.allowed-failures": allowed_failures}
+        stack.enter_context(dask.config.set(config))
+        with unheard_interrupts(), warnings.catch_warnings():
+            # Somebody may take the port between our look and Dask's; Dask then takes another.
+            warnings.filterwarnings("ignore", message="\\s*Port .* is already in use")
+            cluster = stack.enter_context(
+                _SteadyCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=f"127.0.0.1:{free_port(DASHBOARD_PORT)}",
+                    local_directory=scratch,
+                    silence_logs="CRITICAL",
+                )
+            )
+        _require_workers(cluster)
+        stack.enter_context(_mended(cluster))
+        if isinstance(workers, WorkerRange):
+            follow_the_work(cluster, workers)
+        client = stack.enter_context(Client(cluster, set_as_default=False))
+        yield Cluster(client, cluster.dashboard_link or "", local=True)
+
+
+def _require_workers(cluster: _SteadyCluster) -> None:
+    """Start workers again where none has come up; `_mended` replaces those that are missing.
+
+    Raises
+    ------
+    ClusterError
+        If none starts.
+    """
+    for _ in range(START_ATTEMPTS - 1):
+        if cluster.has_workers:
+            return
+        cluster.start_again()
+    if not cluster.has_workers:
+        raise ClusterError(
+            f"No worker process has started in {START_ATTEMPTS} attempts: {cluster.failure}. "
+            f"{_start_advice()}"
+        )
+
+
+def _start_advice() -> str:
+    """Return what to do about workers that do not start."""
+    if lacks_guard():
+        return (
+            "Each worker imports the script that is running, which has no main guard: put the "
+            'code that runs into a function, below the line `if __name__ == "__main__":`.'
+        )
+    return (
+        "Look at the messages of the workers above. If there are none, free some memory or start "
+        "fewer workers, then run the same command again."
+    )
+
+
+@contextmanager
+def _mended(cluster: _SteadyCluster) -> Iterator[None]:
+    """Replace workers that Dask has given up, for instance for want of memory at a restart."""
+    mending = PeriodicCallback(cluster.mend, 1000 * MEND_EVERY_S)
+    cluster.loop.add_callback(mending.start)
+    try:
+        yield
+    finally:
+        cluster.loop.add_callback(mending.stop)
+
+
+def usable_cores() -> int:
+    """Count the cores this process may use: in a container or a batch job, not all."""
+    return int(dask.system.CPU_COUNT)
+
+
+def free_port(preferred: int) -> int:
+    """Return `preferred` if nobody listens on that port, else 0: the system's choice."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", preferred))
+        except OSError:
+            return 0
+    return preferred

@@ -1,0 +1,103 @@
+"""`palpate mammogram` takes mammograms of the body of a study."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from palpate.service.commands.common import (
+    JsonOption,
+    StoreOption,
+    StudyArgument,
+    find_study,
+    print_json,
+)
+
+if TYPE_CHECKING:
+    from palpate.workers.tasks.mammogram import TakenView
+
+
+def mammogram(
+    study: StudyArgument = None,
+    view: Annotated[
+        list[str] | None,
+        typer.Option(help="View: CC or MLO. Repeatable. Default: both.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder to write to. Default: mammograms in the study's folder.",
+            show_default=False,
+        ),
+    ] = None,
+    pixel_mm: Annotated[float, typer.Option(help="Detector pixel size in mm.")] = 0.2,
+    noise: Annotated[
+        bool, typer.Option("--noise/--no-noise", help="Add quantum and electronic noise.")
+    ] = True,
+    store: StoreOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate CC and MLO mammograms of a study's fitted body.
+
+    The images are written as DICOM and PNG. The body is compressed with the fitted constants, by
+    the study's own force or plates, rotated by 45 degrees for MLO. If the target's constants are
+    known, the target is imaged too, together with the signed difference.
+    """
+    from palpate.service.results.read import study_results
+    from palpate.storage.errors import InputError
+    from palpate.workers.tasks.mammogram import OBLIQUE_DEG, take_view
+
+    folder = find_study(study)
+    results = study_results(folder)
+    views: list[Any] = [v.upper() for v in view or OBLIQUE_DEG]
+    unknown = [v for v in views if v not in OBLIQUE_DEG]
+    if unknown:
+        raise InputError(f"--view {unknown[0]}: a view is CC or MLO.")
+    if results.best is None:
+        raise InputError(f"The study {folder} has no candidate with a score yet: let it run.")
+    spec = results.spec
+    target = spec.target.constants
+    from palpate.service.commands.settings import store_place
+
+    place = store_place(store or results.store)
+    home = out or folder / "mammograms"
+    written = []
+    for each in views:
+        taken = take_view(
+            spec.case.model_dump(mode="json"),
+            spec.constants_of(results.best.genes),
+            None if target is None else spec.case.parameters.from_door(target),
+            each,
+            str(place),
+            pixel_mm=pixel_mm,
+            noise_seed=0 if noise else None,
+        )
+        written += _write(taken, home, results.name)
+    if as_json:
+        print_json({"study": results.name, "views": views, "files": [str(f) for f in written]})
+        return
+    for file in written:
+        typer.echo(str(file))
+
+
+def _write(taken: "TakenView", folder: Path, name: str) -> list[Path]:
+    from palpate.service.thesis.write import png_bytes
+    from palpate.storage.backends.atomic import explained, write_file
+    from palpate.workers.comparison.mammogram.dicom_image import dicom_bytes, mammogram_dataset
+    from palpate.workers.comparison.mammogram.picture import difference_picture, grey_picture
+
+    with explained(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    contents: dict[str, bytes] = {}
+    for who, one in (("fitted", taken.fitted), ("target", taken.target)):
+        if one is not None:
+            contents[f"{who}.png"] = png_bytes(grey_picture(one))
+            dataset = mammogram_dataset(one, taken.view, body_name=f"{name[:50]}^{who}")
+            contents[f"{who}.dcm"] = dicom_bytes(dataset)
+    if taken.target is not None:
+        contents["difference.png"] = png_bytes(difference_picture(taken.fitted, taken.target))
+    files = []
+    for ending, content in contents.items():
+        files.append(folder / f"{taken.view}-{ending}")
+        write_file(files[-1], content)
+    return files

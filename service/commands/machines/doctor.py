@@ -1,0 +1,71 @@
+"""`palpate doctor` says whether everything is ready."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from palpate.service.commands.common import JsonOption, StoreOption, print_json
+from palpate.service.commands.settings import cluster_options, store_place
+
+if TYPE_CHECKING:
+    from palpate.service.cluster.doctor import Examination, StoreFacts
+
+
+def doctor(
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Check the Dask cluster at this address, such as tcp://HOST:8786. "
+            "Default: $PALPATE_SCHEDULER.",
+            show_default=False,
+        ),
+    ] = None,
+    store: StoreOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check that everything is ready for a run.
+
+    Checks versions, workers, store and kernels. The exit code is 2 if there is a problem.
+    """
+    from palpate.service.cluster.doctor import examine
+    from palpate.service.cluster.open import open_cluster
+
+    scheduler, _ = cluster_options(scheduler, None)
+    place = str(store_place(store))
+    with open_cluster(scheduler, None if scheduler else 1) as cluster:
+        examination = examine(cluster, place)
+    if as_json:
+        print_json(examination.as_dict())
+    else:
+        _print(examination)
+    if examination.problems:
+        raise typer.Exit(2)
+
+
+def _store_words(facts: "StoreFacts") -> str:
+    tried = "written, read and listed"
+    if facts["free_bytes"] is not None:
+        return f"{facts['root']}, {tried}, {facts['free_bytes'] / 1024**3:.0f} GiB free"
+    honoured = "honoured" if facts["takes_once"] else "IGNORED by the server"
+    return f"{facts['root']}, {tried}; conditional put (If-None-Match) {honoured}"
+
+
+def _print(examination: "Examination") -> None:
+    for role, facts in examination.processes.items():
+        memory = facts["memory_bytes"] / 1024**3
+        typer.echo(
+            f"{role}: palpate {facts['versions']['palpate']} ({facts['code']}) on "
+            f"{facts['host']}, Python {facts['versions']['python']}, {facts['cores']} cores, "
+            f"{memory:.1f} GiB"
+        )
+        if role == "client":
+            for name, folder in facts["packages"].items():
+                typer.echo(f"  {name:<10}{folder}")
+    if examination.store is not None:
+        typer.echo(f"store: {_store_words(examination.store)}")
+    if examination.dashboard:
+        typer.echo(f"dashboard: {examination.dashboard}")
+    for problem in examination.problems:
+        typer.echo(f"problem: {problem}", err=True)
+    typer.echo("not ready" if examination.problems else "all is well")

@@ -1,0 +1,57 @@
+"""`palpate token` makes and removes the tokens of a service."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from palpate.service.commands.common import JsonOption, print_json
+from palpate.service.commands.settings import RUNS
+
+if TYPE_CHECKING:
+    from palpate.service.server.jobs.tokens import Tokens
+
+app = typer.Typer(no_args_is_help=True, help="Manage the access tokens of a service.")
+
+HomeOption = Annotated[Path, typer.Option("--home", help="Folder of the service.")]
+NameArgument = Annotated[str, typer.Argument(help="Name of the token's owner.")]
+
+
+@app.command("new")
+def new(name: NameArgument, home: HomeOption = RUNS, as_json: JsonOption = False) -> None:
+    """Create a token and show it once.
+
+    A running service accepts it immediately.
+    """
+    token = _tokens(home, make=True).new(name)
+    if as_json:
+        print_json({"name": name, "token": token})
+    else:
+        typer.echo(token)
+
+
+@app.command("list")
+def list_(home: HomeOption = RUNS, as_json: JsonOption = False) -> None:
+    """List the names of all tokens."""
+    names = _tokens(home).names
+    if as_json:
+        print_json({"tokens": names})
+    else:
+        typer.echo("\n".join(names) or "There are no tokens.")
+
+
+@app.command("remove")
+def remove(name: NameArgument, home: HomeOption = RUNS) -> None:
+    """Revoke a token, effective immediately."""
+    _tokens(home).remove(name)
+
+
+def _tokens(home: Path, *, make: bool = False) -> "Tokens":
+    from palpate.service.server.jobs.home import ServiceHome
+    from palpate.service.server.jobs.tokens import Tokens
+
+    root = home.expanduser().absolute()
+    service = ServiceHome(root, root / "store")
+    if make:
+        service.make()
+    return Tokens(service.tokens)

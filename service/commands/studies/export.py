@@ -1,0 +1,115 @@
+"""`palpate export` writes a deformed body for other programs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from palpate.service.commands.common import (
+    JsonOption,
+    StoreOption,
+    constants_option,
+    load_spec,
+    print_json,
+)
+from palpate.service.commands.settings import store_place
+from palpate.storage.errors import InputError
+
+if TYPE_CHECKING:
+    from palpate.service.export.solved_body import SolvedBody
+    from palpate.service.study.spec import StudySpec
+
+
+def export(
+    study: Annotated[Path, typer.Argument(help="Study file or study folder.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Files to write: .vtu .vtk .msh (mesh with stress and strain), .stl (surface), "
+            ".nrrd (labels), .inp (CalculiX, Abaqus), .feb (FEBio)."
+        ),
+    ],
+    candidate: Annotated[
+        str | None,
+        typer.Option(help="Candidate number, or best. Default: the case's own constants."),
+    ] = None,
+    constants: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="Set a constant, such as E_fat_kpa=12. Repeatable."
+        ),
+    ] = None,
+    comparable: Annotated[
+        bool,
+        typer.Option(
+            "--comparable",
+            help="In every file, show the solution of the simplified model that other solvers can "
+            "represent: textbook elements, and no features that they lack.",
+        ),
+    ] = False,
+    store: StoreOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Export a deformed body to ParaView, CAD or another solver.
+
+    The body is simulated once more. An .inp or .feb file holds the whole model, with the plates
+    replaced by the displacements of the nodes they touch; its first lines list what was left out.
+    Its solution in the other solver can be compared node by node with a .vtu file written with
+    --comparable.
+    """
+    from palpate.service.export.suffixes import SOLVED_SUFFIXES, check_suffix
+
+    for path in files:
+        check_suffix(path, SOLVED_SUFFIXES, "")
+    spec = load_spec(study)
+    stated, whose = _constants(study, spec, candidate, constants or [])
+
+    from palpate.service.export.formats import export_solved
+    from palpate.service.export.solved_body import solve_body
+    from palpate.workers.tasks.study_checks import check_case
+
+    check_case(spec.case)
+    case = spec.case.model_dump(mode="json")
+    target = spec.target.model_dump(mode="json")
+    where = str(store_place(store))
+    body = solve_body(case, stated, where, f"{spec.name}, {whose}", target)
+    shown = export_solved(files, body, as_told=comparable)
+    record = _record(shown, whose, files)
+    if as_json:
+        print_json(record)
+        return
+    typer.echo(f"{spec.name}, {whose}: {record['nodes']} nodes, {record['tets']} tetrahedra")
+    for path in files:
+        typer.echo(f"  {path}")
+
+
+def _constants(
+    study: Path, spec: "StudySpec", candidate: str | None, given: list[str]
+) -> tuple[dict[str, float], str]:
+    """Return constants by their inside names, and whose they are in words."""
+    if candidate is None:
+        return constants_option(
+            spec, given
+        ), "the constants given" if given else "its own constants"
+    if given:
+        raise InputError("--candidate and --set exclude each other: a candidate has its constants.")
+    if not study.is_dir():
+        raise InputError(f"{study} is a study file: --candidate needs the folder of a study.")
+    if candidate != "best" and not candidate.isdecimal():
+        raise InputError(f"--candidate {candidate}: expected a number, or best.")
+    from palpate.service.results.read import candidate_results
+
+    found = candidate_results(study, None if candidate == "best" else int(candidate))
+    return spec.constants_of(found.genes), f"candidate {found.candidate}"
+
+
+def _record(body: "SolvedBody", whose: str, files: list[Path]) -> dict[str, Any]:
+    model = body.level.model
+    return {
+        "title": body.title,
+        "whose": whose,
+        "files": [str(path) for path in files],
+        "nodes": len(model.nodes),
+        "tets": len(model.elements.tets),
+        "outcome": body.solved.solution.outcome.as_dict(),
+    }

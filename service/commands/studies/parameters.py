@@ -1,0 +1,79 @@
+"""`palpate parameters` lists what a study file may hold or search."""
+
+from typing import Annotated, Any
+
+import typer
+
+from palpate.service.commands.common import JsonOption, print_json
+
+HEADINGS = ("name", "known interval", "neutral", "description")
+
+
+def parameters(
+    organ: Annotated[str, typer.Option(help="Organ: breast or cornea.")] = "breast",
+    effects: Annotated[
+        bool, typer.Option("--effects", help="List only effects, and explain each.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """List an organ's constants and effects for study files."""
+    from palpate.workers.organs.registry import organ_named
+
+    about = organ_named(organ)
+    of_effects = {name for e in about.effects for name in e.names}
+    named = [p for p in about.parameters if p.name not in of_effects]
+    constants = [] if effects else [_parameter(p) for p in named]
+    causes: list[dict[str, Any]] = [
+        {
+            "effect": e.name,
+            "family": e.family,
+            "summary": e.summary,
+            "in_studies": e.observation is None,
+            "parameters": [_parameter(p) for p in e.parameters],
+            "references": list(e.references),
+        }
+        for e in about.effects
+    ]
+    missing = [{"effect": name, "why": why} for name, why in about.not_simulated]
+    if as_json:
+        print_json({"constants": constants, "effects": causes, "not_simulated": missing})
+        return
+    from palpate.service.commands.tables import echo_table
+
+    if constants:
+        typer.echo("Constants, under case.constants or search.parameters:")
+        echo_table(HEADINGS, [_row(p) for p in constants])
+        typer.echo()
+    typer.echo("Effects, neutral unless stated:")
+    rows = [
+        _row(p, cause["effect"], "" if cause["in_studies"] else ", diagnosis only")
+        for cause in causes
+        for p in cause["parameters"]
+    ]
+    echo_table((*HEADINGS[:-1], "effect", HEADINGS[-1]), rows)
+    if effects:
+        typer.echo()
+        echo_table(
+            ("effect", "family", "meaning"),
+            [(c["effect"], c["family"], c["summary"]) for c in causes],
+        )
+    typer.echo("Not simulated: " + ", ".join(m["effect"] for m in missing))
+
+
+def _parameter(p: Any) -> dict[str, Any]:
+    low, high = (p.unit.to_door(value) for value in p.bounds)
+    return {
+        "name": p.door_name,
+        "unit": p.unit.symbol,
+        "lower": low,
+        "upper": high,
+        "neutral": None if p.neutral is None else p.unit.to_door(p.neutral),
+        "description": p.description,
+    }
+
+
+def _row(p: dict[str, Any], effect: str = "", remark: str = "") -> tuple[str, ...]:
+    neutral = "follows" if p["neutral"] is None else f"{p['neutral']:g} {p['unit']}".rstrip()
+    interval = f"{p['lower']:.4g} to {p['upper']:.4g} {p['unit']}".rstrip()
+    cells = (p["name"], interval, neutral)
+    return (*cells, *([effect] if effect else []), p["description"] + remark)

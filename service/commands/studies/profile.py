@@ -1,0 +1,75 @@
+"""`palpate profile` holds one constant at several values and fits the others again."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from palpate.service.commands.common import (
+    JsonOption,
+    SchedulerOption,
+    WorkersOption,
+    find_study,
+    print_json,
+)
+from palpate.service.commands.interrupts import interruptible
+from palpate.service.commands.settings import cluster_options
+from palpate.service.formatting import number
+
+if TYPE_CHECKING:
+    from palpate.service.results.profile import Profile
+
+
+def profile(
+    study: Annotated[Path, typer.Argument(help="Study folder, file or name.")],
+    name: Annotated[str, typer.Argument(help="Searched constant to hold, such as eta_glandular.")],
+    points: Annotated[int, typer.Option(min=3, max=101, help="Number of values to try.")] = 9,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show how well the image is fitted as one constant varies.
+
+    The constant is held at several values, and the others are refitted at each. Press Ctrl-C to
+    stop at any time; the same command continues from the evaluations in the store.
+    """
+    from dataclasses import asdict
+
+    with interruptible():  # before the imports, which take a while
+        from palpate.service.results.profile import profile_of
+        from palpate.service.study.log import read_study
+        from palpate.service.study.requests import Tasks
+        from palpate.service.study.session import session
+        from palpate.service.study.spec import StudySpec
+        from palpate.workers.spec import validated
+
+        scheduler, processes = cluster_options(scheduler, workers)
+        folder = find_study(study)
+        record, log = read_study(folder)
+        spec = validated(StudySpec, record.spec, f"The study in {folder}")
+        with session(scheduler, processes) as opened:
+            found = profile_of(spec, log, Tasks(), opened.dispatcher, name, points)
+    if as_json:
+        print_json(asdict(found))
+    else:
+        _print(found)
+
+
+def _print(found: "Profile") -> None:
+    from palpate.service.commands.tables import make_console, print_table
+
+    console = make_console()
+    others = [gene for gene in found.points[0].genes if gene != found.gene]
+    rows = [
+        (
+            number(p.value),
+            "failed" if p.rise is None else f"{p.rise:.2f}",
+            "-" if p.gsf is None else f"{p.gsf:.3f}",
+            *(number(p.genes[gene]) for gene in others),
+        )
+        for p in found.points
+    ]
+    headings = (found.gene, "rise", "GSF", *others)
+    print_table(console, headings, rows, right=tuple(range(len(headings))))
+    ends = ["beyond" if v is None else number(v) for v in (found.lower, found.upper)]
+    console.print(f"90 % interval of {found.gene} (rise below 2.71): {ends[0]} to {ends[1]}")

@@ -1,0 +1,157 @@
+"""`palpate report` prints what a study has found, and writes its page."""
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from palpate.service.commands.common import JsonOption, StudyArgument, find_study, print_json
+from palpate.service.formatting import number, share
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from palpate.service.results.quotability import DerivedEstimate
+    from palpate.service.results.ratios import RatioEstimate
+    from palpate.service.results.record import ParameterEstimate, StudyResults
+
+ONLY_RATIOS = (
+    "Only ratios of the stiffnesses were found: the plates are at a known distance, and no force "
+    "or stiffness is stated. The values below have an arbitrary scale."
+)
+
+
+def report(study: StudyArgument = None, as_json: JsonOption = False) -> None:
+    """Print a study's results and write report.html to its folder."""
+    from palpate.service.results.as_json import study_json
+    from palpate.service.results.read import study_results
+
+    folder = find_study(study)
+    results = study_results(folder)
+    if as_json:
+        print_json(study_json(results))
+        return
+    from palpate.service.commands.tables import make_console
+    from palpate.service.report.study.page import write_report
+
+    print_report(results, make_console())
+    typer.echo(f"page: {write_report(folder)}")
+
+
+def print_report(results: "StudyResults", console: "Console") -> None:
+    """Print estimates, scores and what was spent on a console."""
+    from palpate.service.commands.studies.status import counts_text, score_text
+    from palpate.service.commands.tables import print_table
+    from palpate.service.study.observers.progress import clock
+
+    for text in results.caveats:
+        console.print(text, soft_wrap=True)
+    if results.identifiable == "ratio":
+        console.print(ONLY_RATIOS)
+        _print_ratios(results, console)
+    headings, rows = _estimates(results)
+    right = tuple(range(1, len(headings)))
+    print_table(console, headings, rows, title=results.name, right=right)
+    for text in _how_well(results):
+        console.print(text)
+    if results.best is not None and results.best.score is not None:
+        console.print(f"candidate {results.best.candidate}: {score_text(results.best.score)}")
+    if results.best_note:
+        console.print(results.best_note, soft_wrap=True)
+    for label, score in results.best_scores.items():
+        before = results.undeformed_scores.get(label)
+        start = (
+            f" (undeformed: JC {before['jc']:.4f}, MHD {before['mhd_mm']:.4g} mm)" if before else ""
+        )
+        console.print(f"  {label}: {score_text(score)}{start}")
+    console.print(f"evaluations: {counts_text(results)}")
+    console.print(results.state + (f": {results.stop_reason}" if results.stop_reason else ""))
+    total_s = sum(time.total_s for time in results.stages.values())
+    stages = ", ".join(f"{name} {clock(time.total_s)}" for name, time in results.stages.items())
+    console.print(f"{clock(results.wall_s)} in all; workers {clock(total_s)}: {stages or 'none'}")
+
+
+def _print_ratios(results: "StudyResults", console: "Console") -> None:
+    from palpate.service.commands.tables import print_table
+    from palpate.service.results.quotability import ratio_answer
+
+    rows, reasons = [], []
+    for ratio in results.ratios:
+        interval, answer = ratio_answer(results, ratio)
+        estimate, *others = _numbers(ratio, "")
+        shown = "-" if interval is None else _between(*interval)
+        rows.append((ratio.name, estimate, shown, *others, "yes" if answer.quotable else "no"))
+        if answer.reasons:
+            reasons.append(f"Not quotable: {ratio.name}: {'; '.join(answer.reasons)}.")
+    headings = ("ratio", "estimate", "90 % interval", "target", "error", "quotable")
+    print_table(console, headings, rows, right=(1, 2, 3, 4, 5))
+    for text in reasons:
+        console.print(text)
+
+
+def _estimates(results: "StudyResults") -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return headings and rows; columns of which nothing is known are left out."""
+    known = results.identification
+    polished = any(e.before_polish is not None for e in results.estimates.values())
+    between = ("90 % interval",) * (known is not None) + ("before polish",) * polished
+    rows: list[tuple[str, ...]] = []
+    for name, e in results.estimates.items():
+        unit = f" {e.unit}".rstrip()
+        estimate, target, error = _numbers(e, unit)
+        more = []
+        if known is not None:
+            more.append("-" if e.interval is None else _between(*e.interval))
+        if polished:
+            more.append("-" if e.before_polish is None else f"{number(e.before_polish)}{unit}")
+        searched = f"{e.lower:g} to {e.upper:g}{unit}"
+        rows.append((name, estimate, *more, target, error, searched, _yes_no(e)))
+    return ("parameter", "estimate", *between, "target", "error", "searched", "quotable"), rows
+
+
+def _between(lower: float, upper: float) -> str:
+    from palpate.service.formatting import number
+
+    return f"{number(lower)} to {number(upper)}"
+
+
+def _yes_no(e: "ParameterEstimate") -> str:
+    return "yes" if e.quotable else "no"
+
+
+def _how_well(results: "StudyResults") -> list[str]:
+    """Return sentences on what may not be quoted, and on how well the image determines the rest."""
+    from palpate.service.results.error_budget import in_words
+    from palpate.service.results.quotability import derived_estimates
+
+    texts = [
+        f"Not quotable: {name}: {reason}."
+        for name, e in results.estimates.items()
+        if e.reasons
+        for reason in ["; ".join(e.reasons)]
+    ]
+    texts += [derived_text(one) for one in derived_estimates(results)]
+    known = results.identification
+    if known is None:
+        return texts
+    for name, constant in known.constants.items():
+        shares = in_words(constant.errors, constant.estimate)
+        if shares and results.estimates[name].interval is not None:
+            texts.append(f"Standard deviation of {name} by source: {shares}.")
+    if known.directions:
+        texts.append(f"Least known: {known.directions[-1].words}.")
+    return texts
+
+
+def derived_text(one: "DerivedEstimate") -> str:
+    """Return a derived value with its interval, and whether it may be quoted."""
+    interval = "" if one.interval is None else f" ({_between(*one.interval)}, 90 %)"
+    return f"{one.name}: {one.value:.4g} {one.unit}{interval}. {one.answer.sentence}."
+
+
+def _numbers(e: "ParameterEstimate | RatioEstimate", unit: str) -> tuple[str, str, str]:
+    """Return estimate, target and error as texts."""
+    error = e.relative_error
+    return (
+        "-" if e.estimate is None else f"{number(e.estimate)}{unit}",
+        "-" if e.target is None else f"{number(e.target)}{unit}",
+        "-" if error is None else share(error),
+    )

@@ -1,0 +1,103 @@
+"""`palpate simulate` computes one compression, outside of any search."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from palpate.service.commands.common import (
+    AllOption,
+    AnywayOption,
+    JsonOption,
+    StoreOption,
+    constants_option,
+    load_spec,
+    print_findings,
+    print_json,
+)
+from palpate.service.commands.settings import store_place
+
+if TYPE_CHECKING:
+    from palpate.service.quantities import Quantity
+    from palpate.storage.records.tasks import EvaluationResult
+
+
+def simulate(
+    study: Annotated[Path, typer.Argument(help="Study file or study folder.")],
+    constants: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="Set a constant, such as E_fat_kpa=12. Repeatable."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="File for the deformed mesh (.vtu, .vtk, .msh), volume (.nrrd) or surface (.stl), "
+            "or for the whole model (.inp, .feb); see `palpate export`."
+        ),
+    ] = None,
+    everything: AllOption = False,
+    anyway: AnywayOption = False,
+    store: StoreOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compress the body of a study once.
+
+    Constants that are not set keep the values of the case. Only constants that are stated or differ
+    from their neutral values are printed.
+    """
+    from palpate.service.export.suffixes import SOLVED_SUFFIXES, VOLUME_SUFFIXES, check_suffix
+    from palpate.service.quantities import not_neutral, quantities_inside, quantities_json
+    from palpate.storage.stores.store import open_store
+    from palpate.workers.organs.registry import organ_named
+    from palpate.workers.organs.study_checks import caveats_of
+    from palpate.workers.tasks.evaluation import simulate_once
+    from palpate.workers.tasks.study_checks import check_case
+
+    check_suffix(out, SOLVED_SUFFIXES)
+    spec = load_spec(study)
+    place = store_place(store)
+    findings = check_case(spec.case, str(place), anyway=anyway)
+    print_findings(findings)
+    case = spec.case.model_dump(mode="json")
+    stated = constants_option(spec, constants or [])
+    opened = open_store(place)
+    result = simulate_once(case, stated, str(opened))
+    volume = result.get("volume")
+    if out is not None and volume is not None:
+        if out.suffix.lower() in VOLUME_SUFFIXES:
+            from palpate.service.export.stored import TISSUE_NAMES, export_volume
+            from palpate.storage.stores.volumes import load_volume
+
+            export_volume(out, load_volume(opened, volume), TISSUE_NAMES)
+        else:
+            from palpate.service.export.formats import export_solved
+            from palpate.service.export.solved_body import solve_body
+
+            export_solved([out], solve_body(case, stated, str(opened), spec.name))
+    vocabulary = organ_named(spec.case.organ).parameters
+    held = spec.case.parameters.from_door(spec.case.constants)
+    kept = not_neutral(vocabulary, result["constants"], {*held, *stated})
+    shown = quantities_inside(vocabulary, result["constants"] if everything else kept)
+    if as_json:
+        caveats = {"caveats": list(caveats_of(findings))}
+        print_json(caveats | result | {"constants": quantities_json(shown)})
+    else:
+        _print(result, shown, len(result["constants"]) - len(shown))
+
+
+def _print(result: "EvaluationResult", constants: "dict[str, Quantity]", neutral: int) -> None:
+    from palpate.service.commands.tables import echo_table
+    from palpate.service.quantities import named_quantity
+
+    typer.echo(result["status"] + (f": {result['reason']}" if result["reason"] else ""))
+    typer.echo("constants")
+    echo_table(None, [(f"  {name}", str(quantity)) for name, quantity in constants.items()])
+    if neutral:
+        typer.echo(f"  {neutral} more at their neutral values: --all shows them")
+    outcome = [named_quantity(name, value) for name, value in result["outcome"].items()]
+    typer.echo("outcome")
+    echo_table(None, [(f"  {name}", text) for name, text in outcome if text])
+    typer.echo("time")
+    echo_table(None, [(f"  {name}", f"{s:.3g} s") for name, s in result["seconds"].items()])

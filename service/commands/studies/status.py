@@ -1,0 +1,117 @@
+"""`palpate status` says how far a study is, and what failed."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from palpate.service.commands.common import JsonOption, StudyArgument, find_study, print_json
+from palpate.service.formatting import number
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from palpate.service.results.record import StudyResults
+    from palpate.storage.records.tasks import Scores
+
+
+def status(
+    study: StudyArgument = None,
+    failures: Annotated[int, typer.Option(help="Number of most recent failures to list.")] = 10,
+    as_json: JsonOption = False,
+) -> None:
+    """Show a study's progress, even while it is running."""
+    from palpate.service.results.as_json import study_json
+    from palpate.service.results.read import study_results
+
+    results = study_results(find_study(study))
+    if as_json:
+        print_json(study_json(results))
+        return
+    from palpate.service.commands.tables import make_console, print_table
+
+    console = make_console()
+    print_table(console, None, _rows(results), title=f"{results.name} ({results.folder})")
+    _print_failures(console, results, failures)
+
+
+def _rows(results: "StudyResults") -> list[tuple[str, str]]:
+    from palpate.service.quantities import quantities_at_door
+    from palpate.service.study.observers.progress import clock
+
+    state = results.state + (f": {results.stop_reason}" if results.stop_reason else "")
+    rows = [
+        ("state", state),
+        ("generations", _generations_text(results)),
+        ("evaluations", counts_text(results)),
+    ]
+    if results.best is not None and results.best.score is not None:
+        candidate, score = results.best.candidate, results.best.score
+        rows.append(("best", f"candidate {candidate}: {score_text(score)}"))
+        genes = quantities_at_door(results.spec.case.parameters, results.best.genes)
+        if results.best_note:
+            rows.append(("", results.best_note))
+        texts = (f"{name} {number(q.value)} {q.unit}".rstrip() for name, q in genes.items())
+        rows.append(("", ", ".join(texts)))
+    runs = "1 run" if results.sessions == 1 else f"{results.sessions} runs"
+    time = f"{clock(results.wall_s)} in {runs}"
+    rows.append(("time", time if results.sessions else "body and target are being prepared"))
+    if results.unverified_records:
+        rows.append(("records", unverified_text(results.unverified_records)))
+    return rows
+
+
+def unverified_text(records: int) -> str:
+    """Return how many records of a journal carry no checksum, and why."""
+    return f"{records} without a checksum, written by an earlier version: they cannot be verified"
+
+
+def _generations_text(results: "StudyResults") -> str:
+    from palpate.service.study.count import generations_text
+
+    complete = len(results.complete_generations)
+    text = generations_text(complete, results.spec.most_generations)
+    last = results.generations[-1] if results.generations else None
+    if last is not None and last.scores is None:
+        text += f"; {last.ended} of {last.evaluations} candidates of the next"
+    return text
+
+
+def counts_text(results: "StudyResults") -> str:
+    """Write how many evaluations ended in which way, and how many the store had already."""
+    from dataclasses import asdict
+
+    from palpate.service.study.count import evaluations_text
+
+    counts = asdict(results.counts)
+    text = evaluations_text(counts, results.spec.most_evaluations)
+    return f"{text}, {counts['reused']:,} from the store" if counts["reused"] else text
+
+
+def score_text(score: "Scores") -> str:
+    """Write a score for a reader."""
+    return f"GSF {score['gsf']:.5g}, JC {score['jc']:.4f}, MHD {score['mhd_mm']:.4g} mm"
+
+
+def _print_failures(console: "Console", results: "StudyResults", most: int) -> None:
+    from shlex import join
+
+    from palpate.service.commands.tables import print_table
+
+    failures = results.failures
+    if not failures or most <= 0:
+        return
+    rows = [
+        (
+            str(record.candidate),
+            str(record.generation + 1),
+            str(record.status),
+            record.reason.splitlines()[0],
+        )
+        for record in failures[-most:]
+    ]
+    console.print("failures")
+    print_table(console, ("candidate", "generation", "status", "reason"), rows, right=(0, 1))
+    if len(failures) > most:
+        console.print(f"the last {most} of {len(failures)}; see all with --failures")
+    show = join(["palpate", "show", str(failures[-1].candidate), str(results.folder)])
+    console.print(f"details: {show}")

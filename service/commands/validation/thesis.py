@@ -1,0 +1,147 @@
+"""`palpate thesis` runs the experiments of the thesis and binds them as a book."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from palpate.service.commands.common import (
+    JsonOption,
+    SchedulerOption,
+    StoreOption,
+    WorkersOption,
+    print_json,
+)
+from palpate.service.commands.interrupts import interruptible
+from palpate.service.commands.settings import RUNS, cluster_options, store_place
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from palpate.service.cluster.worker_range import Workers
+    from palpate.service.thesis.results import ThesisResults
+    from palpate.service.thesis.run import ThesisRequest
+
+EVERYTHING = ("all", "book")
+
+
+def thesis(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME",
+            help="Experiment: coefficients, mesh-quality, mammogram, search, sensitivity, or all.",
+        ),
+    ],
+    full: Annotated[
+        bool, typer.Option("--full", help="Run at the thesis' own scale; takes hours to days.")
+    ] = False,
+    sketch: Annotated[bool, typer.Option("--sketch", help="Run a coarse, quick preview.")] = False,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the page, its JSON, mammograms and studies.")
+    ] = RUNS / "thesis",
+    strategy: Annotated[
+        str | None,
+        typer.Option(
+            help="Search strategy, as search.strategy in a study; the thesis uses genetic. "
+            "Default: genetic+least-squares, with the genetic stage reported separately.",
+            show_default=False,
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only estimate the running time.")
+    ] = False,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    store: StoreOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the thesis' experiments and check its published values.
+
+    Runs at a reduced scale unless --full is given. Press Ctrl-C to stop at any time; the same
+    command continues and reuses results in the store.
+    """
+    scheduler, processes = cluster_options(scheduler, workers)
+    request = _request(name, full, sketch, out, strategy, store)
+    from palpate.service.cluster.open import usable_cores
+    from palpate.service.cluster.worker_range import most_workers
+    from palpate.service.thesis.estimate import estimate
+
+    about = estimate(request, most_workers(processes or usable_cores()))
+    typer.echo(f"thesis {name}, {request.scale} scale: {about.sentence}", err=True)
+    if dry_run:
+        return
+    if about.missing:
+        with interruptible():
+            _complete(request, processes, scheduler)
+    _show(request, name, as_json)
+
+
+def _request(
+    name: str,
+    full: bool,
+    sketch: bool,
+    out: Path,
+    strategy: str | None,
+    store: str | None,
+) -> "ThesisRequest":
+    from palpate.service.thesis.experiments import EXPERIMENTS
+    from palpate.service.thesis.run import ThesisRequest
+    from palpate.service.thesis.search import POLISHED
+    from palpate.storage.errors import InputError
+    from palpate.workers.thesis.scale import Scale
+
+    if name not in (*EXPERIMENTS, *EVERYTHING):
+        raise InputError(
+            f"There is no experiment {name}. Name one of {', '.join(EXPERIMENTS)}, or all."
+        )
+    if full and sketch:
+        raise InputError("--full and --sketch exclude each other: give one of them.")
+    scale: Scale = "full" if full else "sketch" if sketch else "reduced"
+    chosen = EXPERIMENTS if name in EVERYTHING else [e for e in EXPERIMENTS if e == name]
+    home = store_place(store)
+    folder = out.expanduser().absolute()
+    return ThesisRequest(chosen, scale, home, folder, strategy or POLISHED)
+
+
+def _complete(request: "ThesisRequest", workers: "Workers | None", scheduler: str | None) -> None:
+    """Run the missing parts to the end."""
+    from rich.console import Console
+
+    from palpate.service.study.session import session
+    from palpate.service.thesis.progress import ThesisProgress
+    from palpate.service.thesis.run import run_thesis
+
+    with (
+        session(scheduler, workers) as opened,
+        ThesisProgress(Console(stderr=True, highlight=False)) as progress,
+    ):
+        run_thesis(request, opened.dispatcher, progress)
+
+
+def _show(request: "ThesisRequest", name: str, as_json: bool) -> None:
+    from palpate.service.commands.tables import make_console
+    from palpate.service.thesis.results import thesis_results
+    from palpate.service.thesis.write import write_all
+    from palpate.storage.records.typed_json import to_json
+
+    results = thesis_results(request)
+    page = write_all(results, request, "book" if name in EVERYTHING else name)
+    if as_json:
+        print_json(to_json(results))
+        return
+    print_verdicts(results, make_console())
+    typer.echo(f"page: {page}")
+
+
+def print_verdicts(results: "ThesisResults", console: "Console") -> None:
+    """Print every number of the thesis that was run, beside ours."""
+    from palpate.service.commands.tables import print_table
+    from palpate.service.thesis.verdicts import verdicts
+
+    rows = [
+        (v.place, v.what, v.printed, v.found, v.word)
+        for v in verdicts(results)
+        if v.word not in ("not run", "cannot be")
+    ]
+    print_table(console, ("where", "what", "thesis", "palpate", "verdict"), rows, right=(2, 3))

@@ -1,0 +1,69 @@
+"""Tells the scheduler of a cluster how far a diagnosis is, for `service.cluster.dask_tab`."""
+
+import socket
+from pathlib import Path
+from typing import Any
+
+from distributed import Client
+
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.diagnosis.run import FinishedDiagnosis, Observer, Step, run
+from palpate.service.study.observers.dask_records import SchedulerEvents
+from palpate.workers.tasks.diagnosis_store import DiagnosisRequest
+
+
+class DiagnosisRecords:
+    """An observer of `service.diagnosis.run.run`; every step is sent as it is taken.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Connected to the scheduler.
+    place : Path
+        What is diagnosed, or the folder of the diagnosis; the tab shows the last part of it.
+    """
+
+    def __init__(self, client: Client, place: Path) -> None:
+        self._events = SchedulerEvents(client)
+        self._key = f"{socket.gethostname()}:{place.absolute()}"
+        self._send("started", name=place.name)
+
+    def __call__(self, step: Step) -> None:
+        """Say how far it is."""
+        self._send("step", phase=step.phase, done=step.done, of=step.of, task=step.task)
+
+    def finished(self, diagnosis: FinishedDiagnosis) -> None:
+        """Say how it has ended."""
+        self._send("stopped", reason=diagnosis.summary.verdict)
+
+    def _send(self, what: str, **more: Any) -> None:
+        self._events.add({"what": what, "diagnosis": self._key, **more})
+        self._events.send()
+
+
+def run_and_tell(
+    request: DiagnosisRequest, dispatcher: Dispatcher, place: Path, observe: Observer
+) -> FinishedDiagnosis:
+    """Diagnose as `service.diagnosis.run.run` does, and tell the scheduler of it.
+
+    Parameters
+    ----------
+    place : Path
+        See `DiagnosisRecords`.
+    observe : callable
+        Called with each step, too.
+
+    Raises
+    ------
+    PalpateError, Interrupted
+        As `run`.
+    """
+    records = DiagnosisRecords(dispatcher.client, place)
+
+    def observe_both(step: Step) -> None:
+        observe(step)
+        records(step)
+
+    diagnosis = run(request, dispatcher, observe_both)
+    records.finished(diagnosis)
+    return diagnosis

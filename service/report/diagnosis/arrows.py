@@ -1,0 +1,185 @@
+"""Arrows from where the points of a bench experiment are to where the models put them."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from palpate.service.diagnosis.words import length
+from palpate.service.report.drawing.panel import ABOVE_PX, BELOW_PX, LEFT_PX, Panel
+from palpate.service.report.drawing.pictures import Picture, chart
+from palpate.service.report.drawing.svg import Mark, Svg, legend
+from palpate.storage.stores.arrays import Arrays
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.problem.force_readings import FORCE
+
+# Below this width views stand one below the other.
+NARROW = 600.0
+HIGHEST_PX, APART_PX, RIGHT_PX = 340.0, 24.0, 8.0
+# Around the points, as a part of the longest side of the body, beyond the longest arrow.
+MARGIN = 0.03
+# The longest arrow, as a part of the longest side of the body.
+LONGEST = 0.12
+# Of fewer points a table says as much.
+LEAST_POINTS = 12
+# At most so many states are drawn, those that are farthest off, and so many of their points.
+STATES, POINTS = 6, 400
+HEAD_OF_ARROW_PX, HEAD_ANGLE = 4.5, 0.45
+
+
+@dataclass(frozen=True, eq=False)
+class Misfits:
+    """What models leave at the points of all states.
+
+    Parameters
+    ----------
+    points : ndarray, shape (k, 3)
+        At rest, in mm.
+    before, after : ndarray, shape (s, k, 3)
+        From where a point is to where the nominal model, and the one with the effect, put it;
+        `after` is None where no effect is accused.
+    """
+
+    points: FloatArray
+    before: FloatArray
+    after: FloatArray | None
+
+
+def misfits_of(maps: Arrays) -> Misfits:
+    """Return them from the maps of a diagnosis, whose rows are components of points."""
+    place = maps["interface"] != FORCE
+    axis, points = maps["interface"][place].astype(int), maps["points"][place]
+    first = np.ones(len(axis), bool)
+    first[1:] = (axis[1:] <= axis[:-1]) | (points[1:] != points[:-1]).any(axis=1)
+    point = np.cumsum(first) - 1
+
+    def at_points(rows: FloatArray) -> FloatArray:
+        """Return components as arrows; one that was not compared is 0."""
+        found = np.zeros((len(rows), int(first.sum()), 3))
+        found[:, point, axis] = rows[:, place]
+        return found
+
+    after = maps.get("after")
+    return Misfits(
+        points[first], at_points(maps["before"]), None if after is None else at_points(after)
+    )
+
+
+def arrow_pictures(
+    maps: Arrays, states: Sequence[str], accused: str, noise_mm: float
+) -> Iterator[Picture]:
+    """Yield a picture of each state, of no more than `STATES`: those that are farthest off.
+
+    Parameters
+    ----------
+    maps : dict of str to ndarray
+        See `service.diagnosis.run.FinishedDiagnosis`; of a bench experiment.
+    states : sequence of str
+    accused : str
+        Words for the effect that ``after`` has.
+    noise_mm : float
+        Of a component; arrows that are all shorter than it stay short.
+    """
+    misfits = misfits_of(maps)
+    if len(misfits.points) < LEAST_POINTS:
+        return
+    size = np.sqrt((misfits.before**2).sum(axis=2).mean(axis=1))
+    shown = sorted(np.argsort(-size)[:STATES].tolist())
+    times = enlarged(misfits, noise_mm)
+    for number in shown:
+        longest = float(np.linalg.norm(misfits.before[number], axis=1).max())
+        caption = (
+            f"{states[number]}: from where each point is to where the model puts it, drawn "
+            f"{times:g} times as long. With the nominal model that is {length(longest)} mm at "
+            f"most; noise is {length(noise_mm)} mm."
+        )
+        yield chart(partial(_state, misfits, number, times, accused), caption, caption)
+
+
+def enlarged(misfits: Misfits, noise_mm: float) -> float:
+    """Return how many times arrows are enlarged: 1, 2 or 5 times a power of ten."""
+    extent = float(np.ptp(misfits.points, axis=0).max())
+    both = [misfits.before] if misfits.after is None else [misfits.before, misfits.after]
+    longest = max(noise_mm, *(float(np.linalg.norm(one, axis=2).max()) for one in both))
+    if not longest > 0 or not extent > 0:
+        return 1.0
+    most = LONGEST * extent / longest
+    power = 10.0 ** math.floor(math.log10(most))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= most)
+
+
+def _state(misfits: Misfits, number: int, times: float, accused: str, width: float) -> Svg:
+    """Draw one state, seen along each of the two shortest sides of the body."""
+    longest, middle, shortest = np.argsort(-np.ptp(misfits.points, axis=0), kind="stable").tolist()
+    views = ((longest, middle), (longest, shortest))
+    svg = Svg(width, 0.0)
+    marks: list[tuple[Mark, str, str]] = [("line", "left-before", "nominal model")]
+    if misfits.after is not None:
+        marks.append(("line", "left-after", f"with {accused}"))
+    top = legend(svg, marks, LEFT_PX, 12.0, width)
+    every = np.arange(0, len(misfits.points), -(-len(misfits.points) // POINTS))
+    for view, panel in zip(views, _panels(misfits.points, views, width, top), strict=True):
+        panel.axes(svg, *(f"{'xyz'[axis]}, mm" for axis in view))
+        points = misfits.points[np.ix_(every, view)]
+        places = [(panel.across.at(x), panel.up.at(y)) for x, y in points.tolist()]
+        svg.dots(places, "cloud", stroke_width=4)
+        for left, class_ in ((misfits.before, "left-before"), (misfits.after, "left-after")):
+            if left is not None:
+                _arrows(svg, panel, points, times * left[number][np.ix_(every, view)], class_)
+        svg.height = max(svg.height, panel.up.start + BELOW_PX)
+    return svg
+
+
+def _panels(
+    points: FloatArray, views: Sequence[tuple[int, int]], width: float, top: float
+) -> Iterator[Panel]:
+    """Yield where views of one scale lie: beside each other, or one below the other."""
+    beside = width > NARROW
+    frames = [_frame(points, view) for view in views]
+    room = (width - APART_PX) / 2 - LEFT_PX if beside else width - LEFT_PX - RIGHT_PX
+    per_mm = min(*(min(room / (f[1] - f[0]), HIGHEST_PX / (f[3] - f[2])) for f in frames))
+    x, y = LEFT_PX, top + ABOVE_PX
+    for frame in frames:
+        yield Panel(frame, x, y, per_mm)
+        if beside:
+            x += per_mm * (frame[1] - frame[0]) + APART_PX + LEFT_PX
+        else:
+            y += per_mm * (frame[3] - frame[2]) + BELOW_PX + ABOVE_PX
+
+
+def _frame(points: FloatArray, view: tuple[int, int]) -> tuple[float, float, float, float]:
+    """Return what a view shows, in mm, with room for arrows."""
+    extent = np.ptp(points, axis=0)
+    room = (LONGEST + MARGIN) * float(extent.max())
+    across, up = (points[:, axis] for axis in view)
+    return (
+        float(across.min() - room),
+        float(across.max() + room),
+        float(up.min() - room),
+        float(up.max() + room),
+    )
+
+
+def _arrows(svg: Svg, panel: Panel, points: FloatArray, moved: FloatArray, class_: str) -> None:
+    """Draw arrows from points, both (n, 2) in a view, as one path."""
+    path = []
+    for start, along in zip(points.tolist(), moved.tolist(), strict=True):
+        x, y = panel.across.at(start[0]), panel.up.at(start[1])
+        dx, dy = panel.per_mm * along[0], -panel.per_mm * along[1]
+        path.append(f"M{x:.1f} {y:.1f}l{dx:.1f} {dy:.1f}{_head(dx, dy)}")
+    svg.add("path", d="".join(path), class_=class_)
+
+
+def _head(dx: float, dy: float) -> str:
+    """Return the strokes of an arrow's head; none of one that is too short for it."""
+    if math.hypot(dx, dy) < HEAD_OF_ARROW_PX:
+        return ""
+    back = math.atan2(-dy, -dx)
+    ends = [
+        (HEAD_OF_ARROW_PX * math.cos(back + turn), HEAD_OF_ARROW_PX * math.sin(back + turn))
+        for turn in (HEAD_ANGLE, -HEAD_ANGLE)
+    ]
+    (ax, ay), (bx, by) = ends
+    return f"l{ax:.1f} {ay:.1f}m{-ax:.1f} {-ay:.1f}l{bx:.1f} {by:.1f}"

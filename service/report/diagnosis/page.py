@@ -1,0 +1,286 @@
+"""The page of a diagnosis: one file, which needs no other."""
+
+import json
+from collections.abc import Iterator
+
+from palpate.service.diagnosis.advice import undecided, worth
+from palpate.service.diagnosis.quotability import summary_json
+from palpate.service.diagnosis.run import FinishedDiagnosis
+from palpate.service.diagnosis.words import (
+    ADD_UP,
+    NOT_EFFECTS,
+    headline,
+    length,
+    likely,
+    listed,
+    millimetres,
+    noise,
+    spoken,
+    together,
+)
+from palpate.service.report.diagnosis import experiment as experiment
+from palpate.service.report.diagnosis import tables as tables
+from palpate.service.report.diagnosis import where as where
+from palpate.service.report.diagnosis.arrows import arrow_pictures
+from palpate.service.report.diagnosis.charts import (
+    Cause,
+    Evidence,
+    Judged,
+    evidence,
+    gaps,
+    probabilities,
+)
+from palpate.service.report.diagnosis.consequence import next_step, quotable
+from palpate.service.report.diagnosis.made import Origin
+from palpate.service.report.diagnosis.slices import overlay_legend
+from palpate.service.report.diagnosis.viewers import body_data, slice_data
+from palpate.service.report.drawing.pictures import Picture, chart
+from palpate.service.report.page.glossary import DIAGNOSIS
+from palpate.service.report.page.template import filled
+from palpate.service.report.study.provenance import diagnosis_provenance
+from palpate.service.versions import palpate_version, versions
+from palpate.storage.plain import to_plain
+from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.workers.mechanics.effects.breast_catalogue import NOT_SIMULATED
+
+# Causes in the chart besides those of the 90 % set.
+CAUSES = 8
+# A family is worth a sentence if it is more probable than not.
+LIKELY = 0.5
+
+
+def render(diagnosis: FinishedDiagnosis, origin: Origin | None = None) -> str:
+    """Return the page as text; an equal diagnosis gives the same bytes.
+
+    Parameters
+    ----------
+    diagnosis : FinishedDiagnosis
+    origin : Origin, optional
+        How it was made, where that is known.
+    """
+    values = context(diagnosis, origin or Origin())
+    return filled("diagnosis.html.j2", values | {"contents": _contents(values)})
+
+
+def _contents(values: dict[str, object]) -> list[tuple[str, str]]:
+    """Return the sections that the page has, by their names in it."""
+    marked = bool(values["markers"])
+    there = {
+        "markers": marked,
+        "hidden": bool(values["hidden"]),
+        "expected": marked and bool(values["expected"]),
+        "maps": not marked,
+        "cause-map": bool(values["cause_map"]),
+    }
+    sections = (
+        ("gap", "How large the gap is"),
+        ("causes", "What may be the cause"),
+        ("constants", "The constants"),
+        ("markers", "Where they differ"),
+        ("hidden", "What cannot be told apart"),
+        ("expected", "Other states"),
+        ("maps", "Where they differ"),
+        ("cause-map", "Where the cause may lie"),
+        ("effects", "Every effect"),
+        ("unlisted", "Not in the catalogue"),
+        ("provenance", "How this was made"),
+        ("glossary", "Glossary"),
+        ("details", "Details"),
+    )
+    return [(name, title) for name, title in sections if there.get(name, True)]
+
+
+def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
+    """Return all values of the template but the contents."""
+    summary, maps, scans = diagnosis.summary, diagnosis.maps, diagnosis.scans
+    accused = together(summary.primary) if summary.primary else ""
+    return {
+        "name": summary.case,
+        "caveats": summary.caveats or (),
+        "verdict": headline(summary),
+        "lead": _lead(summary),
+        "loaded": _loaded(summary),
+        "quote": quotable(summary),
+        "next_step": next_step(summary, origin.made.command),
+        "provenance": diagnosis_provenance(origin.made, versions()),
+        "glossary": DIAGNOSIS,
+        "body_data": None if summary.markers else body_data(maps, scans, accused, origin.loads),
+        "slice_data": slice_data(maps, scans, accused),
+        "tiles": _tiles(summary),
+        "warnings": list(_warnings(summary)),
+        "accused": accused,
+        "gap_picture": _gap_picture(summary, accused),
+        "evidence_picture": _evidence_picture(summary),
+        "about_evidence": _about_evidence(summary),
+        "cause_picture": _cause_picture(summary),
+        "about_causes": _about_causes(summary),
+        "constants": tables.constants(summary),
+        "effects": tables.effects(summary.effects, summary.absorbed),
+        "add_up": ADD_UP,
+        "advice": _advice(summary),
+        "further": [(o.name, worth(o)) for o in summary.next_acquisitions or ()],
+        "markers": experiment.markers(summary),
+        "arrows": list(arrow_pictures(maps, scans, accused, summary.gap_mm.noise_floor))
+        if summary.markers is not None
+        else [],
+        "states": experiment.states(summary),
+        "forces": experiment.forces(summary),
+        "hidden": experiment.hidden(summary),
+        "expected": experiment.expected(summary),
+        "expected_forces": experiment.expected_forces(summary),
+        "maps": []
+        if summary.markers is not None
+        else list(where.maps(maps, scans, accused, summary.surfaces)),
+        "averaged": where.on_surfaces(maps),
+        "sections": list(where.sections(maps, scans, accused)),
+        "section_legend": overlay_legend(),
+        "cause_map": where.cause_picture(maps, summary.cause_map, accused),
+        "overlap": tables.overlap(summary.overlap or ()),
+        "percentiles": any(region.p95_mm is not None for region in summary.where),
+        "regions": tables.regions(summary.where),
+        "not_simulated": NOT_SIMULATED if summary.not_simulated is None else summary.not_simulated,
+        "json": json.dumps(to_plain(summary_json(summary)), indent=2, ensure_ascii=False),
+        "closing": f"Made by Palpate {palpate_version()}.",
+    }
+
+
+def _loaded(summary: Summary) -> str:
+    return "scans" if summary.markers is None else "states"
+
+
+def _lead(summary: Summary) -> str:
+    noise = length(summary.gap_mm.noise_floor)
+    if summary.markers is not None:
+        points = len(summary.markers[0].points)
+        return (
+            f"Model and measurement were compared at {points} points in every loaded "
+            "state, after the constants had been fitted. The measurement alone makes one component "
+            f"err by {noise} mm; a gap is what differs beyond that. Intervals hold with 90 %."
+        )
+    return (
+        f"Model and scans were compared at {summary.points} points on {summary.compared}, "
+        f"in every loaded scan, after the constants had been fitted. {_left_out(summary)}The "
+        f"segmentation alone makes a point err by {noise} mm; a gap is what differs beyond "
+        "that. Intervals hold with 90 %."
+    )
+
+
+def _left_out(summary: Summary) -> str:
+    if not summary.left_out:
+        return ""
+    return (
+        f"Of {summary.points + summary.left_out}, {summary.left_out} were left out, because some "
+        "scan does not show them clearly: tissue that one drawing has and another has not, or "
+        "strands too thin. "
+    )
+
+
+def _advice(summary: Summary) -> str:
+    """Return what to do where the data do not decide."""
+    if not undecided(summary) or summary.markers is not None or summary.next_acquisitions:
+        return ""
+    return (
+        "These scans do not decide. “palpate plan”, given the same folder, says which further "
+        "measurement would tell the causes apart best: another load, another direction, or the "
+        "same scans segmented once more."
+    )
+
+
+def _tiles(summary: Summary) -> list[tuple[str, str, str]]:
+    gap = summary.gap_mm
+    tiles = [("Gap, nominal model", length(gap.before.gap_mm, gap.before.high_mm), "mm")]
+    if gap.after is not None:
+        tiles.append(("Gap with the effect", length(gap.after.gap_mm, gap.after.high_mm), "mm"))
+    if gap.held_out_after is not None and gap.held_out_before is not None:
+        held = gap.held_out_before, gap.held_out_after
+        change = " → ".join(length(one.gap_mm, one.high_mm) for one in held)
+        tiles.append(("On unseen scans", change, "mm"))
+    tiles.append(("Noise of a point", length(gap.noise_floor), "mm"))
+    tiles.append(
+        ("Evidence for a gap", f"{summary.alarm:.1f}", f"alarm at {summary.threshold:.1f}")
+    )
+    return tiles
+
+
+def _warnings(summary: Summary) -> Iterator[str]:
+    yield from summary.data_notes
+    if wrong := noise(summary):
+        yield wrong
+    loose = [r.effects for r in summary.refits if not r.converged]
+    if loose:
+        names = "; ".join(together(e) for e in loose)
+        yield f"The refit of {names} did not converge: its evidence is a lower bound."
+    if summary.gap_mm.not_judged:
+        yield (
+            f"What the effect leaves of {listed(summary.gap_mm.not_judged)} is not judged by a "
+            "fit to the other scans: they do not hold how large it is."
+        )
+    share = summary.gap_mm.held_out_share
+    if share is not None and share.low < 0:
+        yield (
+            "On scans that it was not fitted to, the effect may leave as large a gap as the "
+            "nominal model: take the cause for a lead, not for a finding."
+        )
+
+
+def _gap_picture(summary: Summary, accused: str) -> Picture:
+    gap = summary.gap_mm
+    rows = [Judged(f"all {_loaded(summary)}, whatever the cause", gap.before, gap.after)]
+    for name, held in (gap.held_out_each or {}).items():
+        rows.append(Judged(f"{name}, not fitted to it", held.before, held.after))
+    said = "; ".join(
+        f"{r.title}: {millimetres(r.before)} with the nominal model"
+        + (f", {millimetres(r.after)} with {accused}" if r.after is not None else "")
+        for r in rows
+    )
+    return chart(lambda w: gaps(rows, gap.noise_floor, accused, w), f"Gap. {said}.")
+
+
+def _evidence_picture(summary: Summary) -> Picture | None:
+    ranked = sorted(summary.refits, key=lambda r: -r.log_evidence_gain)
+    rows = [Evidence(together(r.effects), r.log_evidence_gain, r.field_gain) for r in ranked]
+    if not rows:
+        return None
+    said = "; ".join(f"{r.title}: {r.gain:.1f}" for r in rows)
+    return chart(lambda w: evidence(rows, summary.threshold, w), f"Log evidence gained. {said}.")
+
+
+def _about_evidence(summary: Summary) -> str:
+    alone = "Each refit frees the constants and the effect together and simulates anew."
+    share = summary.explained_share
+    if share is None or not summary.primary:
+        return alone
+    return (
+        f"{alone} Of what the best effect and a smooth misfit on top of it gain, the effect "
+        f"itself makes {100 * share:.0f} %."
+    )
+
+
+def _cause_picture(summary: Summary) -> Picture:
+    credible = set(summary.set90)
+    chance = {
+        "no-gap": summary.no_gap_probability,
+        "none-of-these": summary.none_of_these_probability,
+    } | {e.name: e.probability for e in summary.effects if e.name not in summary.absorbed}
+    ranked = sorted(chance, key=lambda name: (-chance[name], name))
+    shown = [n for n in ranked if n in credible] + [n for n in ranked if n not in credible]
+    rows = [Cause(spoken(n), chance[n], n in credible) for n in shown[: max(CAUSES, len(credible))]]
+    said = "; ".join(f"{row.title} {likely(row.probability)}" for row in rows)
+    return chart(lambda w: probabilities(rows, w), f"Probabilities. {said}.")
+
+
+def _about_causes(summary: Summary) -> str:
+    named = [name for name in summary.set90 if name not in NOT_EFFECTS]
+    if len(summary.primary) > 1 and summary.verdict == "effect":
+        held = f"{together(summary.primary)} together explain what no single effect does"
+    elif len(summary.set90) == 1:
+        held = f"{spoken(summary.set90[0])} alone holds 90 % of the probability"
+    else:
+        held = f"90 % of the probability is held by {together(summary.set90)}"
+    sentences = [f"{held[0].upper()}{held[1:]}."]
+    if len(named) > 1 and max(summary.families.values()) > LIKELY:
+        families = sorted(summary.families.items(), key=lambda item: -item[1])
+        sentences.append(
+            f"The most probable family is {families[0][0]} ({likely(families[0][1])})."
+        )
+    return " ".join(sentences)

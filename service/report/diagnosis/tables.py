@@ -1,0 +1,189 @@
+"""The rows of a diagnosis' tables, ready to print."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from palpate.service.diagnosis.quotability import judged_constants, unit_of
+from palpate.service.diagnosis.words import (
+    bayes_factor,
+    likely,
+    magnitude,
+    millimetres,
+    signed,
+    spoken,
+)
+from palpate.service.formatting import NONE, number, percent, signed_error, symbol
+from palpate.service.results.quotable import Bounds
+from palpate.workers.diagnosis.schema import summary as schema
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class ConstantRow:
+    """A constant before and after an effect is taken into account, with its 90 % interval."""
+
+    symbol: Markup
+    before: str
+    after: str
+    change: str
+    unit: str
+    interval: str
+    quotable: str
+
+
+@dataclass(frozen=True)
+class EffectRow:
+    """What is known of one effect; `hidden` if no data could show it, and then `why`."""
+
+    name: str
+    summary: str
+    family: str
+    probability: str
+    magnitudes: tuple[tuple[str, str], ...]
+    factor: str
+    absorbed: str
+    hidden: bool
+    why: str
+
+
+@dataclass(frozen=True)
+class RegionRow:
+    """The gap of one part of an interface in one scan."""
+
+    scan: str
+    interface: str
+    region: str
+    gap: str
+    mean: str
+    median: str
+    p95: str
+    points: str
+    significant: bool
+
+
+@dataclass(frozen=True)
+class OverlapRow:
+    """How one interface of a scan is matched; pairs are the nominal model and the effect."""
+
+    scan: str
+    interface: str
+    jc: Pair
+    reachable: str
+    mhd: Pair
+    gsf: Pair
+    median: Pair
+    p95: Pair
+    mean: Pair
+
+
+def constants(summary: schema.Summary) -> list[ConstantRow]:
+    """Return a row for each constant, of the nominal model and with the effect."""
+    judged = judged_constants(summary)
+    return [
+        ConstantRow(
+            symbol(name, "kPa"),
+            number(value.before),
+            number(value.after),
+            percent(signed_error(value.after, value.before)),
+            unit_of(name) or "none",
+            _interval(judged[name].interval),
+            "yes" if judged[name].answer.quotable else "no",
+        )
+        for name, value in summary.constants.items()
+    ]
+
+
+def _interval(ends: Bounds | None) -> str:
+    return NONE if ends is None else f"{number(ends[0], 3)} … {number(ends[1], 3)}"
+
+
+def effects(found: Iterable[schema.EffectSummary], absorbed: Iterable[str]) -> list[EffectRow]:
+    """Return the most probable first; those that the constants hide at the end."""
+    hidden = set(absorbed)
+
+    def order(e: schema.EffectSummary) -> tuple[bool, float, float]:
+        return e.name in hidden, -round(e.probability, 2), -e.log_bayes_factor
+
+    ranked = sorted(found, key=order)
+    return [_effect(e, e.name in hidden) for e in ranked]
+
+
+def regions(found: Iterable[schema.RegionGap]) -> list[RegionRow]:
+    """Return every region of every interface and scan."""
+    return [
+        RegionRow(
+            r.scan,
+            r.interface,
+            r.region,
+            millimetres(r),
+            signed(r.signed_mean_mm, 2, "+"),
+            _fixed(r.p50_mm, 2),
+            _fixed(r.p95_mm, 2),
+            str(r.points),
+            r.significant,
+        )
+        for r in found
+    ]
+
+
+def overlap(found: Iterable[schema.OverlapRow]) -> list[OverlapRow]:
+    """Return a row for every interface of every scan."""
+    return [
+        OverlapRow(
+            scan=r.scan,
+            interface=r.interface,
+            jc=_pair(r, "jc", 3),
+            reachable=_fixed(r.reachable_jc, 3),
+            mhd=_pair(r, "mhd_mm", 2),
+            gsf=_pair(r, "gsf", 2),
+            median=_pair(r, "p50_mm", 2),
+            p95=_pair(r, "p95_mm", 2),
+            mean=_pair(r, "signed_mean_mm", 2),
+        )
+        for r in found
+    ]
+
+
+def _pair(row: schema.OverlapRow, figure: str, digits: int) -> Pair:
+    after = None if row.after is None else getattr(row.after, figure)
+    return _fixed(getattr(row.before, figure), digits), _fixed(after, digits)
+
+
+def _fixed(value: float | None, digits: int) -> str:
+    """Return a number with so many decimals; no number is a dash, and infinite ones have a sign."""
+    if value is None or not math.isfinite(value):
+        return number(value)
+    return signed(value, digits)
+
+
+def _effect(e: schema.EffectSummary, hidden: bool) -> EffectRow:
+    magnitudes = tuple((parameter_name(p.parameter, p.unit), magnitude(p)) for p in e.parameters)
+    share = f"{100 * e.absorbed_share:.0f} %"
+    why = f"{share} of it looks like another choice of constants: the scans cannot show it"
+    return EffectRow(
+        spoken(e.name),
+        e.summary,
+        e.family,
+        NONE if hidden else likely(e.probability),
+        magnitudes,
+        bayes_factor(e.log_bayes_factor),
+        share,
+        hidden,
+        why if hidden else "",
+    )
+
+
+def parameter_name(name: str, unit: str) -> str:
+    """Return the name of a parameter without its unit; of a logarithm, that of the ratio.
+
+    Examples
+    --------
+    >>> parameter_name("tilt_depth_deg", "deg"), parameter_name("inclusion_ln_ratio", "")
+    ('tilt depth', 'inclusion ratio')
+    """
+    ending = f"_{unit.lower().replace('/', '_per_')}" if unit else ""
+    return " ".join(part for part in name.removesuffix(ending).split("_") if part != "ln")

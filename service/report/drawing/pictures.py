@@ -1,0 +1,49 @@
+"""Puts drawings into a page, with the words that go with them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from markupsafe import Markup
+
+from palpate.service.report.drawing.svg import Svg
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SCREEN_DPI = 96
+# Widths in pixels of the two forms of a chart; the style sheet shows the one that fits.
+WIDE_PX, NARROW_PX = 980.0, 400.0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawing in the page: itself, what it shows, its width, and what stands below it."""
+
+    svg: Markup
+    alt: str
+    width_px: int
+    caption: str | Markup = ""
+
+
+def picture(
+    drawn: "Figure", alt: str, caption: str | Markup = "", *, on_paper: bool = False
+) -> Picture:
+    """Put a figure of matplotlib into the page; see `service.report.drawing.canvas.inline_svg`."""
+    from palpate.service.report.drawing.canvas import inline_svg
+
+    width = round(SCREEN_DPI * drawn.get_figwidth())
+    return Picture(inline_svg(drawn, alt, width, on_paper=on_paper), alt, width, caption)
+
+
+def chart(
+    draw: Callable[[float], Svg], alt: str, caption: str | Markup = "", **data: str
+) -> Picture:
+    """Draw a chart twice, for wide and for narrow pages."""
+    both = draw(WIDE_PX).markup(alt, "wide", **data) + draw(NARROW_PX).markup(alt, "narrow", **data)
+    return Picture(both, alt, round(WIDE_PX), caption)
+
+
+def small_chart(drawn: Svg, alt: str, caption: str | Markup = "", **data: str) -> Picture:
+    """Put a chart into the page that is drawn once, for wide and narrow pages alike."""
+    return Picture(drawn.markup(alt, **data), alt, round(drawn.width), caption)

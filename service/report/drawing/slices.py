@@ -1,0 +1,189 @@
+"""Cuts sections through volumes, and compares two of them.
+
+A section is what a reader sees: rows from bottom to top, columns from left to
+right, both in mm. Its plane is that of the voxels nearest to the point asked for;
+outside a volume's box there is air.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.service.report.drawing.palette import Difference
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Triple, Volume
+
+AXES = "xyz"
+Labels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class View:
+    """A direction to look in.
+
+    Parameters
+    ----------
+    name : str
+        As anatomists call the plane.
+    normal, across, up : int
+        Axes of space (0 x, 1 y, 2 z): normal to the plane, to the right and upwards.
+    """
+
+    name: str
+    normal: int
+    across: int
+    up: int
+
+
+# The plates press along y, so y points up wherever it can be seen.
+VIEWS = (
+    View("coronal", normal=2, across=0, up=1),
+    View("transverse", normal=0, across=2, up=1),
+    View("sagittal", normal=1, across=0, up=2),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """Labels in a plane.
+
+    Parameters
+    ----------
+    values : ndarray of uint8, shape (rows, columns)
+        Row 0 at the bottom.
+    spacing_mm : tuple of float
+        Distance of voxel centres, across and up.
+    origin_mm : tuple of float
+        Centre of ``values[0, 0]``, across and up.
+    """
+
+    values: Labels
+    spacing_mm: tuple[float, float]
+    origin_mm: tuple[float, float]
+
+    @property
+    def extent_mm(self) -> tuple[float, float, float, float]:
+        """Return the left, right, bottom and top edge of the voxels."""
+        rows, columns = self.values.shape
+        (dx, dy), (x, y) = self.spacing_mm, self.origin_mm
+        return x - dx / 2, x + (columns - 0.5) * dx, y - dy / 2, y + (rows - 0.5) * dy
+
+
+def section(volume: Volume, view: View, at_mm: float) -> Section:
+    """Return the plane of `volume` nearest to `at_mm` along the normal of `view`."""
+    nearest = round((at_mm - volume.origin_mm[view.normal]) / volume.spacing_mm[view.normal])
+    array_axis = 2 - view.normal  # arrays are indexed [z, y, x]
+    values = np.asarray(volume.values)
+    if 0 <= nearest < values.shape[array_axis]:
+        plane = np.take(values, nearest, axis=array_axis)
+    else:
+        plane = np.zeros(np.delete(values.shape, array_axis), np.uint8)
+    if view.up < view.across:  # of the two axes left, the greater is the first
+        plane = plane.T
+    return Section(
+        np.ascontiguousarray(plane, dtype=np.uint8),
+        (volume.spacing_mm[view.across], volume.spacing_mm[view.up]),
+        (volume.origin_mm[view.across], volume.origin_mm[view.up]),
+    )
+
+
+def middle_mm(volume: Volume, tissues: Iterable[int]) -> Triple:
+    """Return the centroid of tissues as (x, y, z); of the whole body if it has none of them.
+
+    Raises
+    ------
+    InputError
+        If the volume holds nothing but air.
+    """
+    mask = np.isin(volume.values, [int(tissue) for tissue in tissues])
+    if not mask.any():
+        mask = np.asarray(volume.values) != Tissue.AIR
+    if not mask.any():
+        raise InputError("The volume holds nothing but air, so it has no middle.")
+    along = []
+    for axis in range(3):
+        counts = mask.sum(axis=tuple(a for a in range(3) if a != 2 - axis), dtype=np.float64)
+        index = float(counts @ np.arange(len(counts)) / counts.sum())
+        along.append(volume.origin_mm[axis] + index * volume.spacing_mm[axis])
+    x, y, z = along
+    return x, y, z
+
+
+def difference(target: Section, best: Section, tissues: Iterable[int]) -> Section:
+    """Mark where tissues lie in the target, in the best candidate, and in both.
+
+    Parameters
+    ----------
+    target, best : Section
+        On one lattice; their boxes may differ.
+    tissues : iterable of int
+        That are compared.
+
+    Returns
+    -------
+    Section
+        Of `Difference`, on a box around both.
+    """
+    (first, second), origin = _on_one_box((target, best))
+    labels = [int(tissue) for tissue in tissues]
+    in_target, in_best = np.isin(first, labels), np.isin(second, labels)
+    values = np.where((first != Tissue.AIR) | (second != Tissue.AIR), Difference.BODY, 0)
+    values[in_target & in_best] = Difference.BOTH
+    values[in_target & ~in_best] = Difference.ONLY_TARGET
+    values[in_best & ~in_target] = Difference.ONLY_BEST
+    return Section(values.astype(np.uint8), target.spacing_mm, origin)
+
+
+def frame_mm(sections: Sequence[Section]) -> tuple[float, float, float, float]:
+    """Return left, right, bottom and top of a frame around all bodies, with a little air."""
+    boxes = np.array([_body_mm(s) for s in sections])
+    left, bottom = boxes[:, [0, 2]].min(axis=0)
+    right, top = boxes[:, [1, 3]].max(axis=0)
+    margin = 0.04 * max(right - left, top - bottom)
+    return left - margin, right + margin, bottom - margin, top + margin
+
+
+def clipped(shown: Section, frame: tuple[float, float, float, float]) -> Section:
+    """Return the voxels of a section whose centres lie inside a frame; at least one."""
+    left, right, bottom, top = frame
+    (dx, dy), (x, y) = shown.spacing_mm, shown.origin_mm
+    rows, columns = shown.values.shape
+    c0, c1 = (min(max(math.ceil((v - x) / dx), 0), columns - 1) for v in (left, right))
+    r0, r1 = (min(max(math.ceil((v - y) / dy), 0), rows - 1) for v in (bottom, top))
+    inside = shown.values[r0 : max(r1, r0 + 1), c0 : max(c1, c0 + 1)]
+    return Section(inside, shown.spacing_mm, (x + c0 * dx, y + r0 * dy))
+
+
+def _body_mm(shown: Section) -> tuple[float, float, float, float]:
+    solid = shown.values != 0
+    if not solid.any():
+        return shown.extent_mm
+    rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
+    (dx, dy), (x, y) = shown.spacing_mm, shown.origin_mm
+    return (
+        x + (columns[0] - 0.5) * dx,
+        x + (columns[-1] + 0.5) * dx,
+        y + (rows[0] - 0.5) * dy,
+        y + (rows[-1] + 0.5) * dy,
+    )
+
+
+def _on_one_box(sections: Sequence[Section]) -> tuple[list[Labels], tuple[float, float]]:
+    """Return arrays of equal shape around all sections, and the centre of their first voxel."""
+    dx, dy = sections[0].spacing_mm
+    x0 = min(s.origin_mm[0] for s in sections)
+    y0 = min(s.origin_mm[1] for s in sections)
+    starts = [
+        (round((s.origin_mm[1] - y0) / dy), round((s.origin_mm[0] - x0) / dx)) for s in sections
+    ]
+    ends = [np.add(start, s.values.shape) for start, s in zip(starts, sections, strict=True)]
+    rows, columns = np.max(ends, axis=0)
+    boxed = []
+    for (row, column), s in zip(starts, sections, strict=True):
+        array = np.zeros((rows, columns), np.uint8)
+        array[row : row + s.values.shape[0], column : column + s.values.shape[1]] = s.values
+        boxed.append(array)
+    return boxed, (x0, y0)

@@ -1,0 +1,113 @@
+"""Writes the page of a study while it runs, after every generation.
+
+The page is written by a thread of its own, so that the search never waits for it, and never
+takes more than a small part of the time: a page is put off until those before it have cost less
+than that. The first page is not counted, since it also loads what all others use. What takes
+long, surfaces in three dimensions and scores by tissue, is left to the end.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+from palpate.service.report.study.data import read_study_data
+from palpate.service.report.study.page import render
+from palpate.service.search.base import Generation
+from palpate.service.study.observers.hooks import Observer, StudyFacts
+from palpate.storage.backends.atomic import write_file
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import PalpateError
+from palpate.storage.records.tasks import PreparedBody, PreparedTarget
+
+_log = logging.getLogger(__name__)
+
+# Of the time that the search takes.
+SHARE = 0.01
+
+
+class LivePage(Observer):
+    """Keeps the page of a study new; use it as a context around the run.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the study.
+    share : float
+        Part of the time that may go into pages, 0 to 1.
+    clock : callable
+        Seconds since some moment.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        share: float = SHARE,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.folder = folder
+        self.share = share
+        self.clock = clock
+        self.spent_s = 0.0
+        self.pages = 0
+        self._began = clock()
+        self._wanted = threading.Event()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._keep, name="page", daemon=True)
+
+    @property
+    def path(self) -> Path:
+        """Return where the page lies."""
+        return StudyLayout(self.folder).report
+
+    def __enter__(self) -> "LivePage":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._ended.set()
+        self._wanted.set()
+        self._thread.join()
+
+    def prepared(
+        self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
+    ) -> None:
+        """Write the first page once there is a target."""
+        if what == "target":
+            self._wanted.set()
+
+    def generation_ended(self, number: int, generation: Generation) -> None:
+        """Write the page anew, soon."""
+        self._wanted.set()
+
+    def started(self, facts: StudyFacts) -> None:
+        """Count the time from here."""
+        self._began = self.clock()
+
+    def due_s(self) -> float:
+        """Return in how many seconds the next page may be written."""
+        cost = self.spent_s / max(1, self.pages - 1)
+        return self._began + (self.spent_s + cost) / self.share - self.clock()
+
+    def _keep(self) -> None:
+        while True:
+            self._wanted.wait()
+            if self._ended.is_set() or (self.pages and self._ended.wait(max(0.0, self.due_s()))):
+                return
+            self._wanted.clear()
+            self._write()
+
+    def _write(self) -> None:
+        began = time.thread_time()
+        try:
+            page = render(read_study_data(self.folder, quick=True))
+            write_file(self.path, page.encode())
+        except PalpateError as error:
+            _log.warning("The page of the study could not be written: %s", error)
+        except Exception:
+            _log.exception("The page of the study could not be written.")
+        if self.pages:
+            self.spent_s += time.thread_time() - began
+        self.pages += 1

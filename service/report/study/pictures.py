@@ -1,0 +1,249 @@
+"""Draws the pictures of a study's page: charts, sections and what its viewers show."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from palpate.service.formatting import bare, label, number
+from palpate.service.report.drawing.packed import Json, script
+from palpate.service.report.drawing.palette import DIFFERENCES, TISSUES, Difference
+from palpate.service.report.drawing.pictures import Picture, chart, small_chart
+from palpate.service.report.drawing.slices import AXES, VIEWS
+from palpate.service.report.study import charts as study_charts
+from palpate.service.report.study import sections as study_sections
+from palpate.service.report.study.bodies import Bodies
+from palpate.service.report.study.charts import EvaluationPoint, SearchedParameter
+from palpate.service.report.viewers.body import BodyScan, BodySurface, body_viewer
+from palpate.service.report.viewers.slices import SlicePanel, SliceSet, slice_viewer
+from palpate.service.results.identification import Identification
+from palpate.service.results.record import GenerationScores, ParameterEstimate
+from palpate.storage.records.record import EvaluationRecord
+from palpate.storage.records.status import Status
+from palpate.storage.values import Tissue
+from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.organs.registry import pressed_of
+from palpate.workers.spec import CaseSpec
+
+# Named in the script, which looks for charts of this kind.
+EVALUATIONS = "evaluations"
+BEST = "best"
+
+
+@dataclass(frozen=True)
+class SectionRow:
+    """Sections of all bodies in one view, each with its title, and what stands below them."""
+
+    panels: tuple[tuple[str, Markup], ...]
+    wide: bool
+    caption: Markup
+
+
+def evaluated_points(endings: Iterable[EvaluationRecord]) -> list[EvaluationPoint]:
+    """Return every evaluation as a point; those without a score at +inf."""
+    return [
+        EvaluationPoint(
+            r.generation,
+            r.genes,
+            float(r.score["gsf"]) if r.status is Status.DONE and r.score else math.inf,
+        )
+        for r in sorted(endings, key=lambda r: r.candidate)
+    ]
+
+
+def evaluation_data(endings: Iterable[EvaluationRecord], units: Mapping[str, str]) -> Markup:
+    """Return what the charts say of an evaluation under the pointer, as an element of the page."""
+    ordered = sorted(endings, key=lambda r: r.candidate)
+    genes = list(ordered[0].genes) if ordered else []
+    names = [f"{bare(g, units.get(g, ''))}, {units[g]}" if units.get(g) else g for g in genes]
+    rows = [
+        [
+            r.candidate,
+            r.generation + 1,
+            number(float(r.score["gsf"])) if r.score else r.status.value,
+            *(number(r.genes[g]) for g in genes),
+        ]
+        for r in ordered
+    ]
+    return script(EVALUATIONS, {"names": names, "rows": rows})
+
+
+def best_tenth(points: Sequence[EvaluationPoint]) -> dict[str, list[float]]:
+    """Return the parameters of the best tenth of the different candidates, at least two."""
+    different = {tuple(p.genes.values()): p for p in points if p.gsf < math.inf}
+    ranked = sorted(different.values(), key=lambda p: p.gsf)
+    good = ranked[: max(2, math.ceil(len(ranked) / 10))]
+    return {name: [p.genes[name] for p in good] for name in (good[0].genes if good else ())}
+
+
+def searched_parameters(
+    estimates: Mapping[str, ParameterEstimate], known: Identification | None = None
+) -> list[SearchedParameter]:
+    """Return the estimates of a study as the charts need them."""
+    constants = {} if known is None else known.constants
+    intervals = {
+        name: (c.interval.lower, c.interval.upper) for name, c in constants.items() if c.interval
+    }
+    return [
+        SearchedParameter(
+            e.gene, label(name, e.unit), e.lower, e.upper, e.estimate, e.target, intervals.get(name)
+        )
+        for name, e in estimates.items()
+    ]
+
+
+def convergence_picture(
+    points: Sequence[EvaluationPoint], generations: Sequence[GenerationScores]
+) -> Picture | None:
+    """Draw how the scores fell; None if there are none."""
+    if not any(p.gsf < math.inf for p in points):
+        return None
+    best = [g.best for g in generations]
+    mean = [math.nan if g.mean is None else g.mean for g in generations]
+    last = f", the last of which reached {number(best[-1])}" if best else ""
+    return chart(
+        lambda width: study_charts.convergence(points, best, mean, width),
+        f"Scores of {len(points)} evaluations in {len(best)} complete generations{last}.",
+        "Point at a dot to see its candidate in all charts; with the keyboard, the arrow keys go "
+        "from one to the next.",
+        chart=EVALUATIONS,
+    )
+
+
+def range_picture(
+    parameters: Sequence[SearchedParameter], cloud: Mapping[str, Sequence[float]]
+) -> Picture:
+    """Draw estimates and targets between the bounds."""
+    alt = "; ".join(
+        f"{p.label}: estimate {number(p.estimate)}, target {number(p.target)}, searched from "
+        f"{number(p.lower)} to {number(p.upper)}"
+        for p in parameters
+    )
+    return chart(
+        lambda width: study_charts.ranges(parameters, cloud, width),
+        alt,
+        "The strokes show where the search has gone, which is no interval of confidence.",
+    )
+
+
+def scatter_pictures(
+    parameters: Sequence[SearchedParameter], points: Sequence[EvaluationPoint]
+) -> list[Picture]:
+    """Draw the scores over each parameter; nothing if nothing has a score."""
+    if not any(math.isfinite(p.gsf) for p in points):
+        return []
+    generations = 1 + max(p.generation for p in points)
+    return [
+        small_chart(
+            study_charts.scatter(p, points, generations),
+            f"GSF of all evaluations over {p.label}.",
+            chart=EVALUATIONS,
+        )
+        for p in parameters
+    ]
+
+
+def section_pictures(bodies: Bodies, labels: Iterable[str]) -> list[SectionRow]:
+    """Draw three views of the bodies that are there."""
+    tissues = _compared(bodies, labels)
+    middle = study_sections.middles(bodies, tissues)
+    rows = []
+    for view in VIEWS[:1] if _is_flat(bodies) else VIEWS:
+        drawn = study_sections.side_by_side(bodies, view, tissues, middle)
+        if drawn is None:
+            continue
+        axis = AXES[view.normal]
+        places = [
+            f"{what} at {axis} = {number(at[view.normal], 3)} mm"
+            for what, at in zip(("undeformed", "deformed"), middle, strict=True)
+            if at is not None
+        ]
+        name = "Section" if _is_flat(bodies) else view.name.capitalize()
+        caption = Markup("<b>{}</b>, {}").format(name, ", ".join(places))
+        rows.append(SectionRow(drawn.panels, drawn.wide, caption))
+    return rows
+
+
+def slice_data(bodies: Bodies, labels: Iterable[str]) -> Json | None:
+    """Return what the slice viewer shows; None if there is no body."""
+    volumes = {
+        name: volume
+        for name, volume in (
+            ("reference", bodies.reference),
+            ("target", bodies.target),
+            (BEST, bodies.best),
+        )
+        if volume is not None
+    }
+    tissues = _compared(bodies, labels)
+    undeformed, deformed = study_sections.middles(bodies, tissues)
+    at = deformed or undeformed
+    if at is None:
+        return None
+    names = " + ".join(bodies.labels[t] for t in tissues)
+    meaning = dict(zip(Difference, _MEANING, strict=True))
+    return slice_viewer(
+        [SliceSet("", volumes, at)],
+        [
+            SlicePanel("Undeformed", "labels", ("reference",)),
+            SlicePanel("Target", "labels", ("target",)),
+            SlicePanel("Best candidate", "labels", (BEST,)),
+            SlicePanel(f"Difference, {names}", "difference", ("target", BEST), tuple(tissues)),
+        ],
+        VIEWS[:1] if _is_flat(bodies) else VIEWS,
+        {int(t): (name, TISSUES[Tissue(t)]) for t, name in bodies.labels.items()},
+        [(meaning[kind], DIFFERENCES[kind]) for kind in Difference],
+    )
+
+
+def body_data(bodies: Bodies, case: CaseSpec) -> Json | None:
+    """Return what the 3-D viewer shows; None if the body has no surfaces."""
+    if not bodies.surfaces:
+        return None
+    surfaces = [
+        BodySurface(s.name, _COLOUR.get(s.name, TISSUES[Tissue.FAT]), s.vertices, s.triangles)
+        for s in bodies.surfaces
+    ]
+    scan = BodyScan(
+        "",
+        pressed_of(case) or Pressed(),
+        [{} if s.moved is None else {BEST: s.moved} for s in bodies.surfaces],
+        [{} if s.gap_mm is None else {BEST: s.gap_mm} for s in bodies.surfaces],
+    )
+    return body_viewer(
+        surfaces,
+        [scan],
+        [(BEST, "best candidate")],
+        "best candidate outside (+) or inside (−) of the target",
+    )
+
+
+def stage_picture(seconds: Mapping[str, float]) -> Picture | None:
+    """Draw the shares of the stages; None if no time was taken."""
+    total = sum(seconds.values())
+    if total <= 0:
+        return None
+    shares = ", ".join(f"{name} {100 * spent / total:.1f} %" for name, spent in seconds.items())
+    return chart(
+        lambda width: study_charts.stages(seconds, width), f"Shares of the time: {shares}."
+    )
+
+
+_COLOUR = {"outline": "#e9d3b4", "glandular": "#c2628f"}
+_MEANING = (
+    "outside of both bodies",
+    "rest of the body",
+    "in both",
+    "only in the target",
+    "only in the best candidate",
+)
+
+
+def _compared(bodies: Bodies, labels: Iterable[str]) -> list[int]:
+    wanted = set(labels)
+    return [number for number, name in bodies.labels.items() if name in wanted]
+
+
+def _is_flat(bodies: Bodies) -> bool:
+    return bodies.reference is not None and bodies.reference.values.shape[0] == 1

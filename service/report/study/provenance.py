@@ -1,0 +1,147 @@
+"""Says how the numbers of a page came about: when, from what, with which code and command."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from palpate.service.formatting import count, duration, number
+from palpate.service.report.study.data import StudyData
+from palpate.storage.records.tasks import BodyFacts
+
+Row = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Made:
+    """How a diagnosis was made.
+
+    Parameters
+    ----------
+    when : str
+        Date and time, ISO 8601; empty if it is not known.
+    command : str
+    seconds : float or None
+        How long it took; None if the store had it already.
+    inputs : sequence of (str, str)
+        What was read, and its digest.
+    mesh : str
+    noise : str
+    """
+
+    when: str = ""
+    command: str = ""
+    seconds: float | None = None
+    inputs: Sequence[Row] = ()
+    mesh: str = ""
+    noise: str = ""
+
+
+def study_provenance(data: StudyData) -> list[Row]:
+    """Return how a study was made, as far as its journal says."""
+    results = data.results
+    rows: list[Row] = []
+    if data.sessions:
+        began = [moment(session.began) for session in data.sessions]
+        runs = f"{count(len(began))} runs, the first on " if len(began) > 1 else ""
+        rows.append(("Date", f"{runs}{began[0]}"))
+    rows += [("Input", text) for text in _inputs(data)]
+    facts = results.body_facts
+    if mesh := mesh_text(facts):
+        rows.append(("Mesh", mesh))
+    noise = (
+        "none: the target was simulated with the same model"
+        if results.target_kind == "simulated"
+        else "that of the segmentation, which the score does not know"
+    )
+    if results.target_kind is not None:
+        rows.append(("Noise", noise))
+    rows.append(("Seed", str(results.spec.seed)))
+    rows += version_rows(results.versions)
+    if results.wall_s:
+        rows.append(("Run time", duration(results.wall_s)))
+    rows.append(("Command", f"palpate run {results.folder}"))
+    return rows
+
+
+def diagnosis_provenance(made: Made, versions: Mapping[str, str]) -> list[Row]:
+    """Return how a diagnosis was made."""
+    rows: list[Row] = []
+    if made.when:
+        rows.append(("Date", moment(made.when)))
+    rows += [("Input", f"{what}, {digest}") for what, digest in made.inputs]
+    rows += [(name, text) for name, text in (("Mesh", made.mesh), ("Noise", made.noise)) if text]
+    rows += version_rows(versions)
+    if made.seconds is not None:
+        rows.append(("Run time", duration(made.seconds)))
+    elif made.when:
+        rows.append(("Run time", "the store held it already"))
+    if made.command:
+        rows.append(("Command", made.command))
+    return rows
+
+
+def version_rows(versions: Mapping[str, str]) -> list[Row]:
+    """Return Palpate's version and that of its code, the others in one line."""
+    known = dict(versions)
+    rows = []
+    if palpate := known.pop("palpate", ""):
+        rows.append(("Palpate", palpate))
+    if code := known.pop("code", ""):
+        rows.append(("Code", code))
+    if known:
+        rows.append(("Versions", ", ".join(f"{n} {v}" for n, v in sorted(known.items()))))
+    return rows
+
+
+def moment(iso: str) -> str:
+    """Write a date and a time for a reader, in UTC.
+
+    Examples
+    --------
+    >>> moment("2026-11-22T14:37:01.123456+00:00")
+    '22 November 2026, 14:37 UTC'
+    """
+    try:
+        when = datetime.fromisoformat(iso)
+    except ValueError:
+        return iso
+    if when.tzinfo is not None:
+        when = when.astimezone(UTC)
+    return f"{when.day} {when:%B %Y, %H:%M} UTC"
+
+
+def mesh_text(facts: BodyFacts) -> str:
+    """Return what is known of a mesh in a phrase."""
+    parts = []
+    for key, what in (("nodes", "nodes"), ("tets", "tetrahedra"), ("triangles", "triangles")):
+        if key in facts:
+            parts.append(f"{count(int(facts[key]))} {what}")
+    if "element_size_mm" in facts:
+        parts.append(f"elements of {number(float(facts['element_size_mm']), 3)} mm")
+    return ", ".join(parts)
+
+
+def _inputs(data: StudyData) -> list[str]:
+    """Return body, mesh and target: where they came from, and their digests in the store."""
+    session = data.session
+    if session is None:
+        return []
+    case = data.results.spec.as_dict()
+    body, target = case.get("case", {}).get("reference"), case.get("target", {})
+    prepared = session.prepared
+    how = "simulated with known constants" if session.target["kind"] == "simulated" else "image"
+    image = target.get("volume") if isinstance(target, dict) else None
+    return [
+        f"body, {_origin(body)}: {prepared.get('volume', '')}",
+        f"mesh: {prepared.get('mesh', '')}",
+        f"target, {image or how}: {session.target.get('target', '')}",
+    ]
+
+
+def _origin(reference: object) -> str:
+    if not isinstance(reference, dict):
+        return "generated"
+    if phantom := reference.get("phantom"):
+        preset = phantom.get("preset", "") if isinstance(phantom, dict) else ""
+        return f"phantom {preset}".strip()
+    return str(reference.get("volume", "generated"))

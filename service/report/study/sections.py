@@ -1,0 +1,153 @@
+"""Draws reference, target, best candidate and difference side by side along one axis."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from palpate.service.report.drawing import palette
+from palpate.service.report.drawing.palette import Difference
+from palpate.service.report.drawing.raster import png_uri
+from palpate.service.report.drawing.slices import (
+    AXES,
+    Section,
+    View,
+    clipped,
+    difference,
+    frame_mm,
+    middle_mm,
+    section,
+)
+from palpate.service.report.drawing.svg import Scale, Svg, tick_text
+from palpate.service.report.study.bodies import Bodies
+from palpate.storage.values import Tissue, Triple
+
+PANEL_PX = 230.0
+WIDE = 1.4
+_TISSUES = palette.lookup({int(t): c for t, c in palette.TISSUES.items()})
+_DIFFERENCES = palette.lookup({int(d): c for d, c in palette.DIFFERENCES.items()})
+
+
+@dataclass(frozen=True)
+class SideBySide:
+    """Sections of one view, each with its title; `wide` ones are drawn two in a row."""
+
+    panels: tuple[tuple[str, Markup], ...]
+    wide: bool
+
+
+def side_by_side(
+    bodies: Bodies,
+    view: View,
+    tissues: Sequence[int],
+    middle: tuple[Triple | None, Triple | None],
+) -> SideBySide | None:
+    """Draw one view of all bodies that are there; None if there is none.
+
+    Parameters
+    ----------
+    bodies : Bodies
+    view : View
+    tissues : sequence of int
+        That are compared.
+    middle : tuple
+        Where the planes pass: through the undeformed body, and through target and best
+        candidate; see `middles`.
+    """
+    shown = _sections(bodies, view, tissues, middle)
+    if not shown:
+        return None
+    left, right, bottom, top = frame_mm([cut for _, cut, _ in shown])
+    panels = [
+        (title, _panel(cut, (left, right, bottom, top), view, f"{title}, {view.name}", differs))
+        for title, cut, differs in shown
+    ]
+    return SideBySide(tuple(panels), right - left > WIDE * (top - bottom))
+
+
+def middles(bodies: Bodies, tissues: Sequence[int]) -> tuple[Triple | None, Triple | None]:
+    """Return where the undeformed body and the target are cut: in the middle of `tissues`.
+
+    Target and best candidate are cut in the same place.
+    """
+    first = None if bodies.reference is None else middle_mm(bodies.reference, tissues)
+    explained = bodies.target if bodies.target is not None else bodies.best
+    return first, None if explained is None else middle_mm(explained, tissues)
+
+
+def present(bodies: Bodies) -> list[tuple[str, str]]:
+    """Return (colour, name) of every tissue that a legend needs."""
+    volumes = [v for v in (bodies.reference, bodies.target, bodies.best) if v is not None]
+    there = [t for t in bodies.labels if any((v.values == t).any() for v in volumes)]
+    return [(palette.TISSUES[Tissue(t)], bodies.labels[t]) for t in there]
+
+
+def difference_legend() -> list[tuple[str, str]]:
+    """Return (colour, meaning) of the colours of a difference."""
+    meaning = {
+        Difference.BOTH: "in both",
+        Difference.ONLY_TARGET: "only in the target",
+        Difference.ONLY_BEST: "only in the best candidate",
+        Difference.BODY: "rest of the body",
+    }
+    return [(palette.DIFFERENCES[kind], text) for kind, text in meaning.items()]
+
+
+def _sections(
+    bodies: Bodies,
+    view: View,
+    tissues: Sequence[int],
+    middle: tuple[Triple | None, Triple | None],
+) -> list[tuple[str, Section, bool]]:
+    undeformed, deformed = middle
+    shown = []
+    cuts: dict[str, Section] = {}
+    for title, volume, at in (
+        ("Undeformed", bodies.reference, undeformed),
+        ("Target", bodies.target, deformed),
+        ("Best candidate", bodies.best, deformed),
+    ):
+        if volume is not None and at is not None:
+            cuts[title] = section(volume, view, at[view.normal])
+            shown.append((title, cuts[title], False))
+    if "Target" in cuts and "Best candidate" in cuts:
+        names = " + ".join(bodies.labels[t] for t in tissues)
+        compared = difference(cuts["Target"], cuts["Best candidate"], tissues)
+        shown.append((f"Difference, {names}", compared, True))
+    return shown
+
+
+def _panel(
+    cut: Section, frame: tuple[float, float, float, float], view: View, alt: str, differs: bool
+) -> Markup:
+    """Draw one section in a frame in mm, with ticks along its lower and left edge."""
+    left, right, bottom, top = frame
+    x0, y0 = 34.0, 6.0
+    wide = PANEL_PX - x0 - 4
+    high = wide * (top - bottom) / (right - left)
+    svg = Svg(PANEL_PX, y0 + high + 34)
+    across, up = Scale(left, right, x0, x0 + wide), Scale(bottom, top, y0 + high, y0)
+    shown = clipped(cut, frame)
+    a, b, c, d = shown.extent_mm
+    svg.add(
+        "image",
+        href=png_uri(shown.values, _DIFFERENCES if differs else _TISSUES),
+        preserveAspectRatio="none",
+        class_="voxels",
+        x=across.at(a),
+        y=up.at(d),
+        width=across.at(b) - across.at(a),
+        height=up.at(c) - up.at(d),
+    )
+    for value in across.ticks(4):
+        x = across.at(value)
+        svg.add("path", d=f"M{x:.1f} {y0 + high:.1f}v3", class_="axis")
+        svg.text(x, y0 + high + 14, tick_text(value), text_anchor="middle", class_="tick")
+    for value in up.ticks(4):
+        y = up.at(value)
+        svg.add("path", d=f"M{x0:.1f} {y:.1f}h-3", class_="axis")
+        svg.text(x0 - 6, y + 4, tick_text(value), text_anchor="end", class_="tick")
+    svg.add("path", d=f"M{x0:.1f} {y0:.1f}V{y0 + high:.1f}H{x0 + wide:.1f}", class_="axis")
+    label = f"{AXES[view.across]} and {AXES[view.up]}, mm"
+    svg.text(x0 + wide / 2, y0 + high + 29, label, text_anchor="middle", class_="tick")
+    return svg.markup(alt, "panel")

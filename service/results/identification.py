@@ -1,0 +1,289 @@
+r"""Says how well an image determines each constant of a model.
+
+With the residuals r of the best candidate, in units of their noise, and their derivatives J,
+Gauss' step leads to the constants that explain the image best, and the inverse of the
+information bounds their covariance from below (H. Cramér 1946, C. R. Rao 1945):
+
+.. math:: \delta = -(J'J)^{-1} J' r, \qquad C = s^2 (J'J)^{-1}, \qquad
+          s^2 = \max\left(1, \frac{|r + J\delta|^2}{m - p}\right).
+
+The factor s widens the intervals where the model leaves more than the noise; so do the mesh and
+what the model may lack, see `service.results.error_budget`. An interval
+reaches from the lower to the upper end of the two that belong to the best candidate and to
+:math:`\delta` from there, so that it also holds what the search itself has left undone.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from palpate.service.results.local_model import (
+    Direction,
+    LocalModel,
+    OtherProblems,
+    RelativeInterval,
+    SearchedConstants,
+)
+from palpate.service.search.space import FloatArray
+from palpate.storage.records.tasks import FitJson
+
+LEVEL = 0.9
+# A constant is weakly determined when its interval is wider than this part of its value.
+WEAK_PART = 0.5
+# Of candidates that are equally good, for an interval from their scatter.
+FEWEST_CANDIDATES = 5
+# From this correlation on, the value of one constant depends on the place of another.
+DEPENDENT = 0.3
+TANGENTS, SCATTER = "tangents", "scatter of equally good candidates"
+
+Identifiable = Literal["value", "ratio", "weak", "unknown"]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Where a constant lies.
+
+    Parameters
+    ----------
+    lower, upper : float
+        In the unit at the door.
+    level : float
+        How often an interval of this kind holds the true value.
+    origin : str
+        ``tangents``, or ``scatter of equally good candidates``.
+    """
+
+    lower: float
+    upper: float
+    level: float
+    origin: str
+
+
+@dataclass(frozen=True)
+class IdentifiedConstant:
+    """What the image tells of one searched constant.
+
+    Parameters
+    ----------
+    name : str
+        Inside, such as ``E_fat``.
+    estimate : float
+        Of the best candidate, in `unit`.
+    unit : str
+        Such as kPa; empty for a pure number.
+    interval : Interval or None
+        None where only ratios can be found, or nothing is known.
+    identifiable : {"value", "ratio", "weak", "unknown"}
+        ``ratio``: only its ratio to the others, see `IdentifiedRatio`. ``weak``: the interval
+        is wider than half the value. ``unknown``: it is wider than what was searched.
+    errors : mapping of str to float
+        Standard deviation that each source of error contributes to the interval, in `unit`.
+    depends_on : tuple of str
+        Constants at a bound of the search on which the value depends.
+    """
+
+    name: str
+    estimate: float
+    unit: str
+    interval: Interval | None
+    identifiable: Identifiable
+    errors: Mapping[str, float] = field(default_factory=dict)
+    depends_on: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class IdentifiedRatio:
+    """What the image tells of the ratio of two constants.
+
+    Parameters
+    ----------
+    numerator, denominator : str
+        Names inside.
+    estimate : float
+    interval : Interval or None
+    identifiable : {"value", "weak", "unknown"}
+        Of the ratio itself.
+    """
+
+    numerator: str
+    denominator: str
+    estimate: float
+    interval: Interval | None
+    identifiable: Identifiable
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What an image tells of the constants of a model.
+
+    Parameters
+    ----------
+    candidate : int
+        The best one, at which it was looked.
+    constants : mapping of str to IdentifiedConstant
+        By name inside.
+    ratios : tuple of IdentifiedRatio
+        Where only ratios can be found; else empty.
+    names : tuple of str
+        Of rows and columns of the correlation.
+    correlation : tuple of tuple of float
+        Of the constants' errors; empty without tangents.
+    directions : tuple of Direction
+        From the best to the least known; empty without tangents.
+    residual_rms_mm : float or None
+        Between the interfaces of model and image.
+    noise : str
+        What the residuals were divided by, in words.
+    noise_factor : float
+        How many times larger than that noise the residuals are; 1 if not larger.
+    note : str
+        Why there is less than usual; empty otherwise.
+    converged : bool
+        Whether the best candidate is at the least sum of squares; intervals are withheld if not.
+    supported : tuple of str
+        Errors of the scan or the model that the residual supports decisively, as noun phrases.
+    derived : mapping of str to RelativeInterval
+        Intervals of values that the constants determine, such as G0 of a cornea.
+    """
+
+    candidate: int
+    constants: Mapping[str, IdentifiedConstant]
+    ratios: tuple[IdentifiedRatio, ...] = ()
+    names: tuple[str, ...] = ()
+    correlation: tuple[tuple[float, ...], ...] = ()
+    directions: tuple[Direction, ...] = ()
+    residual_rms_mm: float | None = None
+    noise: str = ""
+    noise_factor: float = 1.0
+    note: str = ""
+    converged: bool = True
+    supported: tuple[str, ...] = ()
+    derived: Mapping[str, RelativeInterval] = field(default_factory=dict)
+
+    @property
+    def weak(self) -> tuple[str, ...]:
+        """Return the names of the constants that are weakly determined or not at all."""
+        return tuple(
+            name for name, c in self.constants.items() if c.identifiable in ("weak", "unknown")
+        )
+
+
+def identification_from_tangents(
+    searched: SearchedConstants,
+    candidate: int,
+    fit: FitJson,
+    others: OtherProblems | None = None,
+    derived: Sequence[Mapping[str, Any]] = (),
+) -> Identification:
+    """Return the identification from the least-squares problem of the best candidate.
+
+    Parameters
+    ----------
+    searched : SearchedConstants
+    candidate : int
+        The best one.
+    fit : FitJson
+    others : OtherProblems, optional
+        The same candidate with nuisance parameters and on other meshes.
+    derived : sequence of mapping
+        Values that the constants determine: ``name``, ``slope``, ``mesh_shift`` and ``mesh_sd``,
+        see `LocalModel.relative_interval`.
+    """
+    local = LocalModel(fit, searched, others)
+    constants = {name: _constant(searched, local, i) for i, name in enumerate(local.names)}
+    return Identification(
+        candidate=candidate,
+        constants=constants,
+        ratios=tuple(_ratios(local)),
+        names=local.names,
+        correlation=local.correlation,
+        directions=tuple(local.directions()),
+        residual_rms_mm=float(fit["rms_mm"]),
+        noise=fit["noise"],
+        noise_factor=local.noise_factor,
+        converged=local.converged,
+        supported=local.supported,
+        derived={one["name"]: _interval_of(local, one) for one in derived},
+    )
+
+
+def _interval_of(local: LocalModel, one: Mapping[str, Any]) -> RelativeInterval:
+    return local.relative_interval(one["slope"], one["mesh_shift"], one["mesh_sd"])
+
+
+def identification_from_scatter(
+    searched: SearchedConstants,
+    candidate: int,
+    best: Mapping[str, float],
+    equally_good: Sequence[Mapping[str, float]],
+    note: str,
+) -> Identification:
+    """Return what the scatter of equally good candidates tells; constants inside.
+
+    With fewer than `FEWEST_CANDIDATES` of them there are no intervals.
+    """
+    constants = {}
+    for name in searched.bounds:
+        values = np.array([genes[name] for genes in equally_good])
+        ends = None
+        if len(values) >= FEWEST_CANDIDATES:
+            ends = np.quantile(values, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+            ends = np.array([min(ends[0], best[name]), max(ends[1], best[name])])
+        constants[name] = _judged(searched, name, best[name], ends, SCATTER)
+    return Identification(candidate, constants, note=note)
+
+
+def _constant(searched: SearchedConstants, local: LocalModel, i: int) -> IdentifiedConstant:
+    name, value = local.names[i], float(local.values[i])
+    if local.common[i]:
+        parameter = searched.parameter(name)
+        estimate = searched.at_door(name, value)
+        return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "ratio")
+    ends = None if local.unseen(i) else local.ends(i)
+    errors = {source: searched.at_door(name, sd) for source, sd in local.errors(i).items()}
+    judged = _judged(searched, name, value, ends, TANGENTS)
+    return replace(judged, errors=errors, depends_on=_depends_on(local, i))
+
+
+def _depends_on(local: LocalModel, i: int) -> tuple[str, ...]:
+    """Return the constants at a bound whose errors are correlated with those of constant i."""
+    return tuple(
+        name
+        for j, name in enumerate(local.names)
+        if j != i and local.at_bound(j) and abs(local.correlation[i][j]) > DEPENDENT
+    )
+
+
+def _judged(
+    searched: SearchedConstants, name: str, value: float, ends: FloatArray | None, origin: str
+) -> IdentifiedConstant:
+    """Return a constant with its interval, given inside units, and what that says of it."""
+    parameter, estimate = searched.parameter(name), searched.at_door(name, value)
+    if name in searched.common_scale:
+        return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "ratio")
+    if ends is None:
+        return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "unknown")
+    least, most = searched.bounds[name]
+    if ends[0] < least and ends[1] > most and origin == TANGENTS:
+        return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "unknown")
+    low, high = np.clip(ends, *parameter.admissible)
+    lower, upper = searched.at_door(name, float(low)), searched.at_door(name, float(high))
+    verdict: Identifiable = "weak" if upper - lower > WEAK_PART * abs(estimate) else "value"
+    interval = Interval(lower, upper, LEVEL, origin)
+    return IdentifiedConstant(name, estimate, parameter.unit.symbol, interval, verdict)
+
+
+def _ratios(local: LocalModel) -> list[IdentifiedRatio]:
+    """Return the ratios of the constants that share an unknown scale to the first of them."""
+    common = [i for i in range(len(local.names)) if local.common[i] and local.logarithmic[i]]
+    found = []
+    for i in common[1:]:
+        j = common[0]
+        lower, upper = local.ratio_ends(i, j)
+        estimate = float(local.values[i] / local.values[j])
+        verdict: Identifiable = "weak" if upper - lower > WEAK_PART * estimate else "value"
+        interval = Interval(lower, upper, LEVEL, TANGENTS)
+        found.append(IdentifiedRatio(local.names[i], local.names[j], estimate, interval, verdict))
+    return found

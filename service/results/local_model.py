@@ -1,0 +1,319 @@
+"""The least-squares problem near the best candidate: covariance, directions, ends of intervals.
+
+`service.results.identification` has the formulas, and says what they mean for each constant.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from palpate.service.formatting import at_edge, share
+from palpate.service.results.error_budget import (
+    IMAGE,
+    MESH,
+    MISFIT,
+    ErrorSource,
+    LocalProblem,
+    mesh_source,
+    nuisance_sources,
+)
+from palpate.service.search.space import FloatArray
+from palpate.storage.records.tasks import FitJson, MeshFit
+from palpate.workers.mechanics.parameters import Parameter, Vocabulary
+from palpate.workers.organs.nuisances import Nuisance
+
+# Of the normal distribution: nine out of ten lie within so many standard deviations.
+DEVIATIONS = 1.6449
+# A direction with less information than this part of the most informed one is not seen at all.
+UNSEEN = 1e-10
+# A sum of squares that a step would lower by more, in units of the noise, is not at its least.
+MOST_FALL = 9.0
+# Constants with a smaller share of a direction are not named in it.
+LEAST_SHARE = 0.15
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A combination of the constants that the image determines independently of the others.
+
+    Parameters
+    ----------
+    weights : mapping of str to float
+        Of the logarithms of the constants (of the constants themselves, over their searched
+        interval, where they may be zero), by name; the largest is 1.
+    relative_sd : float or None
+        Standard deviation of the constant whose weight is 1, along it; None where nothing is
+        seen of it.
+    words : str
+        Such as ``eta_fat and E_fat trade 1 : 0.3, known to 12 %``.
+    """
+
+    weights: Mapping[str, float]
+    relative_sd: float | None
+    words: str
+
+
+@dataclass(frozen=True)
+class RelativeInterval:
+    """The 90 % interval of a value that the constants determine, over its best estimate.
+
+    Parameters
+    ----------
+    lower, upper : float
+        Factors of the estimate.
+    errors : mapping of str to float
+        Relative standard deviation that each source of error contributes.
+    """
+
+    lower: float
+    upper: float
+    errors: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class OtherProblems:
+    """The least-squares problem of the best candidate under other circumstances.
+
+    Parameters
+    ----------
+    nuisances : FitJson or None
+        With the nuisance parameters.
+    priors : tuple of Nuisance
+        What is known of these before data.
+    meshes : sequence of MeshFit
+        On other meshes.
+    """
+
+    nuisances: FitJson | None = None
+    priors: tuple[Nuisance, ...] = ()
+    meshes: Sequence[MeshFit] = ()
+
+
+@dataclass(frozen=True)
+class SearchedConstants:
+    """The searched constants of a study, as an identification needs them.
+
+    Parameters
+    ----------
+    vocabulary : Vocabulary
+        Names and units.
+    bounds : mapping of str to (float, float)
+        Inside names and units.
+    common_scale : tuple of str
+        Names of stiffnesses of which only ratios can be found; empty if all can be found.
+    """
+
+    vocabulary: Vocabulary
+    bounds: Mapping[str, tuple[float, float]]
+    common_scale: tuple[str, ...] = field(default=())
+
+    def parameter(self, name: str) -> Parameter:
+        """Return a parameter by its inside name."""
+        return self.vocabulary[name]
+
+    def at_door(self, name: str, value: float) -> float:
+        """Return an inside value in the unit of the door."""
+        return float(self.vocabulary[name].unit.to_door(value))
+
+
+class LocalModel:
+    """The least-squares problem near a candidate, in coordinates without units.
+
+    A coordinate is the logarithm of a constant, or the constant over its searched interval.
+    """
+
+    def __init__(
+        self, fit: FitJson, searched: SearchedConstants, others: OtherProblems | None = None
+    ) -> None:
+        self.names = tuple(fit["parameters"])
+        self.values = np.asarray(fit["values"], np.float64)
+        self.logarithmic = np.asarray(fit["logarithmic"], bool)
+        bounds = np.array([searched.bounds[name] for name in self.names])
+        self.bounds = bounds
+        span = bounds[:, 1] - bounds[:, 0]
+        self.scale = np.where(self.logarithmic, 1.0, span)
+        self.information = np.asarray(fit["hessian"], np.float64) * np.outer(self.scale, self.scale)
+        gradient = np.asarray(fit["gradient"], np.float64) * self.scale
+        self.gradient = gradient
+        self.eigenvalues, self.eigenvectors = np.linalg.eigh(self.information)
+        self.seen = self.eigenvalues > UNSEEN * max(float(self.eigenvalues[-1]), 1e-300)
+        self.step = self._limited(-self._inverse() @ gradient, bounds)
+        left = float(fit["cost"]) - float(gradient @ self._inverse() @ gradient)
+        freedom = max(1, int(fit["residuals"]) - len(self.names))
+        self.noise_factor = float(np.sqrt(max(1.0, left / freedom)))
+        self.covariance = self.noise_factor**2 * self._inverse()
+        self.sources = self._sources(others or OtherProblems())
+        self.common = np.array([name in searched.common_scale for name in self.names])
+        self.unseen_root = self._unseen_root(bounds)
+
+    @property
+    def correlation(self) -> tuple[tuple[float, ...], ...]:
+        """Return the correlation of the errors."""
+        sd = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        matrix = np.clip(self.covariance / np.outer(sd, sd), -1.0, 1.0)
+        np.fill_diagonal(matrix, 1.0)
+        return tuple(tuple(float(v) for v in row) for row in matrix)
+
+    def unseen(self, i: int) -> bool:
+        """Return whether a direction that is not seen holds much of a coordinate."""
+        return bool((np.abs(self.eigenvectors[i, ~self.seen]) > LEAST_SHARE).any())
+
+    def ends(self, i: int) -> FloatArray:
+        """Return the interval of a constant, inside units."""
+        unseen = float((self.unseen_root[i] ** 2).sum())
+        variance = unseen + sum(source.sd[i] ** 2 for source in self.sources)
+        reach = DEVIATIONS * float(np.sqrt(variance))
+        step = float(self.step[i])
+        low, high = min(0.0, step) - reach, max(0.0, step) + reach
+        return np.array([self.moved(i, low), self.moved(i, high)])
+
+    def relative_interval(
+        self,
+        slope: Mapping[str, float],
+        mesh_shift: float | None = None,
+        mesh_sd: float | None = None,
+    ) -> RelativeInterval:
+        """Return the interval of a value that the constants determine.
+
+        Parameters
+        ----------
+        slope : mapping of str to float
+            Derivatives of the logarithm of the value by the logarithms of the constants, by name
+            inside; constants that are not searched are left out.
+        mesh_shift, mesh_sd : float, optional
+            Part by which the mesh raises the value, and its standard deviation, where they are
+            known better than from the least-squares problem on another mesh.
+        """
+        by_log = np.array([slope.get(name, 0.0) for name in self.names])
+        held = np.where(self.values == 0.0, 1.0, self.values)
+        by_coordinate = by_log * np.where(self.logarithmic, 1.0, self.scale / held)
+        errors = {source.name: source.sd_along(by_coordinate) for source in self.sources}
+        if mesh_sd is not None:
+            errors[MESH] = mesh_sd
+        unseen = float(((by_coordinate @ self.unseen_root) ** 2).sum())
+        reach = DEVIATIONS * float(np.sqrt(unseen + sum(sd**2 for sd in errors.values())))
+        step = float(by_coordinate @ self.step) - (mesh_shift or 0.0)
+        low, high = min(0.0, step) - reach, max(0.0, step) + reach
+        return RelativeInterval(
+            float(np.exp(max(low, -50.0))), float(np.exp(min(high, 50.0))), errors
+        )
+
+    def errors(self, i: int) -> dict[str, float]:
+        """Return the standard deviation that each source gives a constant, inside units."""
+        unit = abs(self.values[i]) if self.logarithmic[i] else self.scale[i]
+        return {source.name: float(source.sd[i] * unit) for source in self.sources}
+
+    @property
+    def supported(self) -> tuple[str, ...]:
+        """Return the sources of error that the residual supports decisively, the best first."""
+        found = [source for source in self.sources if source.supported]
+        return tuple(s.name for s in sorted(found, key=lambda s: -s.log_bayes_factor))
+
+    @property
+    def converged(self) -> bool:
+        """Return whether Gauss' step leads nowhere else, in the constants off their bounds."""
+        free = np.array([not self.at_bound(i) for i in range(len(self.names))])
+        part, gradient = self.information[np.ix_(free, free)], self.gradient[free]
+        inverse = np.linalg.pinv(part, rcond=UNSEEN, hermitian=True)
+        return float(gradient @ inverse @ gradient) <= MOST_FALL * self.noise_factor**2
+
+    def at_bound(self, i: int) -> bool:
+        """Return whether a constant is at a bound of the search."""
+        low, high = self.bounds[i]
+        return at_edge(float(self.values[i]), (float(low), float(high)))
+
+    def _sources(self, others: OtherProblems) -> tuple[ErrorSource, ...]:
+        """Return the sources of error: image, misfit, mesh and groups of nuisances."""
+        factor = self.noise_factor
+        root = self.eigenvectors[:, self.seen] / np.sqrt(self.eigenvalues[self.seen])
+        here = LocalProblem(self.names, self.scale, root, self.gradient, factor)
+        found = [
+            ErrorSource(IMAGE, root),
+            ErrorSource(MISFIT, np.sqrt(factor**2 - 1) * root),
+        ]
+        if others.nuisances is not None:
+            found += nuisance_sources(here, others.nuisances, others.priors)
+        mesh = mesh_source(here, others.meshes)
+        return tuple(found) if mesh is None else (*found, mesh)
+
+    def moved(self, i: int, by: float) -> float:
+        """Return the value of a constant at a distance from the candidate, inside units."""
+        if self.logarithmic[i]:
+            return float(self.values[i] * np.exp(np.clip(by, -50.0, 50.0)))
+        return float(self.values[i] + self.scale[i] * by)
+
+    def ratio_ends(self, i: int, j: int) -> tuple[float, float]:
+        """Return the interval of constant i over constant j, both logarithmic.
+
+        Scaling both changes nothing, so j is held and the rest left free.
+        """
+        others = [k for k in range(len(self.names)) if k != j]
+        part = self.information[np.ix_(others, others)]
+        own = self.noise_factor**2 * np.linalg.pinv(part)[others.index(i), others.index(i)]
+        beside = (s for s in self.sources if s.name not in (IMAGE, MISFIT))
+        sd = np.sqrt(own + sum(s.sd[i] ** 2 + s.sd[j] ** 2 for s in beside))
+        step = float(self.step[i] - self.step[j])
+        reach = DEVIATIONS * float(sd)
+        ratio = float(self.values[i] / self.values[j])
+        low, high = min(0.0, step) - reach, max(0.0, step) + reach
+        return ratio * float(np.exp(max(low, -50.0))), ratio * float(np.exp(min(high, 50.0)))
+
+    def directions(self) -> list[Direction]:
+        """Return the eigenvectors of the information, from the best to the least known."""
+        found = []
+        for k in range(len(self.names))[::-1]:
+            vector = self.eigenvectors[:, k]
+            vector = vector / vector[int(np.argmax(np.abs(vector)))]
+            weights = dict(zip(self.names, map(float, vector), strict=True))
+            sd = None
+            if self.seen[k]:
+                size = float(np.linalg.norm(vector))
+                sd = self.noise_factor / (size * float(np.sqrt(self.eigenvalues[k])))
+            found.append(Direction(weights, sd, _in_words(weights, sd)))
+        return found
+
+    def _inverse(self) -> FloatArray:
+        """Return the inverse of the information, without what is not seen."""
+        vectors = self.eigenvectors[:, self.seen]
+        return np.asarray((vectors / self.eigenvalues[self.seen]) @ vectors.T)
+
+    def _unseen_root(self, bounds: FloatArray) -> FloatArray:
+        """Return a root of the covariance of what is not seen: all that was searched is possible.
+
+        Shape (p, k), for k directions.
+        """
+        logs = np.log(np.maximum(bounds, 1e-300))
+        width = np.where(self.logarithmic, np.ptp(logs, axis=1), 1.0)
+        unseen = self.eigenvectors[:, ~self.seen]
+        return np.asarray(unseen * np.sqrt((unseen**2).T @ (width**2 / 12)))
+
+    def _limited(self, step: FloatArray, bounds: FloatArray) -> FloatArray:
+        """Keep a step within the searched intervals."""
+        safe = np.where(self.logarithmic[:, None], np.maximum(bounds, 1e-300), 1.0)
+        here = np.where(self.logarithmic, np.log(np.maximum(self.values, 1e-300)), 0.0)
+        logs = np.log(safe) - here[:, None]
+        lines = (bounds - self.values[:, None]) / self.scale[:, None]
+        ends = np.where(self.logarithmic[:, None], logs, lines)
+        return np.clip(step, np.minimum(ends[:, 0], 0.0), np.maximum(ends[:, 1], 0.0))
+
+
+def _in_words(weights: Mapping[str, float], sd: float | None) -> str:
+    """Return a direction as a sentence without its full stop."""
+    named = sorted(
+        ((n, w) for n, w in weights.items() if abs(w) >= LEAST_SHARE),
+        key=lambda pair: -abs(pair[1]),
+    )
+    known = "not seen at all" if sd is None else f"known to {share(sd)}"
+    if len(named) == 1:
+        return f"{named[0][0]} alone, {known}"
+    names = ", ".join(n for n, _ in named[:-1]) + f" and {named[-1][0]}"
+    sizes = " : ".join(f"{abs(w):.2g}" for _, w in named)
+    signs = {w > 0 for _, w in named}
+    if len(signs) == 1:
+        return f"{names} rise together {sizes}, {known}"
+    if len(named) == 2:
+        return f"{names} trade {sizes}, {known}"
+    up = ", ".join(n for n, w in named if w > 0)
+    down = ", ".join(n for n, w in named if w < 0)
+    return f"{up} trade against {down} ({names}: {sizes}), {known}"

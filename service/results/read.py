@@ -1,0 +1,272 @@
+"""Reads what a study has found so far from its journal.
+
+Nothing is computed anew, and the study may be running meanwhile.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.service.results.identification import (
+    Identification,
+    identification_from_scatter,
+    identification_from_tangents,
+)
+from palpate.service.results.local_model import OtherProblems, SearchedConstants
+from palpate.service.results.record import (
+    CandidateResults,
+    EvaluationCounts,
+    GenerationResult,
+    GenerationScores,
+    ParameterEstimate,
+    StageTime,
+    StudyResults,
+    StudyState,
+)
+from palpate.service.study.log import StudyLog, read_study
+from palpate.service.study.recorded_generations import (
+    RecordedGeneration,
+    RecordedGenerations,
+    best_in,
+    finite,
+)
+from palpate.service.study.spec import StudySpec
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import InputError, JournalError
+from palpate.storage.records.best_candidate import best_of, best_searched, best_so_far, equally_good
+from palpate.storage.records.journal import Journal
+from palpate.storage.records.record import EvaluationRecord
+from palpate.storage.records.seal import unseal
+from palpate.workers.organs.registry import organ_named
+from palpate.workers.spec import validated
+
+
+def study_results(folder: Path) -> StudyResults:
+    """Read what a study has found so far.
+
+    Raises
+    ------
+    InputError
+        If `folder` is no study.
+    JournalError
+        If its journal is damaged.
+    """
+    study, log = read_study(folder)
+    spec = validated(StudySpec, study.spec, f"The study in {folder}")
+    ranked, session, end = best_so_far(log.endings.values()), log.last_session, log.end
+    best, findings = ranked.record, findings_of(folder)
+    endings = [record for _, record in sorted(log.endings.items())]
+    return StudyResults(
+        folder=folder.absolute(),
+        spec=spec,
+        state=_state(folder, log),
+        stop_reason=None if end is None else end.reason,
+        estimates=estimates_of(spec, best, _before_polish(spec, log)),
+        best=best,
+        counts=_counts(endings),
+        generations=tuple(_generations(spec, log)),
+        failures=tuple(record for record in endings if record.reason),
+        undeformed_scores={} if end is None else end.before,
+        best_scores={} if end is None else end.per_label,
+        wall_s=log.wall_s(_last_sign(folder)),
+        stages=_stages(log.endings.values()),
+        body_facts={} if session is None else session.prepared["facts"],
+        target_kind=None if session is None else session.target["kind"],
+        sessions=len(log.sessions),
+        versions=study.versions if session is None else session.versions,
+        store=None if session is None else session.store,
+        findings=findings,
+        identification=_identification(spec, log, best, findings),
+        unverified_records=log.unverified,
+        caveats=log.caveats,
+        lowest_gsf=ranked.lowest_gsf,
+        best_note=ranked.note,
+    ).judged
+
+
+def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
+    """Read all that is known of one candidate; of the best one when None.
+
+    Raises
+    ------
+    InputError
+        If there is no such candidate.
+    """
+    study, log = read_study(folder)
+    spec = validated(StudySpec, study.spec, f"The study in {folder}")
+    if candidate is None:
+        best = best_of(log.endings)
+        if best is None:
+            raise _no_such("best candidate", folder, "no candidate has a score yet")
+        candidate = best.candidate
+    recorded = RecordedGenerations(spec, log)
+    generation = recorded.generation_of(candidate)
+    if generation is None:
+        raise _no_such(f"candidate {candidate}", folder, _known_candidates(recorded, log))
+    origin = recorded.evaluated_as(candidate)
+    genes, ending = dict(generation.genes[candidate]), log.endings.get(origin)
+    return CandidateResults(spec, candidate, generation.number, origin, genes, ending)
+
+
+def is_running(folder: Path) -> bool:
+    """Return whether a driver holds the journal of the study."""
+    return Journal.is_being_written(StudyLayout(folder).journal)
+
+
+def _known_candidates(recorded: RecordedGenerations, log: StudyLog) -> str:
+    if log.proposals or not log.endings:
+        return f"its candidates are 0 to {recorded.candidates - 1} so far"
+    return (
+        f"its journal has the endings of candidates {min(log.endings)} to {max(log.endings)}; the "
+        "version that wrote it did not record which candidates were carried over"
+    )
+
+
+def _no_such(what: str, folder: Path, why: str) -> InputError:
+    return InputError(f"The study {folder} has no {what}: {why}.")
+
+
+def findings_of(folder: Path) -> Mapping[str, Any]:
+    """Return what the fitted body shows beside its constants; empty if nothing was stored.
+
+    Raises
+    ------
+    JournalError
+        If the file is damaged.
+    """
+    path = StudyLayout(folder).findings
+    if not path.is_file():
+        return {}
+    try:
+        found, _ = unseal(path.read_bytes())
+    except ValueError as error:
+        raise JournalError(
+            f"{path} is damaged: {error}. Remove it: the findings are left out then, and the rest "
+            "of the study can be read."
+        ) from error
+    return found
+
+
+def _last_sign(folder: Path) -> datetime:
+    """Return until when a study has run: until now, or until it last wrote its journal."""
+    journal = StudyLayout(folder).journal
+    written = datetime.fromtimestamp(journal.stat().st_mtime, UTC)
+    return datetime.now(UTC) if is_running(folder) else written
+
+
+def _state(folder: Path, log: StudyLog) -> StudyState:
+    if is_running(folder):
+        return "running"
+    return "interrupted" if log.end is None else "stopped"
+
+
+def _before_polish(spec: StudySpec, log: StudyLog) -> EvaluationRecord | None:
+    """Return the best candidate of the genetic part, where there is another part."""
+    polished = spec.search.strategy == "genetic+least-squares"
+    return best_searched(log.endings) if polished else None
+
+
+def estimates_of(
+    spec: StudySpec, best: EvaluationRecord | None, before: EvaluationRecord | None
+) -> dict[str, ParameterEstimate]:
+    parameters = spec.case.parameters
+    target: dict[str, float] = {}
+    if spec.target.constants is not None:
+        constants = spec.case.complete(parameters.from_door(spec.target.constants))
+        known = {name: value for name, value in constants.items() if name in parameters}
+        stated = parameters.to_door(known) | dict(spec.target.constants)
+        searched = {gene: stated[gene] for gene in spec.search.parameters if gene in stated}
+        target = spec.case.canonical(searched)
+    genes = None if best is None else spec.case.canonical(best.genes)
+    estimates = {}
+    for gene, (lower, upper) in spec.search.parameters.items():
+        parameter = parameters.at_door(gene)
+        estimate = None if genes is None else genes[gene]
+        unpolished = None if before is None else spec.case.canonical(before.genes)[gene]
+        estimates[parameter.name] = ParameterEstimate(
+            gene, parameter.unit.symbol, lower, upper, estimate, target.get(gene), unpolished
+        )
+    return estimates
+
+
+def _identification(
+    spec: StudySpec,
+    log: StudyLog,
+    best: EvaluationRecord | None,
+    findings: Mapping[str, Any],
+) -> Identification | None:
+    """Return what the image tells of the constants, once the search has stopped."""
+    if best is None or log.end is None:
+        return None
+    searched = SearchedConstants(
+        spec.case.parameters,
+        spec.case.parameters.bounds_from_door(spec.search.parameters),
+        spec.common_scale,
+    )
+    found = log.identification
+    if found is not None and found.fit is not None:
+        priors = organ_named(spec.case.organ).nuisances(spec.case, spec.target.constants is None)
+        others = OtherProblems(found.nuisances, tuple(priors), found.meshes or ())
+        derived = [one for one in findings.get("derived", ()) if "mesh_sd" in one]
+        return identification_from_tangents(searched, found.candidate, found.fit, others, derived)
+    note = "the study ran before there were tangents" if found is None else found.reason
+    alike, here = (
+        [spec.constants_of(spec.case.canonical(record.genes)) for record in records]
+        for records in (equally_good(log.endings, best), [best])
+    )
+    return identification_from_scatter(searched, best.candidate, here[0], alike, note)
+
+
+def _generations(spec: StudySpec, log: StudyLog) -> Iterable[GenerationResult]:
+    recorded = RecordedGenerations(spec, log)
+    for generation in recorded.generations:
+        scores = recorded.scores(generation)
+        yield GenerationResult(
+            generation.number,
+            generation.evaluations,
+            generation.ended(log.endings),
+            None if scores is None else _scores(generation, scores, log.endings),
+        )
+
+
+def _scores(
+    generation: RecordedGeneration,
+    scores: Mapping[int, float],
+    endings: Mapping[int, EvaluationRecord],
+) -> GenerationScores:
+    own = best_of({c: r for c in scores if (r := endings.get(c)) and r.fit is not None})
+    best, known = best_in(scores) if own is None else own.candidate, finite(scores)
+    return GenerationScores(
+        best=scores[best],
+        mean=float(np.mean(known)) if known else None,
+        best_candidate=best,
+        best_genes=dict(generation.genes[best]),
+        failed=sum(score == np.inf for score in scores.values()),
+    )
+
+
+def _counts(endings: Iterable[EvaluationRecord]) -> EvaluationCounts:
+    endings = list(endings)
+    by_status = Counter(str(record.status) for record in endings)
+    done, diverged, crashed, lost = (
+        by_status[status] for status in ("done", "diverged", "crashed", "lost")
+    )
+    reused = sum(record.reused for record in endings)
+    return EvaluationCounts(done, diverged, crashed, lost, reused)
+
+
+def _stages(endings: Iterable[EvaluationRecord]) -> dict[str, StageTime]:
+    """Add up the time of each stage over the evaluations that this study has computed."""
+    seconds_by_stage: dict[str, list[float]] = {}
+    for record in endings:
+        if not record.reused:
+            for stage, seconds in record.seconds.items():
+                seconds_by_stage.setdefault(stage, []).append(seconds)
+    return {
+        stage: StageTime(sum(spent), sum(spent) / len(spent), len(spent))
+        for stage, spent in seconds_by_stage.items()
+    }

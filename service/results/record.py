@@ -1,0 +1,313 @@
+"""What a study has found so far: one schema for status, report and page.
+
+`service.results.read` reads it from a study's folder, `service.results.as_json` writes it as JSON.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from palpate.service.quantities import Quantity, not_neutral, quantities_inside
+from palpate.service.results.identification import Identification
+from palpate.service.results.quotability import ends, study_quotability
+from palpate.service.results.quotable import Quotability
+from palpate.service.results.ratios import RatioEstimate, ratio_estimates
+from palpate.service.study.spec import StudySpec
+from palpate.storage.records.record import EvaluationRecord
+from palpate.storage.records.tasks import BodyFacts, Scores, TargetKind
+from palpate.workers.organs.registry import organ_named
+from palpate.workers.spec import Identifiable
+
+StudyState = Literal["running", "stopped", "interrupted"]
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One searched parameter, in its unit at the door.
+
+    Parameters
+    ----------
+    gene : str
+        Its name in the study file, which may end with the unit.
+    unit : str
+        Such as kPa; empty for a pure number.
+    lower, upper : float
+        Bounds of the search.
+    estimate : float or None
+        Of the best candidate; None if no candidate has a score, or the best one is no better
+        than the undeformed body.
+    target : float or None
+        What the target was simulated with; None if it comes from an image.
+    before_polish : float or None
+        Of the best candidate before the best were fitted by derivatives; None where that is
+        not what the study does.
+    interval : (float, float) or None
+        90 % interval; None where none is known or it is withheld.
+    quotability : Quotability or None
+        Whether the estimate may be quoted; None until that was decided.
+    """
+
+    gene: str
+    unit: str
+    lower: float
+    upper: float
+    estimate: float | None
+    target: float | None
+    before_polish: float | None = None
+    interval: tuple[float, float] | None = None
+    quotability: Quotability | None = None
+
+    @property
+    def quotable(self) -> bool:
+        """Return whether the estimate may be quoted."""
+        return self.quotability is not None and self.quotability.quotable
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Return why the estimate may not be quoted, as clauses; empty if it may."""
+        return () if self.quotability is None else self.quotability.reasons
+
+    @property
+    def relative_error(self) -> float | None:
+        """Return ``|estimate - target| / target``; None where one of them is not known."""
+        if self.estimate is None or not self.target:
+            return None
+        return abs(self.estimate - self.target) / self.target
+
+
+@dataclass(frozen=True)
+class EvaluationCounts:
+    """How many evaluations ended in which way, and how many of them the store had already."""
+
+    done: int
+    diverged: int
+    crashed: int
+    lost: int
+    reused: int
+
+
+@dataclass(frozen=True)
+class GenerationScores:
+    """The scores of a generation that is complete.
+
+    Parameters
+    ----------
+    best : float
+        GSF of the best candidate; -inf for identical volumes, +inf if all have failed.
+    mean : float or None
+        Of the finite scores; None if there are none.
+    best_candidate : int
+        Number of the best candidate: by the sum of squares where that is minimised, else by GSF.
+    best_genes : mapping of str to float
+        Its parameters, in their units at the door.
+    failed : int
+        Candidates without a score.
+    """
+
+    best: float
+    mean: float | None
+    best_candidate: int
+    best_genes: Mapping[str, float]
+    failed: int
+
+
+@dataclass(frozen=True)
+class GenerationResult:
+    """One generation of the search.
+
+    Parameters
+    ----------
+    number : int
+        From 0.
+    evaluations : int
+        Candidates that need an evaluation; elites need none.
+    ended : int
+        Evaluations that have ended.
+    scores : GenerationScores or None
+        None until all candidates have an ending.
+    """
+
+    number: int
+    evaluations: int
+    ended: int
+    scores: GenerationScores | None
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """Seconds that the computed evaluations spent in one stage."""
+
+    total_s: float
+    mean_s: float
+    count: int
+
+
+@dataclass(frozen=True)
+class StudyResults:
+    """All that a status or a report says of a study.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the study.
+    spec : StudySpec
+        The study file with all defaults.
+    state : {"running", "stopped", "interrupted"}
+    stop_reason : str or None
+        Why the search has stopped; None if it has not.
+    estimates : mapping of str to ParameterEstimate
+        By the name of the parameter inside, such as ``E_fat``.
+    best : EvaluationRecord or None
+        The best candidate, as `records.best_candidate` ranks them; None if none has a score.
+    counts : EvaluationCounts
+    generations : tuple of GenerationResult
+    failures : tuple of EvaluationRecord
+        Evaluations without a score, in the order of the candidates.
+    undeformed_scores, best_scores : mapping of str to Scores
+        By tissue, of the undeformed body and of the best candidate; empty until the search has
+        stopped.
+    wall_s : float
+        Of all runs, preparation included.
+    stages : mapping of str to StageTime
+        By stage, over the evaluations that this study has computed.
+    body_facts : BodyFacts
+        Of body and mesh; empty until they are prepared.
+    target_kind : {"simulated", "image"} or None
+        None until the target is prepared.
+    sessions : int
+        How often the study was run.
+    versions : mapping of str to str
+        Of Palpate, its code and the packages that results depend on.
+    store : str or None
+        Of the last run.
+    findings : mapping
+        What the fitted body tells; see `workers.organs.registry.Findings`. Maybe empty.
+    identification : Identification or None
+        How well the image determines each constant; None until the search has stopped.
+    unverified_records : int
+        Records of the journal without a checksum, which an earlier version wrote.
+    lowest_gsf : EvaluationRecord or None
+        The candidate with the lowest GSF where that is not the best one.
+    best_note : str
+        Why the best candidate has not the lowest GSF; empty if it has.
+    """
+
+    folder: Path
+    spec: StudySpec
+    state: StudyState
+    stop_reason: str | None
+    estimates: Mapping[str, ParameterEstimate]
+    best: EvaluationRecord | None
+    counts: EvaluationCounts
+    generations: tuple[GenerationResult, ...]
+    failures: tuple[EvaluationRecord, ...]
+    undeformed_scores: Mapping[str, Scores]
+    best_scores: Mapping[str, Scores]
+    wall_s: float
+    stages: Mapping[str, StageTime]
+    body_facts: BodyFacts
+    target_kind: TargetKind | None
+    sessions: int
+    versions: Mapping[str, str]
+    store: str | None
+    findings: Mapping[str, Any] = field(default_factory=dict)
+    identification: Identification | None = None
+    unverified_records: int = 0
+    caveats: tuple[str, ...] = ()
+    lowest_gsf: EvaluationRecord | None = None
+    best_note: str = ""
+
+    @property
+    def name(self) -> str:
+        """Return the name of the study."""
+        return self.spec.name
+
+    @property
+    def identifiable(self) -> Identifiable:
+        """Return whether the load tells the estimates or only their ratios."""
+        return self.spec.identifiable
+
+    @property
+    def ratios(self) -> tuple[RatioEstimate, ...]:
+        """Return the ratios of stiffnesses where these are all that can be found."""
+        return ratio_estimates(self.estimates) if self.identifiable == "ratio" else ()
+
+    @property
+    def quotability(self) -> dict[str, Quotability]:
+        """Return whether each estimate may be quoted, by its inside name."""
+        return study_quotability(self)
+
+    @property
+    def judged(self) -> "StudyResults":
+        """Return the results with intervals and answers, without intervals that do not hold."""
+        answers, known = self.quotability, self.identification
+        constants = {} if known is None else dict(known.constants)
+        for name in constants.keys() & answers.keys():
+            if not answers[name].interval_holds:
+                constants[name] = replace(constants[name], interval=None)
+        estimates = {
+            name: replace(
+                one,
+                estimate=one.estimate if answers[name].estimated else None,
+                interval=ends(constants[name].interval) if name in constants else None,
+                quotability=answers[name],
+            )
+            for name, one in self.estimates.items()
+        }
+        shown = None if known is None else replace(known, constants=constants)
+        return replace(self, estimates=estimates, identification=shown)
+
+    @property
+    def best_score(self) -> Scores | None:
+        """Return the scores of the best candidate over all compared tissues together."""
+        return None if self.best is None else self.best.score
+
+    @property
+    def complete_generations(self) -> list[tuple[GenerationResult, GenerationScores]]:
+        """Return the generations whose scores are all known, with them."""
+        return [(g, g.scores) for g in self.generations if g.scores is not None]
+
+
+@dataclass(frozen=True)
+class CandidateResults:
+    """All that is known of one candidate.
+
+    Parameters
+    ----------
+    spec : StudySpec
+        Of the study.
+    candidate, generation : int
+        Generations from 0.
+    evaluated_as : int
+        The candidate whose evaluation it shares: an elite has the ending of the candidate that
+        it was carried over from.
+    genes : mapping of str to float
+        In their units at the door.
+    evaluation : EvaluationRecord or None
+        Its ending; None while it has none.
+    """
+
+    spec: StudySpec
+    candidate: int
+    generation: int
+    evaluated_as: int
+    genes: Mapping[str, float]
+    evaluation: EvaluationRecord | None
+
+    def held(self, *, everything: bool) -> dict[str, Quantity]:
+        """Return the constants that it was simulated with and that are not searched.
+
+        Parameters
+        ----------
+        everything : bool
+            Those at their neutral values as well.
+        """
+        case = self.spec.case
+        vocabulary = organ_named(case.organ).parameters
+        searched = self.spec.constants_of(self.genes)
+        constants = case.complete(searched)
+        stated = case.parameters.from_door(case.constants)
+        kept = constants if everything else not_neutral(vocabulary, constants, stated)
+        held = {name: value for name, value in kept.items() if name not in searched}
+        return quantities_inside(vocabulary, held)

@@ -1,0 +1,132 @@
+"""What a study file says of its search: the strategy and its settings."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from palpate.service.search.cma_search import CMA_STALL_GENERATIONS, CmaSettings
+from palpate.service.search.genetic import GeneticSettings
+from palpate.service.search.operators import INITIAL, MUTATIONS
+from palpate.service.search.space import Space
+from palpate.service.search.stall import Stall
+from palpate.workers.mechanics.parameters import Bounds
+from palpate.workers.spec import Door, Positive
+
+
+class StallSpec(Door):
+    """When to stop because nothing gets better; see `service.search.stall`."""
+
+    generations: Annotated[int, Field(ge=1)] = 5
+    tolerance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-6
+    rule: Literal["relative", "weighted"] = "relative"
+
+
+class LevelSpec(Door):
+    """A coarser resolution in which constants are fitted first."""
+
+    nodes: Annotated[int, Field(ge=100, le=5_000_000)]
+    spacing_mm: Positive
+
+
+class SearchSpec(Door):
+    """How the parameters are searched; the defaults are the thesis'.
+
+    ``stall: null`` never stops before the last generation. ``starts``, ``levels`` and
+    ``fit_evaluations`` are for the strategies with least squares, see
+    `service.search.least_squares`; the others for ``genetic`` and, as far as they apply, ``cma``.
+    ``mode: steady`` has no barrier between generations: a candidate is bred as soon as one has
+    ended, up to `in_flight` of them at once (default: a population); see
+    `service.search.steady`.
+    """
+
+    parameters: Annotated[dict[str, Bounds], Field(min_length=1)] = Field(
+        description="lower and upper bound of each searched constant, such as [5, 20]"
+    )
+    strategy: Literal["genetic", "least-squares", "genetic+least-squares", "cma"] = "genetic"
+    starts: Annotated[int, Field(ge=1, le=100)] = 3
+    levels: tuple[LevelSpec, ...] | None = None
+    fit_evaluations: Annotated[int, Field(ge=2)] = 20
+    population: Annotated[int, Field(ge=2)] = 84
+    generations: Annotated[int, Field(ge=1)] = 15
+    elite: Annotated[int, Field(ge=0)] = 2
+    crossover_fraction: Annotated[float, Field(ge=0, le=1)] = 0.8
+    mutation: Literal["adaptive-feasible", "gaussian"] = "adaptive-feasible"
+    initial: Literal["uniform", "latin-hypercube"] = "uniform"
+    stall: StallSpec | None = StallSpec()
+    mode: Literal["barrier", "steady"] = "barrier"
+    in_flight: Annotated[int, Field(ge=1)] | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what older studies do not have, or their digests would change."""
+        values: dict[str, Any] = handler(self)
+        later = {"mode": "barrier", "in_flight": None}
+        return {k: v for k, v in values.items() if k not in later or v != later[k]}
+
+    @model_validator(mode="after")
+    def _steady_is_genetic(self) -> Self:
+        if self.steady and self.strategy != "genetic":
+            raise ValueError(f"mode: steady needs strategy: genetic, got {self.strategy}")
+        if self.in_flight is not None and not self.steady:
+            raise ValueError("in_flight needs mode: steady")
+        return self
+
+    @property
+    def steady(self) -> bool:
+        """Return whether there is no barrier between generations."""
+        return self.mode == "steady"
+
+    @model_validator(mode="after")
+    def _somebody_is_new(self) -> Self:
+        if self.elite >= self.population:
+            raise ValueError(
+                f"elite ({self.elite}) must be less than population ({self.population}): "
+                "somebody has to be new in every generation"
+            )
+        return self
+
+    @model_validator(mode="before")
+    @classmethod
+    def _few_candidates_for_cma(cls, data: Any) -> Any:
+        """Fill in what CMA-ES usually takes where the thesis' numbers would stand."""
+        if isinstance(data, Mapping) and data.get("strategy") == "cma":
+            patience = {"generations": CMA_STALL_GENERATIONS}
+            return {"population": 12, "generations": 60, "stall": patience, **data}
+        return data
+
+    @property
+    def by_derivatives(self) -> bool:
+        """Return whether the strategy needs derivatives."""
+        return "least-squares" in self.strategy
+
+    @property
+    def cma_settings(self) -> CmaSettings:
+        """Return the settings of `CmaSearch`."""
+        return CmaSettings(self.population, self.generations, self.settings.stall)
+
+    @property
+    def settings(self) -> GeneticSettings:
+        """Return the settings of `GeneticSearch`."""
+        stall = self.stall
+        return GeneticSettings(
+            population=self.population,
+            generations=self.generations,
+            elite=self.elite,
+            crossover_fraction=self.crossover_fraction,
+            stall=None if stall is None else Stall(**stall.model_dump()),
+            mutation=MUTATIONS[self.mutation],
+            initial=INITIAL[self.initial],
+        )
+
+    @property
+    def space(self) -> Space:
+        """Return the box that is searched, in the units at the door."""
+        return Space.from_bounds(self.parameters)
+
+
+# Elements of about 5 and 3 mm in a breast of 445 ml; voxels with a fifth of that.
+COARSE_LEVELS = (
+    LevelSpec(nodes=5_000, spacing_mm=1.0),
+    LevelSpec(nodes=20_000, spacing_mm=0.5),
+)

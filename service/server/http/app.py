@@ -1,0 +1,218 @@
+"""The HTTP API of a service, as an ASGI application; described by /api/v1/openapi.json."""
+
+import logging
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, FastAPI, HTTPException, Request, Response
+from fastapi import Path as PathParameter
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse, PlainTextResponse
+from starlette.exceptions import HTTPException as StarletteHTTPException
+
+from palpate.service.server.api import (
+    PREFIX,
+    ClusterView,
+    Health,
+    Problem,
+    SessionView,
+    SignIn,
+    UploadList,
+    UploadView,
+)
+from palpate.service.server.http import job_routes, page_routes, watch_routes
+from palpate.service.server.http.access import (
+    COOKIE,
+    Credentials,
+    Here,
+    Writer,
+    owner_of,
+    reader,
+    sign_in,
+)
+from palpate.service.server.http.guard import Guard
+from palpate.service.server.http.metrics import metrics
+from palpate.service.server.http.strict_json import StrictRoute
+from palpate.service.server.jobs.home import NAME_PATTERN
+from palpate.service.server.jobs.queue import StateError
+from palpate.service.server.jobs.uploads import ConflictError, TooLargeError
+from palpate.service.server.jobs.yaml import texts
+from palpate.service.server.service import Service
+from palpate.service.versions import palpate_version
+from palpate.storage.errors import InputError, PalpateError
+
+_log = logging.getLogger(__name__)
+
+ABOUT = """Studies and diagnoses of Palpate on one cluster. What writes needs a token
+(`Authorization: Bearer TOKEN`). Scores that are infinite are the texts "-inf" and "inf"."""
+
+Name = Annotated[str, PathParameter(pattern=NAME_PATTERN)]
+
+
+def create_app(
+    service: Service,
+    *,
+    hosts: Iterable[str] = (),
+    stopping: Callable[[], bool] = lambda: False,
+) -> FastAPI:
+    """Return the application of a service.
+
+    Parameters
+    ----------
+    service : Service
+    hosts : iterable of str
+        Names under which it may be asked, beside those of this machine.
+    stopping : callable
+        Whether streams have to end.
+    """
+    app = FastAPI(
+        title="Palpate",
+        version=palpate_version(),
+        description=ABOUT,
+        openapi_url=f"{PREFIX}/openapi.json",
+        docs_url=None,  # its page would load scripts from elsewhere
+        redoc_url=None,
+        redirect_slashes=False,
+        max_body_size=service.limits.body_bytes,
+    )
+    app.state.service, app.state.stopping, app.state.streams = service, stopping, 0
+    app.include_router(job_routes.router, prefix=PREFIX)
+    app.include_router(watch_routes.router, prefix=PREFIX)
+    app.include_router(page_routes.router)
+    app.include_router(_uploads(service), prefix=PREFIX)
+    app.include_router(_about(), prefix=PREFIX)
+    app.add_api_route("/metrics", _metrics, tags=["service"], response_class=PlainTextResponse)
+    app.add_middleware(Guard, hosts=hosts)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(StarletteHTTPException, _refused)
+    app.add_exception_handler(PalpateError, _refused_by_palpate)
+    app.add_exception_handler(Exception, _crashed)
+    return app
+
+
+def _problems(*codes: int) -> dict[int | str, dict[str, Any]]:
+    return {code: {"model": Problem} for code in codes}
+
+
+def _about() -> APIRouter:
+    router = APIRouter(
+        tags=["service"],
+        responses=_problems(400, 401, 403, 421, 422),
+        route_class=StrictRoute,
+    )
+
+    @router.get("/health")
+    def get_health(service: Here) -> Health:
+        """Say whether the service is up; needs no token."""
+        return Health(version=palpate_version(), cluster=service.runner.cluster is not None)
+
+    @router.get("/cluster", dependencies=[Depends(reader)])
+    def get_cluster(service: Here) -> ClusterView:
+        """Return what the cluster can do and does."""
+        runner = service.runner
+        cluster = runner.cluster
+        return ClusterView(
+            ready=cluster is not None,
+            trouble=runner.trouble,
+            threads=runner.threads,
+            tasks=runner.share.held,
+            dashboard=cluster.dashboard if cluster else "",
+            workers=service.load.workers(),
+        )
+
+    @router.get("/session")
+    def get_session(service: Here, request: Request, credentials: Credentials) -> SessionView:
+        """Say who asks; needs no token."""
+        owner = owner_of(request, service, credentials)
+        return SessionView(owner=owner or "", read_token=service.read_token)
+
+    @router.post("/session", status_code=204, responses=_problems(413))
+    def begin_session(service: Here, request: Request, given: SignIn, response: Response) -> None:
+        """Exchange a token for a cookie, which a browser sends when it follows events."""
+        sign_in(service, given, response, secure=request.url.scheme == "https")
+
+    @router.delete("/session", status_code=204)
+    def end_session(response: Response) -> None:
+        """Forget the cookie."""
+        response.delete_cookie(COOKIE)
+
+    return router
+
+
+def _uploads(service: Service) -> APIRouter:
+    router = APIRouter(
+        tags=["uploads"],
+        dependencies=[Depends(reader)],
+        responses=_problems(400, 401, 403, 421, 422),
+    )
+
+    @router.get("/uploads")
+    def list_uploads(service: Here) -> UploadList:
+        """List all uploads."""
+        return UploadList(uploads=[UploadView(**vars(one)) for one in service.uploads.list()])
+
+    @router.put(
+        "/uploads/{folder}/{file}",
+        status_code=201,
+        responses=_problems(409, 413),
+        max_body_size=service.limits.upload_bytes,
+        openapi_extra={"requestBody": {"content": {"application/octet-stream": {}}}},
+    )
+    async def upload(
+        service: Here, _: Writer, request: Request, folder: Name, file: Name
+    ) -> UploadView:
+        """Upload an image, a case or a recording as it is. An upload is never changed."""
+        return UploadView(**vars(await service.uploads.save(folder, file, request.stream())))
+
+    @router.delete("/uploads/{folder}", status_code=204, responses=_problems(404, 409))
+    def remove_uploads(service: Here, _: Writer, folder: Name) -> None:
+        """Remove a folder of uploads that no unfinished job needs."""
+        place = str(service.home.uploads / folder)
+        for job in service.queue.jobs:
+            named = [text for _, text in texts(dict(job.request))]
+            used = any(
+                t == folder or f"{t}/".startswith((f"{place}/", f"{folder}/")) for t in named
+            )
+            if used and job.state in ("waiting", "paused"):
+                raise HTTPException(409, f"The job {job.id} needs {folder}: cancel it first.")
+        if not service.uploads.remove(folder):
+            raise HTTPException(404, f"There are no uploads {folder}.")
+
+    return router
+
+
+def _metrics(service: Here, _: Annotated[None, Depends(reader)]) -> str:
+    """Return numbers for Prometheus."""
+    return metrics(service)
+
+
+def _invalid(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)
+    lines = [
+        f"{'.'.join(str(part) for part in one['loc'])}: {one['msg']}" for one in error.errors()
+    ]
+    return JSONResponse({"error": "; ".join(lines)[:4000]}, 422)
+
+
+def _refused(request: Request, error: Exception) -> Response:
+    assert isinstance(error, StarletteHTTPException)
+    if error.status_code in (204, 304):
+        return Response(status_code=error.status_code)
+    return JSONResponse({"error": str(error.detail)}, error.status_code, headers=error.headers)
+
+
+def _refused_by_palpate(request: Request, error: Exception) -> JSONResponse:
+    if isinstance(error, TooLargeError):
+        status = 413
+    elif isinstance(error, InputError):
+        status = 422
+    elif isinstance(error, StateError | ConflictError):
+        status = 409
+    else:  # a store or a journal that cannot be used as it is
+        status = 409
+    return JSONResponse({"error": str(error)}, status)
+
+
+def _crashed(request: Request, error: Exception) -> JSONResponse:
+    _log.error("%s %s has crashed.", request.method, request.url.path, exc_info=error)
+    return JSONResponse({"error": "A fault of Palpate's own; the service's log has more."}, 500)

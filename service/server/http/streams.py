@@ -1,0 +1,40 @@
+"""Answers with a stream of server-sent events, of which there are not too many at once."""
+
+from collections.abc import AsyncIterator, Awaitable, Callable
+
+from fastapi import HTTPException, Request
+from fastapi.responses import StreamingResponse
+
+from palpate.service.server.service import Service
+
+Gone = Callable[[], Awaitable[bool]]
+
+
+def event_stream(
+    request: Request, service: Service, events: Callable[[Gone], AsyncIterator[bytes]]
+) -> StreamingResponse:
+    """Return the answer that sends `events` until they end, or until client or service leave.
+
+    Raises
+    ------
+    HTTPException
+        503 if too many clients follow already.
+    """
+    state = request.app.state
+    if state.streams >= service.limits.open_streams:
+        raise HTTPException(503, "Too many clients follow jobs at this moment: try again later.")
+
+    async def gone() -> bool:
+        return state.stopping() or await request.is_disconnected()
+
+    async def stream() -> AsyncIterator[bytes]:
+        state.streams += 1
+        try:
+            async for event in events(gone):
+                yield event
+        finally:
+            state.streams -= 1
+
+    return StreamingResponse(
+        stream(), media_type="text/event-stream", headers={"X-Accel-Buffering": "no"}
+    )

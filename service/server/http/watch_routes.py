@@ -1,0 +1,122 @@
+"""Routes of the API for a page that watches: all jobs, a study in brief, its bodies."""
+
+from typing import Any
+
+from fastapi import APIRouter, Depends, HTTPException, Request, Response
+from fastapi.responses import FileResponse, StreamingResponse
+
+from palpate.service.server.api import BodiesView, JobView, Problem, StudyView
+from palpate.service.server.http.access import Here, reader
+from palpate.service.server.http.job_routes import Followed, Known
+from palpate.service.server.http.streams import event_stream
+from palpate.service.server.http.strict_json import StrictRoute
+from palpate.service.server.jobs.queue import Job
+from palpate.service.server.live.events import all_job_events, job_events
+from palpate.service.server.live.study_view import study_view
+from palpate.service.server.service import Service
+from palpate.service.server.views import ENDED, job_view, view_now
+
+NEWEST = 100
+EVENT_STREAM: dict[int | str, dict[str, Any]] = {200: {"content": {"text/event-stream": {}}}}
+
+
+def _refusals(*codes: int) -> dict[int | str, dict[str, Any]]:
+    return {code: {"model": Problem} for code in codes}
+
+
+router = APIRouter(
+    route_class=StrictRoute,
+    tags=["watching"],
+    dependencies=[Depends(reader)],
+    responses=_refusals(400, 401, 403, 421, 422),
+)
+
+
+@router.get("/events", response_class=StreamingResponse, responses=_refusals(503) | EVENT_STREAM)
+async def follow_all(service: Here, request: Request) -> StreamingResponse:
+    """Follow all jobs by server-sent events: `job`, at first the newest and all that run."""
+    return event_stream(request, service, lambda gone: all_job_events(JobNews(service).next, gone))
+
+
+@router.get(
+    "/jobs/{job}/points",
+    response_class=StreamingResponse,
+    responses=_refusals(404, 503) | EVENT_STREAM,
+)
+async def follow_points(
+    service: Here,
+    request: Request,
+    job: Known,
+    tail: Followed,
+) -> StreamingResponse:
+    """Follow a job by server-sent events in brief: `job`, `points`, at last `end`."""
+    return event_stream(
+        request,
+        service,
+        lambda gone: job_events(tail, lambda: view_now(service, job), gone, brief=True),
+    )
+
+
+@router.get("/jobs/{job}/study", responses=_refusals(404, 409))
+def get_study(service: Here, job: Known) -> StudyView:
+    """Return what a study asks: its parameters and its file."""
+    _check_study(job)
+    return study_view(job)
+
+
+@router.get(
+    "/jobs/{job}/bodies",
+    response_model=BodiesView,
+    responses=_refusals(404, 409) | {202: {"model": BodiesView}},
+)
+def get_bodies(service: Here, job: Known, answer: Response) -> Any:
+    """Return reference, target and best candidate; 202 while they are being made."""
+    _check_study(job)
+    folder = service.home.job(job.id)
+    progress = service.progress.of(folder)
+    if not progress.sessions:
+        raise HTTPException(409, f"{job.id} has no body yet: it is being prepared.")
+    candidate = None if progress.best is None else progress.best.candidate
+    path = service.bodies.of(folder, candidate)
+    if path is None:
+        answer.status_code = 202
+        return BodiesView(ready=False)
+    return FileResponse(path, media_type="application/json")
+
+
+class JobNews:
+    """Tells of jobs that are new or have changed since it was asked last.
+
+    Parameters
+    ----------
+    service : Service
+    """
+
+    def __init__(self, service: Service) -> None:
+        self._service = service
+        self._told: dict[str, JobView] = {}
+        self._first = max(0, len(service.queue.jobs) - NEWEST)
+
+    def next(self) -> list[JobView]:
+        """Return these jobs; at first the newest and all that have not ended."""
+        news = []
+        for job in self._service.queue.jobs:
+            if not self._may_have_changed(job, self._told.get(job.id)):
+                continue
+            view = job_view(self._service, job)
+            if view != self._told.get(job.id):
+                self._told[job.id] = view
+                news.append(view)
+        return news
+
+    def _may_have_changed(self, job: Job, before: JobView | None) -> bool:
+        if job.state not in ENDED:
+            return True
+        if before is None:
+            return job.number >= self._first
+        return (before.state, before.changed) != (job.state, job.changed)
+
+
+def _check_study(job: Job) -> None:
+    if job.kind != "study":
+        raise HTTPException(409, f"{job.id} is a diagnosis, not a study.")

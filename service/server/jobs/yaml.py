@@ -1,0 +1,96 @@
+"""Reads YAML and JSON of strangers: no aliases, no deep nesting, no paths.
+
+Aliases make a text of a kilobyte stand for gigabytes once it is written out, and deep
+nesting ends the parser by recursion; no study needs either.
+"""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import yaml
+
+from palpate.storage.errors import InputError
+from palpate.workers.documents import parse_yaml
+
+MOST_EVENTS = 50_000
+DEEPEST = 40
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_LEADS_OUT = re.compile(
+    r"^\s*(/|~|[A-Za-z]:[\\/]|\\\\|[A-Za-z][A-Za-z0-9+.-]*://)|(^|[\\/])\.\.([\\/]|$)"
+)
+
+
+def parsed_text(text: str, where: str) -> Any:
+    """Parse YAML, of which JSON is a part.
+
+    Raises
+    ------
+    InputError
+        If it is no YAML, or of a kind that is not accepted.
+    """
+    try:
+        _check_events(text, where)
+        return parse_yaml(text, where)
+    except InputError:
+        raise
+    except Exception as error:  # YAML of strangers raises nearly anything: dates, huge numbers
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"{where} is not valid YAML: {reason}") from error
+
+
+def _check_events(text: str, where: str) -> None:
+    depth = 0
+    for count, event in enumerate(yaml.parse(text, _LOADER)):
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+            raise InputError(f"{where} uses anchors or aliases (& and *): write it out.")
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if depth > DEEPEST or count > MOST_EVENTS:
+            raise InputError(f"{where} is nested too deeply or too long for a study.")
+
+
+def refuse_paths(data: Any, where: str) -> None:
+    """Refuse texts that are absolute paths, addresses, or lead out of their folder.
+
+    Raises
+    ------
+    InputError
+    """
+    for key, value in texts(data):
+        if _LEADS_OUT.search(value) or "\0" in value:
+            raise InputError(
+                f"{where}: {key} is {value[:60]!r}, which leads out of the service. Name what "
+                "was uploaded, FOLDER/FILE, or what the store holds."
+            )
+
+
+def texts(data: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Yield all texts in plain values, with the dotted names of their keys."""
+    if isinstance(data, str):
+        yield key, data
+    elif isinstance(data, dict):
+        for name, value in data.items():
+            yield from texts(value, f"{key}.{name}".lstrip("."))
+    elif isinstance(data, list | tuple):
+        for number, value in enumerate(data):
+            yield from texts(value, f"{key}[{number}]")
+
+
+def depth_of(data: Any) -> int:
+    """Return how deeply plain values are nested, without recursion."""
+    deepest, level = 0, [data]
+    while level:
+        deepest += 1
+        if deepest > 2 * DEEPEST:
+            break
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                inner.extend(value.values())
+            elif isinstance(value, list):
+                inner.extend(value)
+        level = inner
+    return deepest

@@ -1,0 +1,143 @@
+"""Makes what the viewers of a live page show, in a process of its own, one at a time.
+
+A body of 100 Mvoxel takes memory and seconds that the service does not have to spare. What
+was made lies in the folder of the job, named after the candidate that it shows.
+"""
+
+import os
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+from palpate.service.report.drawing.packed import Json
+from palpate.service.report.study.bodies import Bodies, find_bodies
+from palpate.service.report.study.pictures import body_data, slice_data
+from palpate.service.report.study.sections import difference_legend, present
+from palpate.service.server.api import BodiesView
+from palpate.service.study.log import read_study
+from palpate.service.study.spec import StudySpec
+from palpate.storage.backends.atomic import write_file
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import PalpateError, StoreError
+from palpate.storage.records.best_candidate import best_of
+from palpate.workers import WORKER_ENVIRONMENT
+from palpate.workers.spec import validated
+
+NAME = "bodies-{candidate}.json"
+
+
+class BodiesMaker:
+    """Gives the bodies of a study's best candidate once they are made."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._path = Path()
+        self._failed: set[Path] = set()
+
+    def of(self, folder: Path, candidate: int | None) -> Path | None:
+        """Return the file that shows a candidate, else the last one that was made; None if none.
+
+        What is missing is made meanwhile. A search may find better ones faster than they can
+        be drawn.
+
+        Parameters
+        ----------
+        folder : Path
+            Of a study that has begun.
+        candidate : int or None
+            The best one; None if there is none, then reference and target are shown.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be made.
+        """
+        path = folder / NAME.format(candidate="none" if candidate is None else candidate)
+        with self._lock:
+            self._look()
+            if path.is_file():
+                return path
+            if path in self._failed:
+                raise StoreError(f"The bodies of {folder.name} cannot be drawn; the log has more.")
+            if self._process is None:
+                self._path = path
+                self._process = subprocess.Popen(
+                    [
+                        sys.executable,
+                        "-m",
+                        "palpate.service.server.live.bodies",
+                        str(folder),
+                        str(path),
+                    ],
+                    env=os.environ | WORKER_ENVIRONMENT,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                )
+            return max(folder.glob(NAME.format(candidate="*")), key=_made, default=None)
+
+    def close(self) -> None:
+        """End what is being made."""
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()
+                self._process.wait()
+                self._process = None
+
+    def _look(self) -> None:
+        """Note whether the process has ended, and how."""
+        if self._process is None or self._process.poll() is None:
+            return
+        if self._process.returncode != 0:
+            self._failed.add(self._path)
+        for older in self._path.parent.glob(NAME.format(candidate="*")):
+            if older != self._path:
+                older.unlink(missing_ok=True)
+        self._process = None
+
+
+def _made(path: Path) -> int:
+    return path.stat().st_mtime_ns
+
+
+def best_bodies(folder: Path) -> BodiesView:
+    """Return what the viewers show of a study's best candidate.
+
+    Raises
+    ------
+    PalpateError
+        If its journal cannot be read.
+    """
+    study, log = read_study(folder)
+    spec = validated(StudySpec, study.spec, "The study")
+    best = best_of(log.endings)
+    digest = None if best is None else best.digest
+    bodies = find_bodies(folder, spec, log.last_session, digest, compare=False)
+    slices, body = _shown(bodies, spec)
+    return BodiesView(
+        ready=True,
+        candidate=None if best is None else best.candidate,
+        slices=slices,
+        body=body,
+        missing=list(bodies.missing),
+        tissues=present(bodies),
+        differences=difference_legend(),
+    )
+
+
+def _shown(bodies: Bodies, spec: StudySpec) -> tuple[Json | None, Json | None]:
+    with suppress(PalpateError):  # a body of nothing but air
+        return slice_data(bodies, spec.score.parts), body_data(bodies, spec.case)
+    return None, None
+
+
+def main(folder: str, path: str) -> None:
+    """Write what the viewers show of the study in a folder."""
+    assert StudyLayout(Path(folder)).journal.is_file()
+    write_file(Path(path), best_bodies(Path(folder)).model_dump_json().encode())
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

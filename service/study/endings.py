@@ -1,0 +1,72 @@
+"""Makes records of how evaluations ended, and says when the cluster or the model is to blame."""
+
+import math
+import re
+from functools import partial
+
+from palpate.service.cluster.dispatch import Ending
+from palpate.service.errors import ClusterError, GenerationCrashError
+from palpate.service.study.replay import PendingGeneration
+from palpate.storage.records.record import EvaluationRecord
+from palpate.storage.records.status import Status
+from palpate.storage.records.tasks import EvaluationResult
+
+# A generation that loses more than this share of its candidates accuses the cluster.
+MAX_LOST_SHARE = 0.2
+# What differs between two reasons that are one.
+NUMBERS = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
+NO_SHARED_TISSUE = "it has no score: candidate and target share no tissue compared"
+
+
+def blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:
+    """Raise where many are lost: then the cluster is to blame, and no candidate."""
+    if len(lost) > max(1, MAX_LOST_SHARE * evaluations):
+        raise ClusterError(
+            f"{len(lost)} of {evaluations} candidates have lost their workers again and again: "
+            f"{lost[0].reason}. The workers may have too little memory: start fewer with "
+            "--workers, then run the study again; what is finished is kept."
+        )
+
+
+def refuse_if_all_crashed(crashed: list[Ending], generation: int) -> None:
+    """Raise where all candidates crash for one reason: the search would learn nothing."""
+    reasons = {NUMBERS.sub("#", ending.reason) for ending in crashed}
+    if len(crashed) > 1 and len(reasons) == 1:
+        raise GenerationCrashError(
+            f"All {len(crashed)} candidates of generation {generation + 1} have crashed for one "
+            f"reason: {crashed[0].reason}. None of them is journalled: put it right, and the same "
+            "command continues the study.",
+            crashed[0].traceback,
+        )
+
+
+def evaluation_record(
+    pending: PendingGeneration, candidate: int, ending: Ending, reused: bool
+) -> EvaluationRecord:
+    """Make the journal's record of an ending."""
+    record = partial(
+        EvaluationRecord,
+        candidate=candidate,
+        generation=pending.number,
+        genes=pending.genes(candidate),
+        digest=ending.key,
+        attempts=max(1, ending.attempts),
+        reused=reused,
+        level=pending.proposal.level,
+    )
+    result: EvaluationResult | None = ending.value
+    if result is None:
+        status = Status.CRASHED if ending.kind == "crashed" else Status.LOST
+        traceback = ending.traceback if status is Status.CRASHED else ""
+        return record(status=status, reason=ending.reason, traceback=traceback)
+    record = partial(
+        record,
+        outcome=result.get("outcome"),
+        seconds=result.get("seconds", {}),
+        worker=result.get("worker", ""),
+        fit=result.get("fit"),
+    )
+    score = result.get("score")
+    if result["status"] == "done" and score is not None and score["gsf"] < math.inf:
+        return record(status=Status.DONE, score=score)
+    return record(status=Status.DIVERGED, reason=result.get("reason") or NO_SHARED_TISSUE)

@@ -1,0 +1,300 @@
+"""Runs a study: propose candidates, evaluate them, journal the endings, score generations.
+
+Running a study and resuming it are the same: the journal says which candidates
+have an ending, the search proposes what it proposed before, and what has no
+ending is evaluated. Scores are handed to the search in the order of the candidates, so neither
+the number of workers nor an interruption changes what is proposed next.
+"""
+
+import time
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.search.base import Generation, Stopped
+from palpate.service.study.error_sources import Lost, mesh_fits, nuisance_fit
+from palpate.service.study.evaluations import EvaluationRun
+from palpate.service.study.folder import StudyFolder
+from palpate.service.study.log import StudyLog
+from palpate.service.study.observers.hooks import Hooks, Observer, StudyFacts
+from palpate.service.study.replay import PendingGeneration, SearchReplay
+from palpate.service.study.requests import StudyWork, Tasks
+from palpate.service.study.spec import StudySpec
+from palpate.service.study.steady import SteadyRun
+from palpate.service.study.steady_replay import replayed
+from palpate.service.versions import versions
+from palpate.storage.backends.atomic import write_file
+from palpate.storage.backends.places import Location, place_of
+from palpate.storage.plain import dumps, to_plain
+from palpate.storage.records.best_candidate import best_of
+from palpate.storage.records.journal import Journal
+from palpate.storage.records.record import (
+    EndRecord,
+    EvaluationRecord,
+    GenerationRecord,
+    IdentificationRecord,
+    ProposalRecord,
+    SessionRecord,
+)
+from palpate.storage.records.seal import seal
+from palpate.storage.records.tasks import FitJson
+from palpate.storage.stores.store import Store, open_store
+from palpate.workers.organs.registry import organ_named
+
+__all__ = ["Conclusion", "Study", "Tasks"]
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """How a search ended.
+
+    Parameters
+    ----------
+    reason : str
+        Why it stopped.
+    best : EvaluationRecord or None
+        None if no candidate has a score.
+    history : tuple of Generation
+        All its generations.
+    """
+
+    reason: str
+    best: EvaluationRecord | None
+    history: tuple[Generation, ...]
+
+
+class Study:
+    """One study and its folder.
+
+    Parameters
+    ----------
+    spec : StudySpec
+        The study file.
+    folder : Path
+        Made when missing; continued when it holds this study.
+    store : str or Path, optional
+        Where volumes and evaluations go. Default: that of the last run, else the
+        folder ``store`` beside `folder`.
+    tasks : Tasks
+        What is sent to the workers.
+    observers : iterable of Observer
+        Hear what happens.
+    accept_new_code : bool
+        Continue although the code has changed since the last run.
+
+    Attributes
+    ----------
+    ended, begun : bool
+        Whether its search has stopped; whether body and target were ever prepared.
+    caveats : tuple of str
+        Statements with which its results begin; set before `run`, and recorded with it.
+    store : Path or ObjectPath
+        Where volumes and evaluations go.
+
+    Raises
+    ------
+    InputError
+        If `folder` holds another study, or one run with other code.
+    JournalError
+        If its journal is damaged.
+    """
+
+    def __init__(
+        self,
+        spec: StudySpec,
+        folder: Path,
+        store: Location | None = None,
+        *,
+        tasks: Tasks | None = None,
+        observers: Iterable[Observer] = (),
+        accept_new_code: bool = False,
+    ) -> None:
+        self.spec = spec
+        self.tasks = tasks or Tasks()
+        self.hooks = Hooks(observers)
+        self.folder = StudyFolder(folder, spec, accept_new_code=accept_new_code)
+        log = self.folder.check()
+        self.ended = log.end is not None
+        self.begun = bool(log.sessions)
+        self.caveats: tuple[str, ...] = ()
+        self.store = place_of(store or self.folder.default_store(log))
+        self._given_store = store
+
+    def run(self, dispatcher: Dispatcher, dashboard: str = "") -> Conclusion:
+        """Run the study to its end, from wherever it stands.
+
+        Raises
+        ------
+        InputError
+            If the case or the target makes no sense.
+        StoreError
+            If store or journal cannot be used; a study that is running already.
+        ClusterError
+            If the workers cannot do the work; what is journalled is kept.
+        Interrupted
+            If the dispatcher is told to stop.
+        """
+        with self.folder.open() as journal:
+            log = self.folder.begin(journal)
+            store = open_store(self._given_store or self.folder.default_store(log))
+            return _Run(self, journal, log, store, dispatcher).to_the_end(dashboard)
+
+
+class _Run:
+    """One run of a study, its journal locked."""
+
+    def __init__(
+        self, study: Study, journal: Journal, log: StudyLog, store: Store, dispatcher: Dispatcher
+    ) -> None:
+        self.study, self.spec, self.tasks, self.hooks = study, study.spec, study.tasks, study.hooks
+        self.journal, self.log, self.store, self.dispatcher = journal, log, store, dispatcher
+        self.began = time.monotonic()
+        self.endings = dict(log.endings)
+        self.case = self.spec.case.model_dump(mode="json")
+
+    def to_the_end(self, dashboard: str) -> Conclusion:
+        self._check_continuation()
+        self._announce(dashboard)
+        work = self._prepare()
+        evaluation = EvaluationRun(work, self.journal, self.hooks, self.endings)
+        search = self._search_steadily if self.spec.search.steady else self._search
+        stopped, history = search(evaluation)
+        best_candidate = best_of(self.endings)
+        if best_candidate is not None and self.log.identification is None:
+            self._identify(best_candidate, evaluation)
+        if self.log.end is None:
+            self._append(self._end(stopped, best_candidate, evaluation))
+        self.hooks.stopped(stopped.reason)
+        return Conclusion(stopped.reason, best_candidate, history)
+
+    def _check_continuation(self) -> None:
+        """Replay the journal, so that a search that has changed is refused before it is written."""
+        if self.spec.search.steady:
+            deque(replayed(self.spec.steady_search, self.log.endings), maxlen=0)
+        else:
+            replay = SearchReplay(self.spec.search_strategy, self.spec.search.space)
+            deque(replay.replay(self.log.endings), maxlen=0)
+
+    def _search(self, evaluation: EvaluationRun) -> tuple[Stopped, tuple[Generation, ...]]:
+        """Evaluate one generation after the other."""
+        search = SearchReplay(self.spec.search_strategy, self.spec.search.space)
+        while isinstance(pending := search.propose(), PendingGeneration):
+            self.hooks.generation_begun(pending.number, len(pending.candidates))
+            if pending.number not in self.log.proposals:
+                self._append(pending.record())
+            evaluation.evaluate(pending)
+            generation = search.complete(pending, self.endings)
+            evaluation.keep_volumes(pending, generation)
+            self._generation_ended(
+                pending.number, generation, self.log.endings.keys() >= set(pending.candidates)
+            )
+            evaluation.forget(pending.first)
+        return pending, tuple(search.history)
+
+    def _search_steadily(self, evaluation: EvaluationRun) -> tuple[Stopped, tuple[Generation, ...]]:
+        """Evaluate without a barrier between generations."""
+        search = SteadyRun(self.spec.steady_search, evaluation, self._generation_ended)
+        found = search.to_the_end(self.log.endings)
+        evaluation.keep_best()
+        return found
+
+    def _generation_ended(self, number: int, generation: Generation, replayed: bool) -> None:
+        if not replayed:
+            best = float(generation.scores.min())
+            self._append(GenerationRecord(number, best, self._elapsed_s()))
+        self.hooks.generation_ended(number, generation)
+
+    def _announce(self, dashboard: str) -> None:
+        facts = StudyFacts(
+            name=self.spec.name,
+            folder=str(self.study.folder.root),
+            most_evaluations=self.spec.most_evaluations,
+            generations=self.spec.most_generations,
+            workers=self.dispatcher.threads,
+            dashboard=dashboard,
+        )
+        self.hooks.started(facts)
+
+    def _prepare(self) -> StudyWork:
+        """Bring case and target into the store, which is quick when they are there."""
+        store, workers = str(self.store.root), self.dispatcher.threads
+        body = self.dispatcher.call(self.tasks.prepare, self.case, store)
+        self.hooks.prepared("case", body)
+        target_spec = self.spec.target.model_dump(mode="json")
+        target = self.dispatcher.call(self.tasks.target, self.case, target_spec, store)
+        self.hooks.prepared("target", target)
+        self.study.folder.check_same(self.log, body, target)
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        self._append(
+            SessionRecord(
+                now,
+                store,
+                versions(),
+                body,
+                target,
+                workers,
+                self._elapsed_s(),
+                list(self.study.caveats) or None,
+            )
+        )
+        target_name = target["target"]
+        return StudyWork(self.spec, self.tasks, self.store, self.dispatcher, body, target_name)
+
+    def _end(
+        self,
+        stopped: Stopped,
+        best: EvaluationRecord | None,
+        evaluation: EvaluationRun,
+    ) -> EndRecord:
+        if best is None:
+            return EndRecord(stopped.reason, None, None, {}, {}, self._elapsed_s())
+        evaluation.make_volumes([best.candidate])
+        work = evaluation.work
+        at = work.resolution(best.level)
+        before = work.compare_with_target(at, at.body["volume"])
+        after = work.compare_with_target(at, best.digest)
+        found = evaluation.findings(best.candidate)
+        write_file(self.study.folder.layout.findings, seal(dumps(to_plain(found))).encode())
+        reason, elapsed_s = stopped.reason, self._elapsed_s()
+        return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)
+
+    def _identify(self, best: EvaluationRecord, evaluation: EvaluationRun) -> None:
+        """Find out what the image tells of the constants, from the tangents at the best one."""
+        reason = organ_named(self.spec.case.organ).no_derivatives
+        fit = best.fit
+        if fit is None and not reason:
+            ending = evaluation.differentiate(best.candidate)
+            if ending.kind == "lost":  # of its workers; the next run tries again
+                return
+            fit = (ending.value or {}).get("fit")
+            reason = "" if fit else ending.reason or "the simulation with tangents gave none"
+        try:
+            self._append(self._identified(best, fit, reason, evaluation))
+        except Lost:  # the next run tries again
+            return
+
+    def _identified(
+        self, best: EvaluationRecord, fit: FitJson | None, reason: str, evaluation: EvaluationRun
+    ) -> IdentificationRecord:
+        """Return the record with the other sources of error, of the study's own resolution."""
+        if fit is None or best.level is not None:
+            return IdentificationRecord(best.candidate, fit, reason)
+        nuisances = nuisance_fit(best, evaluation)
+        meshes = mesh_fits(best, evaluation) or None
+        return IdentificationRecord(best.candidate, fit, "", nuisances, meshes)
+
+    def _append(
+        self,
+        record: SessionRecord
+        | ProposalRecord
+        | GenerationRecord
+        | IdentificationRecord
+        | EndRecord,
+    ) -> None:
+        self.journal.append(record.to_json())
+
+    def _elapsed_s(self) -> float:
+        return time.monotonic() - self.began

@@ -1,0 +1,120 @@
+"""Sends small records of a study to the scheduler of its cluster, for `cluster.dask_tab`."""
+
+import asyncio
+import logging
+import socket
+import time
+from typing import Any, Literal
+
+from distributed import Client
+
+from palpate.service.cluster.dask_rows import TOPIC
+from palpate.service.search.base import Generation
+from palpate.service.study.observers.hooks import Observer, StudyFacts
+from palpate.storage.records.best_candidate import BestSoFar, score_of
+from palpate.storage.records.record import EvaluationRecord
+from palpate.storage.records.tasks import PreparedBody, PreparedTarget
+
+SEND_EVERY_S = 0.5
+
+_log = logging.getLogger(__name__)
+
+
+class SchedulerEvents:
+    """Sends records as events of the scheduler, topic `TOPIC`, without waiting for it.
+
+    One event is a list of records in the order in which they arose.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Connected to the scheduler. That events are lost with it is no fault of the sender's.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._waiting: list[dict[str, Any]] = []
+        self._sent = time.monotonic()
+        self._turn = asyncio.Lock()
+
+    @property
+    def are_due(self) -> bool:
+        """Return whether nothing was sent for `SEND_EVERY_S`."""
+        return time.monotonic() - self._sent >= SEND_EVERY_S
+
+    def add(self, record: dict[str, Any]) -> None:
+        """Keep a record for the next event."""
+        self._waiting.append(record)
+
+    def send(self) -> None:
+        """Send what waits."""
+        records, self._waiting = self._waiting, []
+        self._sent = time.monotonic()
+        self._client.loop.add_callback(self._log_event, records)
+
+    async def _log_event(self, records: list[dict[str, Any]]) -> None:
+        event = {"client": self._client.id, "records": records}
+        async with self._turn:  # Dask would send two at once, on two connections
+            try:
+                await self._client.scheduler.log_event(topic=TOPIC, msg=event)
+            except Exception as error:
+                _log.debug("The scheduler has not got %d records: %r", len(records), error)
+
+
+class DaskRecords(Observer):
+    """Tells the scheduler what happens in a study; endings every `SEND_EVERY_S` at most.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        See `SchedulerEvents`.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._events = SchedulerEvents(client)
+        self._study = ""
+        self._ranked = BestSoFar()
+
+    def started(self, facts: StudyFacts) -> None:
+        """Say what is to be expected."""
+        self._study = f"{socket.gethostname()}:{facts.folder}"
+        self._add("started", name=facts.name, most=facts.most_evaluations)
+        self._events.send()
+
+    def prepared(
+        self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
+    ) -> None:
+        """Say nothing: Dask shows these tasks itself."""
+
+    def generation_begun(self, number: int, evaluations: int) -> None:
+        """Say that a generation begins, at once."""
+        self._add("generation begun", number=number)
+        self._events.send()
+
+    def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        """Say how an evaluation ended, and what it took if that was now."""
+        computed = not replayed and not record.reused
+        self._ranked.add(record)
+        best = self._ranked.record
+        self._add(
+            "ended",
+            status=record.status.value,
+            best_gsf=None if best is None else score_of(best),
+            computed=computed,
+            seconds=dict(record.seconds) if computed else {},
+        )
+        if self._events.are_due:
+            self._events.send()
+
+    def generation_ended(self, number: int, generation: Generation) -> None:
+        """Say that the barrier is passed, at once."""
+        self._add("generation ended", number=number)
+        self._events.send()
+
+    def stopped(self, reason: str) -> None:
+        """Say why the search is over."""
+        self._add("stopped", reason=reason)
+        self._events.send()
+
+    def _add(self, what: str, **more: Any) -> None:
+        self._events.add({"what": what, "study": self._study, **more})

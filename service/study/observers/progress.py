@@ -1,0 +1,228 @@
+"""Shows a study while it runs: a live panel on a terminal, plain lines elsewhere."""
+
+import math
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from palpate.service.search.base import Generation
+from palpate.service.study.count import Pace, ended_of, evaluations_text, generations_text, left_s
+from palpate.service.study.observers.hooks import Observer, StudyFacts
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.records.best_candidate import BestSoFar
+from palpate.storage.records.record import EvaluationRecord
+from palpate.storage.records.tasks import PreparedBody, PreparedTarget
+
+LINE_EVERY_S = 10.0
+
+
+def progress_observer(console: Console) -> "Progress":
+    """Return what suits the console: a live panel on a terminal, lines in a log."""
+    return LiveProgress(console) if console.is_terminal else PlainProgress(console)
+
+
+class Progress(Observer):
+    """Counts evaluations; `LiveProgress` and `PlainProgress` show the counts.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        Where to show it.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self.facts: StudyFacts | None = None
+        self.counts: Counter[str] = Counter()
+        self.complete = 0
+        self.evaluations = 0
+        self.ended_in_generation = 0
+        self.ranked = BestSoFar()
+        self.phase = "starting"
+        self._pace = Pace()
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Stop showing."""
+
+    def started(self, facts: StudyFacts) -> None:
+        """Remember what to expect."""
+        self.facts = facts
+        self.phase = "preparing body and mesh"
+
+    def prepared(
+        self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
+    ) -> None:
+        """Say what comes next."""
+        self.phase = "making the target" if what == "case" else "searching"
+
+    def generation_begun(self, number: int, evaluations: int) -> None:
+        """Count anew within the generation."""
+        self.phase = "searching"
+        self.evaluations = evaluations
+        self.ended_in_generation = 0
+
+    def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        """Count, and remember the best."""
+        self.counts[record.status.value] += 1
+        self.ended_in_generation += 1
+        if not replayed and not record.reused:
+            self._pace.add(sum(record.seconds.values()))
+        self.ranked.add(record)
+
+    def generation_ended(self, number: int, generation: Generation) -> None:
+        """Count the complete generations."""
+        self.complete = number + 1
+        self.evaluations = 0
+
+    def stopped(self, reason: str) -> None:
+        """Say why the search has stopped."""
+        self.phase = f"stopped: {reason}"
+
+    @property
+    def best(self) -> EvaluationRecord | None:
+        """Return the best candidate so far."""
+        return self.ranked.record
+
+    @property
+    def ended(self) -> int:
+        """Return the number of candidates that have an ending."""
+        return ended_of(self.counts)
+
+    @property
+    def per_minute(self) -> float:
+        """Return the evaluations per minute that this run computes; 0 while unknown."""
+        workers = 1 if self.facts is None else self.facts.workers
+        return self._pace.per_minute(workers) or 0.0
+
+    @property
+    def left_s(self) -> float:
+        """Return the seconds to the last generation at the rate so far; infinite when unknown."""
+        most = 0 if self.facts is None else self.facts.most_evaluations
+        return left_s(self.counts, most, self.per_minute)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the lines to show, as (heading, text)."""
+        rows = [("phase", self.phase)]
+        facts = self.facts
+        if facts is None:
+            return rows
+        generations = generations_text(self.complete, facts.generations)
+        if self.evaluations:
+            next_ones = f"{self.ended_in_generation} of {self.evaluations} candidates of the next"
+            generations += f"; {next_ones}"
+        rows.append(("generations", generations))
+        if self.best is not None and self.best.score is not None:
+            score = self.best.score
+            scores = f"GSF {score['gsf']:.4g}   JC {score['jc']:.4f}   MHD {score['mhd_mm']:.4g} mm"
+            rows.append(("best so far", f"{scores}   (candidate {self.best.candidate})"))
+            if self.ranked.note:
+                rows.append(("", self.ranked.note))
+        rows.append(("evaluations", evaluations_text(self.counts, facts.most_evaluations)))
+        if self.per_minute:
+            rate = f"{self.per_minute:.1f} per minute on {facts.workers} workers"
+            rows.append(("rate", f"{rate}, at most {clock(self.left_s)} left"))
+        rows.append(("page", f"{_page(facts)}, new after every generation"))
+        if facts.dashboard:
+            rows.append(("dashboard", facts.dashboard))
+        return rows
+
+
+class LiveProgress(Progress):
+    """A panel that redraws itself."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(console)
+        self._live = Live(console=console, refresh_per_second=2, get_renderable=self._render)
+
+    def __enter__(self) -> "LiveProgress":
+        self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._live.stop()
+
+    def _render(self) -> RenderableType:
+        table = Table.grid(padding=(0, 2))
+        for heading, text in self.rows():
+            table.add_row(Text(heading, style="dim"), Text(text))
+        if self.facts is None:
+            return table
+        bar = ProgressBar(total=self.facts.most_evaluations, completed=self.ended, width=60)
+        return Group(Text(self.facts.name, style="bold"), table, bar)
+
+
+class PlainProgress(Progress):
+    """One line for each generation, and one now and then within it."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(console)
+        self._last = 0.0
+
+    def started(self, facts: StudyFacts) -> None:
+        super().started(facts)
+        where = f", dashboard {facts.dashboard}" if facts.dashboard else ""
+        self._line(f"{facts.name}: {facts.workers} workers, study folder {facts.folder}{where}")
+        self._line(f"page: {_page(facts)}, new after every generation")
+
+    def prepared(
+        self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
+    ) -> None:
+        super().prepared(what, record)
+        self._line(f"{what} prepared")
+
+    def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        super().evaluation_ended(record, replayed)
+        if not replayed and time.monotonic() - self._last >= LINE_EVERY_S:
+            shown = [row for row in self.rows() if row[0] not in ("phase", "page", "dashboard")]
+            self._line("; ".join(f"{heading} {text}".strip() for heading, text in shown))
+
+    def generation_ended(self, number: int, generation: Generation) -> None:
+        super().generation_ended(number, generation)
+        best = self.best.score if self.best is not None else None
+        text = (
+            f"best GSF {best['gsf']:.6g}, JC {best['jc']:.4f}, MHD {best['mhd_mm']:.4g} mm"
+            if best
+            else "no candidate has a score yet"
+        )
+        self._line(f"generation {number + 1} done: {text}; {self.ended} evaluations")
+
+    def stopped(self, reason: str) -> None:
+        super().stopped(reason)
+        self._line(f"stopped: {reason}")
+
+    def _line(self, text: str) -> None:
+        self._last = time.monotonic()
+        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def clock(seconds: float) -> str:
+    """Write a duration for a reader.
+
+    Examples
+    --------
+    >>> clock(42.3), clock(3700), clock(200_000)
+    ('42 s', '1 h 2 min', '2 d 7 h')
+    """
+    if not math.isfinite(seconds):
+        return "unknown"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    minutes, hours, days = whole // 60, whole // 3600, whole // 86400
+    if minutes < 60:
+        return f"{minutes} min {whole % 60} s"
+    return f"{hours} h {minutes % 60} min" if days == 0 else f"{days} d {hours % 24} h"
+
+
+def _page(facts: StudyFacts) -> str:
+    return str(StudyLayout(Path(facts.folder)).report)

@@ -1,0 +1,175 @@
+"""Plausibility checks of a study before its first task.
+
+An implausible study is refused, with all reasons, unless the user insists; an unusual one is
+run with a warning.
+"""
+
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from palpate.service.formatting import number
+from palpate.service.study.spec import StudySpec
+from palpate.storage.backends.places import Place, place_of
+from palpate.workers.mechanics.parameters import Bounds, Parameter
+from palpate.workers.organs.study_checks import Finding, accept, refused
+from palpate.workers.spec import validated
+from palpate.workers.tasks.study_checks import study_findings
+
+# An interval so many times off the known one is written in another unit: kPa for Pa or MPa.
+OTHER_UNIT = 30.0
+# A search of a thesis' size is 84 x 15; the second one takes a year of a hundred cores.
+MANY_EVALUATIONS = 20_000
+TOO_MANY_EVALUATIONS = 1_000_000
+GIB = 1024**3
+SCARCE_BYTES = GIB
+# A displacement in double precision; the record of an evaluation.
+NODE_BYTES = 24
+RECORD_BYTES = 4096
+USUAL_NODES = 20_000
+
+
+def preflight(
+    spec: StudySpec, store: Place, *, anyway: bool = False, elsewhere: bool = False
+) -> list[Finding]:
+    """Check a study that is about to run for the first time.
+
+    Parameters
+    ----------
+    spec : StudySpec
+    store : Path or ObjectPath
+        Where volumes and evaluations will go; images are brought there.
+    anyway : bool
+        Accept what looks implausible.
+    elsewhere : bool
+        The workers are on other machines, which may see files that this one does not.
+
+    Returns
+    -------
+    list of Finding
+        What the user should know. `workers.organs.study_checks.caveats_of` gives the
+        statements that belong to the record of a study which was run anyway.
+
+    Raises
+    ------
+    InputError
+        If the study is refused, with every reason.
+    StoreError
+        If the store cannot be used.
+    """
+    findings = list(_of_the_file(spec, store))
+    if not refused(findings, anyway):
+        findings += study_findings(
+            spec.case,
+            spec.target,
+            spec.score,
+            str(store),
+            searched=spec.case.parameters.bounds_from_door(spec.search.parameters),
+            elsewhere=elsewhere,
+        )
+    return accept(findings, f"The study {spec.name}", anyway=anyway)
+
+
+def _of_the_file(spec: StudySpec, store: Place) -> Iterator[Finding]:
+    yield from _intervals(spec)
+    yield from _evaluations(spec)
+    yield from _space(spec, store)
+    if spec.identifiable == "ratio":
+        yield Finding(
+            "warning",
+            "The plates stand at a distance and no stiffness is held: only ratios of the "
+            "stiffnesses can be found, their scale is arbitrary. Hold one under case.constants, "
+            "such as E_fat_kpa: 10, or state case.load.force_n.",
+        )
+
+
+def _intervals(spec: StudySpec) -> Iterator[Finding]:
+    parameters = spec.case.parameters
+    searched = spec.search.parameters
+    held = {"case.constants": spec.case.constants, "target.constants": spec.target.constants or {}}
+    for name, bounds in searched.items():
+        parameter = parameters.at_door(name)
+        where = f"search.parameters.{name}: [{bounds[0]:g}, {bounds[1]:g}]"
+        if _in_another_unit(parameter, bounds):
+            yield Finding("implausible", _far(where, parameter, bounds))
+        elif _apart(parameter, bounds):
+            yield Finding("warning", _far(where, parameter, bounds))
+    for place, constants in held.items():
+        for name, value in constants.items():
+            parameter = parameters.at_door(name)
+            if value and _in_another_unit(parameter, (value, value)):
+                where = f"{place}.{name}: {value:g}"
+                yield Finding("implausible", _far(where, parameter, (value, value)))
+
+
+def _known(parameter: Parameter) -> Bounds:
+    low, high = (parameter.unit.to_door(value) for value in parameter.bounds)
+    return low, high
+
+
+def _in_another_unit(parameter: Parameter, bounds: Bounds) -> bool:
+    low, high = _known(parameter)
+    too_large = high > 0 and bounds[0] >= OTHER_UNIT * high
+    too_small = low > 0 and bounds[1] <= low / OTHER_UNIT
+    return too_large or too_small or (low < 0 and bounds[1] <= OTHER_UNIT * low)
+
+
+def _apart(parameter: Parameter, bounds: Bounds) -> bool:
+    low, high = _known(parameter)
+    return bounds[0] > high or bounds[1] < low
+
+
+def _far(where: str, parameter: Parameter, bounds: Bounds) -> str:
+    low, high = _known(parameter)
+    unit = f" {parameter.unit.symbol}".rstrip()
+    ratio = bounds[0] / high if bounds[0] > high else bounds[1] / low
+    times = f"about {number(ratio, 2)} times" if ratio > 0 else "far from"
+    return (
+        f"{where}{unit} is {times} the known interval of {low:g} to {high:g}{unit} "
+        f"({parameter.description}). Write values in {parameter.unit.symbol or 'plain numbers'}."
+    )
+
+
+def _evaluations(spec: StudySpec) -> Iterator[Finding]:
+    most = spec.search.settings.most_evaluations
+    if most <= MANY_EVALUATIONS:
+        return
+    yield Finding(
+        "implausible" if most > TOO_MANY_EVALUATIONS else "warning",
+        f"search: {most:,} evaluations at most ({spec.search.population:,} candidates in "
+        f"{spec.search.generations:,} generations); a usual search has some 1,000. Choose a "
+        "smaller population or fewer generations.",
+    )
+
+
+def _space(spec: StudySpec, store: Place) -> Iterator[Finding]:
+    if not isinstance(store, Path):
+        return  # nobody knows what is left in a bucket
+    there = store
+    while not there.exists():
+        there = there.parent
+    free = shutil.disk_usage(there).free
+    stated = spec.case.model_dump(mode="json").get("mesh", {})
+    nodes = stated.get("nodes") or USUAL_NODES
+    needed = spec.search.settings.most_evaluations * (NODE_BYTES * nodes + RECORD_BYTES)
+    if needed > free:
+        yield Finding(
+            "implausible",
+            f"The store {store} has {free / GIB:.1f} GiB free; up to {needed / GIB:.1f} GiB are "
+            "needed for the displacements of all candidates. Free some, or give another --store.",
+        )
+    elif free < SCARCE_BYTES:
+        yield Finding("warning", f"The store {store} has only {free / GIB:.2f} GiB free.")
+
+
+def preflight_task(spec: Mapping[str, Any], store: str, anyway: bool) -> list[Finding]:
+    """Run `preflight` on a worker, where the images of the study are read.
+
+    Raises
+    ------
+    InputError, StoreError
+        As `preflight`.
+    """
+    study = validated(StudySpec, spec, "The study")
+    return preflight(study, place_of(store), anyway=anyway)

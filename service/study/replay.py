@@ -1,0 +1,134 @@
+"""Replays a search from the endings in a journal.
+
+Candidates are numbered through all generations, elites included: candidate ``c`` is number
+``c - first`` of its generation. Elites keep the ending they got when they were evaluated, so
+they have none of their own; `PendingGeneration.carried_from` leads back to it.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from palpate.service.search.base import Generation, Proposal, Search, Stopped
+from palpate.service.search.space import Space
+from palpate.storage.errors import JournalError
+from palpate.storage.records.best_candidate import score_of
+from palpate.storage.records.record import EvaluationRecord, ProposalRecord
+
+
+@dataclass(frozen=True, eq=False)
+class PendingGeneration:
+    """A proposed population whose scores are not all known yet.
+
+    Parameters
+    ----------
+    number : int
+        Of the generation, from 0.
+    first : int
+        Number of its first candidate.
+    space : Space
+        The names of the genes.
+    proposal : Proposal
+        Its candidates.
+    """
+
+    number: int
+    first: int
+    space: Space
+    proposal: Proposal
+
+    @property
+    def candidates(self) -> tuple[int, ...]:
+        """Return the numbers of those that need an evaluation, in order."""
+        return tuple(self.first + index for index in self.proposal.to_evaluate)
+
+    def genes(self, candidate: int) -> dict[str, float]:
+        """Return the genes of a candidate by name, exactly as proposed."""
+        return self.space.as_dict(self.proposal.genes[candidate - self.first])
+
+    def carried_from(self, candidate: int) -> int | None:
+        """Return the number of the same candidate one generation before; None if it is new."""
+        origin = self.proposal.carried[candidate - self.first]
+        return None if origin is None else self.first - len(self.proposal.genes) + origin
+
+    def record(self) -> ProposalRecord:
+        """Return the record of this generation for the journal."""
+        carried = {
+            str(self.first + index): origin
+            for index in range(len(self.proposal.genes))
+            if (origin := self.carried_from(self.first + index)) is not None
+        }
+        genes = tuple(tuple(map(float, row)) for row in self.proposal.genes)
+        return ProposalRecord(self.number, self.first, tuple(self.space.names), genes, carried)
+
+    def check(self, record: EvaluationRecord) -> None:
+        """Refuse a record that belongs to another search.
+
+        Raises
+        ------
+        JournalError
+            If its genes are not those that this search proposes.
+        """
+        expected = self.genes(record.candidate)
+        if dict(record.genes) != expected:
+            raise JournalError(
+                f"Candidate {record.candidate} has the genes {dict(record.genes)} in the journal, "
+                f"but this search proposes {expected}: it has changed since, so the study cannot "
+                "be continued. What was computed can still be read with `palpate status`, `show` "
+                "and `report`. To search on, run the study under another name: evaluations in the "
+                "store are used again."
+            )
+
+
+class SearchReplay:
+    """Proposes one generation after the other, each from those before.
+
+    Parameters
+    ----------
+    search : Search
+        Proposes.
+    space : Space
+        What is searched.
+    """
+
+    def __init__(self, search: Search, space: Space) -> None:
+        self._search = search
+        self._space = space
+        self._first = 0
+        self.history: list[Generation] = []
+
+    def propose(self) -> PendingGeneration | Stopped:
+        """Return the population that follows the history, or why there is none."""
+        proposed = self._search.propose(self.history)
+        if isinstance(proposed, Stopped):
+            return proposed
+        return PendingGeneration(len(self.history), self._first, self._space, proposed)
+
+    def complete(
+        self, pending: PendingGeneration, endings: Mapping[int, EvaluationRecord]
+    ) -> Generation:
+        """Add a generation to the history; `endings` holds at least all of its candidates."""
+        scores = {c - pending.first: score_of(endings[c]) for c in pending.candidates}
+        fits = {c - pending.first: endings[c].fit for c in pending.candidates}
+        generation = pending.proposal.complete(scores, self.history, fits)
+        self.history.append(generation)
+        self._first += len(generation.scores)
+        return generation
+
+    def replay(
+        self, endings: Mapping[int, EvaluationRecord]
+    ) -> Iterator[tuple[PendingGeneration, Generation | None]]:
+        """Yield the generations that a journal holds; the last may be unfinished (None).
+
+        Raises
+        ------
+        JournalError
+            If an ending does not belong to this search.
+        """
+        while isinstance(pending := self.propose(), PendingGeneration):
+            recorded = [endings[c] for c in pending.candidates if c in endings]
+            for record in recorded:
+                pending.check(record)
+            if len(recorded) < len(pending.candidates):
+                yield pending, None
+                return
+            yield pending, self.complete(pending, endings)

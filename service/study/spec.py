@@ -1,0 +1,338 @@
+"""Reads the one file that a user writes: a case, a target, a score, a search and a seed.
+
+Case, target and score are checked by `workers.spec`; this file adds the search,
+reads YAML, and says in which keys two studies differ.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from shlex import quote
+from typing import Annotated, Any, Literal, Self, cast
+
+from pydantic import (
+    Field,
+    ModelWrapValidatorHandler,
+    SerializeAsAny,
+    StringConstraints,
+    create_model,
+    model_validator,
+)
+
+from palpate.service.search.base import Search
+from palpate.service.search.cma_search import CmaSearch
+from palpate.service.search.genetic import GeneticSearch
+from palpate.service.search.least_squares import (
+    FittedNames,
+    LeastSquaresSearch,
+    LeastSquaresSettings,
+)
+from palpate.service.search.polished import PolishedSearch
+from palpate.service.search.spec import COARSE_LEVELS, LevelSpec, SearchSpec
+from palpate.service.search.steady import SteadyGenetic
+from palpate.storage.digest import digest
+from palpate.storage.errors import InputError
+from palpate.storage.records.tasks import FreeParameter
+from palpate.workers.documents import parse_yaml
+from palpate.workers.mechanics.parameters import unknown_name
+from palpate.workers.missing_keys import missing
+from palpate.workers.organs.registry import DEFAULT, MODULES, organ_named
+from palpate.workers.spec import (
+    CaseSpec,
+    Door,
+    Identifiable,
+    Positive,
+    ScoreSpec,
+    TargetSpec,
+    validated,
+)
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
+
+
+class StudySpec(Door):
+    """A study: what is asked, of which body, and how it is searched.
+
+    Case, target and score are those of the organ that the case names; validating any study
+    gives one of `study_of` that organ. ``keep`` says which deformed bodies stay in the
+    store beside those of the target and of the best candidate. An evaluation that takes longer
+    than ``deadline_s`` is tried once more, then it has failed; see `workers.tasks.deadline`.
+    """
+
+    name: Name = Field(description="the study's folder is runs/NAME")
+    case: SerializeAsAny[CaseSpec] = Field(description="the undeformed body, its model and load")
+    target: SerializeAsAny[TargetSpec] = Field(description="the deformed body to be explained")
+    score: SerializeAsAny[ScoreSpec] = ScoreSpec()
+    search: SearchSpec = Field(description="the searched parameters and the strategy")
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
+    keep: Literal["best", "elites", "all"] = "best"
+    deadline_s: Positive | None = None
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _with_the_doors_of_its_organ(
+        cls, data: Any, handler: ModelWrapValidatorHandler[Self]
+    ) -> Self:
+        if cls is StudySpec and isinstance(data, Mapping):
+            study: Any = study_of(_organ_in(data)).model_validate(data)
+            return cast(Self, study)
+        return handler(data)
+
+    @classmethod
+    def record_for(cls, data: Any) -> type[Door]:
+        """Return the study of the organ that `data` names."""
+        return study_of(_organ_in(data)) if isinstance(data, Mapping) else cls
+
+    @model_validator(mode="after")
+    def _load_is_stated_for_an_image(self) -> Self:
+        """Refuse the load of an image to be a default: only the user knows it."""
+        lacking = self.case.unstated_load(self.search.parameters)
+        if self.target.is_image and lacking:
+            raise missing(
+                f"{lacking}: this key is missing: the load under which the target was imaged"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _parameters_fit_the_case(self) -> Self:
+        self._refuse_unknown("search.parameters", self.search.parameters)
+        self._refuse_unknown("target.constants", self.target.constants or {})
+        try:
+            self.case.parameters.bounds_from_door(self.search.parameters)
+        except InputError as error:
+            raise ValueError(f"search.parameters: {error}") from None
+        for name in self.search.parameters:
+            if name in self.case.constants:
+                raise ValueError(
+                    f"{name} is searched (search.parameters) and held (case.constants): "
+                    "take it out of one of them"
+                )
+        return self
+
+    def _refuse_unknown(self, where: str, names: Iterable[str]) -> None:
+        known = self.case.parameters.door_names
+        for name in names:
+            if name not in known:
+                unused = self.case.unused_parameter(name)
+                reason = f" ({unused})" if unused else ""
+                raise ValueError(f"{where}: {unknown_name('parameter', name, known)}{reason}")
+
+    @model_validator(mode="after")
+    def _organ_has_derivatives(self) -> Self:
+        reason = organ_named(self.case.organ).no_derivatives
+        if self.search.by_derivatives and reason:
+            raise ValueError(f"search.strategy {self.search.strategy}: {reason}")
+        return self
+
+    @property
+    def search_strategy(self) -> Search:
+        """Return the search, ready to propose."""
+        space, strategy = self.search.space, self.search.strategy
+        if strategy == "cma":
+            return CmaSearch(space, self.search.cma_settings, self.seed)
+        genetic = GeneticSearch(space, self.search.settings, self.seed)
+        if strategy == "genetic":
+            return genetic
+        fit = LeastSquaresSearch(space, self.fitted_names, self._fit_settings, self.seed)
+        return fit if strategy == "least-squares" else PolishedSearch(genetic, fit)
+
+    @property
+    def steady_search(self) -> SteadyGenetic:
+        """Return the search without barriers, ready to propose."""
+        search = self.search
+        in_flight = search.in_flight or search.population
+        return SteadyGenetic(search.space, search.settings, self.seed, in_flight)
+
+    @property
+    def most_evaluations(self) -> int:
+        """Return the number of evaluations if the search never stops early."""
+        if self.search.steady:
+            return self.search.population * self.search.generations
+        fit = self._fit_settings.most_evaluations
+        genetic = self.search.settings.most_evaluations
+        return {
+            "genetic": genetic,
+            "least-squares": fit,
+            "genetic+least-squares": genetic + fit,
+            "cma": self.search.cma_settings.most_evaluations,
+        }[self.search.strategy]
+
+    @property
+    def most_generations(self) -> int:
+        """Return the number of generations if the search never stops early."""
+        fit = self.search.fit_evaluations * (1 + len(self.levels))
+        generations = self.search.generations
+        if not self.search.by_derivatives:
+            return generations
+        return fit if self.search.strategy == "least-squares" else generations + fit
+
+    @property
+    def levels(self) -> tuple[LevelSpec, ...]:
+        """Return the coarser resolutions in which constants are fitted first, coarse to fine.
+
+        Without ``search.levels`` a fit from scratch takes those of `COARSE_LEVELS` that have at
+        most half the nodes of the case.
+        """
+        if self.search.levels is not None:
+            return self.search.levels
+        nodes = self.case.mesh_nodes
+        if self.search.strategy != "least-squares" or nodes is None:
+            return ()
+        return tuple(level for level in COARSE_LEVELS if 2 * level.nodes <= nodes)
+
+    @property
+    def free_parameters(self) -> list[FreeParameter]:
+        """Return the searched parameters, inside names and units, as an evaluation needs them."""
+        bounds = self.case.parameters.bounds_from_door(self.search.parameters)
+        return [{"name": n, "lower": lo, "upper": hi} for n, (lo, hi) in bounds.items()]
+
+    @property
+    def fitted_names(self) -> FittedNames:
+        """Return how the genes stand in the least-squares problem of an evaluation."""
+        genes = [self.case.parameters.at_door(name) for name in self.search.parameters]
+        return FittedNames(tuple(p.name for p in genes), tuple(p.unit.to_door(1.0) for p in genes))
+
+    @property
+    def _fit_settings(self) -> LeastSquaresSettings:
+        search = self.search
+        return LeastSquaresSettings(search.starts, len(self.levels), search.fit_evaluations)
+
+    @property
+    def common_scale(self) -> tuple[str, ...]:
+        """Return the searched stiffnesses of which only ratios can be found, inside names."""
+        names = [self.case.parameters.at_door(name).name for name in self.search.parameters]
+        return self.case.common_scale(names)
+
+    def constants_of(self, genes: Mapping[str, float]) -> dict[str, float]:
+        """Convert searched parameters from the door (kPa) to names and units inside (MPa)."""
+        return self.case.parameters.from_door(genes)
+
+    @property
+    def identifiable(self) -> Identifiable:
+        """Return whether stiffnesses can be found, or only their ratios."""
+        parameters = self.case.parameters
+        return self.case.identifiable(
+            {parameters.at_door(name).name for name in self.search.parameters}
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values, defaults written out, but for what older studies do not have."""
+        values = self.model_dump(mode="json")
+        if self.deadline_s is None:
+            del values["deadline_s"]
+        if values["target"].get("align") is None:
+            values["target"].pop("align", None)
+        return values
+
+    @property
+    def digest(self) -> str:
+        """Return a short name of everything that the study file says."""
+        return digest(self.as_dict())
+
+
+@cache
+def study_of(organ: str) -> type[StudySpec]:
+    """Return the study whose case, target and score are those of an organ.
+
+    Raises
+    ------
+    InputError
+        If there is no such organ.
+    """
+    doors = organ_named(organ)
+    made: type[StudySpec] = create_model(
+        f"{organ.capitalize()}Study",
+        __base__=StudySpec,
+        case=(doors.case_spec, StudySpec.model_fields["case"]),
+        target=(doors.target_spec, StudySpec.model_fields["target"]),
+        score=(doors.score_spec, doors.score_spec()),
+    )
+    return made
+
+
+def _organ_in(data: Mapping[str, Any]) -> str:
+    """Return the organ that a study names; the default where that makes no sense."""
+    case = data.get("case")
+    named = case.get("organ", DEFAULT) if isinstance(case, Mapping) else DEFAULT
+    organ = getattr(case, "organ", named)
+    return organ if isinstance(organ, str) and organ in MODULES else DEFAULT
+
+
+def read_spec(path: Path) -> StudySpec:
+    """Read a study file.
+
+    Paths of volumes are taken relative to the folder of the file, and become
+    absolute: a study goes on wherever it is called from.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is no YAML, or a key or value makes no sense.
+    """
+    if path.is_dir():
+        raise InputError(
+            f"{path} is a folder; expected a study file such as {path / 'study.yaml'}."
+        )
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(
+            f"There is no study file {path}. Write one with `palpate new breast "
+            f"{quote(path.stem)}`."
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} cannot be read as text: {error}.") from error
+    return parse_spec(text, str(path), path.resolve().parent)
+
+
+def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
+    """Parse the study that `text` describes; `where` names it in messages.
+
+    Raises
+    ------
+    InputError
+        If it is no YAML, or a key or value makes no sense.
+    """
+    data = parse_yaml(text, where)
+    if not isinstance(data, dict):
+        kind = "nothing" if data is None else type(data).__name__
+        raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")
+    _make_absolute(data.get("target"), folder)
+    case = data.get("case")
+    _make_absolute(case.get("reference") if isinstance(case, dict) else None, folder)
+    return validated(StudySpec, data, where)
+
+
+def _make_absolute(image: object, folder: Path) -> None:
+    """Replace paths that exist beside the study file; a name in the store stays."""
+    for key, value in image.items() if isinstance(image, dict) else ():
+        _make_absolute(value, folder)
+        if key in ("volume", "file", "labels") and isinstance(value, str):
+            beside = (folder / Path(value).expanduser()).resolve()
+            if isinstance(image, dict) and beside.exists():
+                image[key] = str(beside)
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """List the keys in which two studies differ, one line each.
+
+    Examples
+    --------
+    >>> differences({"seed": 1, "search": {"elite": 2}}, {"seed": 1, "search": {"elite": 3}})
+    ['search.elite: 2 before, 3 now']
+    """
+    old, new = dict(_leaves(before)), dict(_leaves(now))
+    keys = [*old, *(key for key in new if key not in old)]
+    return [
+        f"{key}: {old.get(key, 'absent')} before, {new.get(key, 'absent')} now"
+        for key in keys
+        if old.get(key, "absent") != new.get(key, "absent")
+    ]
+
+
+def _leaves(value: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    for key, item in value.items():
+        if isinstance(item, Mapping) and item:
+            yield from _leaves(item, f"{path}{key}.")
+        else:
+            yield f"{path}{key}", item

@@ -1,0 +1,205 @@
+"""Connects to an object store, waits for one that is away, and explains what it refuses.
+
+Address and credentials come from the usual environment, as every S3 client reads it::
+
+    AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN
+    AWS_REGION or AWS_DEFAULT_REGION
+    AWS_ENDPOINT_URL              of a server that is not Amazon's, http:// or https://
+
+Without AWS_ACCESS_KEY_ID they come from a profile of the AWS command line: `backends.aws_profile`.
+
+A request that finds nobody, or a server in trouble, is repeated with growing pauses. The first
+contact of a process gives up sooner: it is more likely a wrong address than an outage.
+"""
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import timedelta
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from palpate.storage.backends.aws_profile import Profile, read_profile
+from palpate.storage.backends.object_path import ObjectPath
+from palpate.storage.errors import StoreError
+
+if TYPE_CHECKING:
+    from obstore.store import S3Store
+
+FIRST_PATIENCE_S = 20.0
+PATIENCE_S = 300.0
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 3.0
+CONNECT_S, REQUEST_S = 5.0, 60.0
+MOST_RETRIES = 100_000  # the patience ends them
+
+_ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
+_WHO = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN")
+_REGIONS = ("AWS_REGION", "AWS_DEFAULT_REGION")
+REGION = "us-east-1"
+
+_reached: set[str] = set()
+"""Buckets that have answered this process."""
+
+
+def client_of(place: ObjectPath) -> "S3Store":
+    """Return the connection to a bucket; made once for each environment.
+
+    Raises
+    ------
+    StoreError
+        If obstore is not installed, or a profile cannot be used.
+    """
+    patience_s = PATIENCE_S if place.bucket in _reached else FIRST_PATIENCE_S
+    who = tuple(os.environ.get(name, "") for name in _WHO)
+    return _client(place.bucket, _access(), who, patience_s)
+
+
+def endpoint() -> str:
+    """Return the address of the server; empty for Amazon's."""
+    return _access().endpoint_url
+
+
+def _access() -> Profile:
+    """Return what the environment says, and a profile where it holds no keys.
+
+    Raises
+    ------
+    StoreError
+        If the profile cannot be used.
+    """
+    profile = Profile() if os.environ.get("AWS_ACCESS_KEY_ID") else read_profile()
+    return replace(
+        profile,
+        region=_stated(_REGIONS) or profile.region or REGION,
+        endpoint_url=_stated(_ENDPOINTS) or profile.endpoint_url,
+    )
+
+
+def _stated(names: tuple[str, ...]) -> str:
+    return next((os.environ[name] for name in names if os.environ.get(name)), "")
+
+
+@contextmanager
+def explained(place: ObjectPath) -> Iterator[None]:
+    """Turn what a request raises into a `StoreError` that says what to do.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the bucket answers that the object is not there.
+    """
+    from obstore.exceptions import BaseError
+
+    try:
+        yield
+    except FileNotFoundError as error:
+        if "NoSuchBucket" in str(error):
+            raise _no_bucket(place) from error
+        raise
+    except BaseError as error:
+        raise _explanation(place, error) from error
+    _reached.add(place.bucket)
+
+
+@lru_cache(maxsize=16)
+def _client(bucket: str, access: Profile, who: tuple[str, ...], patience_s: float) -> "S3Store":
+    try:
+        from obstore.store import S3Store
+    except ImportError as error:
+        raise StoreError(
+            f"s3://{bucket} is an object store, which needs obstore. Install it everywhere with "
+            "`pip install 'palpate[s3]'`, or give a local folder."
+        ) from error
+    said = {
+        "region": access.region,
+        "endpoint": access.endpoint_url,
+        "access_key_id": access.access_key_id,
+        "secret_access_key": access.secret_access_key,
+        "session_token": access.session_token,
+    }
+    options = {name: value for name, value in said.items() if value}
+    return S3Store(
+        bucket,
+        config=options,  # type: ignore[arg-type]  # a dictionary with the keys it names
+        client_options={
+            "allow_http": access.endpoint_url.startswith("http://"),
+            "connect_timeout": timedelta(seconds=CONNECT_S),
+            "timeout": timedelta(seconds=REQUEST_S),
+        },
+        retry_config={
+            "max_retries": MOST_RETRIES,
+            "retry_timeout": timedelta(seconds=patience_s),
+            "backoff": {
+                "init_backoff": timedelta(seconds=FIRST_PAUSE_S),
+                "max_backoff": timedelta(seconds=LONGEST_PAUSE_S),
+                "base": 2,
+            },
+        },
+    )
+
+
+def _no_bucket(place: ObjectPath) -> StoreError:
+    return StoreError(
+        f"There is no bucket {place.bucket} at {_server()}. Make it, or check name and "
+        "AWS_ENDPOINT_URL."
+    )
+
+
+def _explanation(place: ObjectPath, error: Exception) -> StoreError:
+    from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
+
+    text = str(error)
+    if "NoSuchBucket" in text:
+        return _no_bucket(place)
+    if "169.254." in text:
+        return StoreError(
+            f"{place} cannot be used: there are no credentials. Set AWS_ACCESS_KEY_ID and "
+            "AWS_SECRET_ACCESS_KEY, or write them to ~/.aws/credentials with `aws configure`, "
+            "here and for the workers."
+        )
+    if isinstance(error, PermissionDeniedError | UnauthenticatedError):
+        return StoreError(
+            f"{place} cannot be used: {_server()} refuses access{_code(text)}. Check "
+            "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY or the profile (AWS_PROFILE), and what they "
+            "may do with this bucket."
+        )
+    if _is_unreached(text):
+        return StoreError(
+            f"{place} cannot be reached at {_server()}{_tried(text)}. Check AWS_ENDPOINT_URL and "
+            "the network; what is stored is kept: run the command again to continue."
+        )
+    return StoreError(f"{place} cannot be used: {_first(text)}. Check the server and its log.")
+
+
+def was_cut_off(error: Exception) -> bool:
+    """Return whether a request has no answer and was not repeated."""
+    return _is_unreached(str(error)) and not _tried(str(error))
+
+
+def _is_unreached(text: str) -> bool:
+    return "HTTP error" in text or "error sending request" in text
+
+
+def _server() -> str:
+    return endpoint() or "Amazon S3"
+
+
+def _code(text: str) -> str:
+    """Return the server's own word for a refusal, such as (InvalidAccessKeyId)."""
+    _, found, rest = text.partition("<Code>")
+    return f" ({rest.partition('</Code>')[0]})" if found else ""
+
+
+def _tried(text: str) -> str:
+    """Return how often and how long it was tried, as obstore says it."""
+    tried = re.search(r" in (?P<seconds>[\d.]+)s, after (?P<retries>\d+) retries", text)
+    if tried is None:
+        return ""
+    return f", tried {int(tried['retries']) + 1} times in {float(tried['seconds']):.0f} s"
+
+
+def _first(text: str) -> str:
+    """Return the first line of an error; what obstore adds below is for its developers."""
+    return text.partition("\n")[0].strip().rstrip(".")

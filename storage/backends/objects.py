@@ -1,0 +1,216 @@
+"""Reads and writes a store in a bucket; see `storage.backends.contract.Backend`.
+
+An object appears whole, several do not. The arrays of a group lie in a subgroup that only its
+writer knows; the description of the group is put last, on condition that there is none, and
+names that subgroup::
+
+    <digest>.zarr/zarr.json             put last, by one writer
+    <digest>.zarr/w-<random>/values/    the arrays of that writer
+
+So two writers cannot mix even on a server that ignores conditions. What has no description is
+half written; `palpate store gc` removes it.
+"""
+
+import json
+import secrets
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import zarr
+from zarr.abc.buffer import Buffer
+from zarr.storage import MemoryStore, ObjectStore
+
+from palpate.storage.backends.contract import ARRAYS_IN, DESCRIPTION, Entry, FillGroup, ZarrAddress
+from palpate.storage.backends.object_client import (
+    FIRST_PATIENCE_S,
+    FIRST_PAUSE_S,
+    client_of,
+    explained,
+    was_cut_off,
+)
+from palpate.storage.backends.object_path import ObjectPath
+from palpate.storage.errors import StoreError
+
+if TYPE_CHECKING:
+    from obstore import ObjectMeta
+
+MOST_AT_ONCE = 1000  # objects that one request may remove
+PUTS_AT_ONCE = 8
+
+
+def read(place: ObjectPath) -> bytes:
+    """Return the content of an object."""
+    import obstore
+
+    client = client_of(place)
+    with explained(place):
+        return bytes(obstore.get(client, place.key).bytes())
+
+
+def write(place: ObjectPath, data: bytes) -> None:
+    """Put an object."""
+    import obstore
+
+    client = client_of(place)
+    with explained(place):
+        obstore.put(client, place.key, data, use_multipart=False)
+
+
+def create(place: ObjectPath, data: bytes) -> bool:
+    """Put an object on condition that there is none of that name (If-None-Match).
+
+    The client does not repeat a condition whose answer is lost; what lies there tells.
+    """
+    import obstore
+    from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
+
+    client, until = client_of(place), time.monotonic() + FIRST_PATIENCE_S
+    while True:
+        try:
+            obstore.put(client, place.key, data, mode="create", use_multipart=False)
+            return True
+        except (AlreadyExistsError, PreconditionError):
+            # Perhaps our own, whose answer was lost and which was put again.
+            return read(place) == data
+        except (BaseError, FileNotFoundError) as error:
+            if not was_cut_off(error) or time.monotonic() > until:
+                with explained(place):
+                    raise
+        time.sleep(FIRST_PAUSE_S)
+
+
+def is_file(place: ObjectPath) -> bool:
+    """Return whether an object is there."""
+    import obstore
+
+    client = client_of(place)
+    try:
+        with explained(place):
+            obstore.head(client, place.key)
+    except FileNotFoundError:
+        return False
+    return True
+
+
+def entries(folder: ObjectPath) -> list[Entry[ObjectPath]]:
+    """Return what lies in a folder, from one listing of all that is below it."""
+    below: dict[str, list[ObjectMeta]] = defaultdict(list)
+    for found in _objects(folder):
+        below[found["path"].removeprefix(f"{folder.key}/").partition("/")[0]].append(found)
+    listed = []
+    for name, objects in sorted(below.items()):
+        whole = {f"{folder.key}/{name}", f"{folder.key}/{name}/{DESCRIPTION}"}
+        modified_s = max(found["last_modified"].timestamp() for found in objects)
+        half_written = not any(found["path"] in whole for found in objects)
+        listed.append(Entry(folder / name, modified_s, half_written))
+    return listed
+
+
+def size_bytes(place: ObjectPath) -> int:
+    """Return the size of an object, or of all objects of a group."""
+    import obstore
+
+    client = client_of(place)
+    try:
+        with explained(place):
+            return obstore.head(client, place.key)["size"]
+    except FileNotFoundError:
+        return sum(found["size"] for found in _objects(place))
+
+
+def remove(place: ObjectPath) -> bool:
+    """Remove an object, or all objects of a group, its description first."""
+    found = _keys(place)
+    _delete(place, [key for key in found if key in (place.key, f"{place.key}/{DESCRIPTION}")])
+    _delete(place, found)
+    return bool(found)
+
+
+def move(place: ObjectPath, target: ObjectPath) -> None:
+    """Copy an object, or all objects of a group, and remove them where they were."""
+    import obstore
+
+    client = client_of(place)
+    with explained(place):
+        for key in _keys(place):
+            obstore.copy(client, key, target.key + key.removeprefix(place.key))
+    remove(place)
+
+
+def publish_group(place: ObjectPath, attributes: Mapping[str, Any], fill: FillGroup) -> None:
+    """Write the arrays into a subgroup of our own, the description last.
+
+    Zarr fills a store in memory, whose objects are then put side by side: with a bucket below
+    it, it would describe every folder above the group, and look for each before.
+    """
+    own = place / f"w-{secrets.token_hex(8)}"
+    packed: dict[str, Buffer] = {}
+    fill(zarr.create_group(MemoryStore(packed), zarr_format=3))
+    with ThreadPoolExecutor(PUTS_AT_ONCE) as pool:
+        for _ in pool.map(lambda key: write(own / key, packed[key].to_bytes()), packed):
+            pass
+    described = {
+        "zarr_format": 3,
+        "node_type": "group",
+        "attributes": {**attributes, ARRAYS_IN: own.name},
+    }
+    if not create(place / DESCRIPTION, json.dumps(described, allow_nan=False).encode()):
+        remove(own)
+
+
+@contextmanager
+def zarr_group(place: ObjectPath) -> Iterator[ZarrAddress]:
+    """Give the group to Zarr."""
+    client = client_of(place)
+    with explained(place):
+        yield ZarrAddress(ObjectStore(client, read_only=True), place.key)
+
+
+def prepare(root: ObjectPath, folders: Sequence[ObjectPath]) -> None:
+    """Do nothing: a bucket has no folders."""
+
+
+def why_no_store(root: ObjectPath) -> str:
+    """Say what is there instead of a store."""
+    return "has no palpate-store.json"
+
+
+def clean(root: ObjectPath, folders: Sequence[ObjectPath]) -> None:
+    """Do nothing: to find what is half written takes a listing; see `palpate store gc`."""
+
+
+def free_bytes(root: ObjectPath) -> int | None:
+    """Return None: a bucket does not say."""
+    return None
+
+
+def _objects(folder: ObjectPath) -> "Iterator[ObjectMeta]":
+    import obstore
+
+    client = client_of(folder)
+    with explained(folder):
+        for page in obstore.list(client, f"{folder.key}/".lstrip("/")):
+            yield from page
+
+
+def _keys(place: ObjectPath) -> list[str]:
+    """Return the keys of an object, or of all objects of a group."""
+    own = [place.key] if place.key and is_file(place) else []
+    return own + [found["path"] for found in _objects(place)]
+
+
+def _delete(place: ObjectPath, keys: list[str]) -> None:
+    import obstore
+
+    client = client_of(place)
+    for start in range(0, len(keys), MOST_AT_ONCE):
+        try:
+            with explained(place):
+                obstore.delete(client, keys[start : start + MOST_AT_ONCE])
+        except FileNotFoundError as error:  # somebody else has removed it
+            if "NoSuchBucket" in str(error):
+                raise StoreError(str(error)) from error

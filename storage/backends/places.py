@@ -1,0 +1,45 @@
+"""Tells where a store is: a local folder, or a prefix in a bucket.
+
+A `Location` is what a user types and what travels to the workers, a `Place` is what the rooms
+of a store are addressed by. Both kinds of place have ``/``, ``name``, ``stem``, ``suffix`` and
+``parent``; what is done with them is in `storage.backends.contract`.
+"""
+
+import re
+from pathlib import Path
+
+from palpate.storage.backends.object_path import ObjectPath, object_path
+from palpate.storage.errors import StoreError
+
+Place = Path | ObjectPath
+Location = str | Path | ObjectPath
+
+# A Path made of a URL has lost one of its slashes.
+_URL = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/+(?P<rest>.*)")
+
+
+def place_of(location: Location) -> Place:
+    """Return the place that is meant; a local one is absolute.
+
+    Parameters
+    ----------
+    location : str, Path or ObjectPath
+        A folder, ``~`` is the user's home; or ``s3://BUCKET/PREFIX``.
+
+    Raises
+    ------
+    StoreError
+        If it is another URL, or names no bucket.
+    """
+    if isinstance(location, ObjectPath):
+        return location
+    url = _URL.fullmatch(str(location))
+    if url is None:
+        return Path(location).expanduser().absolute()
+    if url["scheme"].lower() != "s3":
+        raise StoreError(
+            f"{location} is a URL ({url['scheme']}), but stores are kept in local folders and in "
+            "S3 only. Give a folder that all workers can reach, such as /data/palpate, or "
+            "s3://BUCKET/PREFIX."
+        )
+    return object_path(url["rest"], location)

@@ -1,0 +1,152 @@
+"""The best candidate of a study, by one rule for all that read its journal.
+
+Candidates are compared in the study's own resolution; a study that was stopped before it reached
+that has only coarser ones, of which the finest count. Where a strategy minimises the sum of
+squares, the candidate with the least sum is best, elsewhere the one with the lowest GSF; of equal
+candidates the first.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import Any
+
+from palpate.storage.plain import to_number
+from palpate.storage.records.record import EvaluationRecord
+from palpate.storage.records.status import Status
+
+# Candidates whose (1 - JC) MHD is at most a tenth above the best one's are equally good.
+EQUALLY_GOOD = math.log(1.1)
+
+Endings = Mapping[int, EvaluationRecord]
+Rank = tuple[float, ...]
+
+
+def score_of(record: EvaluationRecord) -> float:
+    """Return the score that the search minimises: GSF, or +inf for a candidate without one."""
+    if record.status is not Status.DONE or record.score is None:
+        return math.inf
+    return float(record.score["gsf"])
+
+
+def rank_of(record: EvaluationRecord) -> Rank | None:
+    """Return the rank of a candidate, lower for better ones; None if it has no score."""
+    gsf = score_of(record)
+    cost = None if record.fit is None else float(record.fit["cost"])
+    return _rank(record.candidate, gsf, record.level, cost)
+
+
+def rank_of_line(line: Mapping[str, Any]) -> Rank | None:
+    """Return `rank_of` of an evaluation that is still a line of the journal."""
+    score, fit = line.get("score"), line.get("fit")
+    if not score or line.get("status") != Status.DONE:
+        return None
+    cost = float(to_number(fit["cost"])) if fit else None
+    gsf = float(to_number(score["gsf"]))
+    return _rank(int(line["candidate"]), gsf, line.get("level"), cost)
+
+
+def _rank(candidate: int, gsf: float, level: int | None, cost: float | None) -> Rank | None:
+    if gsf == math.inf:
+        return None
+    resolution = (0, 0) if level is None else (1, -level)
+    by = (1, gsf) if cost is None else (0, cost)
+    return (*resolution, *by, candidate)
+
+
+def best_of(endings: Endings) -> EvaluationRecord | None:
+    """Return the best candidate; None if none has a score."""
+    return best_so_far(endings.values()).record
+
+
+def best_searched(endings: Endings) -> EvaluationRecord | None:
+    """Return the best candidate of those that were not fitted by derivatives."""
+    return best_of({c: r for c, r in endings.items() if r.fit is None and r.level is None})
+
+
+def equally_good(endings: Endings, best: EvaluationRecord) -> list[EvaluationRecord]:
+    """Return the candidates that score as well as the best one, itself included."""
+    limit = score_of(best) + EQUALLY_GOOD
+    own = (endings[c] for c in sorted(endings) if endings[c].level == best.level)
+    return [record for record in own if score_of(record) <= limit]
+
+
+class BestSoFar:
+    """The best of the candidates that have ended so far, in whatever order they end.
+
+    Attributes
+    ----------
+    record : EvaluationRecord or None
+        The best one; None while none has a score.
+    """
+
+    def __init__(self) -> None:
+        self.record: EvaluationRecord | None = None
+        self._rank: Rank | None = None
+        self._lowest: dict[int | None, EvaluationRecord] = {}
+
+    def add(self, record: EvaluationRecord) -> None:
+        """Compare one more candidate."""
+        self._add(rank_of(record), score_of(record), record.level, lambda: record)
+
+    def add_line(self, line: Mapping[str, Any]) -> None:
+        """Compare one more candidate, which is still a line of the journal.
+
+        Raises
+        ------
+        JournalError
+            If it leads, and is damaged.
+        """
+        rank = rank_of_line(line)
+        if rank is not None:
+            gsf = float(to_number(line["score"]["gsf"]))
+            made = partial(EvaluationRecord.from_json, line)
+            self._add(rank, gsf, line.get("level"), made)
+
+    def _add(
+        self,
+        rank: Rank | None,
+        gsf: float,
+        level: int | None,
+        record: Callable[[], EvaluationRecord],
+    ) -> None:
+        if rank is None:
+            return
+        if self._rank is None or rank < self._rank:
+            self.record, self._rank = record(), rank
+        lowest = self._lowest.get(level)
+        if lowest is None or (gsf, rank[-1]) < (score_of(lowest), lowest.candidate):
+            self._lowest[level] = record()
+
+    @property
+    def lowest_gsf(self) -> EvaluationRecord | None:
+        """Return the candidate with the lowest GSF where that is not the best one, else None."""
+        if self.record is None:
+            return None
+        lowest = self._lowest[self.record.level]
+        return lowest if score_of(lowest) < score_of(self.record) else None
+
+    @property
+    def note(self) -> str:
+        """Return why the best candidate has not the lowest GSF; empty if it has."""
+        best, lowest = self.record, self.lowest_gsf
+        if best is None or lowest is None or best.fit is None:
+            return ""
+        other = (
+            f"a larger sum ({lowest.fit['cost']:.6g})"
+            if lowest.fit is not None
+            else "no sum of squares, since it was evaluated without derivatives"
+        )
+        return (
+            f"Candidate {best.candidate} is best because this strategy minimises the sum of "
+            f"squared distances ({best.fit['cost']:.6g}; GSF {score_of(best):.5g}); candidate "
+            f"{lowest.candidate} has the lowest GSF ({score_of(lowest):.5g}) but {other}."
+        )
+
+
+def best_so_far(endings: Iterable[EvaluationRecord]) -> BestSoFar:
+    """Return the best of some candidates, with the one of the lowest GSF."""
+    best = BestSoFar()
+    for record in endings:
+        best.add(record)
+    return best

@@ -1,0 +1,428 @@
+"""Defines the records of a study's journal.
+
+::
+
+    study         first line: what was asked, and with which versions
+    session       a run of the study begins: versions, store, and what was prepared
+    proposal      a generation is proposed: the genes of its candidates, and who is carried over
+    evaluation    one line for each ending of a candidate, in order of arrival
+    generation    all scores of a generation are known
+    identification  what the image tells of the constants, from the tangents at the best candidate
+    end           the search has stopped: reason, best candidate, scores by tissue
+
+No score depends on the sessions, generations and the end. A record that makes no sense cannot
+be made, so none can be read either.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Self
+
+from palpate.storage.errors import JournalError
+from palpate.storage.plain import to_number, to_plain
+from palpate.storage.records.status import Status
+from palpate.storage.records.tasks import (
+    FitJson,
+    MeshFit,
+    OutcomeJson,
+    PreparedBody,
+    PreparedTarget,
+    Scores,
+)
+from palpate.storage.stores.store import check_schema
+
+SCHEMA_VERSION = 1
+
+
+class _JournalRecord:
+    """Convert a dataclass to and from a line of the journal, field by field."""
+
+    kind: ClassVar[str]
+    # Fields that came later: journals from before do not have them.
+    left_out_if_none: ClassVar[frozenset[str]] = frozenset()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the line of the journal, as plain values."""
+        named: Any = self
+        plain = {
+            f.name: to_plain(getattr(self, f.name))
+            for f in fields(named)
+            if f.name not in self.left_out_if_none or getattr(self, f.name) is not None
+        }
+        return {"kind": self.kind, "schema_version": SCHEMA_VERSION, **plain}
+
+    @classmethod
+    def from_json(cls, record: Mapping[str, Any]) -> Self:
+        """Undo `to_json`.
+
+        Raises
+        ------
+        JournalError
+            If the record is of another kind, lacks something or makes no sense.
+        NewerSchemaError
+            If a newer version of Palpate wrote it.
+        """
+        values = {k: v for k, v in record.items() if k not in ("kind", "schema_version")}
+        dataclass_type: Any = cls
+        expected = {f.name for f in fields(dataclass_type)}
+        try:
+            check_schema(record.get("schema_version"), SCHEMA_VERSION, f"A {cls.kind} record")
+            if record.get("kind") != cls.kind:
+                raise ValueError(f"its kind is {record.get('kind')!r}")
+            if wrong := sorted((expected ^ set(values)) - cls.left_out_if_none & expected):
+                raise ValueError(f"fields missing or unknown: {', '.join(wrong)}")
+            return cls(**values)
+        except (TypeError, ValueError, AttributeError, JournalError) as error:
+            raise JournalError(
+                f"A {cls.kind} record cannot be read ({error}). The journal is damaged: start a "
+                "new study; evaluations in the store are used again."
+            ) from error
+
+
+@dataclass(frozen=True)
+class StudyRecord(_JournalRecord):
+    """What a study asks: its file with all defaults, and the versions it began with.
+
+    Parameters
+    ----------
+    spec_digest : str
+        Name of `spec`.
+    spec : mapping
+        The study file with all defaults filled in.
+    versions : mapping of str to str
+        Of Palpate, its code and the packages that results depend on.
+    """
+
+    kind: ClassVar[str] = "study"
+
+    spec_digest: str
+    spec: Mapping[str, Any]
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.spec_digest:
+            _refuse("a study has no digest")
+        if not isinstance(self.spec, Mapping) or not isinstance(self.versions, Mapping):
+            _refuse("spec and versions of a study must be mappings")
+
+
+@dataclass(frozen=True)
+class SessionRecord(_JournalRecord):
+    """The beginning of a run of the study, after its preparation.
+
+    Parameters
+    ----------
+    began : str
+        Date and time, ISO 8601.
+    store : str
+        Where the store is.
+    versions : mapping of str to str
+        See `service.versions`.
+    prepared : PreparedBody
+        The undeformed body and its mesh.
+    target : PreparedTarget
+        The deformed body that is explained.
+    workers : int
+        Evaluations at once.
+    seconds : float
+        How long the preparation took.
+    caveats : sequence of str, optional
+        Statements with which every result begins, such as a plausibility check that failed.
+    """
+
+    kind: ClassVar[str] = "session"
+    left_out_if_none: ClassVar[frozenset[str]] = frozenset({"caveats"})
+
+    began: str
+    store: str
+    versions: Mapping[str, str]
+    prepared: PreparedBody
+    target: PreparedTarget
+    workers: int
+    seconds: float
+    caveats: Sequence[str] | None = None
+
+    def __post_init__(self) -> None:
+        _restore_numbers(self, "prepared", "target")
+
+
+@dataclass(frozen=True)
+class ProposalRecord(_JournalRecord):
+    """The candidates of a generation, as the search proposed them.
+
+    With it a journal can be read without the search that wrote it.
+
+    Parameters
+    ----------
+    number : int
+        Of the generation, from 0.
+    first : int
+        Number of its first candidate.
+    names : tuple of str
+        Of the genes.
+    genes : tuple of tuple of float
+        A row for each candidate.
+    carried : mapping of str to int
+        Candidates that are not evaluated anew, and the candidate of the generation before whose
+        ending they have.
+    """
+
+    kind: ClassVar[str] = "proposal"
+
+    number: int
+    first: int
+    names: tuple[str, ...]
+    genes: tuple[tuple[float, ...], ...]
+    carried: Mapping[str, int]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "genes", tuple(tuple(map(float, row)) for row in self.genes))
+        if not (_is_count(self.number, 0) and _is_count(self.first, 0)):
+            _refuse(f"generation {self.number} begins with candidate {self.first}")
+        if any(len(row) != len(self.names) for row in self.genes):
+            _refuse(f"generation {self.number} has candidates without {', '.join(self.names)}")
+
+
+@dataclass(frozen=True)
+class GenerationRecord(_JournalRecord):
+    """The mark that all scores of a generation are known.
+
+    Parameters
+    ----------
+    number : int
+        From 0.
+    best : float
+        Lowest GSF; may be infinite.
+    elapsed_s : float
+        Since the session began.
+    """
+
+    kind: ClassVar[str] = "generation"
+
+    number: int
+    best: float
+    elapsed_s: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "best", float(self.best))
+
+
+@dataclass(frozen=True)
+class EndRecord(_JournalRecord):
+    """The end of the search.
+
+    Parameters
+    ----------
+    reason : str
+        In words.
+    best : int or None
+        Candidate; None if none has a score.
+    volume : str or None
+        Digest of its deformed volume.
+    before : mapping of str to Scores
+        By tissue, of the undeformed body: where every fit begins.
+    per_label : mapping of str to Scores
+        By tissue, of the best candidate.
+    elapsed_s : float
+        Since the session began.
+    """
+
+    kind: ClassVar[str] = "end"
+
+    reason: str
+    best: int | None
+    volume: str | None
+    before: Mapping[str, Scores]
+    per_label: Mapping[str, Scores]
+    elapsed_s: float
+
+    def __post_init__(self) -> None:
+        _restore_numbers(self, "before", "per_label")
+
+
+@dataclass(frozen=True)
+class IdentificationRecord(_JournalRecord):
+    """What the image tells of the constants, as the tangents at the best candidate say.
+
+    Parameters
+    ----------
+    candidate : int
+        The best one.
+    fit : FitJson or None
+        Its least-squares problem; None where there is none.
+    reason : str
+        Why there is none; empty if there is one.
+    nuisances : FitJson, optional
+        The same problem with the nuisance parameters of the organ; see `Organ.nuisances`.
+    meshes : list of MeshFit, optional
+        The same problem on meshes of other sizes.
+    """
+
+    kind: ClassVar[str] = "identification"
+    left_out_if_none: ClassVar[frozenset[str]] = frozenset({"nuisances", "meshes"})
+
+    candidate: int
+    fit: FitJson | None
+    reason: str = ""
+    nuisances: FitJson | None = None
+    meshes: list[MeshFit] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.fit is None) != bool(self.reason):
+            _refuse("an identification has either tangents or a reason why not")
+        for name in ("fit", "nuisances", "meshes"):
+            if getattr(self, name) is not None:
+                _restore_numbers(self, name)
+
+
+@dataclass(frozen=True)
+class EvaluationRecord(_JournalRecord):
+    """How the evaluation of one candidate ended.
+
+    Parameters
+    ----------
+    candidate : int
+        Its number in the study, from 0.
+    generation : int
+        From 0.
+    genes : mapping of str to float
+        Parameters by name, finite.
+    digest : str
+        Name of the evaluation in the store.
+    status : Status
+        done, diverged, crashed or lost.
+    score : Scores, optional
+        With ``gsf``, which may be infinite; exactly when done.
+    outcome : OutcomeJson, optional
+        What the solver says of its result.
+    reason : str
+        Why there is no score; empty exactly when done.
+    traceback : str
+        Of a crash; empty otherwise.
+    seconds : mapping of str to float
+        Spent in each stage.
+    worker : str
+        Where it ran; empty when not known.
+    attempts : int
+        How often it was sent out, from 1.
+    reused : bool
+        Whether the store had it already.
+    fit : FitJson, optional
+        Its least-squares problem, where the strategy needs derivatives.
+    level : int, optional
+        Of the study's resolutions, coarse to fine; None for that of the study file.
+
+    Raises
+    ------
+    JournalError
+        If the parts contradict each other.
+    """
+
+    kind: ClassVar[str] = "evaluation"
+    left_out_if_none: ClassVar[frozenset[str]] = frozenset({"fit", "level"})
+
+    candidate: int
+    generation: int
+    genes: Mapping[str, float]
+    digest: str
+    status: Status
+    score: Scores | None = None
+    outcome: OutcomeJson | None = None
+    reason: str = ""
+    traceback: str = ""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    worker: str = ""
+    attempts: int = 1
+    reused: bool = False
+    fit: FitJson | None = None
+    level: int | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "status", Status(self.status))
+        _restore_numbers(self, "genes", "score", "outcome", "seconds")
+        if self.fit is not None:
+            _restore_numbers(self, "fit")
+        name = f"candidate {self.candidate} is {self.status}"
+        if not (_is_count(self.candidate, 0) and _is_count(self.generation, 0)):
+            _refuse(f"{name}, but its number or generation ({self.generation}) is no count")
+        if not _is_count(self.attempts, 1):
+            _refuse(f"{name} after {self.attempts!r} attempts")
+        if not all(math.isfinite(gene) for gene in self.genes.values()):
+            _refuse(f"{name} with genes that are not finite: {dict(self.genes)}")
+        if not (self.status.is_ending or self.status is Status.LOST):
+            _refuse(f"{name}, which is no ending")
+        self._check_ending(name)
+
+    def _check_ending(self, name: str) -> None:
+        done = self.status is Status.DONE
+        if done != (self.score is not None):
+            _refuse(f"{name} {'without' if done else 'with'} a score")
+        if self.score is not None and math.isnan(self.score.get("gsf", math.nan)):
+            _refuse(f"{name} with gsf {self.score.get('gsf')!r}, expected a number")
+        if done == bool(self.reason):
+            _refuse(f"{name}, with the reason {self.reason!r}")
+        if (self.status is Status.CRASHED) != bool(self.traceback):
+            _refuse(f"{name} {'with' if self.traceback else 'without'} a traceback")
+
+
+JournalRecord = (
+    StudyRecord
+    | SessionRecord
+    | ProposalRecord
+    | EvaluationRecord
+    | GenerationRecord
+    | IdentificationRecord
+    | EndRecord
+)
+_KINDS: dict[str, type[JournalRecord]] = {
+    made.kind: made
+    for made in (
+        StudyRecord,
+        SessionRecord,
+        ProposalRecord,
+        EvaluationRecord,
+        GenerationRecord,
+        IdentificationRecord,
+        EndRecord,
+    )
+}
+
+
+def record_of(line: Mapping[str, Any]) -> JournalRecord:
+    """Return the record that a line of a journal holds.
+
+    Raises
+    ------
+    JournalError
+        If it is of no known kind, or makes no sense.
+    NewerSchemaError
+        If a newer version of Palpate wrote it.
+    """
+    return _KINDS.get(str(line.get("kind")), EvaluationRecord).from_json(line)
+
+
+def caveats_in(sessions: Iterable[SessionRecord]) -> tuple[str, ...]:
+    """Return the statements with which every result of a study begins, from its runs."""
+    stated: list[str] = []
+    for session in sessions:
+        stated += session.caveats or ()
+        if "motion" in session.target:
+            words = session.target["motion"]["words"]
+            stated.append(f"The target was aligned with the reference: moved by {words}.")
+    return tuple(dict.fromkeys(stated))
+
+
+def _restore_numbers(record: _JournalRecord, *names: str) -> None:
+    """Replace "-inf" and its like by numbers in these fields, at any depth."""
+    for name in names:
+        object.__setattr__(record, name, to_number(to_plain(getattr(record, name))))
+
+
+def _is_count(value: Any, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+
+
+def _refuse(what: str) -> None:
+    raise JournalError(f"this record makes no sense: {what}")

@@ -1,0 +1,148 @@
+"""Defines what the tasks of a search are asked and what they return, as JSON records.
+
+::
+
+    prepare_case     a case                            > PreparedBody
+    make_target      a case and a target               > PreparedTarget
+    evaluate         an EvaluationRequest              > EvaluationResult
+
+Each is a dictionary at run time: it travels through Dask, lies in the store and stands in
+the journal as it is. Keys that may be missing are marked so. Units stand
+in the names; constants are in MPa.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Literal, NotRequired, TypedDict
+
+SpecJson = Mapping[str, object]
+"""A part of a study file as its pydantic model writes it: a case, a target or a score."""
+
+
+Scores = Mapping[str, float]
+"""How alike two bodies are, by name.
+
+``jc`` and ``dice`` are overlaps from 0 to 1; ``mhd_mm`` and ``mhd_voxels`` the modified
+Hausdorff distance in mm and in voxels; ``gsf`` the logarithm that a search minimises, -inf
+for identical bodies.
+"""
+
+OutcomeJson = Mapping[str, Any]
+"""What the solver of an organ says of its own result, such as ``newton_iterations``,
+``residual_n`` or ``min_j``; see `workers.mechanics.fem.problem.outcome.Outcome`."""
+
+BodyFacts = Mapping[str, Any]
+"""What an undeformed body and its mesh are like, such as ``volume_ml``, ``nodes`` or
+``element_size_mm``; see `workers.organs.organ.Organ.facts`."""
+
+
+class PreparedBody(TypedDict):
+    """The undeformed body and its mesh, by their digests in the store."""
+
+    volume: str
+    mesh: str
+    facts: BodyFacts
+
+
+TargetKind = Literal["simulated", "image"]
+
+
+class PreparedTarget(TypedDict):
+    """The deformed body that a search explains, by its digest in the store.
+
+    A simulated target also has the solver's ``outcome``, the ``constants`` it was made with
+    (MPa) and the ``seconds`` of each stage. An image that was aligned has its ``motion``:
+    ``shift_mm`` and ``turn_deg`` along and about x, y and z, and both in ``words``.
+    """
+
+    target: str
+    kind: TargetKind
+    outcome: NotRequired[OutcomeJson]
+    constants: NotRequired[dict[str, float]]
+    seconds: NotRequired[dict[str, float]]
+    motion: NotRequired[Mapping[str, Any]]
+
+
+class PreparedLevel(TypedDict):
+    """Body, mesh and target in a coarser resolution, and the case with that mesh."""
+
+    case: dict[str, Any]
+    prepared: PreparedBody
+    target: str
+
+
+class FitJson(TypedDict):
+    """The least-squares problem of a candidate: distances of interfaces and their derivatives.
+
+    With the residuals r, divided by their noise, and their derivatives J by the parameters:
+    ``cost`` is r'r, ``gradient`` J'r, ``hessian`` J'J. A parameter is the logarithm of a constant
+    where ``logarithmic``. ``parameters`` and ``values`` are inside names and units; ``rms_mm`` is
+    the root mean square of the residuals; ``noise`` says in words what they were divided by.
+    """
+
+    parameters: list[str]
+    logarithmic: list[bool]
+    values: list[float]
+    residuals: int
+    rms_mm: float
+    cost: float
+    gradient: list[float]
+    hessian: list[list[float]]
+    noise: str
+
+
+class MeshFit(TypedDict):
+    """The least-squares problem of a candidate on a mesh of another size."""
+
+    nodes: int
+    fit: FitJson
+
+
+class FreeParameter(TypedDict):
+    """A parameter by which residuals are differentiated: inside name and units, searched bounds."""
+
+    name: str
+    lower: float
+    upper: float
+
+
+class EvaluationRequest(TypedDict):
+    """One candidate to be simulated and compared with the target.
+
+    ``store`` is the path of the store, ``target`` a digest, ``constants`` are in MPa,
+    ``keep_volume`` asks for the deformed volume to stay in the store, ``digest`` is the name
+    that the driver gives the evaluation. With ``free`` the residuals of the interfaces are
+    differentiated by these parameters.
+    """
+
+    store: str
+    case: SpecJson
+    prepared: PreparedBody
+    target: str
+    constants: Mapping[str, float]
+    score: NotRequired[SpecJson | None]
+    keep_volume: NotRequired[bool]
+    digest: NotRequired[str]
+    free: NotRequired[list[FreeParameter]]
+
+
+class EvaluationResult(TypedDict):
+    """How one simulation ended, as it lies in the store under ``digest``.
+
+    ``reason`` says why it diverged; ``constants`` are in MPa; ``seconds`` counts each stage;
+    ``worker`` is where it ran. ``score`` is None when diverged and missing where nothing was
+    compared; ``volume`` is the digest of a deformed body that was stored under a name of its
+    own; ``reused`` says that the store had the result already; ``fit`` is there where the
+    request names free parameters, and None when diverged.
+    """
+
+    digest: str
+    status: Literal["done", "diverged"]
+    reason: str
+    outcome: OutcomeJson
+    constants: dict[str, float]
+    seconds: dict[str, float]
+    worker: str
+    score: NotRequired[Scores | None]
+    volume: NotRequired[str | None]
+    reused: NotRequired[bool]
+    fit: NotRequired[FitJson | None]

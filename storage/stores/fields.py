@@ -1,0 +1,54 @@
+"""Saves nodal displacements, the small thing that is always kept.
+
+With mesh and reference volume it gives the deformed volume again.
+"""
+
+import numpy as np
+
+from palpate.storage.errors import StoreError
+from palpate.storage.stores.arrays import exists, load_arrays, save_arrays
+from palpate.storage.stores.store import Store
+from palpate.storage.values import FloatArray
+
+
+def save_field(store: Store, digest: str, displacement_mm: FloatArray) -> None:
+    """Write the displacement of the nodes of a mesh, whole or not at all.
+
+    Parameters
+    ----------
+    store : Store
+    digest : str
+        Name of the evaluation it belongs to.
+    displacement_mm : ndarray of float64, shape (n, 3)
+
+    Raises
+    ------
+    StoreError
+        If shape or type are others, or the place cannot be written.
+    """
+    shape, dtype = displacement_mm.shape, displacement_mm.dtype
+    if len(shape) != 2 or shape[1] not in (2, 3) or dtype != np.float64:
+        raise StoreError(
+            f"A displacement field has shape {shape} and type {dtype}, "
+            "expected (n, 3), or (n, 2) of a section, and float64."
+        )
+    save_arrays(store.layout.field(digest), {"displacement_mm": displacement_mm})
+
+
+def load_field(store: Store, digest: str) -> FloatArray:
+    """Read a displacement, shape (n, 3) in mm.
+
+    Raises
+    ------
+    StoreError
+        If it is missing or damaged.
+    NewerSchemaError
+        If a newer version of Palpate wrote it.
+    """
+    arrays, _ = load_arrays(store.layout.field(digest), ["displacement_mm"])
+    return arrays["displacement_mm"]
+
+
+def has_field(store: Store, digest: str) -> bool:
+    """Return whether the field is there, complete."""
+    return exists(store.layout.field(digest))

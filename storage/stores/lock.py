@@ -1,0 +1,60 @@
+"""Lets one process at a time look after a store, on any machine.
+
+The lock is a file that is created on condition that there is none. It is removed at the end;
+who is killed leaves it behind, and the message of the next one says how to remove it. Running
+studies take no lock: what they write they name by its content.
+"""
+
+import os
+import secrets
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+
+from palpate.storage.errors import StoreError
+from palpate.storage.plain import dumps, loads
+from palpate.storage.stores.store import Store
+
+MAINTENANCE = "maintenance"
+
+
+@contextmanager
+def maintaining(store: Store, what: str) -> Iterator[None]:
+    """Hold the store's lock.
+
+    Parameters
+    ----------
+    what : str
+        The command, for whoever finds the lock.
+
+    Raises
+    ------
+    StoreError
+        If somebody holds it, or the store cannot be written.
+    """
+    place = store.layout.lock(MAINTENANCE)
+    owner = {
+        "command": what,
+        "host": socket.gethostname(),
+        "pid": os.getpid(),
+        "since": datetime.now(UTC).isoformat(timespec="seconds"),
+        "token": secrets.token_hex(8),  # no two owners write the same
+    }
+    if not store.backend.create(place, dumps(owner).encode()):
+        raise StoreError(
+            f"{store} is being looked after by {_owner(store)}. Wait for its end; if that process "
+            f"is gone, remove {place} and run the command again."
+        )
+    try:
+        yield
+    finally:
+        store.backend.remove(place)
+
+
+def _owner(store: Store) -> str:
+    try:
+        owner = loads(store.backend.read(store.layout.lock(MAINTENANCE)))
+        return f"`{owner['command']}` (process {owner['pid']} on {owner['host']}, {owner['since']})"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another process"

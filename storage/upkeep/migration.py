@@ -1,0 +1,45 @@
+"""Brings a store of an older schema to the present one, one version after the other.
+
+A step is written when the schema changes; there has been one schema so far, so there is no step
+yet. A step may be interrupted and is then repeated whole: it must change nothing twice. The
+version in the description of the store is raised after each.
+"""
+
+from collections.abc import Callable, Mapping
+
+from palpate.storage.backends.places import Location, place_of
+from palpate.storage.errors import StoreError
+from palpate.storage.stores import store as stores
+from palpate.storage.stores.lock import maintaining
+from palpate.storage.stores.store import Store, stored_schema, write_schema
+
+Step = Callable[[Store], None]
+
+STEPS: Mapping[int, Step] = {}
+"""By the version that a step begins with; it ends with the next one."""
+
+
+def migrate(location: Location) -> tuple[int, int]:
+    """Bring a store to the present schema, and return the version before and after.
+
+    Nobody may use the store meanwhile.
+
+    Raises
+    ------
+    StoreError
+        If there is no store, it cannot be written, or another process looks after it.
+    NewerSchemaError
+        If a newer version of Palpate made the store.
+    """
+    store = Store(place_of(location))
+    before = stored_schema(store)
+    if before is None:
+        raise StoreError(f"{store} is not a store: it {store.backend.why_no_store(store.root)}.")
+    version = before
+    if version < stores.SCHEMA_VERSION:
+        with maintaining(store, "palpate store migrate"):
+            while version < stores.SCHEMA_VERSION:
+                STEPS[version](store)
+                version += 1
+                write_schema(store, version)
+    return before, version

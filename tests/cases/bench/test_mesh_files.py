@@ -1,0 +1,295 @@
+"""Mesh files whose bodies were read in part: kinds of cells, decks, cavities, indices."""
+
+from itertools import product
+
+import meshio
+import numpy as np
+import pytest
+
+from palpate.storage.errors import InputError
+from palpate.workers.body.mesh.boundary import boundary_triangles
+from palpate.workers.organs.specimen.block import lattice
+from palpate.workers.organs.specimen.experiment_files import read_experiment
+from palpate.workers.organs.specimen.readings.mesh_file import VOLUMES, read_mesh_file
+from palpate.workers.organs.specimen.spec import read_spec
+from palpate.workers.organs.specimen.voxelised_mesh import body_of_file
+from tests.cases.bench.bench_cases import described, write
+
+SIZE = np.array([30.0, 30.0, 60.0])
+VOLUME_ML = 54.0
+HALF = 30.0
+
+
+def bricks(low=(0, 0, 0), high=SIZE, count=(3, 3, 6)):
+    """Hexahedra of a box: points and corners."""
+    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    step = np.array([(count[1] + 1) * (count[2] + 1), count[2] + 1, 1])
+    first = np.array([np.dot(ijk, step) for ijk in product(*map(range, count))])
+    ring = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    corners = [np.dot(c, step) for c in ring] + [np.dot(c, step) + step[2] for c in ring]
+    return points, first[:, None] + np.array(corners)
+
+
+def tetrahedra(low=(0, 0, 0), high=SIZE):
+    """Tetrahedra of a box, some of them with a negative orientation."""
+    mesh = lattice(tuple(np.subtract(high, low)), (3, 3, 4))
+    tets = mesh.tets.copy()
+    tets[::3] = tets[::3][:, [1, 0, 2, 3]]
+    return mesh.nodes + low, tets
+
+
+def joined(*parts):
+    """Points and blocks of cells of several parts, each with points of its own."""
+    points, blocks = [], []
+    for (own, cells), kind in parts:
+        blocks.append((kind, cells + sum(map(len, points))))
+        points.append(own)
+    return meshio.Mesh(np.concatenate(points), blocks)
+
+
+def wedges():
+    points, cells = bricks((0, 0, HALF), SIZE, (3, 3, 3))
+    return points, np.concatenate([cells[:, [0, 1, 2, 4, 5, 6]], cells[:, [0, 2, 3, 4, 6, 7]]])
+
+
+def pyramids():
+    points, cells = bricks((0, 0, HALF), SIZE, (2, 2, 2))
+    tops = len(points) + np.arange(len(cells))[:, None]
+    faces = VOLUMES["hexahedron"][1]
+    every = np.concatenate([np.hstack([cells[:, list(face)], tops]) for face in faces])
+    return np.vstack([points, points[cells].mean(axis=1)]), every
+
+
+def quadratic():
+    points, tets = tetrahedra((0, 0, HALF))
+    edges = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
+    middles = np.stack([points[tets[:, list(e)]].mean(axis=1) for e in edges], axis=1)
+    number = len(points) + np.arange(len(tets) * 6).reshape(-1, 6)
+    return np.vstack([points, middles.reshape(-1, 3)]), np.hstack([tets, number])
+
+
+def voxels():
+    points, cells = bricks((0, 0, HALF), SIZE, (3, 3, 3))
+    return points, cells
+
+
+UPPER = {
+    "hexahedron": voxels(),
+    "wedge": wedges(),
+    "pyramid": pyramids(),
+    "tetra10": quadratic(),
+    "tetra": tetrahedra((0, 0, HALF)),
+}
+LOWER = tetrahedra((0, 0, 0), (30, 30, HALF))
+
+
+def spec_of(folder, name, **body):
+    data = described(body={"mesh": name, "voxel_mm": 2.0} | body)
+    if "labels" in body:
+        data["materials"] = {"gel": data["materials"]["gel"], "hard": data["materials"]["gel"]}
+    return read_spec(write(folder, data))
+
+
+def filled_ml(folder, mesh, name="a.vtk", **body):
+    if isinstance(mesh, str):
+        (folder / name).write_text(mesh)
+    else:
+        meshio.write(folder / name, mesh)
+    volume, notes = body_of_file(spec_of(folder, name, **body), folder / name)
+    return float((volume.values > 0).sum()) * volume.voxel_mm3 / 1000, notes
+
+
+@pytest.mark.parametrize("kind", UPPER)
+@pytest.mark.parametrize("suffix", ["vtk", "vtu", "inp"])
+def test_reads_every_kind_of_volume_cell(tmp_path, kind, suffix):
+    if suffix == "inp" and kind in ("pyramid", "wedge"):
+        pytest.skip("meshio does not write these cells as .inp")
+    mesh = joined((LOWER, "tetra"), (UPPER[kind], kind))
+    found, notes = filled_ml(tmp_path, mesh, f"a.{suffix}")
+    assert found == pytest.approx(VOLUME_ML)
+    assert notes == ()
+
+
+def test_body_is_the_volume_cells_beside_a_plate_of_triangles(tmp_path):
+    plate = (np.array([[-50.0, -50, 60], [90, -50, 60], [0, 90, 60]]), np.array([[0, 1, 2]]))
+    for kind in ("tetra", "tetra10"):
+        body = tetrahedra() if kind == "tetra" else quadratic()
+        wanted = VOLUME_ML if kind == "tetra" else VOLUME_ML / 2
+        found, notes = filled_ml(tmp_path, joined((body, kind), (plate, "triangle")))
+        assert found == pytest.approx(wanted)
+        assert notes == ("1 surface cells of a.vtk are no part of the body.",)
+
+
+def test_refuses_cells_that_are_not_read_by_name_and_count(tmp_path, monkeypatch):
+    cubic = (np.random.default_rng(0).uniform(0, 30, (20, 3)), np.arange(20)[None])
+    mesh = joined((LOWER, "tetra"), (cubic, "tetra20"))
+    monkeypatch.setattr(meshio, "read", lambda path: mesh)
+    with pytest.raises(InputError, match="cells that are not read: 1 tetra20"):
+        read_mesh_file(tmp_path / "a.vtu", 1.0)
+
+
+DECK = """*HEADING
+*PART, NAME=A
+*NODE
+{nodes}
+*ELEMENT, TYPE=C3D4
+{cells}
+*END PART
+"""
+
+
+def deck(mesh):
+    points, tets = mesh
+    nodes = "\n".join(f"{n}, {x}, {y}, {z}" for n, (x, y, z) in enumerate(points, start=1))
+    cells = "\n".join(f"{n}, " + ", ".join(map(str, t + 1)) for n, t in enumerate(tets, start=1))
+    return DECK.format(nodes=nodes, cells=cells)
+
+
+INSTANCE = "*ASSEMBLY, NAME=X\n*INSTANCE, NAME=A-1, PART=A\n{}*END INSTANCE\n*END ASSEMBLY\n"
+
+
+def test_reads_a_deck_of_one_part_that_is_not_moved(tmp_path):
+    text = deck(tetrahedra()) + INSTANCE.format("")
+    assert filled_ml(tmp_path, text, "a.inp")[0] == pytest.approx(VOLUME_ML)
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (INSTANCE.format("0., 0., 100.\n"), "a translation or rotation of an \\*INSTANCE"),
+        (INSTANCE.format("") + INSTANCE.format(""), "a second \\*INSTANCE, after the one in line"),
+        (DECK.format(nodes="1, 0, 0, 0", cells="1, 1, 1, 1, 1"), "a second \\*PART"),
+        ("*NODE\n900, 0, 0, 0\n", "a second \\*NODE"),
+        ("*SYSTEM\n0, 0, 1\n", "\\*SYSTEM"),
+        ("*ELGEN\n1, 3\n", "\\*ELGEN"),
+        ("*ELEMENT, TYPE=C3D4, INPUT=more.inp\n", "\\*ELEMENT with INPUT"),
+    ],
+)
+def test_refuses_a_deck_that_would_be_read_in_part(tmp_path, more, words):
+    text = deck(tetrahedra()) + more
+    with pytest.raises(InputError, match=rf"a\.inp, line \d+: {words}.* is not read"):
+        filled_ml(tmp_path, text, "a.inp")
+
+
+def box_surface(low, high):
+    mesh = lattice(tuple(np.subtract(high, low)), (3, 3, 4))
+    return mesh.nodes + low, boundary_triangles(mesh.tets)
+
+
+def test_refuses_a_closed_cavity_and_a_body_in_pieces(tmp_path):
+    outer = (box_surface((0, 0, 0), SIZE), "triangle")
+    inner = (box_surface((5, 5, 10), (25, 25, 50)), "triangle")
+    beside = (box_surface((50, 0, 0), (80, 30, 60)), "triangle")
+    with pytest.raises(InputError, match=r"encloses a cavity: 16 ml beside 38 ml in all"):
+        filled_ml(tmp_path, joined(outer, inner), "a.stl")
+    with pytest.raises(InputError, match=r"falls into pieces: 54 ml beside 108 ml in all"):
+        filled_ml(tmp_path, joined(outer, beside), "a.stl")
+    solid = ((0, 0, 0), SIZE), ((50, 0, 0), (80, 30, 60))
+    with pytest.raises(InputError, match="falls into pieces"):
+        filled_ml(tmp_path, joined(*((tetrahedra(*ends), "tetra") for ends in solid)))
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_doubled_facets_count_once(tmp_path, flip):
+    points, faces = box_surface((0, 0, 0), SIZE)
+    again = faces[:, ::-1] if flip else faces
+    mesh = joined(((points, faces), "triangle"), ((points, again), "triangle"))
+    found, notes = filled_ml(tmp_path, mesh, "a.stl")
+    assert found == pytest.approx(VOLUME_ML)
+    assert notes == (f"{len(faces)} facets of a.stl are there twice and counted once.",)
+
+
+def test_bodies_that_touch_share_a_wall(tmp_path):
+    halves = [((0, 0, 0), (30, 30, HALF)), ((0, 0, HALF), SIZE)]
+    mesh = joined(*((box_surface(*ends), "triangle") for ends in halves))
+    assert filled_ml(tmp_path, mesh, "a.stl")[0] == pytest.approx(VOLUME_ML)
+
+
+def test_a_surface_of_quadrilaterals_is_filled(tmp_path):
+    points, cells = bricks(count=(1, 1, 1))
+    faces = np.concatenate([cells[:, list(face)] for face in VOLUMES["hexahedron"][1]])
+    found, _ = filled_ml(tmp_path, meshio.Mesh(points, [("quad", faces)]))
+    assert found == pytest.approx(VOLUME_ML)
+
+
+@pytest.mark.parametrize("index", [-1, 10**6])
+@pytest.mark.parametrize("kind", ["tetra", "triangle"])
+def test_refuses_indices_without_a_point(tmp_path, index, kind, monkeypatch):
+    points, cells = tetrahedra() if kind == "tetra" else box_surface((0, 0, 0), SIZE)
+    cells = cells.copy()
+    cells[7, 1] = index
+    mesh = meshio.Mesh(points, [(kind, cells)])
+    monkeypatch.setattr(meshio, "read", lambda path: mesh)
+    words = rf"cell 7 of {kind} refers to the point {index}, counted from 0, but the file has"
+    with pytest.raises(InputError, match=words):
+        read_mesh_file(tmp_path / "a.vtk", 1.0)
+
+
+def test_refuses_points_that_are_not_finite_unless_unused(tmp_path):
+    points, tets = tetrahedra()
+    unused = np.vstack([points, [[np.nan] * 3, [1e9] * 3]])
+    assert filled_ml(tmp_path, meshio.Mesh(unused, [("tetra", tets)]))[0] == pytest.approx(
+        VOLUME_ML
+    )
+    points[tets[5, 0]] = np.nan
+    with pytest.raises(InputError, match="has coordinates that are no finite numbers"):
+        filled_ml(tmp_path, meshio.Mesh(points, [("tetra", tets)]))
+
+
+def test_flat_cells_are_left_out_and_counted(tmp_path):
+    points, tets = tetrahedra()
+    flat = np.vstack([tets, [tets[0, 0], tets[0, 1], tets[0, 1], tets[0, 2]]])
+    found, notes = filled_ml(tmp_path, meshio.Mesh(points, [("tetra", flat)]))
+    assert found == pytest.approx(VOLUME_ML)
+    assert notes == (f"1 of {len(flat)} cells of a.vtk are flat and left out.",)
+    with pytest.raises(InputError, match="all of them flat"):
+        filled_ml(tmp_path, meshio.Mesh(points, [("tetra", flat[-1:])]))
+
+
+def test_units_are_named_where_voxels_do_not_fit(tmp_path):
+    points, tets = tetrahedra()
+    metres = meshio.Mesh(points / 1000, [("tetra", tets)])
+    with pytest.raises(InputError, match=r"Check body\.mm_per_unit: 1000 for a file in metres"):
+        filled_ml(tmp_path, metres)
+    assert filled_ml(tmp_path, metres, mm_per_unit=1000.0)[0] == pytest.approx(VOLUME_ML, rel=0.01)
+    with pytest.raises(InputError, match=r"too small .* 0\.001 for one in micrometres"):
+        filled_ml(tmp_path, meshio.Mesh(points * 1000, [("tetra", tets)]))
+
+
+def test_physical_groups_label_every_block(tmp_path):
+    mesh = joined((LOWER, "tetra"), (UPPER["hexahedron"], "hexahedron"))
+    groups = [
+        np.full(len(block.data), label) for block, label in zip(mesh.cells, (7, 9), strict=True)
+    ]
+    mesh.cell_data = {"gmsh:physical": groups, "gmsh:geometrical": [0 * g + 1 for g in groups]}
+    meshio.write(tmp_path / "a.msh", mesh, file_format="gmsh22")
+    spec = spec_of(tmp_path, "a.msh", labels={7: "gel", 9: "hard"})
+    values = body_of_file(spec, tmp_path / "a.msh")[0].values
+    half = len(values) // 2
+    assert (values[:half] == spec.tissue_of("gel")).all()
+    assert (values[half:] == spec.tissue_of("hard")).all()
+    mesh.cell_data = {"kind": [g + 0.4 for g in groups]}
+    meshio.write(tmp_path / "b.vtk", mesh)
+    with pytest.raises(InputError, match="are no labels: not all are whole numbers"):
+        body_of_file(spec_of(tmp_path, "b.vtk", labels={7: "gel", 9: "hard"}), tmp_path / "b.vtk")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [("a.vtk", b"words"), ("a.msh", b"$MeshFormat\n9 0 8\n"), ("a.stl", b"\x00" * 90),
+     ("a.inp", b"*NODE\n1, 2\n*ELEMENT, TYPE=C3D4\n1, 5, 6, 7, 8\n"), ("a.vtu", b"<VTKFile"),
+     ("a.xyz", b"")],
+)  # fmt: skip
+def test_damaged_files_are_one_message(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=name):
+        read_mesh_file(tmp_path / name, 1.0)
+
+
+def test_notes_of_the_file_come_with_the_experiment(tmp_path):
+    points, tets = tetrahedra()
+    flat = np.vstack([tets, [tets[0, [0, 1, 1, 2]]]])
+    meshio.write(tmp_path / "a.vtk", meshio.Mesh(points, [("tetra", flat)]))
+    path = write(tmp_path, described(body={"mesh": "a.vtk", "voxel_mm": 2.0}))
+    assert "flat and left out" in read_experiment(path).observed.notes[0]

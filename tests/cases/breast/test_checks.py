@@ -1,0 +1,370 @@
+"""Rows of CASES 1, 2 and 5 about the place, the size and the loads of a breast."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from palpate.service.cli import app
+from palpate.service.export import export_volume
+from palpate.storage.errors import InputError
+from palpate.storage.values import Volume
+from palpate.workers.body.mesh.whole_body import mesh_whole_body
+from palpate.workers.organs.breast.organ import ORGAN
+from palpate.workers.organs.breast.plausibility.mirror_images import likeness
+from palpate.workers.organs.breast.plausibility.scan_facts import Scan
+from tests.cases.breast.breast_cases import (
+    at_rest,
+    findings,
+    flipped,
+    pressed,
+    scaled,
+    shifted,
+    texts,
+    turned,
+    usual_pair,
+)
+
+Change = Callable[[Volume], Volume]
+
+ORDINARY: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "60 N": ({}, {"force_n": 60}),
+    "another phantom": ({"seed": 2}, {"force_n": 60}),
+    "20 N": ({}, {"force_n": 20}),
+    "120 N": ({"seed": 3}, {"force_n": 120}),
+    "oblique": ({"seed": 2}, {"force_n": 60, "oblique_deg": 45}),
+    "oblique the other way": ({"seed": 3}, {"force_n": 100, "oblique_deg": -45}),
+    "both plates move": ({}, {"force_n": 60, "moving": "both"}),
+    "distance": ({}, {"plate_distance_mm": {"final": 65}}),
+    "small distance": ({"seed": 2}, {"plate_distance_mm": {"final": 50}}),
+    "250 ml": ({"preset": "250ml"}, {"force_n": 60}),
+    "little gland": ({"preset": "250ml", "glandular_fraction": 0.08}, {"force_n": 60}),
+    "symmetric": ({"seed": 4, "lower_mm": 85.0, "upper_mm": 85.0}, {"force_n": 60}),
+}
+
+
+@pytest.mark.parametrize(("body", "load"), ORDINARY.values(), ids=ORDINARY)
+def test_ordinary_pairs_raise_nothing(body: dict[str, Any], load: dict[str, Any]) -> None:
+    rest = at_rest(**body)
+    assert [one.text for one in findings(rest, pressed(rest, load), load)] == []
+
+
+def test_a_soft_breast_loses_volume_without_a_word() -> None:
+    rest = at_rest()
+    soft = {"E_fat_kpa": 5.0, "E_glandular_kpa": 10.0}
+    assert findings(rest, pressed(rest, {"force_n": 60}, soft)) == []
+
+
+def test_real_pair_of_breast_ct_raises_nothing() -> None:
+    folder = Path(__file__).parents[4] / "shared/data/breast_bct_niftysim"
+    if not folder.is_dir():
+        pytest.skip("shared/data/breast_bct_niftysim is not here")
+    from palpate.workers.body.images.labels import crop_to_body
+    from palpate.workers.body.images.read import read_volume
+
+    files = "UncompressedBreast3_resampled.nrrd", "compressedPhantom3.nrrd"
+    rest, scan = (_coarser(crop_to_body(read_volume(folder / file)), 4) for file in files)
+    assert findings(rest, scan, {"plate_distance_mm": {"final": 65.07, "initial": 126.7}}) == []
+    for axes in ("x", "y", "z", "xy", "yz"):
+        assert "mirror image" in texts(
+            findings(rest, flipped(scan, axes), {"plate_distance_mm": {"final": 65.07}})
+        )
+
+
+def _coarser(volume: Volume, step: int) -> Volume:
+    x, y, z = (float(step * s) for s in volume.spacing_mm)
+    values = np.ascontiguousarray(volume.values[::step, ::step, ::step])
+    return replace(volume, values=values, spacing_mm=(x, y, z))
+
+
+WRONG: dict[str, tuple[Change, str]] = {
+    "6 mm along z": (lambda v: shifted(v, 0, 0, 6), "moving it by (-0.2, 0.0, -6.0) mm"),
+    "-6 mm along z": (lambda v: shifted(v, 0, 0, -6), "moving it by (-0.2, 0.0, 6.0) mm"),
+    "8 mm along x": (lambda v: shifted(v, 8, 0, 0), "moving it by (-8.2, 0.0, 0.0) mm"),
+    "4 mm along x": (lambda v: shifted(v, -4, 0, 0), "moving it by (3.8, 0.0, 0.0) mm"),
+    "5 mm along y": (lambda v: shifted(v, 0, 5, 0), "moving it by (-0.2, -5.0, 0.0) mm"),
+    "3 degrees about x": (lambda v: turned(v, 3, 0, 0), "degrees about x"),
+    "3 degrees about y": (lambda v: turned(v, 0, 3, 0), "turned by -3.0 degrees about y"),
+    "3 degrees about z": (lambda v: turned(v, 0, 0, 3), "turned by -3.0 degrees about z"),
+    "5 % larger": (lambda v: scaled(v, 1.05), "a scale of 1.038 would explain it"),
+    "5 % smaller": (lambda v: scaled(v, 0.95), "tissue nearly keeps its volume"),
+    "3 % larger": (lambda v: scaled(v, 1.03), "tissue nearly keeps its volume"),
+    "3 % smaller": (lambda v: scaled(v, 0.97), "tissue nearly keeps its volume"),
+    "mirrored along x": (lambda v: flipped(v, "x"), "mirror image of rest.nrrd along x:"),
+    "mirrored along y": (lambda v: flipped(v, "y"), "mirror image of rest.nrrd along y:"),
+    "upside down": (lambda v: flipped(v, "z"), "mirror image of rest.nrrd along z:"),
+    "turned about z": (lambda v: flipped(v, "xy"), "mirror image of rest.nrrd along x and y:"),
+    "turned about x": (lambda v: flipped(v, "yz"), "mirror image of rest.nrrd along y and z:"),
+    "a frame of its own": (
+        lambda v: replace(v, frame_uid="1.2.4"),
+        "different frames of reference (FrameOfReferenceUID 1.2.3 and 1.2.4)",
+    ),
+    "no place": (
+        lambda v: replace(v, place_known=False),
+        "pressed.nrrd does not state where the body is",
+    ),
+}
+
+
+@pytest.mark.parametrize(("change", "said"), WRONG.values(), ids=WRONG)
+def test_target_in_another_place_or_size_is_refused(change: Change, said: str) -> None:
+    rest, scan = usual_pair()
+    here, there = (replace(v, frame_uid="1.2.3") for v in (rest, scan))
+    assert findings(here, there) == []
+    assert said in texts(findings(here, change(there)))
+
+
+def test_gland_on_one_side_only_cannot_hide_a_mirror_image() -> None:
+    """Of a mirror image exactly the flip that undoes it fits best."""
+    rest, scan = usual_pair()
+    axis = (0.0, 1.0, 0.0)
+    fits = likeness(Scan("rest", 0.0, axis, rest), Scan("scan", 60.0, axis, flipped(scan, "y")))
+    assert max(fits, key=lambda flip: fits[flip]) == (False, True, False)
+
+
+def test_alignment_undoes_a_rigid_motion() -> None:
+    rest, scan = usual_pair()
+    away = replace(shifted(turned(scan, 0, 4, -5), 30, -12, 9), frame_uid="other")
+    _, motion = ORGAN.aligned(away, replace(rest, frame_uid="one"), _case())
+    assert motion["shift_mm"] == pytest.approx([-30, 12, -9], abs=1.5)
+    assert motion["turn_deg"] == pytest.approx([0, -4, 5], abs=0.5)
+    assert findings(replace(rest, frame_uid="one"), away, align="rigid") == []
+
+
+def _case() -> Any:
+    from tests.cases.breast.breast_cases import case_of
+
+    return case_of({"force_n": 60})
+
+
+def test_effects_of_the_model_may_move_the_body() -> None:
+    rest, scan = usual_pair()
+    found = findings(rest, shifted(scan, 0, 0, 6), constants={"tilt_depth_deg": 2.0})
+    assert [one.severity for one in found] == ["warning"]
+
+
+LOADS: dict[str, tuple[dict[str, Any], str]] = {
+    "kN typed for N": ({"force_n": 0.06}, "0.06 N moves the plates by about"),
+    "N typed as mN": ({"force_n": 60_000}, "would press a body of 100.0 mm"),
+    "distance of a template": (
+        {"plate_distance_mm": {"final": 75}},
+        "is 75 mm, but the body is 56.0 mm thick between the plates in pressed.nrrd",
+    ),
+    "too small a distance": (
+        {"plate_distance_mm": {"final": 40}},
+        "is 40 mm, but the body is 56.0 mm thick between the plates in pressed.nrrd",
+    ),
+    "distance beyond the body": ({"plate_distance_mm": {"final": 120}}, "they would not touch it"),
+    "plates elsewhere": (
+        {"plate_distance_mm": {"lower": -40, "upper": 14}},
+        "the lower plate ends at -40 mm, but the body in pressed.nrrd ends at -50.0 mm, 10.0 mm",
+    ),
+    "the other plate stays": (
+        {"force_n": 60, "moving": "both"},
+        "moving it by (-0.2, 22.0, 0.0) mm",
+    ),
+}
+
+
+@pytest.mark.parametrize(("load", "said"), LOADS.values(), ids=LOADS)
+def test_load_that_does_not_fit_the_scans_is_refused(load: dict[str, Any], said: str) -> None:
+    assert said in texts(findings(*usual_pair(), load))
+
+
+def gaps(volume: Volume, *slices: int) -> Volume:
+    values = volume.values.copy()
+    values[list(slices)] = 0
+    return replace(volume, values=values)
+
+
+def test_unlabelled_slices_are_named_with_both_pieces() -> None:
+    rest, scan = usual_pair()
+    said = texts(findings(gaps(rest, 9, 10, 11), scan))
+    assert "3 of the 25 slices along z in rest.nrrd show only air" in said
+    assert "10 to 12 (counted from 1)" in said
+    assert "has 2 separate pieces, of " in said
+
+
+@pytest.mark.parametrize("nodes", [1500, 8000])
+def test_mesh_without_a_part_of_the_body_is_refused(nodes: int) -> None:
+    """With few nodes the largest piece alone would be refused for its thickness."""
+    with pytest.raises(InputError, match="Only the largest connected piece is meshed"):
+        mesh_whole_body(gaps(at_rest(), 9, 10, 11), nodes=nodes)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 0.1, 10.0, 1000.0])
+def test_body_in_another_unit_is_refused(factor: float) -> None:
+    rest, scan = (scaled(volume, factor) for volume in usual_pair())
+    said = texts(findings(rest, scan))
+    assert said.count("a breast has 10 to 5000 ml") == 2
+
+
+# --- entrances ----------------------------------------------------------------------
+
+STUDY = """
+name: pair
+case:
+  reference: {volume: rest.nrrd}
+  mesh: {nodes: 1200}
+  load: {force_n: 60}
+target: {volume: pressed.nrrd}
+search:
+  strategy: least-squares
+  parameters: {E_fat_kpa: [5, 20], E_glandular_kpa: [5, 80]}
+  fit_evaluations: 2
+  starts: 1
+"""
+DIAGNOSIS = """
+name: pair
+wall: {z_mm: 0, kx_kpa_per_mm: 0.05, ky_kpa_per_mm: 0.05}
+model: {law: neo-hookean}
+constants: {E_fat_kpa: [5, 20], E_glandular_kpa: [5, 80]}
+noise: {sd_mm: 0.5, correlation_mm: 4}
+scans: {reference: rest.nrrd, loads: [{file: pressed.nrrd, force_n: 60}]}
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    for name, volume in zip(("rest", "pressed"), usual_pair(), strict=True):
+        write(tmp_path / f"{name}.nrrd", volume)
+    (tmp_path / "study.yaml").write_text(STUDY)
+    (tmp_path / "case.yaml").write_text(DIAGNOSIS)
+    return tmp_path
+
+
+def write(path: Path, volume: Volume) -> None:
+    """Write fat and gland only."""
+    path.unlink(missing_ok=True)
+    values = np.where(volume.values == 2, 2, np.minimum(volume.values, 1)).astype(np.uint8)
+    export_volume(path, replace(volume, values=values))
+
+
+def palpate(*words: str) -> Any:
+    return CliRunner().invoke(app, list(words))
+
+
+def said(result: Any) -> str:
+    return f"{result.output} {result.exception or ''}"
+
+
+@pytest.mark.parametrize("command", [("run", "study.yaml"), ("diagnose", "case.yaml")])
+@pytest.mark.parametrize("axes", ["x", "z"])
+def test_run_and_diagnose_refuse_a_mirror_image(
+    here: Path, command: tuple[str, str], axes: str
+) -> None:
+    write(here / "pressed.nrrd", flipped(usual_pair()[1], axes))
+    result = palpate(*command)
+    assert result.exit_code != 0
+    assert f"mirror image of rest.nrrd along {axes}:" in said(result)
+    assert "continue with --anyway" in said(result)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("run", "study.yaml"),
+        ("diagnose", "case.yaml"),
+        ("plan", "case.yaml"),
+        ("mesh", "study.yaml"),
+        ("simulate", "study.yaml"),
+        ("import", "rest.nrrd", "--name", "rest"),
+    ],
+)
+def test_every_entrance_refuses_a_body_in_metres(here: Path, command: tuple[str, ...]) -> None:
+    for name, volume in zip(("rest", "pressed"), usual_pair(), strict=True):
+        write(here / f"{name}.nrrd", scaled(volume, 1e-3))
+    result = palpate(*command)
+    assert result.exit_code != 0
+    assert "a breast has 10 to 5000 ml" in said(result)
+    assert not list(here.glob("runs/*/journal*"))
+
+
+def test_import_names_pieces_and_goes_on(here: Path) -> None:
+    write(here / "rest.nrrd", gaps(usual_pair()[0], 9, 10, 11))
+    result = palpate("import", "rest.nrrd", "--name", "rest")
+    assert result.exit_code == 0, said(result)
+    assert "has 2 separate pieces" in result.output
+
+
+def test_plates_that_start_off_the_body_are_named(here: Path) -> None:
+    text = DIAGNOSIS + "plates: {lower_mm: -62.5, upper_mm: 62.5}\n"
+    (here / "case.yaml").write_text(text)
+    result = palpate("diagnose", "case.yaml")
+    assert "your lower plate starts 12.5 mm off the body (-62.5 mm" in said(result)
+    assert "your upper plate starts 12.5 mm off the body (62.5 mm" in said(result)
+
+
+def test_plates_that_are_left_out_start_at_the_body(here: Path) -> None:
+    from palpate.workers.organs.breast.case.files import read_case
+
+    case = read_case(here / "case.yaml")
+    assert case.plate_starts_mm(case.loads[0]) == pytest.approx((-50.0, 50.0))
+
+
+def test_case_is_aligned_if_its_file_asks(here: Path) -> None:
+    from palpate.workers.organs.breast.case.files import read_case
+
+    write(here / "pressed.nrrd", shifted(usual_pair()[1], 9, -7, 20))
+    (here / "case.yaml").write_text(DIAGNOSIS.replace("scans: {", "scans: {align: rigid, "))
+    case = read_case(here / "case.yaml")
+    assert case.motions == (
+        "pressed.nrrd was aligned with rest.nrrd: moved by (-9.2, 7.0, -20.0) mm.",
+    )
+
+
+def test_results_of_an_insisting_user_begin_with_the_reason(here: Path) -> None:
+    from palpate import Study
+
+    write(here / "pressed.nrrd", shifted(usual_pair()[1], 0, 0, 6))
+    refused = palpate("run", "study.yaml", "--workers", "1")
+    assert refused.exit_code != 0
+    result = palpate("run", "study.yaml", "--workers", "1", "--anyway")
+    assert result.exit_code == 0, said(result)
+    first = "Computed with --anyway, although a plausibility check failed: pressed.nrrd does not"
+    report = palpate("report", "runs/pair").output
+    assert report.startswith(first)
+    assert first in (here / "runs/pair/report.html").read_text()
+    assert Study.open("runs/pair").results.caveats[0].startswith(first)
+
+
+@pytest.mark.slow
+def test_aligned_target_is_said_first(here: Path) -> None:
+    write(here / "pressed.nrrd", shifted(usual_pair()[1], 5, 0, 6))
+    (here / "study.yaml").write_text(STUDY.replace("pressed.nrrd", "pressed.nrrd, align: rigid"))
+    result = palpate("run", "study.yaml", "--workers", "1")
+    assert result.exit_code == 0, said(result)
+    report = palpate("report", "runs/pair").output
+    assert report.startswith(
+        "The target was aligned with the reference: moved by (-5.2, 0.0, -6.0) mm."
+    )
+
+
+@pytest.mark.parametrize(("order", "pressed_along"), [((1, 0, 2), "z"), ((0, 2, 1), "x")])
+def test_a_body_pressed_along_another_axis_is_refused(
+    order: tuple[int, int, int], pressed_along: str
+) -> None:
+    """Axes that were left as the file has them, on scans that were pressed along y."""
+    rest, scan = (with_axes(one, order) for one in usual_pair())
+    text = texts(findings(rest, scan))
+    assert f"it was pressed along {pressed_along}" in text
+    assert "look exchanged" not in text
+
+
+def test_a_scan_under_load_that_shows_the_body_at_rest_is_refused() -> None:
+    rest = usual_pair()[0]
+    assert "nothing moved under 60 N" in texts(findings(rest, rest))
+    assert "nothing moved" not in texts(findings(*usual_pair()))
+
+
+def with_axes(volume: Volume, order: tuple[int, int, int]) -> Volume:
+    """Exchange axes of a volume; `order` is that of its array, ``[z, y, x]``."""
+    (a, b, c) = (volume.origin_mm[::-1][k] for k in order)
+    (u, v, w) = (volume.spacing_mm[::-1][k] for k in order)
+    values = np.ascontiguousarray(volume.values.transpose(order))
+    return replace(volume, values=values, origin_mm=(c, b, a), spacing_mm=(w, v, u))

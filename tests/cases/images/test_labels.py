@@ -1,0 +1,370 @@
+"""Labels are tissues by their names; numbers are never taken for Palpate's own against names."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import nibabel as nib
+import numpy as np
+import pytest
+import yaml
+
+from palpate.service.cli import main
+from palpate.service.export import TISSUE_NAMES, export_volume
+from palpate.service.study.spec import read_spec
+from palpate.storage.errors import InputError
+from palpate.storage.stores.store import open_store
+from palpate.storage.stores.volumes import save_volume
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.body.images.label_files import read_label_file
+from palpate.workers.body.images.labels import crop_to_body
+from palpate.workers.body.images.named_labels import read_tissues
+from palpate.workers.body.images.read import read_volume
+from palpate.workers.body.images.scan import whole_numbers
+from palpate.workers.body.images.tissue_names import tissue_in
+from palpate.workers.organs.breast.case.images import CaseImages, no_store
+from palpate.workers.organs.breast.case.spec import CaseScans
+from palpate.workers.organs.breast.organ import ORGAN
+from palpate.workers.organs.breast.spec import BreastCase
+from palpate.workers.tasks.body_store import BodyStore
+from tests.cases.images.image_cases import (
+    LPS,
+    SLICER,
+    breast,
+    segments,
+    tissues,
+    write_nrrd,
+    write_segmentation,
+)
+
+SNAP = """\
+# ITK-SnAP Label Description File
+    0     0    0    0        0  0  0    "Clear Label"
+    1   255    0    0        1  1  1    "Skin"
+    2     0  255    0        1  1  1    "Adipose tissue"
+    3     0    0  255        1  1  1    "Fibroglandular tissue"
+    4   255  255    0        1  1  1    "Cooper's ligaments"
+"""
+CTBL = """\
+# Color table file
+0 Background 0 0 0 0
+1 Skin 177 122 101 255
+2 Adipose_tissue 230 220 70 255
+3 Glandular 128 174 128 255
+4 Ligament 111 184 210 255
+"""
+
+
+def expected() -> np.ndarray[Any, Any]:
+    """Return the body of `image_cases` as tissues, cropped."""
+    return crop_to_body(Volume(tissues(), (2.0, 2.0, 2.0))).values
+
+
+def slicer(folder: Path, **changes: Any) -> Path:
+    return write_nrrd(folder / "a.seg.nrrd", breast(), **segments(SLICER), **changes)
+
+
+def xml_names(path: Path, names: dict[int, str]) -> Path:
+    """Write NIfTI with names as TotalSegmentator writes them."""
+    labels = "".join(
+        f'<Label Key="{k}" Red="1"><![CDATA[{n}]]></Label>\n' for k, n in names.items()
+    )
+    text = (
+        f'<?xml version="1.0"?><CaretExtension><LabelTable>{labels}</LabelTable></CaretExtension>'
+    )
+    image = nib.Nifti1Image(breast().transpose(), np.diag([-2.0, -2.0, 2.0, 1.0]))
+    image.header.extensions.append(nib.nifti1.Nifti1Extension("comment", text.encode()))
+    nib.save(image, path)
+    return path
+
+
+class TestNamesInFiles:
+    def test_slicer(self, tmp_path: Path) -> None:
+        np.testing.assert_array_equal(read_tissues(slicer(tmp_path)).volume.values, expected())
+
+    def test_dicom_segmentation(self, tmp_path: Path) -> None:
+        names = {1: ("Skin", "Skin"), 2: ("Segment_2", "Adipose tissue"), 3: ("FGT", "Tissue")}
+        names[4] = ("Cooper's ligament", "Tissue")
+        path = write_segmentation(tmp_path / "a.dcm", breast(), names)
+        np.testing.assert_array_equal(read_tissues(path).volume.values, expected())
+
+    def test_dicom_label_and_type_must_agree(self, tmp_path: Path) -> None:
+        path = write_segmentation(tmp_path / "a.dcm", breast(), {1: ("Fat", "Skin")})
+        with pytest.raises(InputError, match="labelled 'Fat', but its property type is 'Skin'"):
+            read_tissues(path)
+
+    def test_nifti_extension(self, tmp_path: Path) -> None:
+        names = {1: "skin", 2: "subcutaneous_fat", 3: "glandular", 4: "ligament"}
+        path = xml_names(tmp_path / "a.nii.gz", names)
+        np.testing.assert_array_equal(read_tissues(path).volume.values, expected())
+
+    @pytest.mark.parametrize(
+        ("file", "text"),
+        [
+            ("labels.txt", SNAP),
+            ("colours.ctbl", CTBL),
+            ("names.json", json.dumps({"1": "skin", "2": "fat", "3": "gland", "4": "ligament"})),
+            ("dataset.json", json.dumps({"labels": {n: k for k, n in SLICER.items()}})),
+        ],
+    )
+    def test_label_files(self, tmp_path: Path, file: str, text: str) -> None:
+        image = write_nrrd(tmp_path / "a.nrrd", breast())
+        (tmp_path / file).write_text(text)
+        read = read_tissues(image, str(tmp_path / file))
+        np.testing.assert_array_equal(read.volume.values, expected())
+
+    @pytest.mark.parametrize(
+        ("file", "text", "said"),
+        [
+            ("a.txt", "fat = 1\n", "line 1: found 'fat = 1', expected a label of ITK-SNAP"),
+            ("a.txt", CTBL + "1 Fat 0 0 0 0\n", "line 7: label 1 is named twice"),
+            ("a.json", '{"fat": "gland"}', "names labels by 'fat'"),
+            ("a.json", "{", "not valid JSON"),
+            ("a.ctbl", "# nothing\n", "names no label"),
+        ],
+    )
+    def test_refuses_other_label_files(
+        self, tmp_path: Path, file: str, text: str, said: str
+    ) -> None:
+        (tmp_path / file).write_text(text)
+        with pytest.raises(InputError, match=said):
+            read_label_file(tmp_path / file)
+
+    def test_refuses_layers_and_says_how_to_export(self, tmp_path: Path) -> None:
+        both = np.stack([breast(), breast()], axis=-1)  # layers run fastest
+        header = LPS | {"space directions": np.vstack([np.full(3, np.nan), 2 * np.eye(3)])}
+        header["kinds"] = ["list", "domain", "domain", "domain"]
+        fields = segments(SLICER, {3: 1})
+        path = write_nrrd(tmp_path / "a.seg.nrrd", both, header, **fields)
+        with pytest.raises(InputError, match=r"2 layers.*overlap.*label map: Segment Editor"):
+            read_volume(path)
+
+
+class TestStatedLabels:
+    def test_numbers_must_agree_with_names(self, tmp_path: Path) -> None:
+        numbers = {0: "air", 1: "fat", 2: "glandular", 3: "skin", 4: "ligament"}
+        with pytest.raises(InputError, match=r"Label 1 is stated as fat, but .* names it 'Skin'"):
+            read_tissues(slicer(tmp_path), numbers)
+        right = {0: "air", 1: "skin", 2: "fat", 3: "glandular", 4: "ligament"}
+        read = read_tissues(slicer(tmp_path), right)
+        np.testing.assert_array_equal(read.volume.values, expected())
+
+    def test_names_are_taken_as_stated(self, tmp_path: Path) -> None:
+        read = read_tissues(slicer(tmp_path), {"skin": "fat", "Ligament": "fat"})
+        assert set(np.unique(read.volume.values)) == {0, Tissue.FAT, Tissue.GLANDULAR}
+
+    def test_refuses_a_name_that_the_file_lacks(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match=r"no label named 'Tumour'.*1 'Skin', 2 'Fat'"):
+            read_tissues(slicer(tmp_path), {"Tumour": "glandular"})
+        with pytest.raises(InputError, match=r"has no names of labels.*it has 0, 1, 2, 3, 4"):
+            read_tissues(write_nrrd(tmp_path / "b.nrrd", breast()), {"Fat": "fat"})
+
+    def test_unknown_names_come_with_a_map_to_complete(self, tmp_path: Path) -> None:
+        names = segments(SLICER | {3: "Lesion"})
+        path = write_nrrd(tmp_path / "a.seg.nrrd", breast(), **names)
+        with pytest.raises(InputError) as caught:
+            read_tissues(path)
+        said = str(caught.value)
+        assert "no tissue is known for 'Lesion' (label 3)" in said
+        assert "labels: {Skin: skin, Fat: fat, Lesion: ?, Ligament: ligament}" in said
+        read = read_tissues(path, {"Lesion": "glandular"})
+        np.testing.assert_array_equal(read.volume.values, expected())
+
+    def test_refuses_a_label_without_a_name(self, tmp_path: Path) -> None:
+        some = segments({label: name for label, name in SLICER.items() if label != 2})
+        path = write_nrrd(tmp_path / "a.seg.nrrd", breast(), **some)
+        with pytest.raises(InputError, match="label 2, which has no name"):
+            read_tissues(path)
+
+    @pytest.mark.parametrize(
+        ("names", "said"),
+        [
+            (SLICER, "no glandular voxel: its label 'Glandular' is empty"),
+            ({1: "Skin", 2: "Fat", 4: "Ligament"}, "no glandular voxel: its labels are 1 'Skin'"),
+        ],
+    )
+    def test_refuses_a_missing_tissue(
+        self, tmp_path: Path, names: dict[int, str], said: str
+    ) -> None:
+        without = np.where(breast() == 3, 2, breast()).astype(np.uint8)
+        path = write_nrrd(tmp_path / "a.seg.nrrd", without, **segments(names))
+        with pytest.raises(InputError, match=said):
+            read_tissues(path)
+
+    @pytest.mark.parametrize(
+        ("name", "tissue"),
+        [
+            ("Background", Tissue.AIR),
+            ("Clear Label", Tissue.AIR),
+            ("ADIPOSE TISSUE", Tissue.FAT),
+            ("torso_fat", Tissue.FAT),
+            ("Fibro-glandular tissue (left)", Tissue.GLANDULAR),
+            ("FGT", Tissue.GLANDULAR),
+            ("Pectoralis major muscle", Tissue.MUSCLE),
+            ("Cooper's ligaments", Tissue.LIGAMENT),
+            ("non-fat", None),
+            ("fat and skin", None),
+            ("Segment_1", None),
+            ("breast", None),
+            ("", None),
+        ],
+    )
+    def test_tissues_by_name(self, name: str, tissue: Tissue | None) -> None:
+        assert tissue_in(name) == tissue
+
+
+class TestStudiesAndImports:
+    def test_study_files_take_names_and_label_files(self, tmp_path: Path) -> None:
+        slicer(tmp_path)
+        write_nrrd(tmp_path / "b.nrrd", breast())
+        (tmp_path / "labels.txt").write_text(SNAP)
+        study = {
+            "name": "s",
+            "case": {"reference": {"volume": "a.seg.nrrd", "labels": {"Fat": "fat"}}},
+            "target": {"volume": "b.nrrd", "labels": "labels.txt"},
+            "search": {"parameters": {"E_fat_kpa": [5, 20]}},
+        }
+        study["case"]["load"] = {"force_n": 10}  # type: ignore[index]
+        (tmp_path / "s.yaml").write_text(yaml.safe_dump(study))
+        spec = read_spec(tmp_path / "s.yaml")
+        assert isinstance(spec.case, BreastCase)
+        for image in (spec.case.reference, spec.target):
+            np.testing.assert_array_equal(ORGAN.make_body(image).values, expected())
+        assert ORGAN.body_files(spec.target)[1].name == "labels.txt"
+        again = type(spec).model_validate(spec.as_dict())
+        assert again.as_dict() == spec.as_dict()
+
+    def test_numbers_survive_json(self) -> None:
+        reference = {"volume": "a", "labels": {"0": "air", "2": "Fat"}}
+        case = BreastCase.model_validate({"reference": reference, "load": {"force_n": 1}})
+        assert case.reference.labels == {0: "air", 2: "fat"}
+
+    @pytest.mark.parametrize(
+        ("labels", "said"),
+        [
+            ({"fat": 1}, "write {1: fat}, not {fat: 1}"),
+            ({1: "fta"}, "Did you mean fat"),
+            ({"1": "fat", 1: "skin"}, "label 1 is named twice"),
+            ([1, 2], "expected such as"),
+        ],
+    )
+    def test_refuses_maps_that_make_no_sense(self, labels: Any, said: str) -> None:
+        reference = {"volume": "a", "labels": labels}
+        with pytest.raises(ValueError, match=said):
+            BreastCase.model_validate({"reference": reference, "load": {"force_n": 1}})
+
+    def test_import_reads_names(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        slicer(tmp_path)
+        numbers = "0=air,1=fat,2=glandular,3=skin,4=ligament"
+        assert main(["import", "a.seg.nrrd", "--name", "a", "--labels", numbers]) == 2
+        assert "names it 'Skin'" in capsys.readouterr().err
+        assert not Path("runs/images/a.png").exists()
+        command = ["import", "a.seg.nrrd", "--name", "a", "--labels", "Skin=fat", "--anyway"]
+        assert main([*command, "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["label_tissues"] == {
+            "0": "air",
+            "1": "fat",
+            "2": "fat",
+            "3": "glandular",
+            "4": "ligament",
+        }
+        voxels = int((breast() == 3).sum())
+        gland = {"tissue": "glandular", "voxels": voxels, "ml": voxels * 0.008}
+        assert found["labels"]["2"] == gland
+
+    def test_a_label_file_is_part_of_the_body(self, tmp_path: Path) -> None:
+        write_nrrd(tmp_path / "a.nrrd", breast())
+        named = tmp_path / "names.txt"
+        reference = {"volume": str(tmp_path / "a.nrrd"), "labels": str(named)}
+        bodies = BodyStore(open_store(tmp_path / "store"), ORGAN)
+        digests = []
+        for text in (SNAP, SNAP.replace("Skin", "Fat")):
+            named.write_text(text)
+            case = BreastCase.model_validate({"reference": reference, "load": {"force_n": 1}})
+            digests.append(bodies.bring_body(case.reference))
+        assert digests[0] != digests[1]
+
+
+class TestCases:
+    def images(self, folder: Path, stored: Any = no_store, **how: Any) -> Callable[[str], Volume]:
+        loads = [{"file": "b", "force_n": 1}]
+        scans = CaseScans.model_validate({"reference": "a", "loads": loads} | how)
+        return CaseImages(folder / "case.yaml", scans, stored).tissues
+
+    def test_names_are_read_and_skin_counts_as_fat(self, tmp_path: Path) -> None:
+        values = np.where(breast() == 4, 2, breast()).astype(np.uint8)
+        write_nrrd(tmp_path / "a.seg.nrrd", values, **segments(SLICER))
+        found = self.images(tmp_path)("a.seg.nrrd").values
+        np.testing.assert_array_equal(found, np.array([0, 1, 1, 2], np.uint8)[values])
+
+    def test_ligament_must_be_stated(self, tmp_path: Path) -> None:
+        slicer(tmp_path)
+        with pytest.raises(InputError, match="has ligament, and a diagnosis knows air, fat and"):
+            self.images(tmp_path)("a.seg.nrrd")
+        found = self.images(tmp_path, labels={"Ligament": "fat"})("a.seg.nrrd").values
+        np.testing.assert_array_equal(found, np.array([0, 1, 1, 2, 1], np.uint8)[breast()])
+
+    def test_axes_turn_all_scans(self, tmp_path: Path) -> None:
+        values = np.minimum(tissues(), 2)
+        write_nrrd(tmp_path / "a.nrrd", values)
+        turned = self.images(tmp_path, axes="L S A")("a.nrrd")
+        expected = read_volume(tmp_path / "a.nrrd", axes="x,z,-y")
+        np.testing.assert_array_equal(turned.values, expected.values)
+
+    def test_a_scan_may_be_a_volume_of_the_store(self, tmp_path: Path) -> None:
+        store = open_store(tmp_path / "store")
+        volume = Volume(np.minimum(tissues(), 3), (2.0, 2.0, 2.0))
+        save_volume(store, "0" * 16, volume, meta={"name": "rest"})
+        from palpate.workers.tasks.sources import volumes_of
+
+        found = self.images(tmp_path, volumes_of(tmp_path / "store"))("rest")
+        np.testing.assert_array_equal(found.values, np.array([0, 1, 2, 1], np.uint8)[volume.values])
+        with pytest.raises(InputError, match="names other, which is not in the folder, nor a"):
+            self.images(tmp_path, volumes_of(tmp_path / "store"))("other")
+        with pytest.raises(InputError, match="has its spacing and axes"):
+            self.images(tmp_path, volumes_of(tmp_path / "store"), axes="L S A")("rest")
+
+
+class TestValues:
+    @pytest.mark.parametrize("error", [0.0, 6.99e-10, 9e-4, -9e-4])
+    def test_nearly_whole_numbers_are_labels(self, error: float) -> None:
+        found = whole_numbers(breast() + error, "a")
+        np.testing.assert_array_equal(found, breast())
+        assert found.dtype == np.uint8
+
+    def test_a_scaled_nifti_is_read(self, tmp_path: Path) -> None:
+        image = nib.Nifti1Image((breast() * 7).transpose(), np.diag([-2.0, -2.0, 2.0, 1.0]))
+        image.header.set_slope_inter(np.float32(1 / 7), 0)
+        image.header.set_data_dtype(np.int16)
+        nib.save(image, tmp_path / "a.nii")
+        np.testing.assert_array_equal(read_volume(tmp_path / "a.nii").values % 7, breast() % 7)
+
+    @pytest.mark.parametrize(
+        ("bad", "said"), [(2e-3, "it holds 0.002"), (np.nan, "it holds NaN"), (np.inf, "infinity")]
+    )
+    def test_other_numbers_are_none(self, bad: float, said: str) -> None:
+        values = breast().astype(float)
+        values[0, 0, 0] = bad
+        with pytest.raises(InputError, match=said):
+            whole_numbers(values, "a")
+
+
+class TestExports:
+    def test_names_are_written_and_read_back(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.seg.nrrd"
+        export_volume(path, Volume(tissues(), (2.0, 2.0, 2.0)), TISSUE_NAMES)
+        read = read_tissues(path)
+        assert dict(read.image.names) == {1: "Fat", 2: "Glandular", 3: "Skin", 5: "Ligament"}
+        np.testing.assert_array_equal(read.volume.values, expected())
+
+    def test_palpate_phantom_writes_names(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        assert main(["phantom", "--spacing-mm", "2", "--out", "a.nrrd"]) == 0
+        assert set(read_tissues(Path("a.nrrd")).image.names.values()) >= {"Fat", "Glandular"}

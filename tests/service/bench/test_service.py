@@ -1,0 +1,56 @@
+"""Around the simulations: overhead, memory, idle workers; at small size, and whole when slow."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from palpate.service.bench.service import all_rows, busy, soak
+from palpate.service.bench.sleeping import TASKS, Durations, text_of
+from palpate.service.study.log import StudyLog
+from palpate.service.study.loop import Study
+from palpate.service.study.spec import parse_spec
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import InputError
+from tests.recovery.stand_ins import Inline
+
+
+def test_a_steady_search_keeps_workers_busier_than_a_barrier(tmp_path: Path) -> None:
+    durations = Durations(mean_s=0.3, spread=0.9)
+    shares = {
+        mode: busy(6, 12, 3, durations, tmp_path / mode, mode=mode).busy_share
+        for mode in ("barrier", "steady")
+    }
+    assert 0.2 < shares["barrier"] < shares["steady"] <= 1.0
+
+
+def test_tasks_sleep_on_a_store_in_a_bucket_too(bucket: str, tmp_path: Path) -> None:
+    place = f"{bucket}/store"
+    Durations(mean_s=0.002, spread=0.5).write(place)
+    spec = parse_spec(text_of("bench", 6, 2), "the test's study", Path())
+    dispatcher: Any = Inline()
+    Study(spec, tmp_path / "bench", place, tasks=TASKS).run(dispatcher)
+    endings = StudyLog.read(StudyLayout(tmp_path / "bench").journal).endings.values()
+    slept = [record.seconds["sleep"] for record in endings]
+    assert len(slept) >= 6
+    assert all(0.001 <= seconds <= 0.003 for seconds in slept)
+    assert not (tmp_path / "store").exists()
+
+
+def test_evaluations_must_fill_generations(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a multiple of 200, got 300"):
+        soak(300, tmp_path)
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.slow
+def test_the_figures_that_are_promised() -> None:
+    """Some ten minutes, on a machine where nobody else computes."""
+    rows = {row["what"]: row for row in all_rows(20_000)}
+    assert rows["soak"]["overhead_ms"] <= 15
+    assert abs(rows["soak"]["service_growth"]) <= 0.1
+    assert abs(rows["soak"]["scheduler_growth"]) <= 0.1
+    assert rows["2 workers, barrier"]["busy_share"] >= 0.9
+    for workers in (12, 96):
+        idle = [rows[f"{workers} workers, {mode}"]["idle_share"] for mode in ("barrier", "steady")]
+        assert idle[1] < idle[0]

@@ -1,0 +1,193 @@
+"""Blind cases made by our own solver, for tests of what happens to them; and records by hand."""
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palpate.service.blind.making.case import publish
+from palpate.service.blind.making.set import SetRequest, make, plan, seal, unmade
+from palpate.service.blind.sealed.records import CaseRecord
+from palpate.service.blind.sealed.sets import BlindSet, Truths
+from palpate.service.cluster.dispatch import Ending, Task, TaskCalls
+from palpate.storage.values import FloatArray, Tissue, Volume
+from palpate.workers.body.mesh.hierarchy import build_hierarchy
+from palpate.workers.body.phantom.breast import generate_breast
+from palpate.workers.comparison.observation.interface import interface_points
+from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.comparison.warp.warp_volume import warp_labels
+from palpate.workers.diagnosis.problem.acquisition import INTERFACES
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.breast_catalogue import with_effects
+from palpate.workers.mechanics.fem.elements.model import prepare
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.problem.fields import frame_of
+from palpate.workers.organs.breast.case.files import read_case
+from tests.service.diagnosis.compressed_breast import (
+    CROSSWISE,
+    PHANTOM,
+    PRESSED,
+    SCANS,
+    TRUE_MPA,
+    described,
+    write_scan,
+)
+
+NODES, SPACING_MM = 600, 9.0
+SUSPECTS = ["plate_tilt", "segmentation_offset"]
+TILT_DEG = 8.0
+TILT = {
+    "kind": "tilt",
+    "effect": "plate_tilt",
+    "family": "plate geometry",
+    "parameters": {"depth_deg": TILT_DEG, "across_deg": 0.0},
+}
+CAUSES: dict[str, list[dict[str, Any]]] = {"control": [], "tilt": [TILT]}
+SHARES = {"control": 1.0, "tilt": 1.0}
+# The lower plate begins off the body, as the bounds of the tests were measured.
+LOADS = (PRESSED[1], CROSSWISE | {"lower_mm": -45})
+
+
+def small_case(
+    seed: int, kind: str, one_direction: bool, world: str, case: str, truth: str
+) -> dict[str, Any]:
+    """In place of `service.blind.making.case.make_case`: a tilted plate, or nothing."""
+    loads = LOADS[:1] if one_direction else LOADS
+    publish(Path(case), Path(truth), lambda *folders: write_small(kind, loads, *folders))
+    return {"seconds": 0.0}
+
+
+def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: Path) -> None:
+    """Scans, and where the interfaces truly went."""
+    loads = list(loads)
+    rest = generate_breast(PHANTOM, seed=5).labels
+    for file in (SCANS[0], *(load["file"] for load in loads)):
+        write_scan(case / file, rest)
+    (case / "case.json").write_text(json.dumps(described(loads) | {"id": case.name}))
+    imaged = read_case(case)
+    hierarchy = build_hierarchy(imaged.reference, nodes=NODES)
+    mesh, model = hierarchy.finest.mesh, prepare(hierarchy)
+    frame = frame_of(model.finest.nodes)
+    points = interface_points(imaged.reference, INTERFACES, 3.0, SETTINGS.points.wall_margin_mm)
+    at_points = interpolation(mesh, points.points)
+    effects = {"tilt_depth": TILT_DEG} if kind == "tilt" else {}
+    went = []
+    for number, load in enumerate(loads):
+        problem = with_effects(imaged.problem(number, frame)(TRUE_MPA), effects, frame)
+        at = equilibrium(model, problem)
+        u = at.solution.displacement_mm
+        write_scan(case / load["file"], _flattened(warp_labels(imaged.reference, mesh, u), at))
+        moved = points.points + at_points @ u
+        went.append(moved + _out_of_plates(moved, at) - points.points)
+    (truth / "truth.json").write_text(json.dumps({"kind": kind, "causes": CAUSES[kind]}))
+    np.savez(
+        truth / "truth.npz",
+        points=points.points,
+        interface=points.interface,
+        displacement=np.stack(went),
+    )
+
+
+def _out_of_plates(places: FloatArray, at: Equilibrium) -> FloatArray:
+    """The way out of the plates, from deeper than any node is: a mesh cuts the corners of a body,
+    and what it leaves outside would stand in them."""
+    out = np.zeros_like(places)
+    for contact in at.levels[-1].plate_contacts(at.states[-1], at.stage):
+        found = contact.surface.gap(places)
+        deeper = np.minimum(found.gap + contact.penetration.max(), 0.0)
+        out -= deeper[:, None] * found.gradient
+    return out
+
+
+def _flattened(labels: Volume, at: Equilibrium) -> Volume:
+    """The labels without voxels in a plate."""
+    steps = np.argwhere(labels.values != Tissue.AIR)
+    centres = labels.origin_mm + steps[:, ::-1] * np.asarray(labels.spacing_mm)
+    inside = np.linalg.norm(_out_of_plates(centres, at), axis=1) > 0
+    values = labels.values.copy()
+    values[tuple(steps[inside].T)] = Tissue.AIR
+    return Volume(values, labels.spacing_mm, labels.origin_mm)
+
+
+class Inline:
+    """A dispatcher without a cluster."""
+
+    def __init__(self, threads: int = 1) -> None:
+        self.threads = threads
+        self.asked: list[str] = []
+
+    def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
+        for key, arguments in calls:
+            self.asked.append(task.__name__)
+            try:
+                yield Ending(key, "returned", task(*arguments))
+            except ArithmeticError as error:
+                yield Ending(key, "crashed", None, error, f"{type(error).__name__}: {error}")
+
+
+def make_set(root: Path, cases: int = 2, task: Any = small_case, **more: Any) -> BlindSet:
+    """A sealed set in `root`, its truths beside it."""
+    blind, asked = BlindSet(root), SetRequest(cases, 7, False, NODES)
+    truths = Truths(blind.truth_beside())
+    entries = plan(blind, truths, asked, more.pop("shares", SHARES))
+    waiting = unmade(blind, truths, entries)
+    make(blind, truths, waiting, asked, Inline(), lambda: None, task)  # type: ignore[arg-type]
+    seal(blind, truths, entries, asked)
+    return blind
+
+
+def record(group: str = "single", **changes: Any) -> CaseRecord:
+    """A tilted plate that is found, or whatever the changes make of it."""
+    given: dict[str, Any] = {
+        "name": "c0",
+        "kind": "tilt",
+        "group": group,
+        "effects": ("plate_tilt",),
+        "families": ("plate geometry",),
+        "answer": "effect",
+        "primary": ("plate_tilt",),
+        "primary_families": ("plate geometry",),
+        "set90": ("plate_tilt",),
+        "probabilities": {
+            "no-gap": 0.0,
+            "none-of-these": 0.0,
+            "plate_tilt": 1.0,
+            "plate_friction": 0.0,
+        },
+        "claimed_before_mm": 0.30,
+        "claimed_after_mm": 0.10,
+        "true_before_mm": 0.30,
+        "true_after_mm": 0.10,
+        "claimed_share": 0.9,
+        "held_out_share": 0.8,
+        "catalogue": 2,
+    }
+    return CaseRecord(**given | changes)
+
+
+def nothing(group: str = "control", **changes: Any) -> CaseRecord:
+    """A case in which nothing is found."""
+    given: dict[str, Any] = {
+        "kind": group,
+        "effects": (),
+        "families": (),
+        "answer": "no-gap",
+        "primary": (),
+        "primary_families": (),
+        "set90": ("no-gap",),
+        "claimed_before_mm": 0.05,
+        "claimed_after_mm": None,
+        "true_before_mm": 0.10,
+        "true_after_mm": None,
+        "claimed_share": None,
+        "held_out_share": None,
+        "probabilities": {
+            "no-gap": 1.0,
+            "none-of-these": 0.0,
+            "plate_tilt": 0.0,
+            "plate_friction": 0.0,
+        },
+    }
+    return record(group, **given | changes)

@@ -1,0 +1,145 @@
+"""True magnitudes in the words of the catalogue, and what each truth asks of a diagnosis."""
+
+import math
+from math import sqrt
+from typing import Any
+
+import pytest
+
+from palpate.service.blind.scoring.magnitudes import (
+    IN_CATALOGUE,
+    lump_apart_mm,
+    magnitudes,
+    strength,
+    true_values,
+)
+from palpate.service.blind.sealed.truth import Truth
+from palpate.workers.blind.random_case import KINDS, draw
+from palpate.workers.diagnosis.schema.summary import EffectSummary, ParameterEstimate
+from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
+
+GROUP_OF = {
+    "control": "control",
+    "pair": "pair",
+    "triple": "triple",
+    "plate_force": "absorbed",
+    "wall_rise": "unlike",
+    "bent_plate": "relative",
+    "ligament": "relative",
+    "oedema": "relative",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_speaks_the_words_of_the_catalogue(kind: str) -> None:
+    truth = Truth.model_validate(draw(11, kind).record())
+    known = {e.name: e for e in BREAST_EFFECTS}
+    assert truth.group == GROUP_OF.get(kind, "single")
+    assert set(truth.families) <= {e.family for e in BREAST_EFFECTS}
+    assert set(true_values(truth)) <= {
+        p.door_name for n in truth.effects for p in known[n].parameters
+    }
+    for cause in truth.causes:
+        if cause.effect is not None:
+            assert cause.family == known[cause.effect].family
+            assert cause.effect in IN_CATALOGUE
+
+
+def said(name: str, **sizes: float) -> dict[str, EffectSummary]:
+    rows = tuple(ParameterEstimate(n, m, 0.1, "") for n, m in sizes.items())
+    lead = rows[0]
+    effect = EffectSummary(
+        name=name,
+        family="",
+        summary="",
+        probability=1.0,
+        magnitude=lead.magnitude,
+        sd=lead.sd,
+        unit=lead.unit,
+        parameters=rows,
+        log_bayes_factor=0.0,
+        absorbed_share=0.0,
+        refitted=True,
+    )
+    return {name: effect}
+
+
+def test_fibres_are_compared_as_turns() -> None:
+    turned = {
+        "kind": "fibres",
+        "effect": "fibre_rotation",
+        "family": "global material",
+        "parameters": {"turn_deg": 20.0, "azimuth_deg": 150.0, "fan_deg": 3.0},
+    }
+    truth = Truth.model_validate({"kind": "fibres", "causes": [turned]})
+    found = magnitudes(truth, said("fibre_rotation", fibre_turn_x_deg=-17.0, fibre_turn_y_deg=9.0))
+    assert [m.true for m in found] == pytest.approx([-10 * sqrt(3), 10])
+    assert [m.found for m in found] == [-17.0, 9.0]
+    assert magnitudes(truth, {}) == []
+
+
+def test_the_strength_of_an_effect_is_its_true_size_in_standard_deviations() -> None:
+    truth = Truth.model_validate(draw(7, "fibres").record())
+    true = true_values(truth)
+    # Every parameter is said to be known to 0.1: found sizes are no part of it.
+    found = said("fibre_rotation", fibre_turn_x_deg=40.0, fibre_turn_y_deg=-3.0)
+    turned = math.hypot(true["fibre_turn_x_deg"], true["fibre_turn_y_deg"])
+    assert turned == pytest.approx(truth.causes[0].parameters["turn_deg"])
+    assert strength(truth, found) == pytest.approx(10 * turned)
+    assert strength(truth, {}) is None
+    for kind, name in (("inclusion", "inclusion"), ("friction", "plate_friction")):
+        tiring = Truth.model_validate(draw(5, kind).record())
+        assert strength(tiring, said(name, **true_values(tiring))) is None
+    assert strength(made_before("adhesion", "boundary", {}), {}) is None
+    pair = draw(2, "pair").record()
+    assert strength(Truth.model_validate(pair), said(pair["causes"][0]["effect"], any=1.0)) is None
+
+
+def made_before(kind: str, family: str | None, parameters: dict[str, Any]) -> Truth:
+    """A truth of a sealed set in which this cause had no effect of the catalogue."""
+    cause = {"kind": kind, "effect": None, "family": family, "parameters": parameters}
+    return Truth.model_validate({"seed": 1, "kind": kind, "causes": [cause]})
+
+
+def test_a_truth_of_an_old_set_is_what_it_was_when_it_was_sealed() -> None:
+    given = {"volume_fraction": 0.1, "whole_gland": True, "centre_mm": [0, 0, 20], "radius_mm": 15}
+    swelling = made_before("swelling", None, given)
+    assert (swelling.group, swelling.effects) == ("unlike", ())
+    grip = {"x_mm": 0.0, "y_mm": 0.0, "radius_mm": 20.0, "grip_kpa_per_mm": 3.0}
+    adhesion = made_before("adhesion", "boundary", grip)
+    assert (adhesion.group, adhesion.families) == ("relative", ("boundary",))
+    for truth in (swelling, adhesion):
+        assert true_values(truth) == {}
+        assert magnitudes(truth, {}) == []
+
+
+def test_new_causes_are_compared_by_what_they_have_in_common_with_the_catalogue() -> None:
+    def true(kind: str, **parameters: Any) -> dict[str, float]:
+        record = draw(3, kind).record()
+        record["causes"][0]["parameters"] |= parameters
+        return true_values(Truth.model_validate(record))
+
+    swollen = {"ln_growth_fat": 0.0, "ln_growth_glandular": pytest.approx(math.log(1.1))}
+    assert true("swelling", volume_fraction=0.1) == swollen
+    assert true("short_plate", edge_mm=5.0) == {"plate_edge_mm": 5.5}
+    assert true("fibre_contrast", ratio=0.5) == {"ln_fibre_contrast": pytest.approx(-math.log(2))}
+    scales = {"scale_x": 0.0, "scale_y": -0.01, "scale_z": 0.0}
+    assert true("image_scale", scale=[0.0, -0.01, 0.0]) == scales
+    springs = {f"attachment_stiffness_{axis}_kpa_per_mm": 0.2 for axis in "xyz"}
+    assert true("tether", grip_kpa_per_mm=0.2) == springs
+    # A disc of radius R has pi R^2 of area, a bell of radius r 2 pi r^2.
+    assert true("adhesion", grip_kpa_per_mm=2.0, radius_mm=20.0) == {
+        "attachment_stiffness_x_kpa_per_mm": 2.0,
+        "attachment_stiffness_y_kpa_per_mm": 2.0,
+        "attachment_radius_mm": pytest.approx(math.sqrt(200.0)),
+    }
+
+
+def test_a_lump_is_looked_for_from_the_middle_of_the_body() -> None:
+    truth = Truth.model_validate(draw(5, "inclusion").record())
+    at = truth.causes[0].parameters["centre_mm"]
+    off = {f"inclusion_{axis}_mm": at[n] - 10.0 for n, axis in enumerate("xyz")}
+    found = said("inclusion", **off)
+    assert lump_apart_mm(truth, found, (10.0, 10.0, 13.0)) == pytest.approx(3.0)
+    assert lump_apart_mm(truth, found, None) is None
+    assert lump_apart_mm(truth, {}, (0.0, 0.0, 0.0)) is None

@@ -1,0 +1,191 @@
+"""The page of a scored set, and what the commands say."""
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from palpate.service.blind.report.markdown import filled
+from palpate.service.blind.report.page import render
+from palpate.service.blind.scoring.metrics import floor_mm, metrics
+from palpate.service.blind.scoring.scored_set import ScoredSet
+from palpate.service.blind.sealed.records import CaseRecord
+from tests.service.blind.blind_at_hand import nothing, record
+from tests.service.report.pages import Page
+
+SEALS = {
+    "set": "sealed-1",
+    "manifest": "a" * 64,
+    "answers": "b" * 64,
+    "declared": None,
+    "directions": "all",
+    "diagnosis": {"code": "0123456789abcdef", "commit": None},
+}
+FRICTION: dict[str, Any] = {
+    "kind": "friction",
+    "effects": ("plate_friction",),
+    "families": ("boundary",),
+}
+
+
+def cases() -> list[CaseRecord]:
+    """One of every sort."""
+    sure = {"no-gap": 0.02, "none-of-these": 0.03, "plate_tilt": 0.93, "plate_friction": 0.35}
+    return [
+        nothing(name="a0", true_before_mm=0.10),
+        nothing(
+            "absorbed",
+            name="a1",
+            kind="plate_force",
+            effects=("plate_force",),
+            families=("loading",),
+        ),
+        record(name="b0", probabilities=sure, held_out_share=-0.2),
+        record(
+            name="b1",
+            **FRICTION,
+            answer="cannot-be-told-apart",
+            probabilities=sure,
+            set90=("plate_tilt", "plate_friction"),
+        ),
+        record("pair", name="c0", kind="pair", effects=("plate_tilt", "plate_friction")),
+        record("triple", name="c1", kind="triple", effects=("plate_tilt", "growth", "inclusion")),
+        nothing("unlike", name="d0", kind="swelling", answer="none-of-these", true_before_mm=0.4),
+        record("relative", name="e0", kind="bent_plate", effects=()),
+        CaseRecord(
+            "f0",
+            "inclusion",
+            "single",
+            ("inclusion",),
+            ("local stiffness",),
+            "failed",
+            reason="InputError: the scan <is> empty\nTraceback",
+        ),
+    ]
+
+
+def scored(records: list[CaseRecord], **seals: Any) -> ScoredSet:
+    return ScoredSet("sealed-1", records, metrics(records), floor_mm(records), (SEALS | seals,))
+
+
+@pytest.mark.parametrize(
+    "records", [cases(), cases()[:1], [cases()[-1]]], ids=["all", "one", "failed"]
+)
+def test_a_page_is_well_formed_and_needs_no_other_file(records: list[CaseRecord]) -> None:
+    source = render(scored(records))
+    page = Page(source)
+    assert len(page.ids) == len(set(page.ids))
+    page.needs_no_other_file()
+    assert not {"script", "link", "iframe", "object"} & set(page.seen)
+    assert all(image["alt"] for image in page.images)
+    assert len(page.drawings()) == 4
+    assert render(scored(records)) == source
+
+
+def test_the_page_says_what_was_measured() -> None:
+    page = Page(render(scored(cases(), declared="a finer mesh")))
+    assert page.row("False alarms on controls and hidden effects") == [
+        "False alarms on controls and hidden effects",
+        "0 %",
+        "0 % to 66 %",
+        "2",
+        "at most 5 %",
+        "met",
+    ]
+    assert page.row("One effect, visible: it comes first")[-1] == "not met"
+    assert page.row("Baseline, chance: it comes first")[1] == "50 %"
+    assert "The diagnosis that answered is not the one" in page.text
+    assert "a finer mesh" in page.text
+    assert "still misses 0.10 mm: the floor" in page.text
+
+
+def test_several_sets_are_shown_with_all_their_seals() -> None:
+    both = replace(
+        scored(cases()),
+        name="one + another",
+        seals=(SEALS | {"set": "one"}, SEALS | {"set": "another", "declared": "a finer mesh"}),
+    )
+    page = Page(render(both))
+    assert "The sets and their seals" in page.text
+    assert page.text.count(SEALS["manifest"]) == 2
+    assert page.text.count("The diagnosis that answered is not the one") == 1
+    text = filled("<!-- figures -->\n<!-- end of figures -->", both)
+    assert "cases of one + another." in text
+    assert text.count(f"`{SEALS['manifest']}`") == 2
+
+
+def test_the_page_lists_what_went_wrong() -> None:
+    page = Page(render(scored(cases())))
+    assert page.row("b1")[1:3] == [
+        "plate frictionone effect",
+        "plate tilt (93 %), or plate friction",
+    ]
+    assert page.row("f0")[2] == "failedInputError: the scan <is> empty"
+    assert page.row("f0")[3:] == ["–", "–", "–"]
+    wrong = page.text.index("Answers that are not right")
+    assert page.text.index("b1", wrong) < page.text.index("Answers that are right", wrong)
+
+
+# The commands
+
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["make", "set", "--truth", "set/truth"], "The truths must lie outside of the set"),
+        (["make", "set", "--truth", "."], "The truths must lie outside of the set"),
+        (["make", "set", "--cases", "0"], "Invalid value for '--cases'"),
+        (["run", "set"], "set is no sealed set: it has no manifest.json"),
+        (["score", "set"], "set is no sealed set"),
+        (["score", "set", "--directions", "z"], "'z' is not one of"),
+        (["score", "one", "two", "--truth", "t"], "--truth names the truths of one set"),
+        (["score", "set", "./set"], "is named twice: its cases would count double"),
+    ],
+)
+def test_mistakes_end_with_one_message(call: Call, arguments: list[str], said: str) -> None:
+    code, _, err = call("blind", *arguments)
+    assert code == 2
+    assert said in err
+    assert "Traceback" not in err
+
+
+def test_score_prints_figures_and_writes_the_page(
+    call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "palpate.service.blind.scoring.score.score_sets", lambda *_: scored(cases())
+    )
+    code, out, _ = call("blind", "score", "set", "--page", "page.html")
+    assert code == 0
+    lines = [line.split() for line in out.splitlines()]
+    first = next(line for line in lines if line[:2] == ["False", "alarms"])
+    assert first[-1] == "met"
+    assert "Floor: 0.100 mm" in out
+    assert Path("page.html").read_text().startswith("<!DOCTYPE html>")
+    text = Path("blind.md")
+    text.write_text("Before.\n<!-- figures -->\nstale\n<!-- end of figures -->\nAfter.\n")
+    assert call("blind", "score", "set", "--into", text)[0] == 0
+    written = text.read_text()
+    assert "| One effect, visible: it comes first | 33 % |" in written
+    wrong = written.partition("| wrong answer to")[2].partition("<!-- end")[0].splitlines()[2:]
+    assert len(wrong) == 2
+    right = sum(int(n) for n in re.findall(r"\*\*[^*]+ (\d+)\*\*", written))
+    assert right == len(cases()) - 2
+    assert call("blind", "score", "set", "--into", text)[0] == 0
+    assert text.read_text() == written
+    assert written.startswith("Before.") and written.endswith("After.\n") and "stale" not in written
+    text.write_text("no marks")
+    code, _, err = call("blind", "score", "set", "--into", text)
+    assert (code, text.read_text()) == (2, "no marks")
+    assert "Expected a line <!-- figures -->" in err
+    code, out, _ = call("blind", "score", "set", "--json")
+    told = json.loads(out)
+    assert [c["name"] for c in told["cases"] if not c["right"]] == ["b1", "f0"]
+    assert told["confusion"]["columns"][-1] == "failed"

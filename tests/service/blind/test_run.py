@@ -1,0 +1,264 @@
+"""A set from its making to its page, on small bodies of our own solver; and what is refused."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from palpate.service.blind.answering.run import (
+    Answering,
+    along_y,
+    answer,
+    request_of,
+    seal,
+    unanswered,
+)
+from palpate.service.blind.scoring.read_records import read_records
+from palpate.service.blind.scoring.score import record, score_sets
+from palpate.service.blind.sealed.records import CaseRecord
+from palpate.service.blind.sealed.seal import file_hash, read_json
+from palpate.service.blind.sealed.sets import BlindSet, Truths, check_answers
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.diagnosis.run import finished, request_for
+from palpate.storage.errors import InputError
+from palpate.storage.plain import to_plain
+from palpate.storage.records.typed_json import to_json
+from tests.service.blind.blind_at_hand import (
+    NODES,
+    SPACING_MM,
+    SUSPECTS,
+    TILT_DEG,
+    Inline,
+    make_set,
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_suspects() -> Any:
+    """Points far apart, and two effects."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("palpate.service.blind.answering.run.request_for", small_request)
+        yield
+
+
+def small_request(path: Path, store: Path, nodes: int) -> Any:
+    return request_for(path, store, nodes, SPACING_MM, SUSPECTS)
+
+
+def run(asked: Answering, threads: int = 1) -> Inline:
+    dispatcher = Inline(threads)
+    answer(asked, unanswered(asked), cast(Dispatcher, dispatcher), lambda failed: None)
+    return dispatcher
+
+
+@pytest.fixture(scope="module")
+def blind(tmp_path_factory: pytest.TempPathFactory) -> BlindSet:
+    return make_set(tmp_path_factory.mktemp("blind") / "set")
+
+
+@pytest.fixture(scope="module")
+def answered(blind: BlindSet, tmp_path_factory: pytest.TempPathFactory) -> Answering:
+    """All cases diagnosed, and sealed."""
+    asked = Answering(blind, tmp_path_factory.mktemp("blind") / "store", "all", NODES)
+    assert run(asked).asked == ["diagnose_alone"] * 2
+    assert seal(asked) == file_hash(blind.sealed_answers("all"))
+    return asked
+
+
+@pytest.fixture(scope="module")
+def records(answered: Answering) -> dict[str, CaseRecord]:
+    """By kind."""
+    blind = answered.blind
+    names = sorted(p.name for p in blind.cases.iterdir())
+    read = read_records(blind, Truths(blind.truth_beside()), names, "all")
+    return {r.kind: r for r in read}
+
+
+def test_the_tilt_is_found_and_its_gap_is_true(records: dict[str, CaseRecord]) -> None:
+    tilted = records["tilt"]
+    assert (tilted.answer, tilted.primary) == ("effect", ("plate_tilt",))
+    assert tilted.right
+    depth = next(m for m in tilted.magnitudes if m.name == "tilt_depth_deg")
+    assert (depth.true, depth.found) == (TILT_DEG, pytest.approx(TILT_DEG, rel=0.15))
+    assert tilted.accused_by == {"raw_correlation": "plate_tilt", "refit": "plate_tilt"}
+    before, after = tilted.true_before_mm, tilted.true_after_mm
+    assert before is not None
+    assert after is not None
+    # Without noise and on the same mesh the right effect leaves what the voxels cost.
+    assert after < 0.15
+    assert before > 3 * after
+    assert tilted.claimed_before_mm == pytest.approx(before, rel=0.25)
+    assert tilted.true_share == pytest.approx(tilted.claimed_share, abs=0.15)
+
+
+def test_a_control_has_a_true_gap_of_nearly_nothing(records: dict[str, CaseRecord]) -> None:
+    control = records["control"]
+    assert control.group == "control"
+    assert control.true_before_mm is not None
+    assert control.true_before_mm < 0.12
+    assert control.true_after_mm is None or control.answer != "no-gap"
+
+
+def test_an_answer_is_what_the_store_holds(answered: Answering) -> None:
+    blind = answered.blind
+    for case in blind.cases.iterdir():
+        found = finished(request_of(answered, case.name))
+        assert found is not None
+        said = read_json(blind.answer(case.name, "all"))
+        assert said["summary"] == json.loads(json.dumps(to_plain(to_json(found.summary))))
+        with np.load(blind.points(case.name, "all")) as kept:
+            for key in ("points", "moved_before", "normals_before"):
+                np.testing.assert_array_equal(kept[key], found.maps[key])
+        assert set(said["baselines"]["raw_correlation"]) == set(SUSPECTS)
+
+
+def test_a_set_is_answered_once(answered: Answering) -> None:
+    assert unanswered(answered) == []
+    stamp = answered.blind.sealed_answers("all").stat().st_mtime_ns
+    assert seal(answered) == file_hash(answered.blind.sealed_answers("all"))
+    assert answered.blind.sealed_answers("all").stat().st_mtime_ns == stamp
+
+
+def test_few_cases_are_shared_out_among_many_workers(
+    answered: Answering, blind: BlindSet, tmp_path: Path
+) -> None:
+    copy = BlindSet(shutil.copytree(blind.root, tmp_path / "set"))
+    shutil.rmtree(copy.answers("all"))
+    copy.sealed_answers("all").unlink()
+    asked = Answering(copy, answered.store, "all", NODES, limit=1)
+    assert "weigh_hypotheses" in run(asked, threads=8).asked
+    assert len(unanswered(asked)) == 1
+    assert seal(asked) is None
+    assert "diagnose_alone" in run(asked, threads=1).asked
+    assert seal(asked) == answered_alike(copy, blind)
+
+
+def answered_alike(one: BlindSet, other: BlindSet) -> str:
+    """The seal of `one`, whose answers are those of `other` to the last bit."""
+    hashes = [check_answers(s, "all")["answers"] for s in (one, other)]
+    assert hashes[0] == hashes[1]
+    return file_hash(one.sealed_answers("all"))
+
+
+def test_the_score_says_all_that_was_sealed(answered: Answering) -> None:
+    blind = answered.blind
+    scored = score_sets([(blind, Truths(blind.truth_beside()))], "all")
+    told = json.loads(json.dumps(record(scored)))
+    assert told["seals"][0]["manifest"] == file_hash(blind.manifest)
+    assert told["seals"][0]["declared"] is None
+    assert sum(map(sum, told["confusion"]["counts"])) == 2
+    by_key = {f["key"]: f for f in told["figures"]}
+    assert by_key["first_visible"]["estimate"]["value"] == 1.0
+    assert by_key["first_visible"]["met"] is True
+
+
+@pytest.fixture
+def copy(answered: Answering, tmp_path: Path) -> BlindSet:
+    """The set with its answers and truths, to be meddled with."""
+    blind = answered.blind
+    shutil.copytree(blind.truth_beside(), tmp_path / "set-truth")
+    return BlindSet(shutil.copytree(blind.root, tmp_path / "set"))
+
+
+def test_scans_along_y_can_be_shown_alone(
+    answered: Answering, copy: BlindSet, tmp_path: Path
+) -> None:
+    asked = Answering(copy, answered.store, "y", NODES)
+    name = unanswered(asked)[0]
+    folder = along_y(copy.case(name), tmp_path / name)
+    shown = read_json(folder / "case.json")
+    assert [d["file"] for d in shown["scans"]["deformed"]] == ["pressed_20N.nrrd"]
+    assert not (folder / "pressed_8N_x.nrrd").exists()
+    before = file_hash(copy.sealed_answers("all"))
+    run(asked)
+    assert seal(asked) == file_hash(copy.sealed_answers("y"))
+    assert file_hash(copy.sealed_answers("all")) == before
+    scored = score_sets([(copy, Truths(copy.truth_beside()))], "y")
+    assert all(r.true_before_mm is not None for r in scored.records)
+    assert scored.seals[0]["directions"] == "y"
+
+
+def test_two_sets_are_scored_as_one(answered: Answering, copy: BlindSet) -> None:
+    both = [(blind, Truths(blind.truth_beside())) for blind in (answered.blind, copy)]
+    alone, together = (score_sets(sets, "all") for sets in (both[:1], both))
+    assert len(together.records) == 2 * len(alone.records)
+    assert together.name == f"{answered.blind.root.name} + {copy.root.name}"
+    assert [one["set"] for one in together.seals] == [answered.blind.root.name, copy.root.name]
+    counts = [f.estimate.count for f in together.metrics]
+    assert counts == [2 * f.estimate.count for f in alone.metrics]
+
+
+# What is refused
+
+
+def test_a_case_that_changed_is_not_diagnosed(copy: BlindSet, tmp_path: Path) -> None:
+    case = next(copy.cases.iterdir())
+    (case / "note.txt").write_text("the plate is tilted")
+    with pytest.raises(InputError, match=f"changed: {case.name}"):
+        unanswered(Answering(copy, tmp_path, "all", NODES))
+
+
+def test_another_diagnosis_has_to_be_declared(copy: BlindSet, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"sealed against: mesh changed\. .* --declare"):
+        unanswered(Answering(copy, tmp_path, "all", NODES + 1))
+    asked = Answering(copy, tmp_path, "all", NODES + 1, declared="a finer mesh")
+    assert unanswered(asked) == []
+    copy.sealed_answers("all").unlink()
+    seal(asked)
+    scored = score_sets([(copy, Truths(copy.truth_beside()))], "all")
+    assert scored.seals[0]["declared"] == "a finer mesh"
+
+
+def test_answers_of_two_versions_do_not_mix(copy: BlindSet, tmp_path: Path) -> None:
+    path = next(copy.answers("all").glob("*.json"))
+    path.write_text(json.dumps(read_json(path) | {"code": "older"}))
+    with pytest.raises(InputError, match=f"answers of other code: {path.stem}"):
+        unanswered(Answering(copy, tmp_path, "all", NODES))
+
+
+def test_no_score_before_all_is_sealed_or_after_anything_changed(copy: BlindSet) -> None:
+    truths = Truths(copy.truth_beside())
+    score_sets([(copy, truths)], "all")
+    with pytest.raises(InputError, match="not all cases are answered"):
+        score_sets([(copy, truths)], "y")
+    path = next(copy.answers("all").glob("*.json"))
+    before = path.read_text()
+    path.write_text(before.replace('"id"', '"ID"'))
+    with pytest.raises(InputError, match=f"changed since they were sealed .*: {path.stem}"):
+        score_sets([(copy, truths)], "all")
+    path.write_text(before)
+    truth = truths.of(path.stem) / "truth.json"
+    truth.write_text(truth.read_text() + " ")
+    with pytest.raises(InputError, match="does not hold the sealed truth"):
+        score_sets([(copy, truths)], "all")
+
+
+def test_a_case_that_cannot_be_diagnosed_is_answered_so(
+    copy: BlindSet, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def refusing(path: Path, *more: Any) -> Any:
+        if path.name == broken:
+            raise InputError("the scan is empty")
+        return small_request(path, *more)
+
+    def crashing(request: Any) -> Any:
+        raise ZeroDivisionError("no such tissue")
+
+    broken, other = sorted(p.name for p in copy.cases.iterdir())
+    shutil.rmtree(copy.answers("all"))
+    copy.sealed_answers("all").unlink()
+    monkeypatch.setattr("palpate.service.blind.answering.run.request_for", refusing)
+    monkeypatch.setattr("palpate.service.blind.answering.run.diagnose_alone", crashing)
+    asked = Answering(copy, tmp_path / "store", "all", NODES)
+    told: list[str] = []
+    answer(asked, unanswered(asked), cast(Dispatcher, Inline()), told.append)
+    assert sorted(told) == ["InputError: the scan is empty", "ZeroDivisionError: no such tissue"]
+    assert read_json(copy.answer(other, "all"))["failed"] == "ZeroDivisionError: no such tissue"
+    seal(asked)
+    scored = score_sets([(copy, Truths(copy.truth_beside()))], "all")
+    assert {r.answer for r in scored.records} == {"failed"}
+    assert {r.reason for r in scored.records} == set(told)
+    assert not any(r.right for r in scored.records)

@@ -1,0 +1,75 @@
+"""The diagnosis opens the files of its case and none of the truth, which lies beside it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.service.blind.blind_at_hand import LOADS, write_small
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[2]
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A case and its truth side by side; a copy of the truth lies in the case itself."""
+    home = tmp_path_factory.mktemp("beside").resolve()
+    case, truth = home / "case", home / "truth"
+    case.mkdir()
+    truth.mkdir()
+    write_small("tilt", LOADS[:1], case, truth)
+    (case / "truth.json").write_bytes((truth / "truth.json").read_bytes())
+    return case, truth
+
+
+@pytest.fixture(scope="module")
+def opened(
+    folders: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, set[Path]]:
+    """What a diagnosis in a process of its own opens or lists, and what we open there."""
+    case, truth = folders
+    store = tmp_path_factory.mktemp("store") / "store"
+    command = [sys.executable, HERE.parent / "open_files.py", case, store, truth / "truth.npz"]
+    ran = subprocess.run(
+        [str(word) for word in command],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert ran.returncode == 0, ran.stderr
+    return {who: {Path(p) for p in paths} for who, paths in json.loads(ran.stdout).items()}
+
+
+def test_no_truth_is_opened(folders: tuple[Path, Path], opened: dict[str, set[Path]]) -> None:
+    case, truth = folders
+    seen = opened["by_the_diagnosis"]
+    scans = json.loads((case / "case.json").read_text())["scans"]
+    named = ["case.json", scans["reference"], *(d["file"] for d in scans["deformed"])]
+    assert {path for path in seen if case in path.parents} == {case / name for name in named}
+    assert not [path for path in seen if path == truth or truth in path.parents]
+    assert case.parent not in seen  # nor is the folder listed in which both lie
+
+
+def test_the_list_would_show_it(folders: tuple[Path, Path], opened: dict[str, set[Path]]) -> None:
+    assert folders[1] / "truth.npz" in opened["by_us"]
+
+
+def test_what_diagnoses_imports_nothing_that_makes_or_opens_cases() -> None:
+    modules = "palpate.service.blind.answering.single_process, palpate.workers.tasks.diagnosis"
+    lines = f"import sys; import {modules}; print(*sys.modules)"
+    ran = subprocess.run(
+        [sys.executable, "-c", lines], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    imported = set(ran.stdout.split())
+    assert "palpate.workers.diagnosis.verdict.diagnosis" in imported
+    assert not [name for name in imported if name.startswith("palpate.workers.blind")]
+    assert not imported & {
+        "palpate.service.blind.making.case",
+        "palpate.service.blind.sealed.truth",
+        "palpate.service.blind.scoring.read_records",
+    }

@@ -1,0 +1,182 @@
+"""`palpate store`: damage is found and mended, garbage goes, studies move."""
+
+import json
+import os
+import shutil
+import tarfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.service.study.archive import export_study, import_study
+from palpate.service.study.log import StudyLog
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import StoreError
+from palpate.storage.records.evaluations import save_evaluation
+from palpate.storage.stores.fields import has_field, save_field
+from palpate.storage.stores.store import Store, open_store
+from palpate.storage.stores.volumes import has_volume, save_volume
+from palpate.storage.values import Volume
+from tests.recovery.stand_ins import Inline, executions, run, told
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """A finished study, whose evaluations have fields and whose bodies are stored."""
+    folder = tmp_path / "runs" / "demo"
+    run(folder, Inline())
+    store = open_store(tmp_path / "runs" / "store")
+    log = StudyLog.read(StudyLayout(folder).journal)
+    for number, path in enumerate(sorted(store.layout.evaluations.iterdir())):
+        save_field(store, path.stem, np.full((4, 3), number, dtype=np.float64))
+    session = log.last_session
+    assert session is not None
+    for name in (session.prepared["volume"], session.target["target"]):
+        save_volume(store, name, small_volume(1))
+    return folder
+
+
+def small_volume(label: int) -> Volume:
+    return Volume(np.full((3, 4, 5), label, np.uint8), (1.0, 1.0, 2.0), (0.0, 0.0, 0.0))
+
+
+def store_of(folder: Path) -> Store:
+    return open_store(folder.parent / "store")
+
+
+def test_damage_is_named_set_aside_and_made_again(call: Call, study: Path) -> None:
+    store = store_of(study)
+    assert call("store", "check")[0] == 0
+    done = (ending[2] for ending in told(study).values() if ending[3] == "done")
+    digests = list(dict.fromkeys(done))
+    field = store.layout.field(digests[0])
+    chunk = next(p for p in field.rglob("*") if p.is_file() and p.name != "zarr.json")
+    chunk.write_bytes(chunk.read_bytes()[:-1] + b"x")
+    shutil.rmtree(store.layout.field(digests[1]))
+    store.layout.evaluation(digests[2]).write_text("{")
+    (store.layout.fields / ".tmp-1-abc-x.zarr").mkdir()
+
+    code, out, err = call("store", "check")
+    assert code == 2
+    assert "1 half written" in out
+    assert sum(line.startswith("damaged: ") for line in err.splitlines()) == 4
+    for name in digests[:3]:
+        assert name in err
+    code, out, _ = call("store", "check", "--repair", "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert len(found["damaged"]) == 4
+    assert len(list(Path(found["set_aside"], "evaluations").iterdir())) == 3
+    # A record without its field is set aside, too: all three are computed again.
+    before = len(executions(study))
+    again = study.with_name("again")
+    run(again, Inline())
+    assert told(again) == told(study)
+    assert set(executions(study)[before:]) == set(digests[:3])
+
+
+def test_garbage_is_what_no_study_needs_and_nobody_touched(call: Call, study: Path) -> None:
+    store = store_of(study)
+    old = {
+        "unneeded": store.layout.volume("unneeded"),
+        "imported": store.layout.volume("imported"),
+        "part": store.layout.field("part"),
+    }
+    save_volume(store, "unneeded", small_volume(2))
+    save_volume(store, "imported", small_volume(2), meta={"kind": "image", "name": "mine"})
+    save_field(store, "part", np.zeros((2, 3)))
+    save_evaluation(store, "gone", {"digest": "gone", "status": "diverged"})
+    save_field(store, "young", np.zeros((2, 3)))
+    needed = [store.layout.field(ending[2]) for ending in told(study).values()]
+    for path in [*old.values(), store.layout.evaluation("gone"), *needed]:
+        os.utime(path, (1e9, 1e9))
+
+    code, out, _ = call("store", "gc", "--json")
+    assert code == 0
+    wanted = {"unneeded.zarr", "part.zarr", "gone.json"}
+    assert {Path(path).name for path in json.loads(out)["entries"]} == wanted
+    assert old["unneeded"].exists()  # nothing is removed without --delete
+    assert call("store", "gc", "--delete")[0] == 0
+    assert not has_volume(store, "unneeded")
+    assert has_volume(store, "imported")
+    assert has_field(store, "young")
+    assert all(has_field(store, ending[2]) for ending in told(study).values())
+    assert call("store", "gc", "--images", "--delete")[0] == 0
+    assert not has_volume(store, "imported")
+    code, _, err = call("store", "gc", "--studies", "nowhere")
+    assert (code, "There is no study in nowhere" in err) == (2, True)
+
+
+def test_a_study_moves_and_goes_on_elsewhere(
+    call: Call, study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, out, _ = call("store", "export", "demo", "--out", "demo.tar")
+    assert code == 0
+    assert "palpate store import demo.tar" in out
+    endings = told(study)
+    ran = executions(study)
+    shutil.rmtree(tmp_path / "runs")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    assert call("store", "import", tmp_path / "demo.tar")[0] == 0
+    moved = elsewhere / "runs" / "demo"
+    assert told(moved) == endings
+    assert call("status", "demo")[0] == 0
+    assert call("store", "check")[0] == 0
+    assert json.loads(call("status", "demo", "--json")[1])["store"] == str(moved.parent / "store")
+    again = moved.with_name("again")
+    run(again, Inline())  # the evaluations came along: none is computed again
+    assert not set(executions(again)) & {ending[2] for ending in endings.values()}
+    assert told(again) == endings
+    assert len(ran) > 0
+    code, _, err = call("store", "import", tmp_path / "demo.tar")
+    assert (code, "choose another place" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    "name", ["../evil", "/tmp/evil", "study/../../evil", "store/volumes/../../evil", "study/x.py"]
+)
+def test_an_archive_that_leads_elsewhere_is_refused(study: Path, tmp_path: Path, name: str) -> None:
+    archive = tmp_path / "demo.tar"
+    export_study(study, archive)
+    with tarfile.open(archive, "a") as tar:
+        tar.add(study / "study.yaml", name, filter=lambda member: _renamed(member, name))
+    with pytest.raises(StoreError, match="does not belong into it"):
+        import_study(archive, tmp_path / "new" / "demo", tmp_path / "new" / "store")
+    assert not (tmp_path / "new" / "demo").exists()
+    assert not [p for p in (tmp_path / "new" / "store").iterdir() if p.name.startswith(".tmp")]
+
+
+def _renamed(member: tarfile.TarInfo, name: str) -> tarfile.TarInfo:
+    member.name = name
+    return member
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "link", "no tar", "no manifest"])
+def test_a_damaged_archive_is_refused(study: Path, tmp_path: Path, damage: str) -> None:
+    archive = tmp_path / "demo.tar"
+    export_study(study, archive)
+    data = archive.read_bytes()
+    if damage == "flip":
+        place = data.rindex(b'"candidate":')
+        archive.write_bytes(data[:place] + data[place:].replace(b"candidate", b"candidat3", 1))
+    elif damage == "cut":
+        archive.write_bytes(data[: len(data) // 2])
+    elif damage == "no tar":
+        archive.write_bytes(b"x" * 2000)
+    elif damage == "no manifest":
+        with tarfile.open(archive, "w") as tar:
+            tar.add(study / "study.yaml", "study/study.yaml")
+    else:
+        with tarfile.open(archive, "a") as tar:
+            link = tarfile.TarInfo("store/evaluations/a.json")
+            link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
+            tar.addfile(link)
+    with pytest.raises(StoreError, match="is no archive of a study, or is damaged"):
+        import_study(archive, tmp_path / "new" / "demo", tmp_path / "new" / "store")
+    assert not (tmp_path / "new" / "demo").exists()

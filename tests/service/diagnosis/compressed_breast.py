@@ -1,0 +1,101 @@
+"""A small breast between plates, scanned by the solver itself: a case with a known cause."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from palpate.service.export import export_volume
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.body.mesh.hierarchy import build_hierarchy
+from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
+from palpate.workers.comparison.warp.warp_volume import warp_labels
+from palpate.workers.mechanics.effects.breast_catalogue import with_effects
+from palpate.workers.mechanics.fem.elements.model import prepare
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.fields import frame_of
+from palpate.workers.organs.breast.case.files import read_case
+
+TRUE_MPA = {"E_fat": 0.010, "E_gl": 0.032}
+FORCES_N = (8.0, 20.0)
+PHANTOM = BreastPhantom(
+    lower_mm=30.0,
+    upper_mm=45.0,
+    half_width_mm=28.0,
+    depth_mm=32.0,
+    spacing_mm=1.5,
+    glandular_fraction=0.3,
+    skin_mm=0.0,
+    ligament_mm=0.0,
+    compartments=60,
+)
+SCANS = ("rest.nrrd", "pressed_8N.nrrd", "pressed_20N.nrrd")
+PRESSED = tuple(
+    {"file": file, "plate_force_N": force} for file, force in zip(SCANS[1:], FORCES_N, strict=True)
+)
+CROSSWISE = {
+    "file": "pressed_8N_x.nrrd",
+    "plate_force_N": 8.0,
+    "compression_axis": [1, 0, 0],
+    "lower_mm": -30,
+    "upper_mm": 45,
+}
+
+
+def described(pressed: Sequence[dict] = PRESSED) -> dict:
+    """What case.json says."""
+    return {
+        "id": "small",
+        "nominal": {
+            "energy": "W = mu/2 (I1bar-3) + 1/d (J-1)^2",
+            "nu": 0.49,
+            "unknown_constants": ["E_fat", "E_gl"],
+            "plausible_kPa": {"E_fat": [6, 15], "E_gl": [15, 60]},
+            "chest_wall": "all nodes at z=0: uz=0; springs kx=0.2 kPa/mm and ky=0.05 kPa/mm",
+            "plates": "lower fixed at y=-28, upper at y=28",
+        },
+        "segmentation": "noise sd 0.2 mm, correlation length 4 mm",
+        "scans": {"reference": SCANS[0], "deformed": list(pressed)},
+    }
+
+
+def write_case(
+    folder: Path,
+    effects: Mapping[str, float] | None = None,
+    nodes: int = 1500,
+    pressed: Sequence[dict] = PRESSED,
+) -> Path:
+    """Scans of a body that lacks nothing but `effects`, parameters of the catalogue."""
+    folder.mkdir(parents=True)
+    rest = generate_breast(PHANTOM, seed=5).labels
+    for file in (SCANS[0], *(one["file"] for one in pressed)):
+        write_scan(folder / file, rest)
+    (folder / "case.json").write_text(json.dumps(described(pressed)))
+    case = read_case(folder)
+    hierarchy = build_hierarchy(case.reference, nodes=nodes)
+    model = prepare(hierarchy)
+    frame = frame_of(model.finest.nodes)
+    for number, one in enumerate(pressed):
+        problem = with_effects(case.problem(number, frame)(TRUE_MPA), effects or {}, frame)
+        solution = solve(model, problem)
+        assert solution.outcome.converged, solution.outcome.reason
+        scan = warp_labels(case.reference, hierarchy.finest.mesh, solution.displacement_mm)
+        write_scan(folder / one["file"], scan)
+    return folder
+
+
+def write_scan(path: Path, labels: Volume) -> None:
+    """Fat and glandular tissue as 1 and 2."""
+    values = np.where(labels.values == Tissue.GLANDULAR, 2, (labels.values > 0).astype(np.uint8))
+    path.unlink(missing_ok=True)
+    export_volume(path, replace(labels, values=values.astype(np.uint8)))
+
+
+def loads_exchanged(folder: Path) -> None:
+    """Write the forces of both scans the wrong way round."""
+    said = json.loads((folder / "case.json").read_text())
+    first, second = said["scans"]["deformed"]
+    first["plate_force_N"], second["plate_force_N"] = 20.0, 8.0
+    (folder / "case.json").write_text(json.dumps(said))

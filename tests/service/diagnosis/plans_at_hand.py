@@ -1,0 +1,44 @@
+"""Plans made by hand."""
+
+from typing import Any
+
+from palpate.workers.diagnosis.schema.plan import FurtherMeasurement, PlanSummary
+
+
+def option(name: str, **changes: Any) -> FurtherMeasurement:
+    """A further measurement of a plan."""
+    nothing: dict[str, Any] = {
+        "told_apart": 0,
+        "more_told_apart": 0,
+        "separates": (),
+        "reveals": (),
+        "silent": (),
+        "minimum_ratio": 0.9,
+        "minimum_ratios": {},
+        "absorbed_shares": {},
+        "not_simulated": (),
+    }
+    return FurtherMeasurement(name=name, **nothing | changes)
+
+
+def plan_of(*options: FurtherMeasurement) -> PlanSummary:
+    """A plan of nothing but further measurements."""
+    return PlanSummary(
+        case="by-hand",
+        scans=(),
+        points=0,
+        noise_mm=0.3,
+        travel_mm={},
+        clear=3.0,
+        effects=(),
+        cosines=(),
+        log_evidence=(),
+        pairs=0,
+        told_apart=0,
+        confusable=(),
+        silent=(),
+        not_simulated=(),
+        loose=(),
+        without_columns=(),
+        acquisitions=options,
+    )

@@ -1,0 +1,117 @@
+"""What to measure next: ranked by hand, and from a small cluster by the command."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from palpate.service.cli import main
+from palpate.service.diagnosis.advice import next_acquisitions, undecided, worth
+from palpate.storage.errors import InputError
+from palpate.storage.records.typed_json import from_json
+from palpate.workers.diagnosis.schema.summary import NextAcquisition
+from tests.service.diagnosis.compressed_breast import write_case
+from tests.service.diagnosis.plans_at_hand import option, plan_of
+from tests.service.report.diagnosis_at_hand import summary, typed
+
+NODES = "600"
+TOLD = typed(
+    summary(
+        verdict="cannot-be-told-apart",
+        set90=["plate_tilt", "fibre_fan", "no-gap"],
+        absorbed=["plate_force"],
+    )
+)
+
+
+def test_what_decides_between_the_suspects_comes_first() -> None:
+    plan = plan_of(
+        option("more of the same"),
+        option("shows the force", reveals=("plate_force", "creep")),
+        option("others", separates=(("creep", "plate_tilt"),)),
+        option("decides", separates=(("creep", "plate_tilt"), ("fibre_fan", "plate_tilt"))),
+        option("fifth"),
+    )
+    found = next_acquisitions(TOLD, plan)
+    names = [a.name for a in found]
+    assert names == ["decides", "shows the force", "more of the same", "others"]
+    assert found[0].separates == (("fibre_fan", "plate_tilt"),)
+    assert found[1].reveals == ("plate_force",)
+    assert worth(found[0]) == (
+        "tells fibre fan from plate tilt; the smallest magnitudes found become 0.90 times as large"
+    )
+    assert worth(found[1]).startswith("brings plate force to light")
+    assert worth(found[2]) == "the smallest magnitudes found become 0.90 times as large"
+    assert undecided(TOLD)
+    assert not undecided(replace(TOLD, verdict="effect"))
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a case that was diagnosed and planned by one worker."""
+    folder = tmp_path_factory.mktemp("advice")
+    write_case(folder / "small", {})
+    assert main([*command(folder), "--plan", "--workers", "1"]) == 0
+    return folder
+
+
+def command(folder: Path) -> list[str]:
+    where = ["--store", str(folder / "store"), "--out", str(folder / "out")]
+    return ["diagnose", str(folder / "small"), "--nodes", NODES, *where]
+
+
+def without_made(page: str) -> str:
+    """Return a page without when and how fast it was made."""
+    return re.sub(r"<dt>(Date|Run time)</dt><dd>.*?</dd>", "", page)
+
+
+def test_the_command_says_what_to_measure_next(
+    runs: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (runs / "out" / "diagnosis.html").read_text()
+    assert main([*command(runs), "--plan", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    options = record["next_acquisitions"]
+    assert any(o["name"].startswith("a view, ") for o in options)
+    assert "What to measure next" in page
+    assert all(f"<td>{o['name']}</td>" in page.replace("&#39;", "'") for o in options)
+    again = (runs / "out" / "diagnosis.html").read_text()
+    assert without_made(again) == without_made(page)
+    assert main([*command(runs), "--plan"]) == 0
+    assert (
+        f"Next, {options[0]['name']}: {worth(from_json(NextAcquisition, options[0]))}."
+        in capsys.readouterr().out
+    )
+
+
+def test_without_a_plan_nothing_is_said_of_it(
+    runs: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command(runs), "--no-plan", "--json"]) == 0
+    assert "next_acquisitions" not in json.loads(capsys.readouterr().out)
+
+
+def test_the_bench_has_no_plan(
+    tmp_path: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "beam.yaml").write_text("organ: specimen\n")
+    assert main(["diagnose", str(tmp_path / "beam.yaml"), "--plan"]) == 2
+    said = capsys.readouterr()
+    assert "is a bench experiment" in said.err
+    assert (said.err.count("\n"), said.out) == (1, "")
+
+
+def test_a_plan_that_fails_takes_no_diagnosis_with_it(
+    runs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*arguments: Any) -> None:
+        raise InputError("The nominal model does not converge at 8 N.")
+
+    monkeypatch.setattr("palpate.service.commands.diagnoses.planning.planned", fail)
+    assert main([*command(runs), "--plan", "--json"]) == 0
+    said = capsys.readouterr()
+    assert "No further measurement could be tried. The nominal model" in said.err
+    assert json.loads(said.out)["verdict"] == "no-gap"

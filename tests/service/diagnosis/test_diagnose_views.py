@@ -1,0 +1,84 @@
+"""Several directions of compression in one case, and plates at a known distance."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from palpate.storage.errors import InputError
+from palpate.workers.diagnosis.fits.calibration import calibrate
+from palpate.workers.organs.breast.case.checks import check_case
+from palpate.workers.organs.breast.case.files import read_case
+from palpate.workers.organs.breast.case.scanned_case import extent_mm
+from palpate.workers.organs.breast.case.source import ScannedCaseSource
+from tests.service.diagnosis.compressed_breast import (
+    CROSSWISE,
+    PRESSED,
+    TRUE_MPA,
+    described,
+    write_case,
+)
+
+NODES, SPACING_MM = 1600, 8.0
+
+
+@pytest.fixture(scope="module")
+def both_ways(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Scans pressed along y and along x, of a body that lacks nothing."""
+    folder = tmp_path_factory.mktemp("views") / "both"
+    return write_case(folder, pressed=[PRESSED[1], CROSSWISE])
+
+
+def test_a_scan_pressed_along_x_is_fitted_with_one_along_y(both_ways: Path) -> None:
+    case = read_case(both_ways)
+    check_case(case)
+    assert case.names == ["20 N", "8 N along x"]
+    inverse, fit = calibrate(ScannedCaseSource(case).inverse_problem(NODES, SPACING_MM))
+    assert [s.problem(fit.values()).load.device.axis[0] for s in inverse.scans] == [0.0, 1.0]
+    for name, true in TRUE_MPA.items():
+        assert fit.values()[name] == pytest.approx(true, rel=0.12)
+    for scan in fit.predictions:
+        assert scan.residual.std() < 0.3
+
+
+def test_plates_at_a_distance_tell_the_ratio_of_stiffness(both_ways: Path, tmp_path: Path) -> None:
+    (tmp_path / "case").mkdir()
+    for file in both_ways.glob("*.nrrd"):
+        (tmp_path / "case" / file.name).symlink_to(file)
+    case = read_case(both_ways)
+    low, high = extent_mm(case.deformed[0], (0.0, 1.0, 0.0))
+    said = described([{"file": PRESSED[1]["file"], "plate_distance_mm": high - low}])
+    said["nominal"] |= {"unknown_constants": ["E_gl"], "held_kPa": {"E_fat": 10.0}}
+    (tmp_path / "case" / "case.json").write_text(json.dumps(said))
+    case = read_case(tmp_path / "case")
+    assert case.names == [f"{high - low:g} mm"]
+    check_case(case)
+    _, fit = calibrate(ScannedCaseSource(case).inverse_problem(NODES, SPACING_MM))
+    assert fit.values()["E_gl"] / 0.010 == pytest.approx(3.2, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("load", "complaint"),
+    [
+        ({"plate_force_N": 8, "plate_distance_mm": 40}, "one of them"),
+        ({}, "one of them"),
+        ({"plate_force_N": 8, "compression_axis": [0, 0, 1]}, "across z"),
+    ],
+)
+def test_a_load_that_makes_no_sense_is_refused(
+    load: dict[str, object], complaint: str, tmp_path: Path
+) -> None:
+    said = described([{"file": "pressed.nrrd"} | load])
+    (tmp_path / "case.json").write_text(json.dumps(said))
+    with pytest.raises(InputError, match=complaint):
+        read_case(tmp_path)
+
+
+def test_a_constant_without_a_value_is_refused(both_ways: Path, tmp_path: Path) -> None:
+    for file in both_ways.glob("*.nrrd"):
+        (tmp_path / file.name).symlink_to(file)
+    said = described(PRESSED[1:])
+    said["nominal"]["unknown_constants"] = ["E_gl"]
+    (tmp_path / "case.json").write_text(json.dumps(said))
+    with pytest.raises(InputError, match="no value of E_fat"):
+        _ = read_case(tmp_path).free

@@ -1,0 +1,147 @@
+"""`palpate plan`: a case without loaded scans on a small cluster, its record, words and page."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from palpate.service.cli import main
+from palpate.service.diagnosis import plan_words as words
+from palpate.service.diagnosis.planning import request_plan
+from palpate.service.report.plan.page import render
+from palpate.storage.records.typed_json import to_json
+from palpate.workers.diagnosis.schema.plan import ConfusablePair, PlannedEffect, PlanSummary
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.tasks.planning import stored_plan
+from tests.service.diagnosis.plans_at_hand import plan_of
+from tests.service.report.pages import Page
+from tests.workers.diagnosis.planning.meant_case import at_force, write_meant
+
+Json = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the case lies and the plan is written."""
+    folder = tmp_path_factory.mktemp("plan")
+    write_meant(folder / "meant", [at_force(12)])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def planned(runs: Path) -> PlanSummary:
+    """The plan, computed once by one worker process."""
+    out = str(runs / "page.html")
+    command = ["plan", str(runs / "meant"), "--nodes", "600", "--workers", "1", "--out", out]
+    assert main([*command, "--store", str(runs / "store"), "--json"]) == 0
+    stored = list((runs / "store" / "fields").iterdir())
+    assert len(stored) == 7  # the source, five loads and the summary
+    return _again(runs)
+
+
+def _again(runs: Path) -> PlanSummary:
+    found = stored_plan(request_plan(runs / "meant", runs / "store", 600))
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def record(planned: PlanSummary) -> Json:
+    """The same as JSON."""
+    return dict(to_json(planned))
+
+
+def test_the_record_says_what_can_be_told(record: Json) -> None:
+    assert record["case"] == "small"
+    assert record["scans"] == ["12 N"]
+    names = [e["name"] for e in record["effects"]]
+    assert {"plate_force", "plate_tilt", "inclusion", "rigid_motion"} <= set(names)
+    assert record["pairs"] == len(names) * (len(names) - 1) // 2
+    seen = sum(e["seen"] for e in record["effects"])
+    assert record["told_apart"] + len(record["confusable"]) == seen * (seen - 1) // 2
+    assert all(pair["log_evidence"] < SETTINGS.plan.clear for pair in record["confusable"])
+    assert all(row[i] == 1.0 for i, row in enumerate(record["cosines"]))
+    force = next(e for e in record["effects"] if e["name"] == "plate_force")
+    assert force["absorbed_share"] > 0.95
+    assert not force["seen"]
+
+
+def test_what_else_could_be_measured_is_ranked(record: Json) -> None:
+    found = {a["name"]: a for a in record["acquisitions"]}
+    loads = {"a scan at 6 N", "a scan at 24 N", "a view, 12 N along x"}
+    assert loads <= set(found) | {f"a scan at {n}" for n in record["not_simulated"]}
+    assert "a second segmentation of every scan" in found
+    ranks = [a["more_told_apart"] for a in record["acquisitions"]]
+    assert ranks == sorted(ranks, reverse=True)
+    assert max(ranks) > 0
+
+
+def test_a_stored_plan_needs_no_cluster(
+    runs: Path, record: Json, no_cluster: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    where = ["--store", str(runs / "store"), "--out", str(runs / "again.html")]
+    assert main(["plan", str(runs / "meant"), "--nodes", "600", *where, "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out) == record
+    assert "nothing to compute" in said.err
+    assert (runs / "again.html").read_bytes() == (runs / "page.html").read_bytes()
+
+
+def test_the_console_names_effects_and_measurements(
+    runs: Path,
+    record: Json,
+    no_cluster: None,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    where = ["--store", str(runs / "store"), "--out", str(runs / "page.html")]
+    assert main(["plan", str(runs / "meant"), "--nodes", "600", *where]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("One scan (12 N) can find ")
+    assert "plate force" in said
+    assert "hides in the constants" in said
+    assert record["acquisitions"][0]["name"] in said
+    assert f"page: {runs / 'page.html'}" in said
+
+
+def test_the_page_shows_all_of_it(planned: PlanSummary, record: Json) -> None:
+    page = Page(render(planned))
+    assert words.headline(planned) in page.text
+    for effect in record["effects"]:
+        row = next(r for r in page.cells if r and r[0].startswith(effect["name"].replace("_", " ")))
+        assert f"{100 * effect['absorbed_share']:.0f} %" in row
+    for acquisition in record["acquisitions"]:
+        assert page.row(acquisition["name"])[1] == str(acquisition["told_apart"])
+    assert len(page.drawings()) == 2
+    page.needs_no_other_file()
+    assert render(planned) == render(planned)
+
+
+def test_nothing_to_plan_is_said(
+    tmp_path: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plan", str(tmp_path), "--store", str(tmp_path / "store")]) == 2
+    assert "expected a folder with case.json" in capsys.readouterr().err
+
+
+def test_words_for_what_is_silent_and_alike() -> None:
+    def effect(name: str, why_not: Any) -> PlannedEffect:
+        return PlannedEffect(name, "", "", (), 0.5, None, 0.0, 1.0, not why_not, why_not)
+
+    told = replace(
+        plan_of(),
+        effects=(
+            effect("plate_force", "hidden"),
+            effect("creep", "weak"),
+            effect("plate_tilt", ""),
+        ),
+        confusable=(ConfusablePair(("plate_tilt", "plate_flex"), 1.234),),
+    )
+    assert words.silence(told) == (
+        "Neither accused nor acquitted: plate force (hidden in the constants); creep (too weak)."
+    )
+    assert words.confusions(told).endswith("plate tilt or plate flex (1.2).")
+    assert words.silence(replace(told, effects=told.effects[2:])) == ""

@@ -1,0 +1,407 @@
+"""The page of a diagnosis: self-contained, and true to the numbers."""
+
+import copy
+import json
+import re
+import subprocess
+import sys
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from palpate.service.diagnosis.words import sentence
+from palpate.service.report.diagnosis.charts import (
+    Cause,
+    Evidence,
+    Judged,
+    evidence,
+    gaps,
+    probabilities,
+)
+from palpate.service.report.diagnosis.made import Origin
+from palpate.service.report.diagnosis.maps import range_mm, residual_map
+from palpate.service.report.diagnosis.page import render
+from palpate.service.report.drawing.colour_scale import SIGNED, ColourScale
+from palpate.service.report.drawing.svg import Svg
+from palpate.service.report.study.provenance import Made
+from palpate.workers.mechanics.effects.breast_catalogue import NOT_SIMULATED
+from tests.service.report.diagnosis_at_hand import VERDICTS, found, gap, nothing, summary, typed
+from tests.service.report.pages import Page
+
+
+def sentence_of(told: dict[str, Any]) -> str:
+    return sentence(typed(told))
+
+
+@pytest.fixture(scope="module")
+def source() -> str:
+    return render(found())
+
+
+@pytest.fixture(scope="module")
+def page(source: str) -> Page:
+    return Page(source)
+
+
+@pytest.mark.parametrize("told", VERDICTS.values(), ids=VERDICTS)
+def test_a_page_is_well_formed_and_needs_no_other_file(told: dict[str, Any]) -> None:
+    source = render(found(told))
+    page = Page(source)
+    page.needs_no_other_file()
+    begin = page.text.index('{ "case": "by-hand"')
+    shown = json.JSONDecoder().raw_decode(page.text, begin)[0]
+    for constant in shown["constants"].values():
+        assert constant.pop("quotable") is not bool(constant.pop("reasons"))
+    assert {name: shown[name] for name in told} == told
+
+
+def test_same_diagnosis_same_bytes(source: str) -> None:
+    assert render(found()) == source
+
+
+def test_the_page_is_written_without_matplotlib() -> None:
+    """Which alone would take as long to import as the page takes to write."""
+    asked = (
+        "import sys, palpate.service.report.diagnosis.files; sys.exit('matplotlib' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", asked], check=False).returncode == 0
+
+
+def test_the_verdict_says_cause_size_and_what_is_left_on_an_unseen_scan() -> None:
+    assert sentence_of(summary()) == (
+        "Model and data differ by 0.27 mm (0.23 to 0.31) beyond the noise. The cause is plate "
+        "tilt (5.48 ± 0.27 deg, probability > 99 %). On scans that it was not fitted to, it "
+        "leaves nothing that stands out of the noise (at most 0.15 mm) of 0.31 mm."
+    )
+    assert sentence_of(VERDICTS["one scan"]).endswith("It leaves 0.10 mm (0.00 to 0.20).")
+
+
+def test_a_pattern_without_size_is_not_called_a_gap_of_zero() -> None:
+    gap = summary()["gap_mm"]
+    gap["before"] = gap["held_out_before"] = gap["before"] | {"gap_mm": 0.0, "low_mm": 0.0}
+    said = sentence_of(summary(gap_mm=gap))
+    assert said.startswith("Model and data differ by less than the noise, but not at random.")
+    assert said.endswith("leaves nothing that stands out of the noise (at most 0.15 mm).")
+
+
+def test_what_hides_is_said_where_the_scans_are_sure_of_it() -> None:
+    def said(probability: float) -> str:
+        changed = copy.deepcopy(summary())
+        (force,) = (one for one in changed["effects"] if one["name"] == "plate_force")
+        force |= {"probability": probability, "magnitude": 0.431, "sd": 0.064}
+        return sentence_of(changed).removeprefix(sentence_of(summary()))
+
+    assert said(0.6) == ""
+    assert said(0.95) == (
+        " The scans speak for plate force (0.431 ± 0.064, probability 95 %), which other "
+        "constants all but hide: check it otherwise."
+    )
+
+
+def test_noise_that_is_stated_wrongly_or_uneven_is_said() -> None:
+    def said(stated: float, learnt: float, least: float, most: float) -> str:
+        noise = {"interface": "outline", "stated_mm": stated, "learnt_mm": learnt}
+        ends = {"least_mm": least, "most_mm": most}
+        return sentence_of(summary(noise=[noise | ends])).removeprefix(sentence_of(summary()))
+
+    assert said(0.3, 0.35, 0.30, 0.40) == ""
+    assert said(0.2, 0.3, 0.28, 0.32) == (
+        " The noise of the outline interface is stated too small: 0.20 mm, where its residuals "
+        "show 0.30 mm."
+    )
+    assert said(0.3, 0.3, 0.22, 0.41) == (
+        " The outline interface is drawn less exactly in one part of the body than in another: "
+        "with 0.22 to 0.41 mm of noise."
+    )
+
+
+def test_noise_that_is_stated_wrongly_is_a_warning_and_no_part_of_the_headline() -> None:
+    noise = {"interface": "outline", "stated_mm": 0.2, "learnt_mm": 0.3}
+    even = {"least_mm": 0.3, "most_mm": 0.3}
+    shown = render(found(summary(noise=[noise | even])))
+    (warned,) = re.findall(r'<p class="note warn">([^<]*)</p>', shown)
+    assert warned.startswith("The noise of the outline interface is stated too small")
+    assert shown.count("stated too small") == 1
+
+
+def test_a_gap_of_micrometres_is_told_where_noise_is_smaller_still() -> None:
+    gaps_mm = summary()["gap_mm"] | {
+        "noise_floor": 0.0012,
+        "before": gap(0.0031, 0.0027, 0.0035),
+        "after": None,
+        "held_out_before": None,
+        "held_out_after": None,
+    }
+    told = sentence_of(summary(gap_mm=gaps_mm))
+    assert told.startswith("Model and data differ by 0.0031 mm (0.0027 to 0.0035) beyond the noise")
+    # Under a tenth of a millimetre of noise the same gap is none.
+    told = sentence_of(summary(gap_mm=gaps_mm | {"noise_floor": 0.1}))
+    assert told.startswith("Model and data differ by less than the noise, but not at random")
+
+
+def test_two_effects_at_once_are_both_named() -> None:
+    both = sentence_of(summary(primary=["plate_tilt", "plate_flex"]))
+    assert "The cause is plate tilt (5.48 ± 0.27 deg, probability > 99 %) and plate flex (" in both
+
+
+@pytest.mark.parametrize(
+    ("which", "said"),
+    [
+        ("no gap", "A gap larger than 0.11 mm is unlikely."),
+        ("none of these", "no effect of the catalogue explains it"),
+        (
+            "not told apart",
+            "cannot tell which of plate tilt and plate flex is the cause; plate tilt comes first.",
+        ),
+    ],
+)
+def test_other_verdicts(which: str, said: str) -> None:
+    assert said in sentence_of(VERDICTS[which])
+
+
+def test_effects_with_magnitudes_and_the_hidden_ones_last_and_grey(source: str, page: Page) -> None:
+    tilt = page.row("plate tiltplate geometry")
+    assert tilt[1] == "> 99 %"
+    assert tilt[2].startswith("tilt depth 5.48 ± 0.27 degtilt across −0.04 ± 0.12 deg")
+    assert tilt[3:] == ["> 1000", "1 %"]
+    hidden = page.row("plate forceloading")
+    assert hidden[1] == "–"
+    assert "99 % of it looks like another choice of constants" in hidden[2]
+    order = [row[0] for row in page.cells if row[0].startswith("plate ")]
+    assert order[:3] == [
+        "plate tiltplate geometry",
+        "plate flexplate geometry",
+        "plate forceloading",
+    ]
+    assert '<tr class="off"><td>plate force<small>' in source
+    assert "<tr><td>plate tilt<small>" in source
+    assert "What plate_tilt &lt;is&gt;." in source
+
+
+def test_constants_before_and_after(page: Page) -> None:
+    assert page.row("Efat") == ["Efat", "10", "11", "10.7 … 11.3", "+10.0 %", "kPa", "yes"]
+    alone = Page(render(found(VERDICTS["no gap"])))
+    assert alone.row("Efat") == ["Efat", "10", "–", "9.8 … 10.2", "–", "kPa", "yes"]
+
+
+def test_regions_without_a_significant_gap_are_grey(source: str, page: Page) -> None:
+    assert page.row("40 N")[1:] == ["outline", "all", "0.10 mm (0.00 to 0.20)", "0.00", "8"]
+    assert page.row("80 N")[1:] == [
+        "glandular",
+        "nipple third",
+        "0.61 mm (0.51 to 0.70)",
+        "−0.25",
+        "8",
+    ]
+    assert '<tr class="off"><td>40 N' in source
+    assert "<tr><td>80 N" in source
+
+
+def test_all_that_is_not_in_the_catalogue_is_listed(page: Page) -> None:
+    for what, why in NOT_SIMULATED:
+        assert page.row(what)[1] == why
+
+
+def test_points_that_a_scan_does_not_show_are_counted(page: Page) -> None:
+    assert "left out" not in page.text
+    told = summary() | {"left_out": 9}
+    said = f"Of {told['points'] + 9}, 9 were left out, because some scan does not show them"
+    assert said in Page(render(found(told))).text
+
+
+def test_the_set_of_several_causes_names_their_family() -> None:
+    text = Page(render(found(VERDICTS["not told apart"]))).text
+    assert "90 % of the probability is held by plate tilt, plate flex and no gap." in text
+    assert "The most probable family is plate geometry (> 99 %)." in text
+
+
+def test_a_family_that_is_improbable_is_not_mentioned() -> None:
+    told = VERDICTS["not told apart"]
+    faint = dict.fromkeys(told["families"], 0.06)
+    assert "most probable family" not in Page(render(found(told | {"families": faint}))).text
+
+
+def test_every_length_of_the_headline_has_its_tile() -> None:
+    """What the headline rounds to is what the tiles say."""
+    told = Page(render(found()))
+    lengths = re.findall(r"(?:differ by|of) (\d\.\d\d) mm", sentence_of(summary()))
+    assert lengths == ["0.27", "0.31"]
+    tiles = told.source[told.source.index('class="tiles"') : told.source.index('class="contents"')]
+    assert all(length in tiles for length in lengths)
+
+
+@pytest.mark.parametrize(
+    ("which", "quote", "following"),
+    [
+        (
+            "effect",
+            "Quote Efat = 11 (10.7 to 11.3) kPa and η = 60.1 (55 to 66) kPa, fitted with plate "
+            "tilt.",
+            "Put plate",
+        ),
+        (
+            "no gap",
+            "Quote Efat = 10 (9.8 to 10.2) kPa. They may hide plate force.",
+            "Nothing needs to be added",
+        ),
+        (
+            "none of these",
+            "Do not quote Efat (the model lacks something that is not in the catalogue)",
+            "Look where model and data differ",
+        ),
+        (
+            "not told apart",
+            "Do not quote Efat and η (it depends on a cause that is not certain)",
+            "palpate plan",
+        ),
+    ],
+)
+def test_what_follows_is_said(which: str, quote: str, following: str) -> None:
+    text = Page(render(found(VERDICTS[which]))).text
+    assert f"What to quote {quote}" in text
+    assert f"Next {following}" in text or following in text[text.index("Next ") :][:120]
+
+
+def test_how_it_was_made_is_on_the_page() -> None:
+    made = Made(
+        "2026-11-22T10:05:00+00:00",
+        "palpate diagnose cases/by-hand",
+        94.0,
+        [("case by-hand", "0123abcd"), ("reference", "4567ef")],
+        "about 5000 nodes",
+        "standard deviation 0.4 mm",
+    )
+    text = Page(render(found(), Origin(made))).text
+    for said in (
+        "22 November 2026, 10:05 UTC",
+        "case by-hand, 0123abcd",
+        "reference, 4567ef",
+        "about 5000 nodes",
+        "standard deviation 0.4 mm",
+        "Run time94 s",
+        "Commandpalpate diagnose cases/by-hand",
+    ):
+        assert said in text, said
+
+
+def test_warnings() -> None:
+    refits = [summary()["refits"][0] | {"converged": False}]
+    assert "The refit of plate flex did not converge" in render(found(summary(refits=refits)))
+    gap = summary()["gap_mm"]
+    gap["held_out_share"] = {"share": 0.3, "low": -0.2, "high": 0.6}
+    assert "take the cause for a lead" in render(found(summary(gap_mm=gap)))
+    gap = summary()["gap_mm"] | {"not_judged": ["80 N"]}
+    assert "What the effect leaves of 80 N is not judged" in render(found(summary(gap_mm=gap)))
+    assert "note warn" not in render(found())
+
+
+def test_a_map_for_each_scan_and_interface() -> None:
+    labels = [drawing.get("aria-label", "") for drawing in Page(render(found())).drawings()]
+    captions = [label for label in labels if "scan at" in label]
+    assert [caption.split(":")[0] for caption in captions] == [
+        "Outline, scan at 40 N",
+        "Glandular, scan at 40 N",
+        "Outline, scan at 80 N",
+        "Glandular, scan at 80 N",
+    ]
+    # Twelve points, half of them on each interface; twice the noise is 0.8 mm.
+    maps = found().maps
+    loud = 100 * (abs(maps["before"][0, :6]) >= 0.8).mean()
+    assert f"of a point: {loud:.0f} % (nominal model)" in captions[0]
+
+
+def rects(svg: Svg, *classes: str) -> list[tuple[str, float, float]]:
+    """Bars as (class, start, end) in pixels, those of the legend left out."""
+    drawing = ElementTree.fromstring(str(svg.markup("bars")))
+    bars = [e for e in drawing.iter("rect") if e.get("height") == "15"]
+    return [
+        (e.get("class", ""), float(e.get("x", 0)), float(e.get("x", 0)) + float(e.get("width", 0)))
+        for e in bars
+        if not classes or e.get("class") in classes
+    ]
+
+
+@pytest.mark.parametrize("width", [980.0, 400.0])
+def test_bars_are_as_long_as_their_gaps(width: float) -> None:
+    gap = typed(summary()).gap_mm
+    drawn = gaps([Judged("all", gap.before, gap.after)], 0.4367, "plate tilt", width)
+    (_, zero, before), (_, also_zero, after) = rects(drawn)
+    assert zero == also_zero
+    assert (after - zero) / (before - zero) == pytest.approx(0.05 / 0.2684, abs=2e-3)
+    per_mm = (before - zero) / 0.2684
+    whiskers = [p for p in drawn.parts if 'class="whisker"' in p]
+    ends = [[float(x) for x in re.findall(r"M([\d.]+) ", p)][::2] for p in whiskers]
+    spans = [[(x - zero) / per_mm for x in pair] for pair in ends]
+    assert spans[0] == pytest.approx([0.2256, 0.3053], abs=2e-3)
+    assert spans[1] == pytest.approx([0.0, 0.1206], abs=2e-3)
+    (limit,) = [p for p in drawn.parts if 'class="limit" d="M' in p and "V" in p]
+    at = float(re.findall(r'd="M([\d.]+)', limit)[0])
+    assert (at - zero) / per_mm == pytest.approx(0.4367, abs=2e-3)
+    assert at < width
+
+
+def test_evidence_stacks_the_field_only_where_it_helps() -> None:
+    rows = [
+        Evidence("tilt", 127.0, -1.0),
+        Evidence("flex", 95.0, 1.5),
+        Evidence("both", -2.0, None),
+    ]
+    bars = rects(evidence(rows, 2.8, 980.0))
+    assert [b[0] for b in bars] == ["bar-after", "bar-after", "bar-field", "bar-after"]
+    (_, zero, end), second, field, less = bars
+    per_nat = (end - zero) / 127.0
+    assert [(x - zero) / per_nat for x in second[1:]] == pytest.approx([0, 95.0], abs=0.05)
+    assert [(x - zero) / per_nat for x in field[1:]] == pytest.approx([95.0, 96.5], abs=0.05)
+    assert [(x - zero) / per_nat for x in less[1:]] == pytest.approx([-2.0, 0.0], abs=0.05)
+
+
+def test_causes_of_the_90_percent_set_have_their_colour() -> None:
+    rows = [Cause("tilt", 0.7, True), Cause("flex", 0.25, True), Cause("no gap", 0.05, False)]
+    colours = [bar[0] for bar in rects(probabilities(rows, 980.0))]
+    assert colours == ["bar-after", "bar-after", "bar-before"]
+
+
+def test_colours_tell_sign_and_noise() -> None:
+    """Three points: within the noise, outside and inside the scanned tissue."""
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [4.0, 6.0, 6.0]])
+    residual, noise = np.array([0.7, 1.0, -2.0]), np.full(3, 0.4)
+    drawn = residual_map(points, {"nominal model": residual}, noise, 2.0)
+    dots = dots_of(drawn)
+    (outside,) = ColourScale(SIGNED, 2.0).written(np.array([1.0]))
+    assert [(kind, colour) for kind, colour, _ in dots] == [
+        ("quiet", None),
+        ("loud", outside),
+        ("loud", SIGNED[0]),
+    ] * 3
+    (x0, y0), (x1, y1), (x2, y2) = (place for _, _, place in dots[:3])  # x to the right, y up
+    assert (x2 - x0) / (x1 - x0) == pytest.approx(4.0, rel=0.01)
+    assert (y2 - y0) / (y1 - y0) == pytest.approx(3.0, rel=0.01)
+    assert (x2 - x0) / (y0 - y2) == pytest.approx(4 / 6, rel=0.01)
+
+
+def dots_of(svg: Svg) -> list[tuple[str, str | None, tuple[float, float]]]:
+    """Dots as (kind, colour, pixel), the first of each colour."""
+    drawing = ElementTree.fromstring(str(svg.markup("dots")))
+    paths = [path for path in drawing.iter("path") if "dots" in path.get("class", "").split()]
+    return [
+        (path.get("class", "").split()[1], path.get("stroke"), first_place(path.get("d", "")))
+        for path in paths
+    ]
+
+
+def first_place(data: str) -> tuple[float, float]:
+    x, y = re.findall(r"M([-\d.]+) ([-\d.]+)h0", data)[0]
+    return float(x), float(y)
+
+
+def test_the_colour_scale_is_that_of_significant_residuals() -> None:
+    noise = np.full(100, 0.2)
+    assert range_mm(np.full(100, 0.3), noise) == 0.5  # nothing stands out
+    assert range_mm(np.append(np.full(99, 0.3), 3.0), noise) == 3.0
+
+
+def test_no_refit_no_chart_of_evidence() -> None:
+    assert "Evidence of the refits" not in render(found(nothing("no-gap")))
+    assert "Evidence of the refits" in render(found())

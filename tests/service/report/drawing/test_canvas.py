@@ -1,0 +1,30 @@
+"""A figure as text: the same bytes for the same figure."""
+
+import re
+
+import numpy as np
+
+from palpate.service.report.drawing.canvas import figure, svg
+
+
+def drawn(width: float) -> str:
+    made = figure(4, 3)
+    made.set_layout_engine("none")
+    axes = made.add_axes((0.1, 0.1, width, 0.8))
+    axes.plot([0, 1, 2], [0, 2, 1], marker="o", clip_on=True)
+    axes.imshow(np.eye(3), extent=(0, 1, 0, 1))
+    return svg(made)
+
+
+def test_the_last_bit_of_a_layout_leaves_no_trace() -> None:
+    assert drawn(0.8) == drawn(np.nextafter(0.8, 1.0))
+    assert drawn(0.8) != drawn(0.7)
+
+
+def test_what_is_referred_to_is_there() -> None:
+    text = drawn(0.8)
+    names = re.findall(r'\bid="([^"]+)"', text)
+    referred = set(re.findall(r"url\(#([^)]+)\)", text)) | set(re.findall(r'href="#([^"]+)"', text))
+    assert len(names) == len(set(names))
+    assert referred <= set(names)
+    assert len(referred) >= 2

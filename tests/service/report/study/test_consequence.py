@@ -1,0 +1,109 @@
+"""What may be quoted of a study, and what to do next, for every kind of ending."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from palpate.service.report.study.page import render
+from palpate.service.results.identification import (
+    Identification,
+    IdentifiedConstant,
+    IdentifiedRatio,
+    Interval,
+)
+from tests.service.report.pages import Page
+from tests.service.report.study_data_at_hand import results, study_data
+
+
+def known(e_fat: str = "value", eta_fat: str = "weak", **changed: Any) -> Identification:
+    """E_fat within 3 %, eta_fat from half to one and a half times its value."""
+    intervals = {
+        "value": {"E_fat": (9.8, 10.4), "eta_fat": (90.0, 96.0)},
+        "weak": {"E_fat": (5.0, 15.0), "eta_fat": (46.0, 140.0)},
+    }
+    constants = {}
+    for name, verdict, estimate in (("E_fat", e_fat, 10.12), ("eta_fat", eta_fat, 93.0)):
+        ends = intervals.get(verdict, {}).get(name)
+        interval = None if ends is None else Interval(*ends, 0.9, "tangents")
+        constants[name] = IdentifiedConstant(name, estimate, "kPa", interval, verdict)  # type: ignore[arg-type]
+    return Identification(0, constants, **changed)
+
+
+def page(identification: Identification | None, **changed: Any) -> Page:
+    return Page(render(study_data(results=results(identification=identification, **changed))))
+
+
+def test_what_is_well_determined_is_quoted_and_what_is_not_is_not() -> None:
+    shown = page(known())
+    assert (
+        "Quote Efat = 10.1 (9.8 to 10.4) kPa; do not quote ηfat (weakly determined, 46 to 140 kPa)."
+    ) in shown.text
+    assert shown.row("Efat")[1:3] == ["10.1", "9.8 … 10.4"]
+    assert shown.row("ηfat")[1:3] == ["93 weakly determined", "46 … 140"]
+    assert '<tr class="weak"><td><i>η</i>' in shown.source
+    assert "<tr><td><i>E</i>" in shown.source
+    assert "Intervals hold with 90 % and come from the derivatives" in shown.text
+    assert "determine ηfat better: palpate diagnose" in shown.text
+
+
+def test_intervals_are_drawn() -> None:
+    assert 'class="interval"' in page(known()).source
+    assert 'class="interval"' not in page(None).source
+
+
+def test_all_well_determined() -> None:
+    said = "What to quote Quote Efat = 10.1 (9.8 to 10.4) kPa and ηfat = 93 (90 to 96) kPa."
+    assert said in page(known(eta_fat="value")).text
+
+
+def test_only_ratios() -> None:
+    ratio = IdentifiedRatio("eta_fat", "E_fat", 9.19, Interval(9.0, 9.4, 0.9, "tangents"), "value")
+    text = page(known("ratio", "ratio", ratios=(ratio,))).text
+    assert "Quote ratios only: ηfat / Efat = 9.19." in text
+    assert "State the force of the plates" in text
+    assert "only its ratio" in text
+
+
+def test_nothing_is_known_of_a_study_without_tangents() -> None:
+    text = page(known("unknown", "unknown", note="the simulation had no tangents")).text
+    assert "Do not quote Efat and ηfat (no interval is known)." in text
+    assert "There are no intervals: the simulation had no tangents." in text
+
+
+def test_an_estimate_at_its_bound_is_not_quoted() -> None:
+    estimates = dict(results().estimates)
+    estimates["eta_fat"] = replace(estimates["eta_fat"], estimate=199.5)
+    text = page(known(eta_fat="value"), estimates=estimates).text
+    assert "do not quote ηfat (at the upper bound of the searched interval (200 kPa))" in text
+    assert "Widen the searched interval of ηfat" in text
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [("running", "written again after every generation"), ("interrupted", "palpate run /nowhere")],
+)
+def test_an_unfinished_search_is_not_quoted(state: str, said: str) -> None:
+    text = page(None, state=state, stop_reason=None).text
+    assert "Do not quote Efat and ηfat (the search has not finished, and this is" in text
+    assert said in text
+
+
+def test_how_a_study_was_made() -> None:
+    text = page(None).text
+    for said in ("1 January 2026, 00:00 UTC", "916 nodes, 3 744 tetrahedra", "Seed", "0.1.0"):
+        assert said in text, said
+    assert "Commandpalpate run /nowhere/runs/made-by-hand" in text
+
+
+def test_headline_tile_table_and_chart_round_alike() -> None:
+    shown = page(None)
+    assert "share 89.0 % of the volume" in shown.text
+    tiles = shown.source[shown.source.index('class="tiles"') :][:900]
+    assert "0.890" in tiles
+    assert "0.396" in tiles
+    assert "lie 0.396 mm" in shown.text
+    assert shown.text.count("10.1 kPa") == 1
+    charts = "".join(text for d in shown.drawings() for text in d.itertext())
+    assert "10.1" in charts
+    assert "10.12" not in charts

@@ -1,0 +1,59 @@
+"""Mammograms of a study's body: pressed again for each view, with the constants found."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from palpate.storage.errors import InputError
+from palpate.workers.organs.registry import organ_named
+from palpate.workers.spec import validated
+from palpate.workers.tasks.mammogram import take_view
+from palpate.workers.thesis.identification import TARGETS, case_of
+
+
+@pytest.fixture(scope="module")
+def case() -> dict[str, Any]:
+    """A small breast of coarse elements."""
+    told = case_of("X1", 3, "sketch")
+    told["reference"]["phantom"]["spacing_mm"] = 2.0
+    told["mesh"] = {"nodes": 1100}
+    spec = validated(organ_named("breast").case_spec, told, "The case")
+    return dict(spec.model_dump(mode="json"))
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, float]:
+    parameters = organ_named("breast").parameters
+    return dict(parameters.from_door(TARGETS["X1"]))
+
+
+def test_equal_constants_give_equal_mammograms(
+    case: dict[str, Any], found: dict[str, float], tmp_path: Path
+) -> None:
+    taken = take_view(case, found, found, "CC", str(tmp_path), pixel_mm=2.0, noise_seed=None)
+    assert taken.target is not None
+    assert np.array_equal(taken.fitted.energy_kev, taken.target.energy_kev)
+    assert taken.fitted.log_attenuation.max() > 0.5
+
+
+def test_other_constants_and_views_give_others(
+    case: dict[str, Any], found: dict[str, float], tmp_path: Path
+) -> None:
+    softer = found | {"E_fat": 0.5 * found["E_fat"]}
+    both = {
+        view: take_view(case, found, softer, view, str(tmp_path), pixel_mm=2.0, noise_seed=None)
+        for view in ("CC", "MLO")
+    }
+    for taken in both.values():
+        assert taken.target is not None
+        apart = taken.fitted.log_attenuation - taken.target.log_attenuation
+        assert np.abs(apart).max() > 0.05
+    across, oblique = (both[v].fitted.geometry.down_mm for v in ("CC", "MLO"))
+    assert across @ oblique == pytest.approx(np.cos(np.radians(45)) * across @ across)
+
+
+def test_an_eye_has_no_mammogram(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="of the cornea"):
+        take_view({"organ": "cornea", "load": {}}, {}, None, "CC", str(tmp_path))

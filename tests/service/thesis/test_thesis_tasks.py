@@ -1,0 +1,101 @@
+"""Parts of the experiments as tasks, at the size of a sketch, in one process."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.workers.tasks.thesis.coefficients import (
+    Bend,
+    Compare,
+    ComparedBars,
+    Turn,
+    TurnedCylinder,
+    bend_bar,
+    compare_bars,
+    turn_cylinder,
+)
+from palpate.workers.tasks.thesis.mammograms import Expose, ExposedPhantom, take_mammograms
+from palpate.workers.tasks.thesis.meshes import (
+    ComparedMeshes,
+    ComparePressed,
+    Measure,
+    MeasuredMesh,
+    Press,
+    compare_pressed,
+    coronal_section,
+    measure_mesh,
+    press_phantom,
+)
+from palpate.workers.tasks.thesis.parts import Timed
+from palpate.workers.thesis.bar import DEFORMATIONS, bar_experiment
+from palpate.workers.thesis.mesh_quality import BINS, MEASURES
+
+
+@pytest.mark.slow
+def test_bars_bent_one_by_one_are_the_experiment(tmp_path: Path) -> None:
+    store = str(tmp_path / "store")
+    for number in (0, *DEFORMATIONS):
+        bend_bar(Bend(store, "sketch", number))
+    request = Compare(store, "sketch")
+    spent = compare_bars(request)
+    assert request.part.record(ComparedBars).experiment == bar_experiment("sketch")
+    assert compare_bars(request) == spent  # it is not made again
+    assert request.part.record(Timed).spent == spent
+
+
+def test_the_cylinder_comes_back_with_its_infinities(tmp_path: Path) -> None:
+    request = Turn(str(tmp_path / "store"), "sketch")
+    turn_cylinder(request)
+    rows = {row.angle_deg: row for row in request.part.record(TurnedCylinder).rows}
+    assert rows[0].gsf == rows[180].gsf == -np.inf
+    assert min(rows, key=lambda angle: rows[angle].jc) == 90
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """One phantom on both meshes, pressed."""
+    folder = str(tmp_path_factory.mktemp("thesis") / "store")
+    for mesh in ("adaptive", "homogeneous"):
+        press_phantom(Press(folder, "sketch", 3, mesh, "neo-Hookean", "CC"))
+    return folder
+
+
+def test_a_mesh_is_measured_with_its_histograms(store: str) -> None:
+    request = Measure(store, "sketch", 3, "homogeneous")
+    measure_mesh(request)
+    row = request.part.record(MeasuredMesh).row
+    assert row.mean["aspect"] < row.worst_aspect < 8.86
+    for name in MEASURES:
+        assert len(row.histograms[name]) == BINS
+        assert sum(row.histograms[name]) == row.tets
+    polygons, glandular = coronal_section(request)
+    assert len(polygons) == len(glandular)
+    assert 0 < glandular.mean() < 1
+
+
+def test_pressed_phantoms_are_compared_compartment_by_compartment(store: str) -> None:
+    request = ComparePressed(store, "sketch", 3, "neo-Hookean", "CC")
+    compare_pressed(request)
+    row = request.part.record(ComparedMeshes).row
+    assert row.adaptive.converged
+    assert row.homogeneous.converged
+    assert row.compartments > 5
+    assert 0.3 < row.jc < 1
+    assert row.centroid_mm < 3
+
+
+def test_mammograms_are_pictures_and_files(store: str) -> None:
+    request = Expose(store, "sketch", 3, "CC")
+    take_mammograms(request)
+    record, arrays = request.part.load(ExposedPhantom)
+    assert record.converged
+    assert record.attenuation_rms > record.quantum_rms > 0
+    assert arrays["adaptive"].shape == arrays["difference"].shape
+    assert bytes(arrays["adaptive_dicom"][128:132]) == b"DICM"
+
+
+def test_another_scale_is_another_part(store: str) -> None:
+    names = {Bend(store, scale, 1).part.name for scale in ("sketch", "reduced", "full")}
+    assert len(names) == 3
+    assert Bend(store, "sketch", 1).part.name != Bend(store, "sketch", 2).part.name

@@ -1,0 +1,32 @@
+"""How many elements of a deformed mesh own each voxel, counted run by run."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.storage.values import FloatArray, TetMesh, Volume
+from palpate.workers.comparison.warp.deformed_mesh import place_on_lattice
+from palpate.workers.comparison.warp.rasterisation import signed_volume, tet_runs
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Count the elements that own each voxel, and those that are inverted and own nothing."""
+
+    counts: Volume
+    inverted: int
+
+
+def warp_coverage(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume) -> Coverage:
+    """Return how often each voxel of the deformed body is owned; 1 in a mesh without folds."""
+    deformed = place_on_lattice(mesh, displacement_mm, lattice)
+    counts = np.zeros(deformed.shape, dtype=np.uint8)
+    inverted = 0
+    for t in range(len(deformed.tets)):
+        if signed_volume(deformed.fixed, deformed.tets, t) <= 0:
+            inverted += 1
+            continue
+        count = tet_runs(deformed.fixed, deformed.tets, t, deformed.bits, deformed.runs)
+        for z, y, first, end in deformed.runs[:count]:
+            counts[z, y, first:end] += 1
+    return Coverage(deformed.volume(counts, lattice), inverted)

@@ -1,0 +1,82 @@
+"""How long the steps of a fit are, and when it says that it has converged."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.fits import gauss_newton
+from palpate.workers.diagnosis.fits.secant_curvature import LocalModel
+from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, Unknowns, unknowns
+from palpate.workers.diagnosis.problem.scan_prediction import ScanJacobian
+from palpate.workers.diagnosis.settings.values import SETTINGS
+
+ONE = unknowns([FreeConstant("E_fat", np.exp(-1.0), np.exp(1.0))], [])
+"""One parameter with a mean of zero and a deviation of one."""
+
+
+def fitted(
+    monkeypatch: pytest.MonkeyPatch,
+    cost: Callable[[float], float],
+    step: Callable[[float], float],
+    expected: float,
+) -> tuple[gauss_newton.SolvedFit, list[float]]:
+    """A fit from 1, whose costs and steps are these; and where it was tried."""
+    tried: list[float] = []
+
+    def predict(inverse: object, u: Unknowns, z: FloatArray, *rest: object) -> tuple[object, ...]:
+        tried.append(float(z[0]))
+        return ()
+
+    columns, moved = np.ones((1, 1)), np.zeros((1, 1, 3))
+    monkeypatch.setattr(gauss_newton, "_predict_scans", predict)
+    monkeypatch.setattr(gauss_newton, "_starts", lambda *rest: [])
+    monkeypatch.setattr(gauss_newton, "_cost", lambda i, u, z, p: cost(float(z[0])))
+    monkeypatch.setattr(
+        gauss_newton, "_jacobians", lambda i, u, z, *rest: [ScanJacobian(z, columns, moved)]
+    )
+    flat = LocalModel(np.zeros((1, 1)), np.zeros(1), np.zeros(1), np.ones((1, 1)))
+    monkeypatch.setattr(gauss_newton, "_local_model", lambda *rest: flat)
+    monkeypatch.setattr(
+        gauss_newton, "_step", lambda u, z, *rest: (np.array([step(float(z[0]))]), expected)
+    )
+    found = gauss_newton.fit(None, ONE, np.array([1.0]), [])  # type: ignore[arg-type]
+    assert found is not None
+    return found, tried
+
+
+def test_a_line_search_begins_near_the_length_that_went_well(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Steps are ten times too long: 0.16 of one is the first to lower a parabola."""
+    found, tried = fitted(monkeypatch, lambda z: z * z, lambda z: -10 * z, expected=10.0)
+    s = SETTINGS.fit.shortening
+    lengths = [1.0, s, s**2, s, s**2, s, s**2]
+    at, expected = 1.0, [1.0]
+    for n, length in enumerate(lengths):
+        expected.append(np.clip(at - 10 * length * at, ONE.lower[0], ONE.upper[0]))
+        if n in (2, 4, 6):
+            at = expected[-1]
+    assert tried[: len(expected)] == pytest.approx(expected)
+    assert found.cost < SETTINGS.fit.tolerance
+
+
+def test_a_step_goes_further_after_one_that_was_underrated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Falls of 0.6 where 0.2 were expected: the next step is twice as long. Where falls are what
+    was expected, steps are what they are."""
+    _, tried = fitted(monkeypatch, lambda z: 3 * abs(z), lambda z: -0.2, expected=0.2)
+    assert tried[:4] == pytest.approx([1.0, 0.8, 0.4, 0.0])
+    _, tried = fitted(monkeypatch, lambda z: abs(z), lambda z: -0.2, expected=0.2)
+    assert tried[:4] == pytest.approx([1.0, 0.8, 0.6, 0.4])
+
+
+def test_a_fit_that_crawls_has_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cost falls by a hundredth where ten were expected."""
+    found, tried = fitted(monkeypatch, lambda z: 0.01 * z, lambda z: -1.0, expected=10.0)
+    assert tried == [1.0, 0.0]
+    assert not found.converged
+    at_rest, _ = fitted(monkeypatch, lambda z: 0.01 * z, lambda z: -1.0, expected=0.5)
+    assert at_rest.converged

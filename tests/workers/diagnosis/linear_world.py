@@ -1,0 +1,183 @@
+"""A world in which everything is linear and normal, so that the truth is known exactly.
+
+Points lie on an ellipsoid of 60 x 40 x 30 mm half axes, seen in two states. A mode is a
+displacement field that is a polynomial of the position, seen along the normals; it grows
+with the load of the state as a power that differs from mode to mode.
+"""
+
+from dataclasses import replace
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+
+from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
+from palpate.workers.diagnosis.algebra.linearisation import Linearised, factored
+from palpate.workers.diagnosis.noise.evidence import LinearHypothesis, NoiseModel
+from palpate.workers.diagnosis.noise.model import NoiseParts, NoiseState
+from palpate.workers.diagnosis.noise.nuisances import smooth_columns, smooth_covariance
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.verdict.joint_evidence import JointEvidence
+
+HALF_AXES_MM = np.array([60.0, 40.0, 30.0])
+LOADS = np.array([0.6, 1.0])
+NOISE_MM, REFERENCE_MM, NUGGET_MM, CORRELATION_MM = 0.25, 0.12, 0.08, 6.0
+
+
+def ellipsoid(k):
+    """Points spread by the golden angle, and their unit normals."""
+    z = 1 - 2 * (np.arange(k) + 0.5) / k
+    turn = np.pi * (1 + 5**0.5) * np.arange(k)
+    across = np.sqrt(1 - z**2)
+    sphere = np.c_[across * np.cos(turn), across * np.sin(turn), z]
+    normals = sphere / HALF_AXES_MM
+    return sphere * HALF_AXES_MM, normals / np.linalg.norm(normals, axis=1)[:, None]
+
+
+def layout(k):
+    """Points, normals and state of every residual."""
+    points, normals = ellipsoid(k)
+    states = np.repeat(np.arange(len(LOADS)), k)
+    return np.tile(points, (2, 1)), np.tile(normals, (2, 1)), states
+
+
+def noise_covariance(k):
+    """Reference noise in all states, a smooth part in each, and a nugget."""
+    points, _ = ellipsoid(k)
+    distance = np.linalg.norm(points[:, None] - points, axis=2)
+    smooth = np.exp(-0.5 * (distance / CORRELATION_MM) ** 2)
+    each = NOISE_MM**2 * smooth + NUGGET_MM**2 * np.eye(k)
+    return np.kron(np.ones((2, 2)), REFERENCE_MM**2 * smooth) + np.kron(np.eye(2), each)
+
+
+def mode(k, powers, axis, load_power):
+    """The displacement x^a y^b z^c along an axis, of 1 mm at full load (rms), shape (m,)."""
+    points, normals, states = layout(k)
+    seen = np.prod((points / HALF_AXES_MM) ** powers, axis=1) * normals[:, axis]
+    return seen / np.sqrt((seen**2).mean()) * LOADS[states] ** load_power
+
+
+@cache
+def nominal_problem(k=60):
+    """Three parameters at their prior means, residual zero."""
+    columns = np.c_[
+        mode(k, (1, 0, 0), 0, 1.0), mode(k, (0, 1, 0), 1, 1.0), mode(k, (0, 0, 1), 2, 2.0)
+    ]
+    m = len(columns)
+    factor = factored(noise_covariance(k))
+    return Linearised(np.zeros(m), columns, np.array([0.5, 2.0, 1.0]), np.zeros(3), factor)
+
+
+def effect(name, columns, sd=1.0, one_sided=False, family=None):
+    """A sensitivity with one scale for all its parameters."""
+    columns = np.asarray(columns, dtype=float)
+    columns = columns[:, None] if columns.ndim == 1 else columns
+    q = columns.shape[-1]
+    sided = np.full(q, one_sided)
+    return EffectSensitivity(name, family or name, columns, np.full(q, float(sd)), sided)
+
+
+@cache
+def catalogue(k=60):
+    """Six effects: two of two parameters, one one-sided, one at any of four places."""
+    spots = [np.array(c) for c in ((30, 20, 15), (-30, 20, 15), (30, -20, -15), (-30, 20, -15))]
+    points, _, states = layout(k)
+    bumps = [np.exp(-0.5 * ((points - c) ** 2).sum(axis=1) / 15.0**2) for c in spots]
+    lesion = 2.0 * np.stack(bumps)[:, :, None] * LOADS[states][:, None]
+    gravity = np.c_[mode(k, (0, 0, 0), 0, 0), mode(k, (0, 0, 0), 1, 0)]
+    gradient = np.c_[mode(k, (2, 1, 0), 1, 1.0), mode(k, (0, 2, 1), 2, 1.0)]
+    return (
+        effect("gravity", gravity, 0.3, family="loading"),
+        effect("tilt", mode(k, (0, 1, 1), 0, 1.0), 0.5, family="plate geometry"),
+        effect("friction", mode(k, (2, 0, 0), 1, 1.5), 0.5, True, "boundary"),
+        effect("gradient", gradient, 0.4, family="material"),
+        effect("stiffening", mode(k, (0, 0, 3), 2, 3.0), 0.5, family="material"),
+        effect("inclusion", lesion, 1.0, family="local stiffness"),
+    )
+
+
+def families(sensitivities):
+    return {f.name: f.family for f in sensitivities}
+
+
+FIELD = SETTINGS.smooth_field
+
+
+def known_noise(covariance):
+    """The parts and the one state of a noise that is known."""
+    m = len(covariance)
+    nothing = np.zeros((m, 0))
+    parts = NoiseParts((covariance,), (1.0,), np.zeros(m, np.int32), nothing, nothing)
+    return parts, [NoiseState(0, np.ones(1), 1.0, 0.0)]
+
+
+@cache
+def known_noise_model(k=60, tolerance=1e-7, lengths=FIELD.lengths_mm, amplitudes=None):
+    """The noise of `nominal_problem`, known, with a smooth field."""
+    points, normals, states = layout(k)
+    fields = [
+        smooth_columns(points, normals, states, np.ones(2 * k), length, 0.8, tolerance)
+        for length in lengths
+    ]
+    parts, known = known_noise(nominal_problem(k).covariance)
+    return NoiseModel(parts, known, fields, amplitudes or FIELD.amplitudes_mm)
+
+
+def hypothesis_of(problem, one_sided=None):
+    """The same problem for a `NoiseModel`."""
+    p = len(problem.nominal_sd)
+    sided = np.zeros(p, bool) if one_sided is None else one_sided
+    columns = problem.nominal * problem.nominal_sd
+    return LinearHypothesis(
+        problem.residual, columns, problem.scaled_offset, sided, np.zeros(p, bool)
+    )
+
+
+def joint_evidence(problem, sensitivities):
+    noise = known_noise_model(problem.size // 2)
+    return JointEvidence(hypothesis_of(problem), sensitivities, noise)
+
+
+def hypotheses_of(joint, partners=5):
+    """No effect, each effect, and the pairs of the `partners` best of them."""
+    singles = [joint.hypothesis((name,)) for name in joint.names]
+    best = sorted(singles, key=lambda h: h.best, reverse=True)[:partners]
+    pairs = [joint.hypothesis(pair) for pair in combinations([h.effects[0] for h in best], 2)]
+    return (joint.hypothesis(()), *singles, *pairs)
+
+
+def observed(problem, rng, signal=0.0):
+    """The problem with a residual: signal, parameters from their prior, and noise."""
+    parameters = problem.nominal_sd * rng.standard_normal(len(problem.nominal_sd))
+    noise = problem.covariance_factor @ rng.standard_normal(problem.size)
+    return replace(problem, residual=signal - problem.nominal @ parameters + noise)
+
+
+def signal_of(sensitivity, rng):
+    """What an effect with parameters from its prior adds to the residual."""
+    phi = sensitivity.prior_sd * rng.standard_normal(len(sensitivity.prior_sd))
+    phi = np.where(sensitivity.one_sided, np.abs(phi), phi)
+    return -sensitivity.places[rng.integers(len(sensitivity.places))] @ phi
+
+
+def field_draw(k, rng):
+    """A smooth field from its prior, seen along the normals."""
+    covariance = smooth_covariance(*layout(k), rng.choice(FIELD.lengths_mm), 0.8)
+    factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
+    return rng.choice(FIELD.amplitudes_mm) * (factor @ rng.standard_normal(len(factor)))
+
+
+def dense_log_density(problem, columns=None, sd=(), extra=0.0):
+    """Log density of the residual with all parameters integrated out, constants dropped.
+
+    ``ln N(r; J offset, C + J S J' + extra) + (m/2) ln 2 pi + ln|C|/2``
+    """
+    J, scales = problem.nominal, problem.nominal_sd
+    mean = J @ problem.nominal_offset
+    if columns is not None:
+        J, scales = np.hstack([J, columns]), np.append(scales, sd)
+    C = problem.covariance_factor @ problem.covariance_factor.T
+    total = C + (J * scales**2) @ J.T + extra
+    r = problem.residual - mean
+    logs = np.linalg.slogdet(total)[1] - np.linalg.slogdet(C)[1]
+    return -0.5 * r @ np.linalg.solve(total, r) - 0.5 * logs

@@ -1,0 +1,128 @@
+"""Points that one scan does not show are found; what moves a body smoothly is none of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.workers.comparison.observation.interface import InterfacePoints
+from palpate.workers.diagnosis.noise.nuisances import smooth_columns
+from palpate.workers.diagnosis.noise.unmatched_points import matched
+from tests.workers.diagnosis.linear_world import ellipsoid, layout, mode, noise_covariance
+
+K = 400
+STATED = noise_covariance(K)
+POINTS = InterfacePoints(
+    *ellipsoid(K), np.zeros(K, np.int32), np.ones(K), part=np.zeros(K, np.int32)
+)
+BESIDE_MM = 8.0
+PIECE = [40, 41, 222]  # points of tissue that the second scan does not show
+
+
+NOTHING = np.zeros((2 * K, 0))
+
+
+def smooth():
+    return smooth_columns(*layout(K), np.full(2 * K, 0.8), 20.0, 0.8, 0.1)
+
+
+def scanned(seed, noise=1.0, gap_mm=0.0):
+    """Residuals with noise, of a body that a load bends otherwise than its model."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.multivariate_normal(np.zeros(2 * K), noise_covariance(K), method="cholesky")
+    return noise * drawn + gap_mm * mode(K, (2, 1, 0), 1, 1.5)
+
+
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0], ids="noise of {} times what is stated".format)
+def test_only_missing_pieces_are_left_out(noise):
+    for seed in range(3):
+        residual = scanned(seed, noise)
+        assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
+        residual[[K + p for p in PIECE]] += [8.0, -6.0, 12.0]
+        shown = matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM)
+        np.testing.assert_array_equal(np.flatnonzero(~shown), PIECE)
+
+
+def test_a_gap_of_millimetres_is_not_taken_for_them():
+    for gap_mm in (0.5, 2.0, 4.0):
+        residual = scanned(5, gap_mm=gap_mm)
+        assert np.abs(residual).max() > 2.4 * gap_mm
+        assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
+        residual[PIECE[0]] += 8.0
+        shown = matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM)
+        np.testing.assert_array_equal(np.flatnonzero(~shown), PIECE[:1])
+
+
+def test_what_lies_beside_them_is_left_out_too():
+    points, _ = ellipsoid(K)
+    away = np.linalg.norm(points - points[PIECE[0]], axis=1)
+    beside = np.flatnonzero((away > 0) & (away < BESIDE_MM))
+    assert len(beside)
+    residual = scanned(1)
+    residual[PIECE[0]] += 9.0
+    residual[beside] = 1.6  # half off, as at the rim of a piece
+    shown = matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM)
+    assert set(np.flatnonzero(~shown)) == {PIECE[0], *beside.tolist()}
+
+
+def test_neighbours_that_are_off_together_in_all_scans_are_left_out():
+    """As where the scan at rest has a piece of tissue that is none: each lies five to six
+    deviations off what is around it, as a single point and scan may, and all of them together
+    may not."""
+    points, _ = ellipsoid(K)
+    away = np.linalg.norm(points - points[PIECE[0]], axis=1)
+    two = np.argsort(away)[:2]
+    assert away[two[1]] < BESIDE_MM
+    deviation_mm = np.sqrt(STATED[0, 0])
+    for seed in (0, 3, 4):  # with other noise a point lies more than six off, alone
+        residual = scanned(seed)
+        for scan in (0, 1):
+            residual[scan * K + two] = -4.0 * deviation_mm
+        shown = matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM)
+        np.testing.assert_array_equal(np.flatnonzero(~shown), np.sort(two))
+        residual[K + two] = deviation_mm
+        residual[two] = -3.0 * deviation_mm
+        assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
+
+
+def test_where_much_is_far_off_that_is_no_error_of_drawing():
+    residual = scanned(2)
+    many = np.random.default_rng(1).choice(K, K // 8, replace=False)
+    residual[many] += 8.0
+    assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
+
+
+def test_a_piece_that_is_missing_whole_is_left_out_whole():
+    """It lies by itself, so a smooth displacement could carry all of it away."""
+    around, _ = ellipsoid(K)
+    piece = np.argsort(np.linalg.norm(around - around[222], axis=1))[:4]
+    part = np.zeros(K, np.int32)
+    part[piece] = 1
+    points = replace(POINTS, part=part)
+    for seed, gap_mm in ((1, 0.0), (2, 2.0)):
+        residual = scanned(seed, gap_mm=gap_mm)
+        assert matched(points, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
+        residual[K + piece] += 15.0
+        shown = matched(points, STATED, NOTHING, smooth(), residual, BESIDE_MM)
+        np.testing.assert_array_equal(np.flatnonzero(~shown), np.sort(piece))
+
+
+def test_a_few_points_where_no_others_are_near_are_left_out_too():
+    """Two neighbours within a hole of 16 mm around them: a free displacement follows them."""
+    points, _ = ellipsoid(K)
+    away = np.linalg.norm(points - points[PIECE[0]], axis=1)
+    two = np.argsort(away)[:2]
+    kept = np.flatnonzero((away > 16.0) | np.isin(np.arange(K), two))
+    rows = np.concatenate([kept, K + kept])
+    some, field = POINTS.of(kept), smooth()[rows]
+    stated, nothing = STATED[np.ix_(rows, rows)], NOTHING[rows]
+    lone = np.flatnonzero(np.isin(kept, two))
+    for seed in range(3):
+        residual = scanned(seed)[rows]
+        assert matched(some, stated, nothing, field, residual, BESIDE_MM).all()
+        both = np.concatenate([lone, len(kept) + lone])
+        residual[both] -= 4.5
+        shown = matched(some, stated, nothing, field, residual, BESIDE_MM)
+        np.testing.assert_array_equal(np.flatnonzero(~shown), lone)
+    bent = scanned(3, gap_mm=3.0)[rows]
+    assert matched(some, stated, nothing, field, bent, BESIDE_MM).all()

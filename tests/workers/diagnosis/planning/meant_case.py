@@ -1,0 +1,38 @@
+"""A case of which only the body at rest has been scanned."""
+
+import json
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+from palpate.workers.body.phantom.breast import generate_breast
+from tests.service.diagnosis.compressed_breast import PHANTOM, SCANS, described, write_scan
+
+NODES, SPACING_MM = 700, 8.0
+
+
+def write_meant(folder: Path, pressed: Sequence[dict], springs: bool = True) -> Path:
+    """case.json and the reference scan, no loaded ones; `springs` hold the chest wall."""
+    folder.mkdir(parents=True)
+    said = described(pressed)
+    if not springs:
+        said["nominal"]["chest_wall"] = "all nodes at z=0: uz=0, free otherwise"
+    (folder / "case.json").write_text(json.dumps(said))
+    write_scan(folder / SCANS[0], at_rest())
+    return folder
+
+
+@cache
+def at_rest():
+    """The body."""
+    return generate_breast(PHANTOM, seed=5).labels
+
+
+def at_force(force_n: float) -> dict:
+    """A scan that is meant, as case.json says it."""
+    return {"file": f"not_there_{force_n:g}N.nrrd", "plate_force_N": force_n}
+
+
+def at_distance(distance_mm: float) -> dict:
+    """The same with plates that are put at a distance."""
+    return {"file": f"not_there_{distance_mm:g}mm.nrrd", "plate_distance_mm": distance_mm}

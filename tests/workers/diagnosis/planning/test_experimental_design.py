@@ -1,0 +1,301 @@
+"""What scans can tell before they are made, where that is known beforehand."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palpate.storage.errors import InputError
+from palpate.workers.diagnosis.noise.nuisances import pose_columns
+from palpate.workers.diagnosis.planning.candidate_loads import (
+    CandidateLoad,
+    candidate_loads,
+    held_alike,
+    pressed_by,
+    turned_to,
+)
+from palpate.workers.diagnosis.planning.experimental_design import (
+    Design,
+    assembled,
+    evaluate_design,
+    loose,
+    simulated,
+)
+from palpate.workers.diagnosis.planning.load_sensitivity import (
+    LoadSensitivity,
+    deformed_normals,
+    load_sensitivity,
+)
+from palpate.workers.diagnosis.planning.plan import designs, make_plan
+from palpate.workers.diagnosis.problem.acquisition import inverse_problem_of
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
+from palpate.workers.diagnosis.screening.detectability import NONCENTRALITY
+from palpate.workers.mechanics.effects.breast_catalogue import effect
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.loads import DistanceControl, ForceControl, Wall
+from palpate.workers.organs.breast.case.acquisition import acquisition_of
+from palpate.workers.organs.breast.case.files import read_case
+from tests.workers.diagnosis.planning.meant_case import (
+    NODES,
+    SPACING_MM,
+    at_distance,
+    at_force,
+    write_meant,
+)
+
+SUSPECTS = [
+    effect(name)
+    for name in (
+        "plate_force",
+        "plate_tilt",
+        "strain_stiffening",
+        "skin_scaled",
+        "rigid_motion",
+        "inclusion",
+    )
+]
+LOW, HIGH = 0, 1
+World = tuple[InverseProblem, list[CandidateLoad], dict[int, LoadSensitivity]]
+
+
+def world(folder: Path, pressed: list[dict], which: list[int], springs: bool = True) -> World:
+    """The body, all states, and what some of them will show."""
+    acquisition = acquisition_of(read_case(write_meant(folder, pressed, springs), loaded=False))
+    unloaded = inverse_problem_of(acquisition, NODES, SPACING_MM)
+    states = candidate_loads(acquisition, unloaded.frame, unloaded.model.finest.nodes)
+    found = {}
+    for number in which:
+        one = load_sensitivity(unloaded, states[number].name, states[number].problem, SUSPECTS)
+        assert one is not None
+        found[number] = one
+    return unloaded, states, found
+
+
+@pytest.fixture(scope="module")
+def sliding(tmp_path_factory: pytest.TempPathFactory) -> World:
+    """Two forces on a body that nothing but moduli and force hold in balance, and a view."""
+    folder = tmp_path_factory.mktemp("planned") / "case"
+    return world(folder, [at_force(6), at_force(18)], [LOW, HIGH, 4], springs=False)
+
+
+def chance(world_: World, design: Design):
+    unloaded, _, found = world_
+    suspects = simulated([found[s] for s in design.states], SUSPECTS)
+    return evaluate_design(unloaded, design, found, suspects)
+
+
+def row(world_: World, design: Design, name: str):
+    return next(r for r in chance(world_, design).rows if r.name == name)
+
+
+# What one scan will show
+
+
+def test_normals_follow_an_even_stretch_and_turn(sliding: World) -> None:
+    """Nanson: n' ~ F^-T n, exactly, where F is the same everywhere."""
+    unloaded, _, _ = sliding
+    F = np.array([[1.2, 0.3, 0.0], [-0.1, 0.8, 0.2], [0.0, 0.1, 1.1]])
+    expected = unloaded.points.normals @ np.linalg.inv(F)
+    expected /= np.linalg.norm(expected, axis=1)[:, None]
+    found = deformed_normals(unloaded, unloaded.model.finest.nodes @ (F - np.eye(3)).T)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_the_row_of_the_plates_is_the_travel_of_the_solver(sliding: World) -> None:
+    """By differences of whole simulations; plates also press a little into the penalty."""
+    unloaded, states, found = sliding
+    middle = {f.name: float(np.exp(f.log_mean)) for f in unloaded.free}
+    for column, name in enumerate(middle):
+        travel = []
+        for step in (0.03, -0.03):
+            problem = states[HIGH].problem(middle | {name: middle[name] * np.exp(step)})
+            travel.append(solve(unloaded.model, problem).outcome.plate_displacement_mm)
+        expected = -(travel[0] - travel[1]) / 0.06
+        assert found[HIGH].nominal[-1, column] == pytest.approx(expected, rel=0.03)
+
+
+def test_what_acts_on_images_leaves_the_plates_alone(sliding: World) -> None:
+    columns = sliding[2][LOW].columns["rigid_motion"]
+    assert (columns[-1] == 0).all()
+    assert (np.abs(columns[:-1]).max(axis=0) > 0.5).any()
+
+
+# What is known to hide, and what frees it
+
+
+def test_a_share_of_the_force_is_another_choice_of_moduli(sliding: World) -> None:
+    """Where only moduli resist, F and E enter as F / E: column of F = -sum of those of E.
+
+    The penalty of the plates, a stiffness of its own, is felt a little.
+    """
+    for part in (sliding[2][LOW], sliding[2][HIGH]):
+        of_force = part.columns["plate_force"][:, 0]
+        of_moduli = part.nominal.sum(axis=1)
+        assert np.linalg.norm(of_force + of_moduli) < 0.02 * np.linalg.norm(of_force)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [Design((LOW,)), Design((LOW, HIGH)), Design((LOW, HIGH, 4)), Design((LOW, HIGH), plates=True)],
+)
+def test_the_force_stays_hidden_whatever_is_imaged(sliding: World, design: Design) -> None:
+    assert row(sliding, design, "plate_force").absorbed > 0.99
+    hidden = dict(zip(chance(sliding, design).names, chance(sliding, design).hidden, strict=True))
+    assert hidden["plate_force"]
+
+
+@pytest.mark.parametrize("known", [None, 0])
+def test_only_what_is_known_of_moduli_bounds_the_force(sliding: World, known: int | None) -> None:
+    """Images fix F / E and no more: ln F is known as well as the ln E are together.
+
+    Its information is the sum of theirs, 1 / sd^2 each, with that of a measurement to 10 %;
+    the penalty of the plates adds a little.
+    """
+    information = sum(1 / f.log_sd**2 for f in sliding[0].free) + (100 if known == 0 else 0)
+    found = row(sliding, Design((LOW, HIGH), known=known), "plate_force").minimum[0]
+    assert found == pytest.approx(np.sqrt(NONCENTRALITY / information), rel=0.08)
+
+
+def test_a_second_load_shows_stiffening(sliding: World) -> None:
+    one = row(sliding, Design((LOW,)), "strain_stiffening").minimum[0]
+    two = row(sliding, Design((LOW, HIGH)), "strain_stiffening").minimum[0]
+    assert two < 0.4 * one
+
+
+def test_more_is_never_less(sliding: World) -> None:
+    """Every minimum falls or stays, every expected log evidence grows or stays."""
+    before = chance(sliding, Design((LOW,)))
+    for more in (
+        Design((LOW, HIGH)),
+        Design((LOW,), drawings=2),
+        Design((LOW,), plates=True),
+        Design((LOW,), known=1),
+        Design((LOW, HIGH, 4), drawings=3, plates=True, known=0),
+    ):
+        after = chance(sliding, more)
+        for a, b in zip(before.rows, after.rows, strict=True):
+            assert (b.minimum <= a.minimum * (1 + 1e-9)).all(), (more, a.name)
+        assert (after.evidence >= before.evidence - 1e-6 * (1 + before.evidence)).all()
+        assert (after.separation >= before.separation * (1 - 1e-6) - 1e-6).all()
+
+
+def test_drawing_four_times_halves_what_the_drawing_adds(sliding: World) -> None:
+    unloaded, _, found = sliding
+    suspects = [effect("plate_tilt")]
+    once, often = (
+        assembled(unloaded, Design((LOW,), drawings=n), found, suspects)[0].covariance
+        for n in (1, 4)
+    )
+    at = unloaded.points
+    poses = pose_columns([at.points], [at.normals], unloaded.frame.centre_mm, *unloaded.pose_sd)
+    stays = unloaded.noise.nugget_mm**2 * np.eye(len(once)) + poses @ poses.T
+    np.testing.assert_allclose(often - stays, (once - stays) / 4, atol=1e-12)
+
+
+def test_a_body_that_nothing_holds_is_noticed(sliding: World, tmp_path: Path) -> None:
+    """A tilt across the breast pushes it out sideways, unless springs hold the chest wall."""
+    tilt = [effect("plate_tilt")]
+    assert loose([sliding[2][LOW]], tilt) == tilt
+    held = world(tmp_path / "case", [at_force(6)], [LOW])
+    assert loose([held[2][LOW]], SUSPECTS) == []
+
+
+def test_what_is_shown_is_not_hidden_by_more(sliding: World) -> None:
+    found = chance(sliding, Design((LOW,)))
+    assert "plate_force" in np.array(found.names)[found.hidden]
+    loud = replace(found, evidence=np.full(len(found.names), 100.0))
+    assert "plate_force" in np.array(found.names)[loud.hidden]
+    assert not replace(loud, shown=frozenset(found.names)).hidden.any()
+
+
+def test_effects_that_do_not_act_are_left_out(sliding: World) -> None:
+    assert "skin_scaled" not in chance(sliding, Design((LOW,))).names
+
+
+# The record
+
+
+def test_the_plan_ranks_what_could_be_added(sliding: World) -> None:
+    unloaded, states, found = sliding
+    told = make_plan("small", unloaded, states, found, SUSPECTS)
+    assert told.scans == ("6 N", "18 N")
+    assert told.without_columns == ("skin_scaled",)
+    assert set(told.not_simulated) == {s.name for n, s in enumerate(states) if n not in found}
+    names = [a.name for a in told.acquisitions]
+    assert (
+        set(names)
+        == set(designs(unloaded, states, found))
+        == {
+            "a view, 18 N along x",
+            "a second segmentation of every scan",
+            "the plates' distance to 0.5 mm",
+            "E_fat measured apart to 10 %",
+        }
+    )
+    gained = [a.more_told_apart for a in told.acquisitions]
+    assert gained == sorted(gained, reverse=True)
+    assert all(a.minimum_ratio <= 1 + 1e-9 for a in told.acquisitions)
+    offset = next(e for e in told.effects if e.name == "plate_tilt")
+    assert [p.unit for p in offset.parameters] == ["deg", "deg"]
+    assert {e.name for e in told.effects if not e.seen} == set(told.silent)
+
+
+def test_plates_at_a_distance_have_no_force_to_doubt(tmp_path: Path) -> None:
+    unloaded, states, found = world(tmp_path / "case", [at_distance(42)], [0])
+    told = make_plan("small", unloaded, states, found, SUSPECTS)
+    assert "plate_force" in told.without_columns
+    assert not any("plates' distance" in a.name for a in told.acquisitions)
+    load = states[0].problem({"E_fat": 0.01, "E_gl": 0.03}).load
+    assert isinstance(load, DistanceControl)
+    assert load.upper_mm - load.lower_mm == pytest.approx(42)
+    assert found[0].nominal[-1] == pytest.approx(np.zeros(2), abs=0.02)
+
+
+# Loads that could be added
+
+NODES_MM = np.array([[-20.0, -30.0, 0.0], [20.0, 30.0, 0.0], [0.0, 0.0, 40.0]])
+DIAGONAL = (0.5**0.5, 0.5**0.5, 0.0)
+
+
+def test_turned_plates_start_at_the_ends_of_the_body() -> None:
+    load = turned_to(ForceControl(10, -31, 31), (1, 0, 0), NODES_MM)
+    assert isinstance(load, ForceControl)
+    assert (load.lower_mm, load.upper_mm, load.force_n) == (-20, 20, 10)
+    assert load.device.axis == (1, 0, 0)
+    half = turned_to(DistanceControl(-15, 15), DIAGONAL, NODES_MM)
+    assert isinstance(half, DistanceControl)
+    reach = 50 / 2**0.5
+    assert (half.lower_mm, half.upper_mm) == pytest.approx((-reach / 2, reach / 2))
+
+
+def test_a_heavier_load_closes_more() -> None:
+    twice = pressed_by(ForceControl(10, -31, 31), 2.0, NODES_MM)
+    assert isinstance(twice, ForceControl)
+    assert twice.force_n == 20
+    closer = pressed_by(DistanceControl(-20, 20), 0.5, NODES_MM)
+    assert isinstance(closer, DistanceControl)
+    assert (closer.lower_mm, closer.upper_mm) == (-25, 25)
+
+
+def test_the_wall_holds_a_turned_body_as_firmly() -> None:
+    wall = held_alike(Wall((False, False, True), (2e-4, 1e-6, 0.0)))
+    assert wall == Wall((False, False, True), (2e-4, 2e-4, 0.0))
+
+
+def test_a_view_that_is_meant_is_not_proposed(tmp_path: Path) -> None:
+    along_x = at_force(8) | {"compression_axis": [1, 0, 0], "lower_mm": -45, "upper_mm": 45}
+    acquisition = acquisition_of(
+        read_case(write_meant(tmp_path / "case", [at_force(8), along_x]), loaded=False)
+    )
+    unloaded = inverse_problem_of(acquisition, NODES, SPACING_MM)
+    states = candidate_loads(acquisition, unloaded.frame, unloaded.model.finest.nodes)
+    assert [s.kind for s in states] == ["planned", "planned", "load", "load", "view"]
+    assert [s.name for s in states[2:]] == ["4 N", "16 N", "8 N along 45 degrees"]
+
+
+def test_the_reference_scan_is_needed(tmp_path: Path) -> None:
+    folder = write_meant(tmp_path / "case", [at_force(8)])
+    (folder / "rest.nrrd").unlink()
+    with pytest.raises(InputError, match=r"names rest\.nrrd, which is not in the folder"):
+        read_case(folder, loaded=False)

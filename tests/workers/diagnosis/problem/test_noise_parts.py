@@ -1,0 +1,58 @@
+"""What is known of the noise of scans: that of each, and that of the scan at rest in all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.workers.comparison.observation.noise import SegmentationNoise, correlation
+from palpate.workers.diagnosis.problem.inverse_problem import FollowedPoints
+from palpate.workers.diagnosis.problem.noise_parts import planned_covariance, stated_covariances
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from tests.workers.diagnosis.fits.test_gauss_newton import problem_between_plates
+
+NOISE = SegmentationNoise(0.1, 4.0, 0.06, 0.01)
+
+
+@pytest.fixture(scope="module")
+def inverse():
+    """Two scans, of which a plate presses half of the points of the second one flat."""
+    plain = replace(problem_between_plates(), noise=NOISE)
+    k = len(plain.points)
+    pressed = np.where(np.arange(k) < k // 2, 1.0, 0.0)
+    flat = FollowedPoints(plain.points.points, plain.at_points, pressed)
+    first, second = plain.scans
+    return replace(plain, scans=[first, replace(second, followed=flat)])
+
+
+def drawn(inverse, sd_mm, factor=1.0):
+    """Covariance of one drawing: of the stated length, and its smoother part."""
+    settings, length = SETTINGS.noise, factor * NOISE.correlation_mm
+    smoother = settings.smoother**2 * correlation(
+        inverse.points, settings.smoother_lengths * length
+    )
+    return sd_mm**2 * (correlation(inverse.points, length) + smoother)
+
+
+@pytest.mark.parametrize("number", range(len(SETTINGS.noise.lengths)))
+def test_scans_share_the_drawing_at_rest_where_points_carry_it(inverse, number):
+    k, factor = len(inverse.points), SETTINGS.noise.lengths[number]
+    found = stated_covariances(inverse)[number].reshape(2, k, 2, k)
+    at_rest, own = (drawn(inverse, sd, factor) for sd in (NOISE.reference_sd_mm, NOISE.sd_mm))
+    free = np.arange(k) >= k // 2
+    nugget = NOISE.nugget_mm**2 * np.eye(k)
+    np.testing.assert_allclose(found[0, :, 0], at_rest + own + nugget, atol=1e-12)
+    np.testing.assert_allclose(found[0, :, 1], at_rest * free, atol=1e-12)
+    pressed = at_rest * np.outer(free, free)
+    np.testing.assert_allclose(found[1, :, 1], pressed + own + nugget, atol=1e-12)
+
+
+def test_a_plan_expects_the_same_noise_before_plates_press(inverse):
+    """Beside that, scans may lie elsewhere, and interfaces be drawn too large."""
+    k = len(inverse.points)
+    planned = planned_covariance(inverse)
+    stated = stated_covariances(replace(inverse, scans=[inverse.scans[0]] * 2))[
+        SETTINGS.noise.lengths.index(1.0)
+    ]
+    assert planned.shape == (2 * k, 2 * k)
+    assert np.linalg.eigvalsh(planned - stated).min() > -1e-9

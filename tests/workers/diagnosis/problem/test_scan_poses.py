@@ -1,0 +1,103 @@
+"""How far scans lie off is averaged over: what that is worth, and against dense densities."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from palpate.workers.diagnosis.noise.nuisances import pose_columns
+from palpate.workers.diagnosis.outcome.parameter_posterior import parameter_posterior
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from tests.workers.diagnosis.linear_world import (
+    dense_log_density,
+    hypothesis_of,
+    known_noise_model,
+    layout,
+    mode,
+    nominal_problem,
+    observed,
+)
+
+K = 60
+SD = SETTINGS.pose.shift_sd_mm, SETTINGS.pose.turn_sd_deg
+
+
+def poses():
+    points, normals, states = layout(K)
+    of_scan = [states == 0, states == 1]
+    each = [points[one] for one in of_scan], [normals[one] for one in of_scan]
+    return pose_columns(*each, (0.0, 0.0, 0.0), *SD)
+
+
+def shift():
+    """A body force that shifts the body, the more the more it is loaded."""
+    return mode(K, (0, 0, 0), 0, 1.0)
+
+
+def posed(problem):
+    return hypothesis_of(problem).with_errors(poses(), are_poses=True)
+
+
+def test_the_evidence_is_the_mean_over_how_far_scans_may_lie_off():
+    problem = observed(nominal_problem(K), np.random.default_rng(31))
+    expected = [
+        dense_log_density(problem, scale * poses(), np.ones(12)) for scale in SETTINGS.pose.scales
+    ]
+    nothing = dense_log_density(problem)
+    noise = known_noise_model(K)
+    found = noise.log_evidence(posed(problem)) - noise.log_evidence(hypothesis_of(problem))
+    mean = logsumexp(expected) - np.log(len(expected))
+    assert found == pytest.approx(mean - nothing, abs=1e-6)
+
+
+def gain_of_the_shift(rng, *, off_mm):
+    """Evidence of a shift of 0.3 mm against poses alone, where scans lie `off_mm` off."""
+    problem = nominal_problem(K)
+    off = poses() @ rng.standard_normal(12) * off_mm / SD[0]
+    seen = observed(problem, rng, 0.3 * shift() + off)
+    noise = known_noise_model(K)
+    with_shift = posed(seen.freed(shift()[:, None], np.array([0.5])))
+    return noise.log_evidence(with_shift) - noise.log_evidence(posed(seen))
+
+
+def test_a_shift_can_be_told_from_poses_where_scans_lie_as_they_should():
+    rng = np.random.default_rng(32)
+    there = np.array([gain_of_the_shift(rng, off_mm=0.0) for _ in range(20)])
+    assert np.median(there) > 3
+    off = np.array([gain_of_the_shift(rng, off_mm=0.3) for _ in range(20)])
+    assert np.median(off) < 2
+
+
+def test_scans_that_lie_off_are_no_shift():
+    """Of bodies without one, none is accused of it, wherever the scans lie."""
+    rng = np.random.default_rng(33)
+    problem, noise = nominal_problem(K), known_noise_model(K)
+    for off_mm in (0.0, 0.1, 0.3):
+        for _ in range(10):
+            off = poses() @ rng.standard_normal(12) * off_mm / SD[0]
+            seen = observed(problem, rng, off)
+            with_shift = posed(seen.freed(shift()[:, None], np.array([0.5])))
+            assert noise.log_evidence(with_shift) - noise.log_evidence(posed(seen)) < 3
+
+
+def around_nothing(problem):
+    """What `parameter_posterior` asks of the unknowns of a fit."""
+    sd = problem.nominal_sd
+    nothing = np.zeros(len(sd))
+    return SimpleNamespace(mean=nothing, sd=sd, lower=nothing - 9.0, upper=nothing + 9.0)
+
+
+def test_the_size_of_a_shift_is_right_where_scans_lie_as_they_should():
+    """With poses of 0.3 mm half of it would be taken for them."""
+    rng = np.random.default_rng(34)
+    found, spread = [], []
+    for _ in range(20):
+        seen = observed(nominal_problem(K), rng, -0.3 * shift())
+        free = seen.freed(shift()[:, None], np.array([0.5]))
+        posterior = parameter_posterior(known_noise_model(K), posed(free), around_nothing(free))
+        found.append(posterior.mean[-1])
+        spread.append(posterior.sd[-1])
+    assert np.mean(found) == pytest.approx(0.3, abs=0.06)
+    inside = np.abs(np.array(found) - 0.3) < 2 * np.array(spread)
+    assert inside.mean() >= 0.85

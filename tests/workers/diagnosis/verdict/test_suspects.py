@@ -1,0 +1,175 @@
+"""Which effects are worth a joint fit."""
+
+from types import MethodType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
+from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
+from palpate.workers.diagnosis.screening.screening import ScreeningResult
+from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis, advance, diagnose, unfitted
+from palpate.workers.diagnosis.verdict.suspects import pairs, suspects
+from palpate.workers.mechanics.effects.breast_catalogue import effect
+
+EDGE_SD_MM = 5.0
+RNG = np.random.default_rng(3)
+PATTERN = RNG.standard_normal(30)
+
+
+def screened(name: str, nats: float, estimate: float = 1.0) -> ScreeningResult:
+    one = np.array([estimate])
+    return ScreeningResult(name, nats, one, one, nats, 0.0, False, 0, one)
+
+
+def sensitivity(name: str, large: float, small: float) -> EffectSensitivity:
+    """Of an effect that does so much a unit at a large and at a small magnitude."""
+    columns = np.stack([large * PATTERN, small * PATTERN])[:, :, None]
+    return EffectSensitivity(
+        name, "plate geometry", columns, np.array([EDGE_SD_MM]), np.ones(1, np.bool_)
+    )
+
+
+def named(louder: dict[str, float], edge: ScreeningResult, large: float, small: float) -> list[str]:
+    """Return the suspects among louder effects, a quiet friction that tires, and an edge."""
+    friction = screened("plate_friction", 9.0, 40.0)
+    others = [screened(name, nats) for name, nats in louder.items()]
+    analysis: Any = SimpleNamespace(
+        screening=[*others, friction, edge],
+        sensitivity_by_name={
+            "plate_friction": sensitivity("plate_friction", 1.0, 2.0),
+            "plate_edge": sensitivity("plate_edge", large, small),
+        }
+        | {name: sensitivity(name, 1.0, 1.0) for name in louder},
+    )
+    analysis.is_steep = MethodType(NominalAnalysis.is_steep, analysis)
+    known = {one.name: effect(one.name) for one in analysis.screening}
+    return [one.name for one in suspects(analysis, known)]
+
+
+@pytest.mark.parametrize(("loudest", "nats"), [(119.0, 8.0), (17.0, 3.0)])
+def test_an_edge_that_grows_with_its_square_is_fitted_beside_louder_effects(
+    loudest: float, nats: float
+) -> None:
+    loud = ["plate_flex", "plate_tilt", "skin_added", "creep", "wall_hold"]
+    louder = {name: loudest - n for n, name in enumerate(loud)}
+    found = named(louder, screened("plate_edge", nats, 4.0), 2.0, 1.0)
+    assert found == [*loud, "plate_edge"]
+
+
+@pytest.mark.parametrize(
+    ("loudest", "nats", "large"),
+    [
+        (9.5, 8.0, 2.0),  # the nominal model is near enough for a linear one
+        (119.0, 0.5, 2.0),  # nothing speaks for it
+        (119.0, 8.0, 0.9),  # it tires
+    ],
+)
+def test_else_the_five_loudest_are(loudest: float, nats: float, large: float) -> None:
+    loud = ["plate_flex", "plate_tilt", "skin_added", "creep", "wall_hold", "growth"]
+    louder = {name: loudest - n for n, name in enumerate(loud)}
+    edge = screened("plate_edge", nats, 9.0)
+    assert named(louder, edge, large, 1.0) == loud[:5]
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_no_effect_is_accused_that_was_not_fitted(monkeypatch, simulated: bool) -> None:
+    """Screening had nothing against it, the weighing had: it is fitted, once, and weighed again."""
+    known = [effect("plate_tilt"), effect("rigid_motion")]
+    fitted_at_weighing = []
+
+    def weighed_up(analysis, known, joint_fits):
+        fitted_at_weighing.append(set(joint_fits))
+        return SimpleNamespace(
+            primary=("rigid_motion",), hidden=(), hypotheses={(("rigid_motion",), False): 0.9}
+        ), ()
+
+    analysis: Any = SimpleNamespace(screening=[], sensitivities=[])
+    monkeypatch.setattr("palpate.workers.diagnosis.verdict.diagnosis._weighed_up", weighed_up)
+    course = diagnose(analysis, known)
+    wanted = advance(course)
+    assert wanted == [(known[1],)]
+    answer: Any = [SimpleNamespace(names=("rigid_motion",)) if simulated else None]
+    reached = advance(course, answer)
+    assert isinstance(reached, Diagnosis)
+    assert fitted_at_weighing == [set(), {("rigid_motion",)} if simulated else set()]
+    assert set(reached.joint_fits) == fitted_at_weighing[1]
+
+
+def test_what_hides_is_fitted_where_something_speaks_for_it():
+    """Alone, and beside the likeliest effect that does not hide; creep is too improbable for it."""
+    reached: Any = SimpleNamespace(
+        primary=("growth",),
+        hidden=("plate_force", "creep"),
+        probabilities={"plate_force": 0.4, "creep": 0.05, "growth": 0.5},
+        hypotheses={(("plate_tilt",), False): 0.01, (("growth",), False): 0.5},
+    )
+    pair = ("plate_tilt", "growth")
+    wanted = unfitted(reached, [("plate_tilt",), ("growth",), pair])
+    assert wanted == [("plate_force",), ("growth", "plate_force")]
+    assert unfitted(reached, [("plate_tilt",), pair, *wanted]) == [("plate_tilt", "plate_force")]
+    assert unfitted(reached, []) == [("growth",), ("plate_force",)]
+
+
+class Left:
+    """What a joint fit leaves: `screen` is given it with the parameters at bounds held."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self.names = names
+
+    def holding(self, which: Any) -> tuple[str, ...]:
+        assert which.tolist() == [True, False]
+        return self.names
+
+
+def fitted(name: str, log_evidence: float) -> Any:
+    at = SimpleNamespace(at_bound=np.array([-1, 0]), linearised=lambda inverse: Left((name,)))
+    return SimpleNamespace(
+        names=(name,), effects=(effect(name),), fit=at, log_evidence=log_evidence
+    )
+
+
+@pytest.mark.parametrize(
+    ("left", "unexplained", "expected"),
+    [
+        # The best single effect leaves a promise that no other one reaches.
+        (
+            {"plate_tilt": {"growth": 40.0}, "skin_added": {"growth": 45.0}},
+            False,
+            [("plate_tilt", "growth")],
+        ),
+        # Another one leaves more: its pairs come first, each once.
+        (
+            {
+                "plate_tilt": {"growth": 20.0, "skin_added": 4.0},
+                "skin_added": {"growth": 60.0, "plate_tilt": 35.0, "creep": 25.0},
+            },
+            False,
+            [
+                ("skin_added", "growth"),
+                ("plate_tilt", "skin_added"),
+                ("plate_tilt", "growth"),
+            ],
+        ),
+        # The best one leaves nothing: no pair, though others leave much.
+        ({"plate_tilt": {}, "skin_added": {"growth": 60.0}}, False, []),
+        # But for what a smooth field explains.
+        ({"plate_tilt": {}, "skin_added": {}}, True, [("plate_tilt", "skin_added")]),
+    ],
+)
+def test_pairs_that_promise_most_are_fitted(monkeypatch, left, unexplained, expected) -> None:
+    """Of effects 10 nats apart that were fitted alone, and what each leaves to others."""
+
+    def screen(names: tuple[str, ...], sensitivities: Any) -> list[ScreeningResult]:
+        found = [screened(name, nats) for name, nats in left[names[0]].items()]
+        return sorted(found, key=lambda one: -one.log_bayes_factor)
+
+    monkeypatch.setattr("palpate.workers.diagnosis.verdict.suspects.screen", screen)
+    monkeypatch.setattr(
+        "palpate.workers.diagnosis.verdict.suspects._is_unexplained", lambda *_: unexplained
+    )
+    analysis: Any = SimpleNamespace(sensitivities=[], inverse=None)
+    known = {name: effect(name) for name in ("plate_tilt", "skin_added", "growth", "creep")}
+    found = pairs(analysis, known, [fitted("skin_added", 90.0), fitted("plate_tilt", 100.0)])
+    assert [tuple(one.name for one in pair) for pair in found] == expected

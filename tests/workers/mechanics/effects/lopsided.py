@@ -1,0 +1,56 @@
+"""A small breast without any symmetry."""
+
+import numpy as np
+
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
+    Constants,
+    Membrane,
+    Problem,
+)
+from palpate.workers.mechanics.fem.problem.loads import Device, ForceControl, Load, Plate, Wall
+
+HALF_MM = np.array([38.0, 32.0, 40.0])
+NU = 0.49
+
+
+def volume(spacing: float = 2.0) -> Volume:
+    """Half an ellipsoid on the chest wall z = 0, bent to one side, gland off its middle."""
+    axes = [np.arange(-44.0, 44.1, spacing)] * 2 + [np.arange(spacing / 2, 44.0, spacing)]
+    x, y, z = np.meshgrid(*axes, indexing="ij")
+    place = np.stack([x - 0.10 * z, y + 0.06 * z, z], axis=-1)
+    body = ((place / HALF_MM) ** 2).sum(axis=-1) < 1
+    gland = (((place - [7.0, 4.0, 14.0]) / [17.0, 13.0, 13.0]) ** 2).sum(axis=-1) < 1
+    labels = np.where(body, np.where(gland, Tissue.GLANDULAR, Tissue.FAT), Tissue.AIR)
+    return Volume(
+        labels.astype(np.uint8).transpose(2, 1, 0), (spacing,) * 3, (-44.0, -44.0, spacing / 2)
+    )
+
+
+def problem(load: Load, **options: object) -> Problem:
+    """Fat and gland with fibres and a loose hold of the chest wall."""
+    return Problem(
+        constants={
+            Tissue.FAT: Constants(0.010, NU, 0.02),
+            Tissue.GLANDULAR: Constants(0.030, NU, 0.03),
+        },
+        load=load,
+        **options,
+    )
+
+
+def plain() -> Problem:
+    """Two flat plates and nothing else."""
+    return problem(ForceControl(20.0, -33.0, 33.0))
+
+
+def busy() -> Problem:
+    """Nearly every field away from its default, to see that effects leave it alone."""
+    tilted = Plate(tilt_deg=(1.0, -2.0), bow_per_mm=(1e-3, 2e-3))
+    return problem(
+        ForceControl(20.0, -33.0, 33.0, Device(upper=tilted, friction=0.1, lower_share=0.3)),
+        membrane=Membrane(0.5, 1.5),
+        wall=Wall((False, False, False), (1e-4, 2e-4, 3e-3)),
+        gravity_g=(0.1, 0.2, 0.3),
+        imaged_gravity_g=(0.0, 0.1, 0.2),
+    )

@@ -1,0 +1,95 @@
+"""The corners of the box of constants that a search of a breast may visit.
+
+At its softest corners 100 N flatten the breast by two thirds; at its stiffest the
+skin is 600 times as stiff as the fat, and has wrinkled all over. A search needs a
+sound equilibrium at each of them.
+"""
+
+import itertools
+from functools import cache
+
+import numpy as np
+import pytest
+
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.problem.outcome import Outcome
+from palpate.workers.mechanics.parameters import BREAST
+from palpate.workers.organs.breast.organ import ORGAN
+from palpate.workers.organs.breast.problem import Extent, extent_of
+from palpate.workers.organs.breast.spec import BreastCase
+from palpate.workers.spec import validated
+
+BARE = ("E_fat", "eta_fat", "E_glandular", "eta_glandular")
+COVERED = (*BARE, "E_skin")
+Corner = tuple[int, ...]
+
+QUICK = [(0, 0, 0, 0), (0, 1, 1, 1), (1, 0, 0, 1), (0, 0, 1, 0, 0), (0, 1, 0, 1, 1)]
+
+
+def corners(names: tuple[str, ...]) -> list[Corner]:
+    return list(itertools.product((0, 1), repeat=len(names)))
+
+
+def case(skin: str) -> BreastCase:
+    return validated(
+        BreastCase,
+        {
+            "reference": {"phantom": {"spacing_mm": 1.0}},
+            "mesh": {"nodes": 5000},
+            "load": {"force_n": 100.0},
+            "model": {"skin": skin},
+        },
+    )
+
+
+@cache
+def breast() -> tuple[Model, Extent]:
+    asked = case("none")
+    labels = ORGAN.make_body(asked.reference)
+    return prepare(ORGAN.make_mesh(labels, asked)), extent_of(labels)
+
+
+@cache
+def press(corner: Corner) -> Outcome:
+    """Each of the first four or five constants at its lower (0) or upper (1) bound."""
+    names = COVERED[: len(corner)]
+    constants = {name: BREAST[name].bounds[end] for name, end in zip(names, corner, strict=True)}
+    asked = case("membrane" if len(corner) == len(COVERED) else "none")
+    model, body = breast()
+    problem = ORGAN.problem(model, asked, asked.complete(constants), body)
+    return ORGAN.solve(model, problem).outcome
+
+
+def assert_in_equilibrium(outcome: Outcome) -> None:
+    assert outcome.converged, outcome.reason
+    assert outcome.plate_force_n == pytest.approx(100, rel=1e-4)
+    assert outcome.force_imbalance < 5e-3
+    assert outcome.residual_n < 0.05
+    assert outcome.penetration_mm < 0.5
+
+
+@pytest.mark.parametrize("corner", QUICK, ids=str)
+def test_a_handful(corner: Corner) -> None:
+    outcome = press(corner)
+    assert_in_equilibrium(outcome)
+    assert not outcome.squeezed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("corner", corners(BARE) + corners(COVERED), ids=str)
+def test_every_corner_has_a_sound_equilibrium(corner: Corner) -> None:
+    outcome = press(corner)
+    assert_in_equilibrium(outcome)
+    assert not outcome.squeezed
+    assert sum(outcome.newton_iterations) < 60
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("names", [BARE, COVERED], ids=["bare", "covered"])
+def test_what_is_stiffer_gives_way_less(names: tuple[str, ...]) -> None:
+    """Along every edge of the box the plate moves less at the stiffer end."""
+    for corner in corners(names):
+        for k in np.flatnonzero(np.array(corner) == 0):
+            stiffer = (*corner[:k], 1, *corner[k + 1 :])
+            soft, stiff = press(corner), press(stiffer)
+            assert stiff.plate_displacement_mm < soft.plate_displacement_mm, (corner, names[k])

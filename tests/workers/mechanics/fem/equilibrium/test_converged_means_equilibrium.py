@@ -1,0 +1,93 @@
+"""What is called converged is in equilibrium, whatever constants and loads are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.storage.values import Tissue
+from palpate.workers.mechanics.fem.equilibrium.equilibrium_check import LARGEST_SHARE
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.linear.level import Level
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.loads import DistanceControl, ForceControl, Wall
+from tests.workers.mechanics.fem.solids import body, box
+
+CLAMPED = Wall(held=(True, True, True))
+MODEL = body([(2, 2, 2), (4, 4, 4)], box(30.0, 30.0, 30.0, origin=(-15.0, -15.0, 0.0)))
+
+
+def pressed(young_kpa: float, force_n: float, fibre_kpa: float = 0.0) -> Equilibrium:
+    """A block between plates."""
+    constants = {Tissue.FAT: Constants(young_kpa / 1e3, 0.49, fibre_mpa=fibre_kpa / 1e3)}
+    load = ForceControl(force_n, -15.0, 15.0)
+    return equilibrium(MODEL, Problem(constants, load, wall=CLAMPED))
+
+
+def errors_n(found: Equilibrium) -> tuple[float, float]:
+    """Out-of-balance force, and what the plates lack, of a level that is made anew."""
+    level = Level.build(MODEL.finest, found.problem)
+    state = found.states[-1]
+    at = level.energy(state, found.stage)
+    left = level.force(state, at, found.stage) * level.free
+    missing = at.contact.travel_force - (found.stage.force_n or 0.0)
+    return float(np.linalg.norm(left)), abs(missing)
+
+
+def test_an_ordinary_block_converges() -> None:
+    found = pressed(10.0, 3.0, 20.0)
+    assert found.solution.outcome.converged, found.solution.outcome.reason
+    assert max(errors_n(found)) < LARGEST_SHARE * 3.0
+
+
+@pytest.mark.parametrize("young_kpa", [1e9, 1e11])
+def test_a_stiff_block_whose_steps_are_short_is_solved_on_to_balance(young_kpa: float) -> None:
+    found = pressed(young_kpa, 1.0)
+    assert found.solution.outcome.converged, found.solution.outcome.reason
+    assert max(errors_n(found)) < LARGEST_SHARE * 1.0
+
+
+def test_a_neighbour_of_a_stiff_block_is_solved_on_too() -> None:
+    near = pressed(1e9, 1.0)
+    problem = replace(near.problem, load=ForceControl(1.2, -15.0, 15.0))
+    found = equilibrium(MODEL, problem, near)
+    assert found.solution.outcome.converged, found.solution.outcome.reason
+    assert max(errors_n(found)) < LARGEST_SHARE * 1.2
+
+
+def test_what_rounding_leaves_out_of_balance_is_not_called_converged() -> None:
+    found = pressed(1e15, 1.0)
+    outcome = found.solution.outcome
+    assert max(errors_n(found)) > LARGEST_SHARE * 1.0
+    assert not outcome.converged
+    assert "of the load" in outcome.reason or "residual" in outcome.reason
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_all_that_is_done_is_in_equilibrium(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    done = 0
+    for _ in range(12):
+        young_kpa, force_n = 10 ** rng.uniform(-3, 9), 10 ** rng.uniform(-3, 4)
+        fibre_kpa = float(rng.choice([0.0, 10 ** rng.uniform(-3, 9)]))
+        found = pressed(young_kpa, force_n, fibre_kpa)
+        outcome = found.solution.outcome
+        assert outcome.converged == (not outcome.reason)
+        if outcome.converged:
+            done += 1
+            assert max(errors_n(found)) <= LARGEST_SHARE * force_n, (young_kpa, force_n)
+    assert done
+
+
+def test_plates_at_a_distance_are_judged_by_what_they_feel() -> None:
+    constants = {Tissue.FAT: Constants(0.01, 0.49)}
+    problem = Problem(constants, DistanceControl(-13.0, 13.0), wall=CLAMPED)
+    found = equilibrium(MODEL, problem)
+    assert found.solution.outcome.converged
+    assert errors_n(found)[0] < LARGEST_SHARE * found.solution.outcome.plate_force_n
+
+
+def test_a_body_that_nothing_loads_converges() -> None:
+    constants = {Tissue.FAT: Constants(0.01, 0.49)}
+    found = equilibrium(MODEL, Problem(constants, DistanceControl(-20.0, 20.0), wall=CLAMPED))
+    assert found.solution.outcome.converged

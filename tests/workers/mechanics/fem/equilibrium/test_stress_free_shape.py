@@ -1,0 +1,109 @@
+"""The stress-free shape of a body that was imaged under gravity."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from palpate.storage.values import Tissue
+from palpate.workers.mechanics.fem.elements.model import Model, reshaped
+from palpate.workers.mechanics.fem.equilibrium import stress_free_shape
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change, tangents
+from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium, solve
+from palpate.workers.mechanics.fem.equilibrium.stress_free_shape import stress_free
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.loads import NoPlates, Wall
+from tests.workers.mechanics.fem.solids import body, box
+
+CLAMPED = Wall(held=(True, True, True))
+G = (0.3, -0.9, 0.3)
+SOFT = Problem({Tissue.FAT: Constants(0.004, 0.49)}, NoPlates(), wall=CLAMPED, tolerance_mm=1e-4)
+
+
+@pytest.fixture(scope="module")
+def at_rest() -> Model:
+    return body([(2, 2, 2), (4, 4, 4)], box(40.0, 40.0, 40.0), jitter=0.1)
+
+
+@pytest.fixture(scope="module")
+def imaged(at_rest) -> Model:
+    """What a camera sees of the body under gravity: every level in its own equilibrium."""
+    hanging = equilibrium(at_rest, replace(SOFT, gravity_g=G, tolerance_mm=1e-5))
+    assert np.abs(hanging.solution.displacement_mm).max() > 3.0
+    return reshaped(at_rest, [state.x for state in hanging.states])
+
+
+def test_without_gravity_the_body_returns_to_the_shape_it_was_made_in(at_rest, imaged):
+    nearly_none = (0.0, 0.0, 1e-6)
+    solution = solve(imaged, replace(SOFT, imaged_gravity_g=G, gravity_g=nearly_none))
+    assert solution.outcome.converged, solution.outcome.reason
+    found = imaged.finest.nodes + solution.displacement_mm
+    np.testing.assert_allclose(found, at_rest.finest.nodes, atol=2e-3)
+    assert solution.outcome.energy_mj < 1e-9
+
+
+def test_with_no_load_at_all_a_body_stays_as_it_is(at_rest):
+    """The out-of-balance force is rounding from the start."""
+    solution = solve(at_rest, SOFT)
+    assert solution.outcome.converged, solution.outcome.reason
+    assert np.abs(solution.displacement_mm).max() < 1e-9
+
+
+def test_under_the_same_gravity_nothing_moves(imaged):
+    solution = solve(imaged, replace(SOFT, gravity_g=G, imaged_gravity_g=G))
+    assert solution.outcome.converged, solution.outcome.reason
+    assert np.abs(solution.displacement_mm).max() < 4 * SOFT.tolerance_mm
+    assert solution.outcome.energy_mj > 0.01
+
+
+def test_turning_gravity_round_is_counted_from_the_image(at_rest, imaged):
+    """Prone to supine: the same as loading the stress-free body from the start."""
+    back = tuple(-g for g in G)
+    direct = solve(at_rest, replace(SOFT, gravity_g=back)).displacement_mm
+    solution = solve(imaged, replace(SOFT, gravity_g=back, imaged_gravity_g=G))
+    expected = at_rest.finest.nodes + direct - imaged.finest.nodes
+    np.testing.assert_allclose(solution.displacement_mm, expected, atol=2e-3)
+
+
+def test_the_tangent_knows_that_the_stress_free_shape_hangs_on_the_constants(imaged):
+    """Of a body imaged and pressed under its weight: a derivative by ln E, against differences of
+    whole solutions. With the shape held it would be off by a half."""
+    turned = tuple(-g for g in G)
+
+    def problem(log_change: float) -> Problem:
+        fat = {Tissue.FAT: Constants(0.004 * np.exp(log_change), 0.49)}
+        return replace(SOFT, constants=fat, gravity_g=turned, imaged_gravity_g=G, tolerance_mm=1e-5)
+
+    def displacement(log_change: float) -> np.ndarray:
+        return solve(imaged, problem(log_change)).displacement_mm
+
+    h = 1e-3
+    expected = (displacement(h) - displacement(-h)) / (2 * h)
+    at = equilibrium(imaged, problem(0.0))
+    (found,) = tangents(at, [Change(problem(h), problem(-h), 2 * h)])
+    assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
+
+
+def test_a_shape_is_found_once_for_all_loads_of_a_body(imaged, monkeypatch):
+    """Loads have no part in it; other constants and another weight have."""
+    found = []
+    search = stress_free_shape._found
+    monkeypatch.setattr(
+        stress_free_shape, "_found", lambda *given: found.append(1) or search(*given)
+    )
+    hung = replace(SOFT, imaged_gravity_g=(0.01, 0.0, 0.0))
+    first = stress_free(imaged, hung)
+    assert stress_free(imaged, replace(hung, gravity_g=G, wall=Wall())) is first
+    assert len(found) == 1
+    stiffer = {Tissue.FAT: Constants(0.005, 0.49)}
+    assert stress_free(imaged, replace(hung, constants=stiffer)) is not first
+    assert stress_free(imaged, replace(hung, imaged_gravity_g=(0.02, 0.0, 0.0))) is not first
+    assert len(found) == 3
+
+
+def test_a_body_too_soft_for_its_weight_ends_with_a_reason(at_rest):
+    jelly = {Tissue.FAT: Constants(2e-5, 0.49)}
+    problem = replace(SOFT, constants=jelly, imaged_gravity_g=(0.0, -1.0, 0.0))
+    outcome = solve(at_rest, problem).outcome
+    assert not outcome.converged
+    assert "No stress-free shape was found" in outcome.reason

@@ -1,0 +1,131 @@
+"""A structured case says everything with its unit, and refuses what it does not know."""
+
+from copy import deepcopy
+from typing import Any
+
+import pytest
+
+from palpate.storage.errors import InputError
+from palpate.workers.organs.breast.case.spec import ALONG_X, CaseFile, CaseWall
+from palpate.workers.spec import validated
+
+CASE: dict[str, Any] = {
+    "organ": "breast",
+    "name": "mine",
+    "model": {"law": "fibre-neo-hookean", "nu": 0.49, "fibres": "tension-only"},
+    "wall": {"z_mm": 0, "kx_kpa_per_mm": 0.2, "ky_kpa_per_mm": 0.001},
+    "plates": {"lower_mm": -50, "upper_mm": 50},
+    "constants": {"E_fat_kpa": [7, 14], "E_glandular_kpa": [20, 50], "eta_kpa": 80},
+    "noise": {"sd_mm": 0.3, "correlation_mm": 4},
+    "scans": {
+        "reference": "rest.nrrd",
+        "loads": [
+            {"file": "a.nrrd", "force_n": 40},
+            {"file": "b.nrrd", "plate_distance_mm": 60, "axis": "x"},
+        ],
+    },
+}
+
+
+def changed(path: str, value: Any) -> dict[str, Any]:
+    """The case with one key changed, added, or taken out (None)."""
+    data = deepcopy(CASE)
+    *above, key = path.split(".")
+    place: Any = data
+    for name in above:
+        place = place[int(name)] if name.isdecimal() else place[name]
+    if value is None:
+        del place[key]
+    else:
+        place[int(key) if key.isdecimal() else key] = value
+    return data
+
+
+def test_values_are_held_and_intervals_are_searched() -> None:
+    case = validated(CaseFile, CASE)
+    assert case.free == {"E_fat": (7.0, 14.0), "E_gl": (20.0, 50.0)}
+    assert case.held == {"eta": 80.0}
+    assert case.scans.loads[1].axis == ALONG_X
+    assert [load.name for load in case.scans.loads] == ["40 N", "60 mm along x"]
+    assert CaseFile.model_validate(case.model_dump(mode="json")) == case
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("organ", "brest", "organ"),
+        ("wal", {}, "did you mean 'wall'"),
+        ("gravity", "prone", "unknown key 'gravity'"),
+        ("model.fibers", "literal", "did you mean 'fibres'"),
+        ("model.law", "ogden", "neo-hookean"),
+        ("model.nu", 0.5, "less than 0.5"),
+        ("model.fibre_direction", [0, 0, 0], "must not be zero"),
+        ("wall.kx", 0.2, "did you mean 'kx_kpa_per_mm'"),
+        ("wall.kx_kpa_per_mm", -1, "greater than or equal to 0"),
+        ("wall.held", True, "no springs"),
+        ("plates.upper_mm", -60, "less than upper_mm"),
+        ("constants.E_fat", 10, "did you mean 'E_fat_kpa'"),
+        ("constants.E_fat_kpa", [14, 7], "lower < upper"),
+        ("constants.E_fat_kpa", "10 kPa", "10 kPa"),
+        ("constants.E_fat_kpa", [0, 7], "above zero"),
+        ("constants.E_fat_kpa", True, "above zero"),
+        ("constants.eta_fat_kpa", 80, "eta_kpa for both tissues, or eta_fat_kpa and"),
+        ("constants", {"E_fat_kpa": 1, "E_glandular_kpa": 2, "eta_kpa": 3}, "all are held"),
+        ("noise.sd", 1, "did you mean 'sd_mm'"),
+        ("noise.in_scans", "reference", "'all' or 'loaded'"),
+        ("scans.pose_sd_mm", -0.1, "greater than or equal to 0"),
+        ("scans.loads", [], "at least 1"),
+        ("scans.labels", {"0": "air", "1": "skin"}, "'air', 'fat' or 'glandular'"),
+        ("scans.loads.0.force_n", -40, "greater than 0"),
+        ("scans.loads.0.plate_distance_mm", 60, "exactly one of"),
+        ("scans.loads.0.force_kn", 60, "did you mean 'force_n'"),
+        ("scans.loads.1.axis", "z", "expected x, y"),
+        ("scans.loads.1.axis", [0, 0, 1], "across z"),
+        (
+            "scans.loads.1",
+            {"file": "b", "plate_distance_mm": 60, "lower_mm": 0, "upper_mm": 9},
+            "apart",
+        ),
+    ],
+)
+def test_what_makes_no_sense_is_refused(path: str, value: Any, message: str) -> None:
+    with pytest.raises(InputError, match=r"case\.yaml does not make sense") as refused:
+        validated(CaseFile, changed(path, value), "case.yaml")
+    assert message in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("name", "name: this key is missing"),
+        ("constants.eta_kpa", "no value of eta_kpa"),
+        ("noise.sd_mm", "noise.sd_mm: this key is missing"),
+        ("scans.reference", "scans.reference: this key is missing"),
+        ("scans.loads.0.force_n", "exactly one of force_n and plate_distance_mm, found neither"),
+    ],
+)
+def test_a_required_key_that_is_left_out_is_missing(path: str, message: str) -> None:
+    with pytest.raises(InputError, match=r"case\.yaml is not finished") as refused:
+        validated(CaseFile, changed(path, None), "case.yaml")
+    assert message in str(refused.value)
+
+
+def test_each_tissue_may_have_fibres_of_its_own() -> None:
+    each = {"eta_fat_kpa": 90, "eta_glandular_kpa": [100, 200]}
+    case = validated(
+        CaseFile, changed("constants", {"E_fat_kpa": 10, "E_glandular_kpa": 30} | each)
+    )
+    assert case.held == {"E_fat": 10.0, "E_gl": 30.0, "eta_fat": 90.0}
+    assert case.free == {"eta_glandular": (100.0, 200.0)}
+
+
+@pytest.mark.parametrize("path", ["wall", "plates", "noise"])
+def test_what_the_scans_show_may_be_left_out(path: str) -> None:
+    case = validated(CaseFile, changed(path, None))
+    assert getattr(case, path) in (None, CaseWall())
+
+
+def test_a_law_without_fibres_takes_none_of_their_keys() -> None:
+    data = changed("model", {"law": "neo-hookean", "fibres": "literal"})
+    with pytest.raises(InputError, match=r"fibres are for|eta_kpa is for fibres"):
+        validated(CaseFile, data)

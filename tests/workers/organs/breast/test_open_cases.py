@@ -1,0 +1,77 @@
+"""The cases of ../shared/reference/gap-open, made by FEBio with elements of another kind.
+
+They were looked at while the diagnosis was built, so they show that it works, not how
+often. The truth is read after the verdict.
+"""
+
+import json
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.workers.organs.breast.case.files import read_case
+from palpate.workers.organs.breast.case.source import ScannedCaseSource
+from palpate.workers.tasks.diagnosis_store import Outcome
+from tests.workers.tasks.one_process import diagnosed_store
+
+NODES = 5000
+CASES = Path(__file__).parents[5] / "shared" / "reference" / "gap-open"
+# What each kind of truth should be called. Gravity acts along the fibres there and moves
+# nothing by more than 0.02 mm.
+CALLED = {
+    "control": [],
+    "gravity": [],
+    "tilt": ["plate_tilt"],
+    "friction": ["plate_friction"],
+    "inclusion": ["inclusion"],
+}
+NAMES = sorted(p.name for p in CASES.glob("dev_*"))
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not CASES.is_dir(), reason="the open cases of FEBio are not beside the project"
+    ),
+]
+
+
+@cache
+def truth_of(name: str) -> dict[str, Any]:
+    """What was made different, read after the verdict."""
+    spec: dict[str, Any] = json.loads((CASES / name / "truth.json").read_text())["spec"]
+    return spec
+
+
+@pytest.fixture(scope="module")
+def told_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Summary]:
+    """The diagnosis of a case, run once."""
+    store = tmp_path_factory.mktemp("open") / "store"
+
+    @cache
+    def told(name: str) -> Summary:
+        source = ScannedCaseSource(read_case(CASES / name))
+        return diagnosed_store(source, store, NODES).outcome.record(Outcome).summary
+
+    return told
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_cause_is_named(name: str, told_of: Callable[[str], Summary]) -> None:
+    told = told_of(name)
+    truth = truth_of(name)
+    wanted = CALLED[truth["kind"]]
+    assert told.verdict == ("effect" if wanted else "no-gap")
+    assert list(told.primary) == wanted
+    if truth["kind"] == "tilt":
+        tilt = told.effect("plate_tilt")
+        assert tilt.magnitude == pytest.approx(truth["tilt_x"], abs=3 * tilt.sd)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_cause_is_under_suspicion(name: str, told_of: Callable[[str], Summary]) -> None:
+    told = told_of(name)
+    assert set(CALLED[truth_of(name)["kind"]] or ["no-gap"]) <= set(told.set90)

@@ -1,0 +1,59 @@
+"""A second segmentation of the reference scan measures the noise of a case."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from palpate.storage.errors import InputError
+from palpate.workers.body.phantom.breast import generate_breast
+from palpate.workers.comparison.observation.noise import SegmentationNoise
+from palpate.workers.organs.breast.case.checks import check_case
+from palpate.workers.organs.breast.case.files import read_case
+from palpate.workers.organs.breast.case.scanned_case import ScannedCase
+from palpate.workers.organs.breast.case.source import ScannedCaseSource
+from palpate.workers.tasks.sources import add_source
+from palpate.workers.tasks.task_store import TaskStore
+from tests.service.diagnosis.compressed_breast import PHANTOM, PRESSED, SCANS, described, write_scan
+from tests.workers.comparison.observation.redrawn import perturbed
+
+NOISE = SegmentationNoise(0.4, 5.0, 0.4, 0.02)
+
+
+@pytest.fixture(scope="module")
+def twice(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A body segmented twice by a hand that errs by 0.4 mm; case.json does not say so."""
+    folder = tmp_path_factory.mktemp("repeat")
+    labels = generate_breast(PHANTOM, seed=5).labels
+    for number, file in enumerate(("rest.nrrd", "again.nrrd", SCANS[1])):
+        write_scan(folder / file, perturbed(labels, NOISE, number))
+    said = described(PRESSED[:1])
+    del said["segmentation"]
+    said["scans"] |= {"reference": "rest.nrrd", "reference_repeat": "again.nrrd"}
+    (folder / "case.json").write_text(json.dumps(said))
+    return folder
+
+
+def test_the_noise_is_measured(twice: Path) -> None:
+    found = read_case(twice).noise
+    assert found.sd_mm == pytest.approx(0.4, rel=0.2)
+    assert found.correlation_mm == pytest.approx(5.0, rel=0.25)
+    assert found.reference_sd_mm == found.sd_mm
+
+
+def test_the_result_depends_on_it(twice: Path, tmp_path: Path) -> None:
+    store = TaskStore(tmp_path / "store")
+    case = read_case(twice)
+    assert case.repeat is not None
+    redrawn = ScannedCase(case.file, case.reference, case.reference, case.deformed)
+    names = [add_source(ScannedCaseSource(one), store) for one in (case, case, redrawn)]
+    assert names[0] == names[1] != names[2]
+
+
+def test_another_body_is_no_repeat(twice: Path, tmp_path: Path) -> None:
+    for file in twice.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    labels = generate_breast(PHANTOM, seed=6).labels
+    write_scan(tmp_path / "again.nrrd", labels)
+    with pytest.raises(InputError, match=r"again\.nrrd .* same scan"):
+        check_case(read_case(tmp_path))

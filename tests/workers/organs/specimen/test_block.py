@@ -1,0 +1,85 @@
+"""Lattices of a block: exact volume and surface, nested meshes, and how they bend."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue
+from palpate.workers.body.mesh.boundary import boundary_triangles
+from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.mechanics.fem.elements.model import prepare
+from palpate.workers.mechanics.fem.equilibrium.solve import solve
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.loads import DeadForce, NoPlates, Wall
+from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.organs.specimen.block import block, cells_of, lattice
+from palpate.workers.organs.specimen.mesh_error import part_of_compliance
+
+SIZE = (20.0, 16.0, 50.0)
+
+
+@pytest.mark.parametrize("cells", [(1, 1, 1), (2, 3, 4), (5, 4, 7)])
+def test_fills_the_block_and_no_more(cells):
+    mesh = lattice(SIZE, cells)
+    corners = mesh.nodes[mesh.tets]
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    assert volumes.min() > 0
+    assert volumes.sum() == pytest.approx(np.prod(SIZE), rel=1e-12)
+    a, b, c = mesh.nodes[boundary_triangles(mesh.tets)].transpose(1, 0, 2)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    x, y, z = SIZE
+    assert area == pytest.approx(2 * (x * y + y * z + z * x), rel=1e-12)
+
+
+def test_coarse_values_reach_the_finest_mesh():
+    levels = block(SIZE, 3000, Tissue.MUSCLE).levels
+    assert len(levels) >= 2
+    for coarse, fine in pairwise(levels):
+        carried = fine.prolongation @ coarse.mesh.nodes
+        np.testing.assert_allclose(carried, fine.mesh.nodes, atol=1e-9)
+        assert not (fine.prolongation[fine.wall] @ coarse.mesh.nodes)[:, 2].any()
+    assert (levels[-1].fractions[:, Tissue.MUSCLE] == 1).all()
+
+
+@pytest.mark.parametrize("nodes", [1000, 5000, 20000])
+def test_meets_the_number_of_nodes(nodes):
+    assert len(lattice(SIZE, cells_of(SIZE, nodes)).nodes) == pytest.approx(nodes, rel=0.2)
+
+
+def test_refuses_a_mesh_that_cannot_bend():
+    with pytest.raises(InputError, match="shortest side needs 4 elements"):
+        block((30.0, 30.0, 100.0), 100)
+
+
+# A beam of Euler, Bernoulli and Timoshenko: w = F L^3 / 3 E I + F L / (5/6) G A. With
+# nu = 0 the clamp does not hinder the contraction of the section, and the theory holds.
+LENGTH, HEIGHT, YOUNG, FORCE = 80.0, 16.0, 0.25, 1e-4
+TIP = np.array([[HEIGHT / 2, HEIGHT / 2, LENGTH]])
+
+
+def cantilever():
+    tip = Box((-1, -1, LENGTH - 1e-3), (HEIGHT + 1, HEIGHT + 1, LENGTH + 1e-3))
+    return Problem(
+        {Tissue.FAT: Constants(YOUNG, 1e-6)},
+        NoPlates(),
+        wall=Wall((True, True, True)),
+        forces=(DeadForce((0.0, -FORCE, 0.0), tip),),
+        tolerance_mm=1e-7,
+    )
+
+
+def test_a_beam_bends_as_theory_says_once_the_mesh_is_made_good_for():
+    inertia, area = HEIGHT**4 / 12, HEIGHT**2
+    expected = FORCE * LENGTH**3 / (3 * YOUNG * inertia) + FORCE * LENGTH / (
+        5 / 6 * YOUNG / 2 * area
+    )
+    size = (HEIGHT, HEIGHT, LENGTH)
+    hierarchy = block(size, 2400)
+    u = interpolation(hierarchy.finest.mesh, TIP) @ (
+        solve(prepare(hierarchy), cantilever()).displacement_mm
+    )
+    part = part_of_compliance(size, 2400, TIP, cantilever())
+    assert -u[0, 1] / expected < 0.985  # the mesh alone is too stiff
+    assert -u[0, 1] / part == pytest.approx(expected, rel=0.008)

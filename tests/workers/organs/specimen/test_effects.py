@@ -1,0 +1,138 @@
+"""The effects of the bench: what each does to a problem, or to what is seen."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue
+from palpate.workers.mechanics.effects.added_mass import GRAM
+from palpate.workers.mechanics.effects.base import one_sided
+from palpate.workers.mechanics.effects.clamp_compliance import CLAMP_COMPLIANCE
+from palpate.workers.mechanics.effects.frame_turn import FRAME_TURN
+from palpate.workers.mechanics.effects.load_scale import LOAD_SCALE
+from palpate.workers.mechanics.effects.marker_standoff import MARKER_STANDOFF
+from palpate.workers.mechanics.effects.specimen_catalogue import specimen_effects
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import DeadForce, NoPlates, Wall
+from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.units import MM_PER_KPA
+
+FRAME = Frame((5.0, 5.0, 20.0), (5.0, 5.0, 20.0))
+TIP = Box((0, 0, 40), (10, 10, 40))
+PROBLEM = Problem(
+    {Tissue.FAT: Constants(0.1)},
+    NoPlates(),
+    wall=Wall((True, True, True)),
+    forces=(DeadForce((0.0, -0.5, 0.1), TIP),),
+)
+EFFECTS = specimen_effects(
+    (0.0, -1.0, 0.0),
+    (5.0, 5.0, 0.0),
+    TIP,
+    weightless=True,
+    markers=True,
+    clamped=True,
+    known_nu=True,
+)
+BY_NAME = {e.name: e for e in EFFECTS}
+every = pytest.mark.parametrize("e", EFFECTS, ids=lambda e: e.name)
+
+
+@every
+def test_parameters_are_whole(e):
+    assert e.summary.endswith(".")
+    assert all(e.references)
+    for parameter, sd, step in zip(e.parameters, e.prior_sd, e.steps, strict=True):
+        assert parameter.lower <= parameter.neutral <= parameter.upper
+        assert 0 < step < sd <= 2 * (parameter.upper - parameter.lower)
+        if one_sided(parameter):
+            with pytest.raises(InputError, match="at least"):
+                parameter.check(parameter.neutral - step)
+
+
+@every
+def test_neutral_changes_nothing_and_plausible_values_do(e):
+    assert e.apply(PROBLEM, e.neutral, FRAME) is PROBLEM
+    assert e.acts_on(PROBLEM, FRAME)
+    if e.observation is None:
+        assert e.apply(PROBLEM, e.plausible, FRAME) != PROBLEM
+
+
+def test_names_are_one_vocabulary():
+    names = [name for e in EFFECTS for name in e.names]
+    assert len(set(names)) == len(names)
+
+
+def test_only_what_can_act_is_suspected():
+    few = specimen_effects(
+        (0, -1, 0), (0, 0, 0), None, weightless=False, markers=False, clamped=False, known_nu=True
+    )
+    left_out = set(BY_NAME) - {e.name for e in few}
+    assert left_out == {
+        "self_weight",
+        "load_scale",
+        "added_mass",
+        "clamp_compliance",
+        "marker_standoff",
+    }
+
+
+def test_weight_pulls_down_and_is_sure_of_its_size():
+    weight = BY_NAME["self_weight"]
+    assert weight.apply(PROBLEM, {"self_weight": 0.5}, FRAME).gravity_g == (0.0, -0.5, 0.0)
+    assert weight.if_present == ((1.0, 0.02),)
+
+
+def test_a_mass_hangs_by_its_weight():
+    values = {"added_mass": GRAM.to_inside(10.0)}
+    hung = BY_NAME["added_mass"].apply(PROBLEM, values, FRAME).forces
+    assert hung[0] is PROBLEM.forces[0]
+    assert hung[1].force_n == pytest.approx((0, -0.0980665, 0))
+
+
+def test_all_forces_are_scaled_and_gravity_is_not():
+    scaled = LOAD_SCALE.apply(PROBLEM, {"ln_load": np.log(2)}, FRAME)
+    assert scaled.forces[0].force_n == pytest.approx((0, -1.0, 0.2))
+    assert scaled.gravity_g == PROBLEM.gravity_g
+
+
+def test_a_clamp_yields_along_its_normal_alone():
+    values = {"clamp_compliance": MM_PER_KPA.to_inside(0.02)}
+    wall = CLAMP_COMPLIANCE.apply(PROBLEM, values, FRAME).wall
+    assert wall.held == (True, True, False)
+    assert wall.spring_mpa_per_mm == pytest.approx((0, 0, 0.05))
+
+
+def test_a_base_carries_the_body_with_it():
+    """Small turns about the clamp, against scipy's rotations."""
+    rng = np.random.default_rng(0)
+    points, normals = rng.uniform(0, 40, (6, 3)), np.tile(np.eye(3), (2, 1))
+    shift, turn = np.array([0.1, -0.2, 0.3]), np.array([0.02, 0.01, -0.03])
+    base = BY_NAME["base_motion"]
+    values = dict(zip(base.names, [*shift, *turn], strict=True))
+    found = base.shift(points, normals, np.ones(6), values, FRAME)
+    centre = np.array([5.0, 5.0, 0.0])
+    moved = Rotation.from_rotvec(turn, degrees=True).apply(points - centre) + centre + shift
+    np.testing.assert_allclose(found, ((moved - points) * normals).sum(axis=1), atol=2e-5)
+
+
+def test_a_turned_frame_turns_displacements():
+    rng = np.random.default_rng(1)
+    moves, normals = rng.uniform(-10, 10, (3, 3)), np.eye(3)
+    turn = np.array([0.03, -0.02, 0.01])
+    assert FRAME_TURN.sees == "moves"
+    values = dict(zip(FRAME_TURN.names, turn, strict=True))
+    found = FRAME_TURN.shift(moves, normals, np.ones(3), values, FRAME)
+    turned = Rotation.from_rotvec(turn, degrees=True).apply(moves)
+    np.testing.assert_allclose(found, ((turned - moves) * normals).sum(axis=1), atol=1e-5)
+
+
+def test_a_marker_swings_by_its_height():
+    """An arm of 6 mm along y under a turn by 30 degrees about x: exact, not linearised."""
+    R = Rotation.from_euler("x", 30, degrees=True).as_matrix()
+    arm = np.tile(R @ [0, 1, 0] - [0, 1, 0], (3, 1))
+    assert MARKER_STANDOFF.sees == "arms"
+    found = MARKER_STANDOFF.shift(arm, np.eye(3), np.ones(3), {"marker_standoff": 6.0}, FRAME)
+    np.testing.assert_allclose(found, [0, 6 * (np.sqrt(0.75) - 1), 3.0], atol=1e-12)

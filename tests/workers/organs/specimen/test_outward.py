@@ -1,0 +1,66 @@
+"""Normals at points of a surface, and arms that stand on it."""
+
+import numpy as np
+import pytest
+
+from palpate.storage.errors import InputError
+from palpate.workers.body.mesh.boundary import boundary_triangles
+from palpate.workers.organs.specimen.block import lattice
+from palpate.workers.organs.specimen.body import arms
+from palpate.workers.organs.specimen.surface_normal import distances_to_triangles, outward_normals
+
+SIZE = (12.0, 10.0, 20.0)
+MESH = lattice(SIZE, (4, 4, 7))
+FACES = boundary_triangles(MESH.tets)
+
+
+def normals_at(points, stated=None):
+    names = [str(n) for n in range(len(points))]
+    stated = stated or [None] * len(points)
+    return outward_normals(MESH.nodes, FACES, np.array(points), stated, names)
+
+
+def test_distance_from_a_triangle():
+    r"""By hand.
+
+    ::
+
+        (0,3) +
+              | \\
+              |   \\
+        (0,0) +-----+ (4,0)
+    """
+    corners = np.array([[[0, 0, 0], [4, 0, 0], [0, 3, 0]]], float)
+    for point, expected in [
+        ((1, 1, 2), 2.0),  # above it
+        ((5, 0, 0), 1.0),  # beyond a corner
+        ((2, -3, 0), 3.0),  # beside an edge
+        ((4, 3, 0), 12 / 5),  # beside the hypotenuse
+        ((-3, -4, 12), 13.0),
+    ]:
+        found = distances_to_triangles(np.array(point, float), corners)
+        assert found[0] == pytest.approx(expected)
+
+
+def test_faces_of_a_block_say_which_way_is_out():
+    found = normals_at([(5, 10, 9), (0.0, 4.5, 3), (5, 10.4, 9), (4, 4, 20)])
+    np.testing.assert_allclose(found, [(0, 1, 0), (-1, 0, 0), (0, 1, 0), (0, 0, 1)], atol=1e-12)
+
+
+def test_an_edge_needs_a_direction():
+    with pytest.raises(InputError, match="marker 0 lies on an edge"):
+        normals_at([(5.0, 10.0, 20.0)])
+    found = normals_at([(5.0, 10.0, 20.0)], [(0, 3, 4)])
+    np.testing.assert_allclose(found, [(0, 0.6, 0.8)])
+
+
+def test_arms_turn_with_the_body():
+    """Under x -> G x + t the end of an arm n moves by (G - I) n against its foot."""
+    rng = np.random.default_rng(1)
+    feet = np.array([(6, 10, 20), (0, 4, 13), (7, 10, 6)], float)
+    out = [(0.0, 1.0, 0.0), None, None]
+    matrix = arms(MESH, feet, out, ["a", "b", "c"])
+    G = np.eye(3) + 0.4 * rng.standard_normal((3, 3))
+    u = MESH.nodes @ G.T + [3, 4, 5] - MESH.nodes
+    normals = np.array([(0, 1, 0), (-1, 0, 0), (0, 1, 0)], float)
+    np.testing.assert_allclose(matrix @ u, normals @ (G - np.eye(3)).T, atol=1e-10)

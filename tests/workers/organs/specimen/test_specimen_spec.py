@@ -1,0 +1,96 @@
+"""What an experiment's file may say, and what is refused with which words."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import GRAVITY_MM_PER_S2
+from palpate.workers.mechanics.fem.problem.loads import Hold, Wall
+from palpate.workers.organs.specimen.problem import problem_of
+from palpate.workers.organs.specimen.spec import read_spec
+from tests.workers.organs.specimen.experiments import described, write
+
+EXAMPLE = Path(__file__).parents[4] / "examples" / "beam.yaml"
+
+
+def changed(path, value):
+    """The description with one thing changed, or taken out."""
+    data = described()
+    *way, last = path.split(".")
+    at = data
+    for key in way:
+        at = at[int(key)] if isinstance(at, list) else at[key]
+    if value is None:
+        del at[last]
+    else:
+        at[last] = value
+    return data
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("holds", [{"region": "clmap"}], "clamp"),
+        ("states.1.forces", [{"region": "tip"}], "exactly one of force_n and mass_g"),
+        ("body", {"box_mm": [1, 2, 3], "mesh": "a.stl"}, "exactly one of box_mm and mesh"),
+        ("body", {"mesh": "a.stl"}, "voxel_mm"),
+        ("materials.rubber.E_kpa", [400, 40], "lower < upper"),
+        ("materials.rubber.nu", 0.5, "less than 0.5"),
+        ("markers", None, "exactly one of markers and field"),
+        ("markers.column", "x", "{marker}"),
+        ("down", [0, 0, 0], "down must not be zero"),
+        ("gravty", "modelled", "gravity"),
+        ("states.1.name", "bare", "each name once"),
+        ("regions.tip", {}, "exactly one of box_mm and plane"),
+    ],
+)
+def test_refuses_what_makes_no_sense(tmp_path, path, value, words):
+    with pytest.raises(InputError, match=words):
+        read_spec(write(tmp_path, changed(path, value)))
+
+
+def test_refuses_what_is_no_file_or_no_yaml(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_spec(tmp_path / "nowhere.yaml")
+    (tmp_path / "a.yaml").write_text("a: [")
+    with pytest.raises(InputError, match="not valid YAML"):
+        read_spec(tmp_path / "a.yaml")
+    (tmp_path / "b.yaml").write_text("- 1")
+    with pytest.raises(InputError, match="no experiment"):
+        read_spec(tmp_path / "b.yaml")
+
+
+def test_the_example_is_read():
+    spec = read_spec(EXAMPLE)
+    assert [s.name for s in spec.states] == ["0 g", "52 g"]
+    assert [s.name for s in spec.predict] == ["101 g"]
+    assert yaml.safe_load(EXAMPLE.read_text())["organ"] == "specimen"
+
+
+def test_the_words_become_a_problem(tmp_path):
+    data = changed("gravity", "modelled")
+    data["states"][1] |= {
+        "forces": [{"region": "tip", "mass_g": 5}],
+        "moves": [{"region": "tip", "displacement_mm": [1, 0, 0], "axes": ["x"]}],
+    }
+    spec = read_spec(write(tmp_path, data))
+    problem = problem_of(spec, spec.states[1], {"E": 0.1}, 0.0)
+    constants = problem.constants[Tissue.FAT]
+    assert (constants.young_mpa, constants.poisson) == (0.1, 0.45)
+    assert constants.density_t_per_mm3 == pytest.approx(1.2e-9)
+    assert problem.gravity_g == (0, -1, 0)
+    assert problem.wall == Wall((True, True, True))
+    assert problem.forces[0].force_n == pytest.approx((0, -5e-6 * GRAVITY_MM_PER_S2, 0))
+    assert problem.holds == (Hold(problem.forces[0].region, (1.0, 0.0, 0.0), (True, False, False)),)
+
+
+def test_a_hold_that_is_not_the_lowest_plane_is_held_in_place(tmp_path):
+    data = described()
+    data["holds"] = [{"region": "tip", "axes": ["y"]}]
+    spec = read_spec(write(tmp_path, data))
+    problem = problem_of(spec, spec.states[0], {"E": 0.1}, 0.0)
+    assert problem.wall == Wall((False, False, False))
+    assert problem.holds[0].axes == (False, True, False)

@@ -1,0 +1,138 @@
+"""The code's part of a digest: whatever an evaluation reaches by imports, and nothing else."""
+
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from palpate.workers.organs.registry import MODULES
+from palpate.workers.tasks.code_version import _imported, code_version, reached
+
+ROOT = Path(__file__).parents[3]
+EVALUATION = ("palpate.workers.tasks.evaluation", MODULES["breast"])
+# Read once: what a result is named after must not depend on who looks.
+REACHED = reached(EVALUATION)
+# Rooms that earlier hand-written lists left out although evaluations depend on them.
+FORGOTTEN = (
+    "palpate.workers.mechanics.parameters",
+    "palpate.workers.mechanics.effects.plate_friction",
+    "palpate.workers.mechanics.materials.base",
+    "palpate.workers.tasks.pipeline",
+)
+
+
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Copy the packages, so that files can be changed."""
+    root = tmp_path_factory.mktemp("copied")
+    for package in ("palpate", "workers", "storage"):
+        shutil.copytree(
+            ROOT / package,
+            root / package,
+            symlinks=True,
+            ignore=shutil.ignore_patterns("__pycache__"),
+        )
+    return root
+
+
+def versions_in(root: Path, files: list[Path]) -> list[str]:
+    """Return the version as it stands, then with each of the files changed alone."""
+    script = f"""
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from palpate.workers.tasks import code_version as module
+import palpate.storage.digest
+def version():
+    module.code_version.cache_clear()
+    return module.code_version(*{EVALUATION!r})
+print(version())
+for name in sys.argv[1:]:
+    file = Path(name)
+    text = file.read_bytes()
+    file.write_bytes(text + b"# touched")
+    print(version())
+    file.write_bytes(text)
+"""
+    ran = subprocess.run(
+        [sys.executable, "-c", script, *map(str, files)],
+        cwd=root,
+        env={"PYTHONPATH": str(root), "PATH": ""},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return ran.stdout.split()
+
+
+def test_every_file_that_an_evaluation_imports_counts(copied: Path) -> None:
+    files = [copied / file.relative_to(ROOT) for file in REACHED.values()]
+    before, *after = versions_in(copied, files)
+    assert len(after) == len(files) > 100
+    unnoticed = [name for name, now in zip(REACHED, after, strict=True) if now == before]
+    assert unnoticed == []
+
+
+def test_a_file_that_no_evaluation_imports_does_not_count(copied: Path) -> None:
+    apart = [
+        "workers/diagnosis/outcome/pictures/drawings.py",
+        "workers/diagnosis/verdict/verdict.py",
+        "workers/blind/random_case.py",
+        "workers/organs/specimen/problem.py",
+        "workers/tasks/diagnosis.py",
+        "storage/records/journal.py",
+    ]
+    before, *after = versions_in(copied, [copied / name for name in apart])
+    assert after == [before] * len(apart)
+
+
+@pytest.mark.parametrize("module", FORGOTTEN)
+def test_what_used_to_be_forgotten_counts(module: str) -> None:
+    assert module in REACHED
+
+
+def test_all_that_python_has_loaded_is_among_what_was_reached() -> None:
+    """The import statements are read as text; running them must load nothing else."""
+    script = (
+        f"import sys, {', '.join(EVALUATION)}\n"
+        "print(*(n for n in sys.modules if n.startswith(('palpate.workers', 'palpate.storage'))))"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert set(ran.stdout.split()) <= set(REACHED)
+
+
+def test_an_import_counts_wherever_it_stands(tmp_path: Path) -> None:
+    blocks = (
+        "import json as a",
+        "if x:\n    import json as b\nelif y:\n    import json as c\nelse:\n    import json as d",
+        "try:\n    import json as e\nexcept E:\n    import json as f\nelse:\n    import json as g\n"
+        "finally:\n    import json as h",
+        "for x in y:\n    while x:\n        with x:\n            import json as i",
+        "class C:\n    async def m(self):\n        def n():\n            import json as j",
+        "match x:\n    case 1:\n        import json as k",
+    )
+    file = tmp_path / "every_block.py"
+    file.write_text("\n".join(blocks))
+    assert _imported(file, "every_block") == ("json",) * 11
+
+
+def test_a_module_that_is_missing_is_named() -> None:
+    with pytest.raises(ModuleNotFoundError, match=r"workers\.nowhere"):
+        code_version("palpate.workers.nowhere")
+
+
+def test_several_threads_find_the_same_version() -> None:
+    """Python 3.11 cannot parse in several threads at once."""
+
+    def found(_: int) -> str:
+        code_version.cache_clear()
+        _imported.cache_clear()
+        return code_version(*EVALUATION)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert len(set(pool.map(found, range(4)))) == 1

@@ -1,0 +1,168 @@
+"""Solve a tangent with one unknown more, the travel of the plates, by conjugate gradients.
+
+The preconditioner is one symmetric cycle of two levels: a sweep of block Gauss-Seidel over
+all nodes, the corners alone by a sparse factorisation, travel included, and the sweep
+backwards.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from scipy.sparse import bsr_matrix, coo_array, csc_matrix, hstack, vstack
+from scipy.sparse.linalg import splu
+
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.blind.solver.sparsity import Coarsening, Pattern, coarsened
+from palpate.workers.compile_flags import CONTRACTED
+
+
+@njit(**CONTRACTED)
+def block_product(
+    starts: IntArray, columns: IntArray, blocks: FloatArray, x: FloatArray, out: FloatArray
+) -> None:
+    """Compute ``out = A x`` for blocks of 3 x 3 and x of shape (n, 3)."""
+    for r in range(len(starts) - 1):
+        a, b, c = 0.0, 0.0, 0.0
+        for k in range(starts[r], starts[r + 1]):
+            j = columns[k]
+            B = blocks[k]
+            x0, x1, x2 = x[j, 0], x[j, 1], x[j, 2]
+            a += B[0, 0] * x0 + B[0, 1] * x1 + B[0, 2] * x2
+            b += B[1, 0] * x0 + B[1, 1] * x1 + B[1, 2] * x2
+            c += B[2, 0] * x0 + B[2, 1] * x1 + B[2, 2] * x2
+        out[r, 0], out[r, 1], out[r, 2] = a, b, c
+
+
+@njit(**CONTRACTED)
+def _relax(
+    starts: IntArray,
+    columns: IntArray,
+    blocks: FloatArray,
+    inverses: FloatArray,
+    right: FloatArray,
+    x: FloatArray,
+    forward: bool,
+) -> None:
+    """Do one sweep of block Gauss-Seidel in place."""
+    n = len(starts) - 1
+    for step in range(n):
+        r = step if forward else n - 1 - step
+        a, b, c = right[r, 0], right[r, 1], right[r, 2]
+        for k in range(starts[r], starts[r + 1]):
+            j = columns[k]
+            if forward and j >= r:  # still zero
+                break
+            if j == r:
+                continue
+            B = blocks[k]
+            x0, x1, x2 = x[j, 0], x[j, 1], x[j, 2]
+            a -= B[0, 0] * x0 + B[0, 1] * x1 + B[0, 2] * x2
+            b -= B[1, 0] * x0 + B[1, 1] * x1 + B[1, 2] * x2
+            c -= B[2, 0] * x0 + B[2, 1] * x1 + B[2, 2] * x2
+        D = inverses[r]
+        for i in range(3):
+            x[r, i] = D[i, 0] * a + D[i, 1] * b + D[i, 2] * c
+
+
+@dataclass(frozen=True, eq=False)
+class TwoLevel:
+    """Precondition a tangent by a symmetric cycle; the coarse factor may be of an earlier one."""
+
+    pattern: Pattern
+    blocks: FloatArray
+    border: FloatArray
+    inverses: FloatArray
+    interpolation: csc_matrix
+    factor: Any
+
+    def __call__(self, force: FloatArray, closing: float) -> tuple[FloatArray, float]:
+        """Return an approximate solution for a right-hand side on nodes and travel."""
+        starts, columns = self.pattern
+        x = np.zeros_like(force)
+        _relax(starts, columns, self.blocks, self.inverses, force, x, True)
+        rest = np.empty_like(force)
+        block_product(starts, columns, self.blocks, x, rest)
+        rest = force - rest
+        left = closing - float((self.border * x).sum())
+        coarse = (self.interpolation.T @ rest).ravel()
+        solved = self.factor.solve(np.append(coarse, left))
+        x += self.interpolation @ solved[:-1].reshape(-1, 3)
+        travel = float(solved[-1])
+        _relax(starts, columns, self.blocks, self.inverses, force - travel * self.border, x, False)
+        return x, travel
+
+
+def factorised_coarse_tangent(
+    coarsening: Coarsening,
+    blocks: FloatArray,
+    border: FloatArray,
+    corner: float,
+    interpolation: csc_matrix,
+) -> Any:
+    """Return sparse factors of the corners' tangent with the travel."""
+    starts, columns = coarsening.pattern
+    coarse = np.empty((len(columns), 3, 3))
+    coarsened(coarsening.targets, blocks, coarse)
+    inner = bsr_matrix((coarse, columns, starts))
+    edge = coo_array((interpolation.T @ border).reshape(-1, 1))
+    # A plate that touches nothing yet has no stiffness of its own.
+    end = coo_array([[max(corner, 1e-6)]])
+    whole = vstack([hstack([coo_array(inner), edge]), hstack([edge.T, end])]).tocsc()
+    return splu(
+        whole, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LinearSolution:
+    """Hold a step, the iterations it took and whether the tangent turned out indefinite."""
+
+    u: FloatArray
+    travel: float
+    iterations: int
+    indefinite: bool
+
+
+def conjugate_gradients(
+    cycle: TwoLevel,
+    corner: float,
+    force: FloatArray,
+    closing: float,
+    tolerance: float,
+    most: int = 400,
+) -> LinearSolution:
+    """Solve for minus the out-of-balance force, to a part of it.
+
+    Where a direction of negative curvature turns up, the step so far is given, or the
+    first direction itself: both lead downhill.
+    """
+    starts, columns = cycle.pattern
+    x, t = np.zeros_like(force), 0.0
+    r, rt = -force, -closing
+    z, zt = cycle(r, rt)
+    p, pt = z, zt
+    rho = float((r * z).sum()) + rt * zt
+    start, product_ = rho, np.empty_like(force)
+    for iteration in range(1, most + 1):
+        block_product(starts, columns, cycle.blocks, p, product_)
+        ap = product_ + pt * cycle.border
+        apt = float((cycle.border * p).sum()) + corner * pt
+        curvature = float((p * ap).sum()) + pt * apt
+        if not curvature > 0:
+            if iteration == 1:
+                x, t = z, zt
+            return LinearSolution(x, t, iteration, True)
+        alpha = rho / curvature
+        x += alpha * p
+        t += alpha * pt
+        r -= alpha * ap
+        rt -= alpha * apt
+        z, zt = cycle(r, rt)
+        fresh = float((r * z).sum()) + rt * zt
+        if fresh <= tolerance**2 * start:
+            return LinearSolution(x, t, iteration, False)
+        p, pt = z + fresh / rho * p, zt + fresh / rho * pt
+        rho = fresh
+    return LinearSolution(x, t, most, False)

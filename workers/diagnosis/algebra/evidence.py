@@ -1,0 +1,188 @@
+r"""Laplace's log evidence of a fit: how probable the data are under a hypothesis.
+
+.. math:: \ln p = -\tfrac12 \chi^2 - \tfrac12 \delta'\Lambda\delta + \tfrac12 g'H^{-1}g
+          - \tfrac12 \ln|H| - \sum \ln sd + n_1 \ln 2 + \ln \Pr(\text{one-sided} > 0),
+
+with :math:`H = J'C^{-1}J + \Lambda`, the gradient g, which is zero at a converged inner
+optimum, and n_1 half-normal priors. The last term is the part of the posterior normal,
+centred one Newton step away, that lies on the admissible side; it makes the formula hold
+at a bound, where g is not zero. So it does for one that was stopped at another bound of its
+interval, without the ln 2: only what lies inside counts. What all hypotheses share,
+-(m/2) ln 2 pi - ln|C|/2, is left out: hypotheses with different numbers of parameters
+compare, other data do not.
+
+Exact for a linear model; D. J. C. MacKay, Neural Computation 4 (1992) 415, for others.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from palpate.storage.values import BoolArray, FloatArray, IntArray
+from palpate.workers.diagnosis.algebra.gaussian_orthant import log_orthant
+from palpate.workers.diagnosis.algebra.linearisation import Linearised
+
+
+class Quadratic(NamedTuple):
+    """The misfit around a fit, or a stack of them of any shape, written as dots.
+
+    Parameters are counted in prior standard deviations.
+
+    Parameters
+    ----------
+    misfit : ndarray, shape (...)
+        ``rho' M rho`` with M the precision of the noise in whitened space.
+    gradient : ndarray, shape (..., p)
+        ``A' M rho``.
+    curvature : ndarray, shape (..., p, p)
+        ``A' M A``.
+    log_determinant : ndarray, shape (...)
+        ``-ln|M|``.
+    """
+
+    misfit: FloatArray
+    gradient: FloatArray
+    curvature: FloatArray
+    log_determinant: FloatArray
+
+    @classmethod
+    def stacked(cls, several: Sequence["Quadratic"]) -> "Quadratic":
+        """Return some of one shape as one, along a new first axis."""
+        return cls(*(np.stack(parts) for parts in zip(*several, strict=True)))
+
+    def of(self, which: IntArray) -> "Quadratic":
+        """Return the same with only some parameters free, for each row of which, (g, k)."""
+        return Quadratic(
+            self.misfit[..., None],
+            self.gradient[..., which],
+            self.curvature[..., which[:, :, None], which[:, None, :]],
+            self.log_determinant[..., None],
+        )
+
+    def scaled(self, factors: FloatArray) -> "Quadratic":
+        """Return the same for prior standard deviations that are larger by factors, (p,)."""
+        return self._replace(
+            gradient=self.gradient * factors,
+            curvature=self.curvature * np.outer(factors, factors),
+        )
+
+
+class Posterior(NamedTuple):
+    """Of the parameters, in prior standard deviations: mean (..., p), covariance (..., p, p)."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+def quadratic(at: Linearised) -> Quadratic:
+    """Return the misfit of one fit with the noise as it is."""
+    A, rho = at.scaled_nominal, at.whitened_residual
+    return Quadratic(np.array(rho @ rho), A.T @ rho, A.T @ A, np.zeros(()))
+
+
+def posterior(q: Quadratic, offset: FloatArray) -> Posterior:
+    """Return where the parameters lie from their prior means.
+
+    Parameters
+    ----------
+    q : Quadratic
+    offset : ndarray, shape (p,)
+        Where the fit lies from there.
+    """
+    covariance = np.asarray(np.linalg.inv(np.eye(len(offset)) + q.curvature), dtype=np.float64)
+    step = (covariance @ (q.gradient + offset)[..., None])[..., 0]
+    return Posterior(offset - step, covariance)
+
+
+class Sides(NamedTuple):
+    """On which side of an edge each parameter must lie, shape (p,) each.
+
+    Parameters
+    ----------
+    side : ndarray of int
+        1 for above, -1 for below, 0 for either.
+    edge : ndarray
+        In prior standard deviations from the prior mean.
+    """
+
+    side: IntArray
+    edge: FloatArray
+
+
+def sides(offset: FloatArray, one_sided: BoolArray, at_bound: IntArray | None = None) -> Sides:
+    """Return where the parameters of a fit must lie; see `log_marginal`."""
+    bound = np.zeros(len(offset), np.int32) if at_bound is None else at_bound
+    stopped = bound != 0
+    side = np.where(stopped, bound, one_sided).astype(np.int32)
+    return Sides(side, np.where(stopped, offset, 0.0))
+
+
+def log_marginal(
+    q: Quadratic,
+    offset: FloatArray,
+    one_sided: BoolArray,
+    at_bound: IntArray | None = None,
+) -> FloatArray:
+    """Return the log evidence of each misfit of a stack, shape (...).
+
+    Parameters
+    ----------
+    q : Quadratic
+    offset : ndarray, shape (p,)
+        Fit minus prior mean, in prior standard deviations.
+    one_sided : ndarray of bool, shape (p,)
+        Parameters with a half-normal prior, from their prior mean upwards.
+    at_bound : ndarray of int, shape (p,), optional
+        Parameters that the fit was stopped at a bound of: 1 at a lower, -1 at an upper one, 0 for
+        all others. They may only lie inside.
+    """
+    side, edge = sides(offset, one_sided, at_bound)
+    held = side != 0
+    # Parameters that are held come last: the last corner of the factor has their covariance.
+    order = np.argsort(held, kind="stable")
+    curvature = q.curvature[..., order[:, None], order]
+    L, y = _factored(curvature, (q.gradient + offset)[..., order])
+    log_H = 2.0 * np.log(np.diagonal(L, axis1=-2, axis2=-1)).sum(axis=-1)
+    found = 0.5 * ((y**2).sum(axis=-1) - q.misfit - offset @ offset - log_H - q.log_determinant)
+    if held.any():
+        count = int(held.sum())
+        inverse = np.linalg.inv(L[..., -count:, -count:]).swapaxes(-1, -2)
+        step = (inverse @ y[..., -count:, None])[..., 0]
+        inward, away = side[held], (offset - edge)[held]
+        covariance = inverse @ inverse.swapaxes(-1, -2) * np.outer(inward, inward)
+        found = found + one_sided.sum() * np.log(2.0)
+        found = found + log_orthant(inward * (away - step), covariance)
+    return np.asarray(found)
+
+
+def _factored(curvature: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the Cholesky factor L of H, and ``L^-1 g``: the last row where g borders H."""
+    p = gradient.shape[-1]
+    bordered = np.empty((*gradient.shape[:-1], p + 1, p + 1))
+    bordered[..., :p, :p], bordered[..., p, :p] = curvature, gradient
+    # H is no smaller than the identity, so that this corner keeps the whole positive definite.
+    bordered[..., p, p] = (gradient**2).sum(axis=-1)
+    every = np.arange(p + 1)
+    bordered[..., every, every] += 1.0
+    factor = np.linalg.cholesky(bordered)
+    return factor[..., :p, :p], factor[..., p, :p]
+
+
+def log_evidence(
+    at: Linearised, one_sided: BoolArray | None = None, at_bound: IntArray | None = None
+) -> float:
+    """Return Laplace's log evidence of a refit.
+
+    Parameters
+    ----------
+    at : Linearised
+        With all parameters of the hypothesis, those of its effects too, as nominal ones.
+    one_sided : ndarray of bool, shape (p,), optional
+        Parameters that may only lie above their prior mean; none.
+    at_bound : ndarray of int, shape (p,), optional
+        See `log_marginal`.
+    """
+    if one_sided is None:
+        one_sided = np.zeros(len(at.nominal_sd), dtype=bool)
+    return float(log_marginal(quadratic(at), at.scaled_offset, one_sided, at_bound))

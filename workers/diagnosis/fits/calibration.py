@@ -1,0 +1,221 @@
+"""The nominal model at its optimum, with the noise of the scans and of the mesh known."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, TetMesh
+from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.diagnosis.fits.gauss_newton import Fit, SolvedFit, fit
+from palpate.workers.diagnosis.noise.learning import learnt_states
+from palpate.workers.diagnosis.noise.model import LearntNoise, believed
+from palpate.workers.diagnosis.noise.nuisances import pose_columns, smooth_columns
+from palpate.workers.diagnosis.noise.uneven import with_uneven_noise
+from palpate.workers.diagnosis.noise.unmatched_points import matched
+from palpate.workers.diagnosis.problem.anchored_scan import anchored
+from palpate.workers.diagnosis.problem.force_readings import at_points_with_forces
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, Scan, unknowns
+from palpate.workers.diagnosis.problem.noise_parts import noise_parts
+from palpate.workers.diagnosis.problem.pressed_points import pressed_shares, with_pressed_points
+from palpate.workers.diagnosis.problem.scan_poses import residuals
+from palpate.workers.diagnosis.problem.scan_prediction import (
+    ComparedScan,
+    PredictedScan,
+    compare_with_scan,
+    predict_scan,
+)
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.fem.elements.model import Model
+from palpate.workers.scan_threads import Each
+
+
+def calibrate(
+    inverse: InverseProblem, finer: Model | None = None, each: Each = map
+) -> tuple[InverseProblem, SolvedFit]:
+    """Fit the nominal constants, then once more where the scans can be trusted.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+    finer : Model, optional
+        A finer mesh of the same body: what it moves the points by is taken off.
+    each : callable
+        Calls a function with every scan; see `workers.diagnosis.fits.gauss_newton.fit`.
+
+    Raises
+    ------
+    InputError
+        If the nominal model cannot be simulated.
+    """
+    free = unknowns(inverse.free, [])
+    first = fit(inverse, free, free.mean, [None] * len(inverse.scans), each=each)
+    if first is None:
+        raise InputError(
+            "The nominal model was not solved at the middle of the plausible intervals: "
+            "check loads, units and constants of the case."
+        )
+    inverse, first = _reduced(inverse, first, clear(inverse, first))
+    if inverse.is_segmented:
+        inverse, first = _reduced(inverse, first, _matched(inverse, first))
+        starts = [v.at for v in first.predictions]
+        first = fit(inverse, free, first.z, starts, each=each) or first
+    predictions: Sequence[PredictedScan] = first.predictions
+    if inverse.noise.reference_sd_mm > 0:
+        inverse = with_pressed_points(inverse, _pressed(inverse, predictions))
+        predictions = _compared(inverse, first, predictions)
+    if finer is not None:
+        inverse = with_mesh_bias(inverse, finer, first, predictions, each)
+    columns = first.jacobian * free.sd
+    inverse = with_anchored_scans(inverse, [v.points for v in predictions])
+    predictions = _compared(inverse, first, predictions)
+    inverse = with_learnt_noise(inverse, columns, predictions)
+    second = fit(inverse, free, first.z, [v.at for v in predictions], each=each)
+    if second is None:
+        raise AssertionError("the start of the second fit is the end of the first")
+    return inverse, second
+
+
+def _reduced(
+    inverse: InverseProblem, at: SolvedFit, kept: BoolArray
+) -> tuple[InverseProblem, SolvedFit]:
+    """Return the problem and its fit at some of the points only, shape (k,)."""
+    rows = np.tile(kept, len(inverse.scans))
+    inverse = inverse.keeping(kept)
+    predictions = tuple(_compared(inverse, at, at.predictions))
+    return inverse, replace(at, predictions=predictions, jacobian=at.jacobian[rows])
+
+
+def _matched(inverse: InverseProblem, at: SolvedFit) -> BoolArray:
+    """Return points that every scan shows, whatever may move them, shape (k,)."""
+    field, centre_mm = inverse.something_else, inverse.frame.centre_mm
+    moved, normals = [v.points for v in at.predictions], [v.normals for v in at.predictions]
+    smooth = smooth_columns(
+        np.tile(inverse.points.points, (len(inverse.scans), 1)),
+        np.concatenate(normals),
+        inverse.rows,
+        np.full(len(inverse.rows), max(field.amplitudes_mm)),
+        field.middle_length_mm,
+        field.state_correlation.between(inverse.directions),
+        SETTINGS.smooth_field.rank_tolerance,
+    )
+    poses = pose_columns(moved, normals, centre_mm, *inverse.pose_sd)
+    columns = np.hstack([at.jacobian * at.unknowns.sd, poses])
+    beside_mm = SETTINGS.unmatched.beside_lengths * field.middle_length_mm
+    left = residuals(inverse, at.predictions)
+    return matched(inverse.points, inverse.covariance, columns, smooth, left, beside_mm)
+
+
+def _pressed(inverse: InverseProblem, predictions: Sequence[PredictedScan]) -> list[FloatArray]:
+    """Return how far plates press each point in each scan, shapes (k,)."""
+    nodes = [inverse.forward.pressed(v.at) for v in predictions]
+    free = np.zeros(len(inverse.points))
+    return [free if one is None else pressed_shares(inverse, one) for one in nodes]
+
+
+def _compared(
+    inverse: InverseProblem, at: Fit, solved: Sequence[PredictedScan]
+) -> list[PredictedScan]:
+    """Compare what was solved with the scans again, at the points and as the problem has them."""
+    return [
+        compare_with_scan(inverse, scan, at.unknowns, at.z, v.at)
+        for scan, v in zip(inverse.scans, solved, strict=True)
+    ]
+
+
+def clear(inverse: InverseProblem, at: Fit) -> BoolArray:
+    """Return points whose interface is alone in every deformed scan, where the model puts them.
+
+    Two scans of one body are segmented apart; a thin strand or cleft may be in one of
+    them only, and the nearest interface is then another one.
+    """
+    reach = SETTINGS.points.clear_noises * inverse.noise.sd_mm
+    alone = np.ones(len(inverse.points), np.bool_)
+    for scan, v in zip(inverse.scans, at.predictions, strict=True):
+        normal = v.normals / np.maximum(np.linalg.norm(v.normals, axis=1), 1e-9)[:, None]
+        foot = v.points - v.residual[:, None] * normal
+        for side in (-reach, reach):
+            away, _ = scan.compare(foot + side * normal, inverse.points)
+            alone &= np.abs(away - side) < SETTINGS.points.clear_slack * reach
+    return alone
+
+
+def with_mesh_bias(
+    inverse: InverseProblem,
+    finer: Model,
+    at: Fit,
+    predictions: Sequence[PredictedScan],
+    each: Each = map,
+) -> InverseProblem:
+    """Take off what a finer mesh moves the points by."""
+    fine_problem = replace(inverse, model=finer, at_points=interpolation_of(finer, inverse))
+    fine_problem = with_pressed_points(fine_problem, [v.followed.pressed for v in predictions])
+
+    def predicted(scan: Scan) -> PredictedScan | None:
+        return predict_scan(fine_problem, scan, at.unknowns, at.z, None)
+
+    bias = []
+    for fine, coarse in zip(each(predicted, fine_problem.scans), predictions, strict=True):
+        if fine is None:
+            return inverse
+        bias.append(-((fine.points - coarse.points) * coarse.normals).sum(axis=1))
+    return replace(inverse, bias=np.concatenate(bias))
+
+
+def with_anchored_scans(inverse: InverseProblem, anchors: Sequence[FloatArray]) -> InverseProblem:
+    """Keep the noise of drawn interfaces what it is at the anchors, shape (k, 3) for each scan."""
+    if not inverse.is_segmented:
+        return inverse
+    length = inverse.noise.correlation_mm
+    scans = [
+        anchored(scan, anchor, inverse.points, length)
+        for scan, anchor in zip(inverse.scans, anchors, strict=True)
+    ]
+    return replace(inverse, scans=scans, anchors=tuple(anchors))
+
+
+def with_learnt_noise(
+    inverse: InverseProblem, columns: FloatArray, predictions: Sequence[ComparedScan]
+) -> InverseProblem:
+    """Find out how large and how smooth the noise is; see `workers.diagnosis.noise.learning`.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+    columns : ndarray, shape (m, p)
+        Derivatives of the residuals by the constants, per prior standard deviation.
+    predictions : sequence of ComparedScan
+        Of the fit at which they were taken.
+    """
+    parts = noise_parts(inverse, predictions)
+    if not inverse.is_segmented:
+        learnt = believed(parts)
+    else:
+        amplitude, length = SETTINGS.noise.learning_field
+        places = np.tile(inverse.points.points, (len(inverse.scans), 1))
+        field = smooth_columns(
+            places,
+            np.concatenate([one.normals for one in predictions]),
+            inverse.rows,
+            np.full(parts.size, amplitude),
+            length,
+            SETTINGS.smooth_field.state_correlation.between(inverse.directions),
+            SETTINGS.smooth_field.rank_tolerance,
+        )
+        centre_mm = inverse.frame.centre_mm
+        moved, normals = [v.points for v in predictions], [v.normals for v in predictions]
+        poses = pose_columns(moved, normals, centre_mm, *inverse.pose_sd)
+        known, residual = np.hstack([columns, poses]), residuals(inverse, predictions)
+        parts = with_uneven_noise(parts, places, np.hstack([known, field]), residual)
+        found = learnt_states(parts, known, residual, field)
+        learnt = LearntNoise(parts, tuple(found))
+    return replace(inverse, learnt=learnt, covariance=learnt.covariance)
+
+
+def interpolation_of(model: Model, inverse: InverseProblem) -> csr_matrix:
+    """Return the matrix from displacements of another mesh's nodes to those of the points."""
+    finest, own = model.finest, inverse.points.points[~inverse.is_force]
+    mesh = TetMesh(finest.nodes, finest.elements.tets)
+    return at_points_with_forces(interpolation(mesh, own), int(inverse.is_force.sum()))

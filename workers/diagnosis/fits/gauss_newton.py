@@ -1,0 +1,331 @@
+"""Gauss and Newton: the parameters of a hypothesis that explain the scans best."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.diagnosis.algebra.linearisation import Linearised, factored
+from palpate.workers.diagnosis.fits.secant_curvature import LocalModel, SecantCurvature
+from palpate.workers.diagnosis.noise.evidence import LinearHypothesis
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, Scan, Unknowns
+from palpate.workers.diagnosis.problem.scan_poses import PosedNoise, poses_of, registered, residuals
+from palpate.workers.diagnosis.problem.scan_prediction import (
+    ComparedScan,
+    PredictedScan,
+    ScanJacobian,
+    derivatives,
+    predict_scan,
+)
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
+from palpate.workers.scan_threads import Each
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A hypothesis at its optimum.
+
+    Parameters
+    ----------
+    unknowns : Unknowns
+    z : ndarray, shape (p,)
+        Logarithms of the constants, then the parameters of the effects.
+    predictions : tuple of ComparedScan
+        One for each scan.
+    jacobian : ndarray, shape (m, p)
+        Of the residuals of all scans.
+    cost : float
+        Minus twice the log posterior, up to a constant.
+    converged : bool
+    iterations : int
+    """
+
+    unknowns: Unknowns
+    z: FloatArray
+    predictions: tuple[ComparedScan, ...]
+    jacobian: FloatArray
+    cost: float
+    converged: bool
+    iterations: int
+
+    def values(self) -> dict[str, float]:
+        """Return all parameters by name, constants themselves instead of their logarithms."""
+        k = len(self.unknowns.free)
+        values = self.unknowns.constants(self.z)
+        rest = zip(self.unknowns.names[k:], self.z[k:], strict=True)
+        return values | {n: float(v) for n, v in rest}
+
+    @property
+    def at_bound(self) -> IntArray:
+        """Which parameters were stopped at a bound; see `Unknowns.at_bound`."""
+        return self.unknowns.at_bound(self.z)
+
+    def residual(self, inverse: InverseProblem) -> FloatArray:
+        """Return the residuals of all scans, one after another, shape (s k,), in mm."""
+        return residuals(inverse, self.predictions)
+
+    def linearised(self, inverse: InverseProblem) -> Linearised:
+        """Return residuals, derivatives and noise around the optimum; poses are in the noise."""
+        u, poses = self.unknowns, self.pose_columns(inverse)
+        factor = inverse.covariance_factor
+        return Linearised(
+            self.residual(inverse),
+            self.jacobian,
+            u.sd,
+            self.z - u.mean,
+            factored(inverse.covariance + poses @ poses.T) if poses.size else factor,
+        )
+
+    def linearised_with_poses(self, inverse: InverseProblem) -> Linearised:
+        """Return the same with poses and drawing as free parameters after the others.
+
+        A gap is what they leave: where a scan lies is no fault of the model.
+        """
+        u, q = self.unknowns, inverse.nuisance_count
+        nuisances = np.hstack([self.pose_columns(inverse), inverse.drawing])
+        return Linearised(
+            self.residual(inverse),
+            np.hstack([self.jacobian, nuisances]),
+            np.append(u.sd, np.ones(q)),
+            np.append(self.z - u.mean, np.zeros(q)),
+            inverse.scatter_factor,
+        )
+
+    def hypothesis(self, inverse: InverseProblem) -> LinearHypothesis:
+        """Return the same for `workers.diagnosis.noise.evidence.NoiseModel`."""
+        u = self.unknowns
+        found = LinearHypothesis(
+            self.residual(inverse),
+            self.jacobian * u.sd,
+            (self.z - u.mean) / u.sd,
+            u.one_sided,
+            np.zeros(len(u.sd), np.bool_),
+            self.at_bound,
+        )
+        return found.with_errors(self.pose_columns(inverse), are_poses=True)
+
+    def pose_columns(self, inverse: InverseProblem) -> FloatArray:
+        """Return what poses do to the residuals; see `workers.diagnosis.problem.scan_poses`."""
+        return poses_of(inverse, self.predictions)
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedFit(Fit):
+    """A fit with the equilibria of its scans, from which others can be solved."""
+
+    predictions: tuple[PredictedScan, ...]
+
+    def starts(self) -> list[Equilibrium]:
+        """Return where another fit may begin."""
+        return [one.at for one in self.predictions]
+
+    def poses(self) -> list[FloatArray | None]:
+        """Return where the scans lie."""
+        return [one.pose for one in self.predictions]
+
+
+def fit(
+    inverse: InverseProblem,
+    unknowns: Unknowns,
+    start: FloatArray,
+    starts: Sequence[Equilibrium | None],
+    poses: Sequence[FloatArray | None] | None = None,
+    each: Each = map,
+    max_iterations: int = SETTINGS.fit.max_iterations,
+) -> SolvedFit | None:
+    """Find the most probable parameters.
+
+    Parameters
+    ----------
+    start : ndarray, shape (p,)
+        Where to begin.
+    starts : sequence of Equilibrium
+        Of each scan, near there; None to solve from rest.
+    poses : sequence of ndarray, shape (6,), optional
+        Where the scans lie to begin with, see `PredictedScan`; as their headers say.
+    each : callable
+        Calls a function with every scan, as `map` does; maybe several at a time.
+    max_iterations : int
+        After which it ends wherever it is.
+
+    Returns
+    -------
+    SolvedFit or None
+        None if the simulation at the start does not converge.
+    """
+    z = np.clip(start, unknowns.lower, unknowns.upper)
+    nowhere: Sequence[FloatArray | None] = poses or [None] * len(starts)
+    predictions = _predict_scans(inverse, unknowns, z, starts, nowhere, each)
+    if predictions is None:
+        return None
+    cost = _cost(inverse, unknowns, z, predictions)
+    jacobians: list[ScanJacobian] | None = None
+    placed = any(effect.place is not None for effect in unknowns.effects)
+    tolerance = SETTINGS.fit.place_tolerance if placed else SETTINGS.fit.tolerance
+    length, secant, stalls = 1.0, SecantCurvature.unknown(len(z)), 0
+    for iteration in range(1, max_iterations + 1):
+        jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
+        fresh = all(jacobian.fresh for jacobian in jacobians)
+        J = np.vstack([jacobian.columns for jacobian in jacobians])
+        model = _local_model(inverse, unknowns, z, predictions, J)
+        secant = secant.renewed(model) if fresh else secant.forgotten()
+        step, expected = _step(unknowns, z, model.gradient, secant.curvature(model))
+        if expected < tolerance:
+            return SolvedFit(unknowns, z, predictions, J, cost, True, iteration)
+        descent = _Descent(z, predictions, cost, length)
+        found = _descend(inverse, unknowns, descent, step, jacobians, each)
+        if found is None and not fresh:
+            jacobians = None  # columns taken over from elsewhere may point uphill
+            continue
+        at_rest = expected < SETTINGS.fit.at_rest
+        fall = 0.0 if found is None else cost - found.cost
+        settled = fall < tolerance
+        if found is not None:
+            was_used = secant.is_used
+            secant = secant.stepped(model, (found.z - z) / unknowns.sd, fall)
+            z, predictions, cost = found.z, found.predictions, found.cost
+            same = secant.is_used == was_used
+            length = _next_length(found.length, fall, expected) if same else 1.0
+        stalls = stalls + 1 if settled else 0
+        stuck = not secant.is_known or (found is None and secant.is_used)
+        if settled and (at_rest or stuck or stalls > SETTINGS.fit.stalls):
+            break
+        if settled and not secant.is_used:
+            secant, length = secant.used(), 1.0
+    jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
+    J = np.vstack([jacobian.columns for jacobian in jacobians])
+    return SolvedFit(unknowns, z, predictions, J, cost, settled and at_rest, iteration)
+
+
+def _next_length(length: float, fall: float, expected: float) -> float:
+    """Return with which part of the next step to begin, after one that made the cost fall."""
+    if fall > SETTINGS.fit.underrated * expected:
+        return SETTINGS.fit.further
+    return min(1.0, length / SETTINGS.fit.shortening)
+
+
+def _predict_scans(
+    inverse: InverseProblem,
+    unknowns: Unknowns,
+    z: FloatArray,
+    starts: Sequence[Equilibrium | None],
+    poses: Sequence[FloatArray | None],
+    each: Each,
+) -> tuple[PredictedScan, ...] | None:
+    def predicted(
+        scan: Scan, start: Equilibrium | None, pose: FloatArray | None
+    ) -> PredictedScan | None:
+        return predict_scan(inverse, scan, unknowns, z, start, pose)
+
+    found = []
+    for one in each(predicted, inverse.scans, starts, poses):
+        if one is None:
+            return None
+        found.append(one)
+    return registered(inverse, unknowns, z, found)
+
+
+def _jacobians(
+    inverse: InverseProblem,
+    unknowns: Unknowns,
+    z: FloatArray,
+    predictions: Sequence[PredictedScan],
+    before: Sequence[ScanJacobian] | None,
+    each: Each,
+) -> list[ScanJacobian]:
+    known: Sequence[ScanJacobian | None] = before or [None] * len(predictions)
+
+    def differentiated(scan: Scan, at: PredictedScan, last: ScanJacobian | None) -> ScanJacobian:
+        return derivatives(inverse, scan, unknowns, z, at, last)
+
+    return list(each(differentiated, inverse.scans, predictions, known))
+
+
+def _cost(
+    inverse: InverseProblem, u: Unknowns, z: FloatArray, predictions: Sequence[PredictedScan]
+) -> float:
+    noise = PosedNoise(inverse, predictions)
+    white = noise.whiten(residuals(inverse, predictions))
+    return float(white @ noise.cleared(white) + (((z - u.mean) / u.sd) ** 2).sum())
+
+
+def _local_model(
+    inverse: InverseProblem,
+    u: Unknowns,
+    z: FloatArray,
+    predictions: Sequence[PredictedScan],
+    J: FloatArray,
+) -> LocalModel:
+    noise = PosedNoise(inverse, predictions)
+    A = noise.whiten(J) * u.sd
+    rho = noise.cleared(noise.whiten(residuals(inverse, predictions)))
+    curvature = A.T @ noise.cleared(A) + np.eye(len(z))
+    return LocalModel(A, rho, A.T @ rho + (z - u.mean) / u.sd, curvature)
+
+
+def _step(
+    u: Unknowns, z: FloatArray, gradient: FloatArray, curvature: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return the step to where the cost should be least, and by how much it should fall.
+
+    Parameters at a bound that push outwards stay there.
+    """
+    held = np.zeros(len(z), bool)
+    while True:
+        go = np.flatnonzero(~held)
+        step = np.zeros(len(z))
+        step[go] = -np.linalg.solve(curvature[np.ix_(go, go)], gradient[go])
+        blocked = ((z <= u.lower) & (step < 0)) | ((z >= u.upper) & (step > 0))
+        if not (blocked & ~held).any():
+            break
+        held |= blocked
+    longest = float(np.abs(step).max(initial=0.0))
+    length = min(1.0, SETTINGS.fit.longest_step / longest if longest else 1.0)
+    return np.asarray(step * u.sd * length), float(-gradient @ step)
+
+
+def _starts(
+    inverse: InverseProblem,
+    predictions: Sequence[PredictedScan],
+    jacobians: Sequence[ScanJacobian],
+    change: FloatArray,
+) -> list[Equilibrium | None]:
+    """Return from where the scans are solved after a change of the parameters, (p,)."""
+    return [
+        inverse.forward.expecting(one.at, np.tensordot(change, jacobian.moved, 1))
+        for one, jacobian in zip(predictions, jacobians, strict=True)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Descent:
+    """Parameters with their cost, and what part of the Gauss-Newton step has led there."""
+
+    z: FloatArray
+    predictions: tuple[PredictedScan, ...]
+    cost: float
+    length: float
+
+
+def _descend(
+    inverse: InverseProblem,
+    u: Unknowns,
+    before: _Descent,
+    step: FloatArray,
+    jacobians: Sequence[ScanJacobian],
+    each: Each,
+) -> _Descent | None:
+    """Try shorter and shorter parts of a step, from the length before, until the cost falls."""
+    poses, length = [one.pose for one in before.predictions], before.length
+    for _ in range(SETTINGS.fit.max_halvings):
+        z = np.clip(before.z + length * step, u.lower, u.upper)
+        starts = _starts(inverse, before.predictions, jacobians, z - before.z)
+        found = _predict_scans(inverse, u, z, starts, poses, each)
+        if found is not None:
+            cost = _cost(inverse, u, z, found)
+            if cost < before.cost:
+                return _Descent(z, found, cost, length)
+        length *= SETTINGS.fit.shortening
+    return None

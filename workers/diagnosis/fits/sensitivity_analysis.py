@@ -1,0 +1,198 @@
+"""What every effect of a catalogue would do to the residuals of the nominal fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
+from palpate.workers.diagnosis.fits.gauss_newton import SolvedFit
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
+from palpate.workers.diagnosis.problem.places import places_of
+from palpate.workers.diagnosis.problem.scan_prediction import (
+    PredictedScan,
+    columns_of,
+    observed_columns,
+    problem_of,
+)
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.base import Effect, Place, one_sided
+from palpate.workers.mechanics.fem.elements.external_forces import spring_stiffness
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class ScanSensitivity:
+    """What one effect would do to the residuals of one scan.
+
+    Parameters
+    ----------
+    columns : ndarray or None
+        Shape (k, q), or (g, k, q) at g places; None for an effect that does nothing there, or
+        that could not be simulated.
+    idle : bool
+        Whether it does nothing there.
+    """
+
+    columns: FloatArray | None
+    idle: bool = False
+
+
+def scan_sensitivity(
+    inverse: InverseProblem, at: SolvedFit, number: int, effect: Effect
+) -> ScanSensitivity:
+    """Differentiate the residuals of one scan by the parameters of one effect.
+
+    Two-sided effects are tangents. One-sided ones, which set in with full force and
+    then tire, are secants from neutral; their tangents at zero would mislead. One with a
+    single parameter gets a secant to a small magnitude and one to a prior standard
+    deviation, as if they were places. An effect that acts at one place gets a column of its
+    size for each place of a grid.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+    at : SolvedFit
+        Of the nominal model.
+    number : int
+        Of the scan.
+    effect : Effect
+    """
+    problem = problem_of(inverse.scans[number], at.unknowns, at.z, inverse.frame)
+    if not effect.acts_on(problem, inverse.frame):
+        return ScanSensitivity(None, idle=True)
+    return ScanSensitivity(_columns(inverse, problem, at.predictions[number], effect))
+
+
+def joined_sensitivity(
+    effect: Effect, scans: Sequence[ScanSensitivity]
+) -> EffectSensitivity | None:
+    """Join what an effect does to all scans, one after another; zero where it is idle.
+
+    Returns
+    -------
+    EffectSensitivity or None
+        None if it does nothing in any scan, or could not be simulated in some.
+    """
+    acting = [one.columns for one in scans if one.columns is not None]
+    if not acting or not all(one.columns is not None or one.idle for one in scans):
+        return None
+    nothing = np.zeros_like(acting[0])
+    stacked = np.concatenate(
+        [nothing if one.columns is None else one.columns for one in scans], axis=-2
+    )
+    sided = np.array([one_sided(p) for p in effect.parameters])
+    q = stacked.shape[-1]
+    return EffectSensitivity(
+        effect.name, effect.family, stacked, np.array(effect.prior_sd[:q]), sided[:q]
+    )
+
+
+def _columns(
+    inverse: InverseProblem, problem: Problem, prediction: PredictedScan, effect: Effect
+) -> FloatArray | None:
+    """Return (k, q), or (g, k, q) for what is tried at several places or magnitudes."""
+    if effect.observation is not None:
+        return observed_columns(inverse, effect, prediction)
+    if effect.place is not None:
+        return _at_places(inverse, prediction, effect, effect.place)
+    if any(one_sided(p) for p in effect.parameters):
+        return _secants(inverse, prediction, effect, problem)
+    changes = list(effect.changes(problem, inverse.frame))
+    return columns_of(inverse, prediction, changes, tolerance=SETTINGS.sensitivities.tangent_error)
+
+
+def _at_places(
+    inverse: InverseProblem, prediction: PredictedScan, effect: Effect, place: Place
+) -> FloatArray:
+    """Return (g, k, q) for q sizes; one-sided differences, for the forces without are at hand."""
+    without, sizes = prediction.at.problem, range(effect.size_count)
+    changes = []
+    for offset in places_of(inverse, effect):
+        where = dict(zip(place.names, map(float, offset), strict=True))
+        for q in sizes:
+            step = effect.steps[q]
+            there = effect.apply(without, {effect.names[q]: step} | where, inverse.frame)
+            changes.append(Change(there, without, step))
+    moved = inverse.forward.tangents(prediction.at, changes, SETTINGS.sensitivities.place_error)
+    free = spring_stiffness(inverse.model.finest, without)
+    columns = []
+    for number, (change, u) in enumerate(zip(changes, moved, strict=True)):
+        q = number % len(sizes)
+        column = prediction.along_normals(u)
+        if one_sided(effect.parameters[q]):
+            column /= 1 + effect.prior_sd[q] * _yielding(inverse, prediction, change, free, u)
+        columns.append(column)
+    stacked = np.reshape(columns, (-1, len(sizes), len(prediction.residual)))
+    return np.ascontiguousarray(stacked.transpose(0, 2, 1))
+
+
+def _yielding(
+    inverse: InverseProblem,
+    prediction: PredictedScan,
+    change: Change,
+    free: FloatArray,
+    moved: FloatArray,
+) -> float:
+    """Return by how much the body gives way to a unit of springs, as a part of where it is.
+
+    Springs k D take off k D u of the load where they hold the body by u; once they hold it, u is
+    shorter by 1 + k c with c = -u'D du/dk / u'Du: exact for a spring at one point of a linear
+    body. `free` are the springs without the change, (n, 3).
+    """
+    u = prediction.at.solution.displacement_mm
+    force = (spring_stiffness(inverse.model.finest, change.plus) - free) / change.step * u
+    work = float(np.vdot(force, u))
+    return max(0.0, -float(np.vdot(force, moved)) / work) if work > 0 else 0.0
+
+
+def _secants(
+    inverse: InverseProblem, view: PredictedScan, effect: Effect, problem: Problem
+) -> FloatArray | None:
+    settings = SETTINGS.sensitivities
+    problem = inverse.forward.loosened(
+        problem, settings.secant_step_mm, settings.secant_friction_steps
+    )
+    tried = settings.secant_magnitudes if len(effect.names) == 1 else (1.0,)
+    places, start = [], view.at
+    for share in tried:
+        columns = []
+        for name, sd in zip(effect.names, effect.prior_sd, strict=True):
+            starts = (start,) if start is view.at else (start, view.at)
+            found = _simulated(inverse, problem, effect, name, share * sd, starts)
+            if found is None:
+                return None
+            at, step = found
+            if len(effect.names) == 1:
+                start = at
+            moved = at.solution.displacement_mm - view.at.solution.displacement_mm
+            columns.append(view.along_normals(moved) / step)
+        places.append(np.stack(columns, axis=1))
+    return np.stack(places) if len(places) > 1 else places[0]
+
+
+def _simulated(
+    inverse: InverseProblem,
+    problem: Problem,
+    effect: Effect,
+    name: str,
+    step: float,
+    starts: Sequence[Equilibrium],
+) -> tuple[Equilibrium, float] | None:
+    """Return the body with one parameter away from neutral, and how far, from one of `starts`.
+
+    Where that cannot be simulated, half as far is tried: an effect must not go unheard because
+    its plausible size is too much for this body. The way back from a larger magnitude may fail
+    where that from neutral does not.
+    """
+    for _ in range(1 + SETTINGS.sensitivities.secant_halvings):
+        changed = effect.apply(problem, {name: effect.neutral[name] + step}, inverse.frame)
+        for start in starts:
+            found: Equilibrium = inverse.forward.equilibrium(inverse.model, changed, start)
+            if found.solution.outcome.converged:
+                return found, step
+        step /= 2.0
+    return None

@@ -1,0 +1,323 @@
+"""Weighs hypotheses under noise that is not known exactly: the evidence is averaged over it.
+
+The stated covariance factors interface by interface. One Cholesky factor for each correlation
+length whitens everything; scales, the numerical error and a smooth field on top cost systems of
+the size of their columns.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import logsumexp
+
+from palpate.storage.values import BoolArray, FloatArray, IntArray
+from palpate.workers.diagnosis.algebra.evidence import Quadratic, Sides, log_marginal, sides
+from palpate.workers.diagnosis.noise.model import NoiseParts, NoiseState, weighted_sum
+from palpate.workers.diagnosis.settings.values import SETTINGS
+
+
+class _Whitened:
+    """Columns in the space where the stated noise is white, and products by groups."""
+
+    def __init__(self, factor: FloatArray, masks: Sequence[FloatArray], columns: FloatArray):
+        self.columns = np.asarray(solve_triangular(factor, columns, lower=True, check_finite=False))
+        self.parts = [self.columns[mask] for mask in masks]
+
+    def gram(self, other: "_Whitened") -> list[FloatArray]:
+        """Return ``own' other`` of each group."""
+        return [a.T @ b for a, b in zip(self.parts, other.parts, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearHypothesis:
+    """The model around a fit of some effects.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (m,)
+        In mm.
+    columns : ndarray, shape (m, p)
+        Derivatives per prior standard deviation.
+    offset : ndarray, shape (p,)
+        Fit minus prior mean, in prior standard deviations.
+    one_sided : ndarray of bool, shape (p,)
+    is_pose : ndarray of bool, shape (p,)
+        Which columns are motions of a scan: their prior deviation is averaged over.
+    at_bound : ndarray of int, shape (p,), optional
+        Which parameters were stopped at a bound; see `diagnosis.algebra.evidence.log_marginal`.
+        None.
+    """
+
+    residual: FloatArray
+    columns: FloatArray
+    offset: FloatArray
+    one_sided: BoolArray
+    is_pose: BoolArray
+    at_bound: IntArray | None = None
+
+    @property
+    def sides(self) -> Sides:
+        """On which side of an edge each parameter must lie."""
+        return sides(self.offset, self.one_sided, self.at_bound)
+
+    def log_marginal(self, q: Quadratic) -> FloatArray:
+        """Return the log evidence of each misfit of a stack, shape (...)."""
+        return log_marginal(q, self.offset, self.one_sided, self.at_bound)
+
+    def with_errors(self, columns: FloatArray, *, are_poses: bool = False) -> "LinearHypothesis":
+        """Return it with more columns of unit deviation, shape (m, q)."""
+        q = columns.shape[1]
+        return LinearHypothesis(
+            self.residual,
+            np.hstack([self.columns, columns]),
+            np.append(self.offset, np.zeros(q)),
+            np.append(self.one_sided, np.zeros(q, np.bool_)),
+            np.append(self.is_pose, np.full(q, are_poses)),
+            None if self.at_bound is None else np.append(self.at_bound, np.zeros(q, np.int32)),
+        )
+
+
+def with_pose_scales(q: Quadratic, is_pose: BoolArray) -> Quadratic:
+    """Return misfits for scans that lie off as far as is stated, and for such as lie nearer.
+
+    Poses that are known far better from the residuals than before them cost each hypothesis the
+    same, whether it needs them or not. Where scans lie as their headers say, what moves the body
+    as poses do would be lost by that; see `workers.diagnosis.settings.values.PoseSettings.scales`.
+    """
+    if not is_pose.any():
+        return q
+    scales = SETTINGS.pose.scales
+    either = Quadratic.stacked([q.scaled(np.where(is_pose, scale, 1.0)) for scale in scales])
+    share = 2.0 * np.log(len(scales))
+    return either._replace(log_determinant=either.log_determinant + share)
+
+
+def _joined(q: Quadratic, at: LinearHypothesis) -> float:
+    """Return the log evidence, averaged over the noise and over how far scans may lie off."""
+    return float(logsumexp(at.log_marginal(with_pose_scales(q, at.is_pose))))
+
+
+class NoiseModel:
+    """The noise of one diagnosis, averaged over what is not known of it.
+
+    Parameters
+    ----------
+    parts : NoiseParts
+    states : sequence of NoiseState
+        See `learnt_states`.
+    fields : sequence of ndarray, shape (m, r)
+        A smooth field of unit amplitude for each of its lengths.
+    amplitudes_mm : sequence of float
+        Of that field; all pairs are equally probable.
+    """
+
+    def __init__(
+        self,
+        parts: NoiseParts,
+        states: Sequence[NoiseState],
+        fields: Sequence[FloatArray] = (),
+        amplitudes_mm: Sequence[float] = SETTINGS.smooth_field.amplitudes_mm,
+    ) -> None:
+        self.parts, self.states, self.amplitudes_mm = parts, tuple(states), tuple(amplitudes_mm)
+        self.size = parts.size
+        self._masks = [parts.groups == g for g in range(int(parts.groups.max()) + 1)]
+        self._counts = np.array([mask.sum() for mask in self._masks])
+        self._factors = {
+            n: np.asarray(cholesky(parts.stated[n], lower=True, check_finite=False))
+            for n in {state.length for state in states}
+        }
+        both = np.hstack([parts.fixed, parts.numerical])
+        self.nuisances = {n: self.white(n, both) for n in self._factors}
+        self._own = {n: white.gram(white) for n, white in self.nuisances.items()}
+        self._fields = {
+            n: [self.white(n, f) for f in fields] for n in {s.length for s in self.likeliest}
+        }
+        self._n_fields = len(fields)
+        self._systems: dict[int, FloatArray] = {}
+        self._field_systems: dict[tuple[int, int, float], FloatArray] = {}
+
+    @property
+    def likeliest(self) -> tuple[NoiseState, ...]:
+        """The states under which a smooth field is weighed."""
+        return self.states[: SETTINGS.noise.field_states]
+
+    def products(self, columns: FloatArray, residual: FloatArray) -> "Products":
+        """Return what `plain` and `with_field` need of a hypothesis.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (m, p)
+            Derivatives of the residuals per prior standard deviation, in mm.
+        residual : ndarray, shape (m,)
+            In mm.
+        """
+        return Products(self, np.column_stack([columns, residual]))
+
+    def plain(self, products: "Products", states: Sequence[NoiseState] | None = None) -> Quadratic:
+        """Return the misfit under every state of the noise, as a stack.
+
+        Weights of the states are in the determinants, so log evidences of a hypothesis are
+        joined by the logarithm of the sum of their exponentials.
+
+        Parameters
+        ----------
+        products : Products
+        states : sequence of NoiseState, optional
+            Some of them; all.
+        """
+        found = []
+        for state in self.states if states is None else states:
+            _, own, cross = products.under(state.length)
+            weights = 1.0 / state.scales**2
+            X = self._scale(state)[:, None] * weighted_sum(weights, cross)
+            factor = self._system(state)
+            found.append(self._quadratic(state, weighted_sum(weights, own), factor, X))
+        return Quadratic.stacked(found)
+
+    def with_field(self, products: "Products") -> Quadratic:
+        """Return the same with a smooth field in the noise, under the likeliest states.
+
+        See `plain`. The states that are left out are made good for by the share that they had
+        when the noise was learnt, with a smooth field then too.
+        """
+        share = np.log(max(1, self._n_fields) * len(self.amplitudes_mm))
+        share += np.log(sum(state.share for state in self.likeliest))
+        found = []
+        for state in self.likeliest:
+            white, own, cross = products.under(state.length)
+            weights = 1.0 / state.scales**2
+            inner = weighted_sum(weights, own)
+            X = self._scale(state)[:, None] * weighted_sum(weights, cross)
+            for f, field in enumerate(self._fields[state.length]):
+                F = weighted_sum(weights, field.gram(white))
+                for amplitude in self.amplitudes_mm:
+                    factor = self._field_system(state, f, amplitude)
+                    q = self._quadratic(state, inner, factor, np.vstack([X, amplitude * F]))
+                    found.append(q._replace(log_determinant=q.log_determinant + 2.0 * share))
+        return Quadratic.stacked(found)
+
+    def log_evidence(
+        self, at: LinearHypothesis, states: Sequence[NoiseState] | None = None
+    ) -> float:
+        """Return the log evidence of a hypothesis, averaged over the states of the noise."""
+        return _joined(self.plain(self.products(at.columns, at.residual), states), at)
+
+    def log_evidences_with_errors(
+        self, at: LinearHypothesis, errors: FloatArray, sizes: Sequence[float]
+    ) -> tuple[list[float], list[float] | None]:
+        """Return the log evidence of a hypothesis with errors of several sizes.
+
+        Parameters
+        ----------
+        at : LinearHypothesis
+        errors : ndarray, shape (m, q)
+            Columns of unit deviation for an error of size one.
+        sizes : sequence of float
+
+        Returns
+        -------
+        list of float, list of float or None
+            Without and with a smooth field in the noise; None where none can be tried.
+        """
+        wide = at.with_errors(errors)
+        products = self.products(wide.columns, wide.residual)
+        is_error = np.arange(wide.columns.shape[1]) >= at.columns.shape[1]
+
+        def each(q: Quadratic) -> list[float]:
+            return [_joined(q.scaled(np.where(is_error, size, 1.0)), wide) for size in sizes]
+
+        beside = each(self.with_field(products)) if self.has_field else None
+        return each(self.plain(products)), beside
+
+    def field_gain(self, at: LinearHypothesis) -> float | None:
+        """Return by how much a smooth field raises it; None without one."""
+        if not self.has_field:
+            return None
+        products = self.products(at.columns, at.residual)
+        return _joined(self.with_field(products), at) - _joined(self.plain(products), at)
+
+    @property
+    def has_field(self) -> bool:
+        """Whether a smooth field can be tried."""
+        return self._n_fields > 0
+
+    def _quadratic(
+        self, state: NoiseState, own: FloatArray, factor: FloatArray, X: FloatArray
+    ) -> Quadratic:
+        """Return the misfit from products of all columns, of which the last is the residual."""
+        Y = solve_triangular(factor, X, lower=True, check_finite=False)
+        left = own - Y.T @ Y
+        return Quadratic(
+            left[-1, -1],
+            left[:-1, -1],
+            left[:-1, :-1],
+            np.array(self._log_determinant(state, factor) - 2.0 * state.log_weight),
+        )
+
+    def _log_determinant(self, state: NoiseState, factor: FloatArray) -> float:
+        stated = float(np.log(np.diag(self._factors[state.length])).sum())
+        return 2.0 * (
+            stated
+            + float(self._counts @ np.log(state.scales))
+            + float(np.log(np.diag(factor)).sum())
+        )
+
+    def white(self, length: int, columns: FloatArray) -> _Whitened:
+        """Return columns in the space where noise of one correlation length is white."""
+        return _Whitened(self._factors[length], self._masks, columns)
+
+    def _scale(self, state: NoiseState) -> FloatArray:
+        fixed, numerical = self.parts.fixed.shape[1], self.parts.numerical.shape[1]
+        return np.repeat([1.0, state.numerical], [fixed, numerical])
+
+    def _system(self, state: NoiseState) -> FloatArray:
+        found = self._systems.get(id(state))
+        if found is None:
+            d = self._scale(state)
+            gram = weighted_sum(1.0 / state.scales**2, self._own[state.length])
+            found = cholesky(np.eye(len(d)) + d[:, None] * gram * d, lower=True)
+            self._systems[id(state)] = found
+        return found
+
+    def _field_system(self, state: NoiseState, f: int, amplitude: float) -> FloatArray:
+        key = (id(state), f, amplitude)
+        found = self._field_systems.get(key)
+        if found is None:
+            weights, d = 1.0 / state.scales**2, self._scale(state)
+            field, nuisances = self._fields[state.length][f], self.nuisances[state.length]
+            top = self._system(state)
+            cross = d[:, None] * weighted_sum(weights, nuisances.gram(field)) * amplitude
+            below = np.asarray(weighted_sum(weights, field.gram(field))) * amplitude**2
+            side = solve_triangular(top, cross, lower=True, check_finite=False)
+            corner = cholesky(np.eye(len(below)) + below - side.T @ side, lower=True)
+            n, r = top.shape[0], len(corner)
+            found = np.zeros((n + r, n + r))
+            found[:n, :n], found[n:, :n], found[n:, n:] = top, side.T, corner
+            self._field_systems[key] = found
+        return found
+
+
+class Products:
+    """Inner products of the columns of a hypothesis under each correlation length, made once.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+    columns : ndarray, shape (m, p + 1)
+        The last one is the residual.
+    """
+
+    def __init__(self, noise: NoiseModel, columns: FloatArray) -> None:
+        self._noise, self._columns = noise, columns
+        self._found: dict[int, tuple[_Whitened, list[FloatArray], list[FloatArray]]] = {}
+
+    def under(self, length: int) -> tuple[_Whitened, list[FloatArray], list[FloatArray]]:
+        """Return whitened columns; products of each group with each other and with nuisances."""
+        found = self._found.get(length)
+        if found is None:
+            white = self._noise.white(length, self._columns)
+            found = white, white.gram(white), self._noise.nuisances[length].gram(white)
+            self._found[length] = found
+        return found

@@ -1,0 +1,212 @@
+"""How far models are from the body, averaged over all that may be the cause.
+
+A hypothesis says where the body is: where its fit puts the interfaces, and around that a normal
+posterior of its constants and effects, of their errors of form, and of a smooth field where one is
+beside them. How far another model is from there is what that misses if the hypothesis is true.
+Drawn over all hypotheses as often as they are probable, and over the noise as it may be, these
+distances are the posterior of the gap (J. A. Hoeting et al., Stat. Sci. 14 (1999) 382). So a cause
+that is doubted does not lend its gap, or what it takes away, to a diagnosis that may be another.
+
+Where scans lie and how large their labels are drawn is integrated over and is no gap.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import softmax
+
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.algebra.evidence import Quadratic, Sides, posterior
+from palpate.workers.diagnosis.fits.gauss_newton import Fit
+from palpate.workers.diagnosis.noise.evidence import LinearHypothesis, with_pose_scales
+from palpate.workers.diagnosis.outcome.shrinkage import parts_of_floor
+from palpate.workers.diagnosis.screening.form_error import log_prior_of_sizes
+from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.verdict.hypotheses import Case
+
+
+@dataclass(frozen=True, eq=False)
+class GapDraws:
+    """Distances of models from the body along its interfaces, drawn from their posterior.
+
+    Parameters
+    ----------
+    before : ndarray, shape (m, n)
+        Of the nominal model: signed, in mm, of each residual in each draw.
+    after : ndarray, shape (m, n), or None
+        Of the accused effects; None if there are none.
+    floors_mm : ndarray, shape (n,)
+        What every model misses beside that, drawn too.
+    """
+
+    before: FloatArray
+    after: FloatArray | None
+    floors_mm: FloatArray
+
+    @property
+    def before_mm(self) -> FloatArray:
+        """Root mean square distance of the nominal model in each draw, shape (n,)."""
+        return self._root_mean_square(self.before)
+
+    @property
+    def after_mm(self) -> FloatArray | None:
+        """The same of the accused effects."""
+        return None if self.after is None else self._root_mean_square(self.after)
+
+    def _root_mean_square(self, distances: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt((distances**2).mean(axis=0) + self.floors_mm**2))
+
+
+def draw_gaps(
+    analysis: NominalAnalysis,
+    fits: Mapping[tuple[str, ...], Fit],
+    probabilities: Mapping[Case, float],
+    accused: Fit | None,
+    floor_mm: float,
+) -> GapDraws:
+    """Draw how far the nominal model, and one with the accused effects, may be from the body.
+
+    Parameters
+    ----------
+    analysis : NominalAnalysis
+    fits : mapping of tuple of str to Fit
+        Of the effects that were fitted together with the constants.
+    probabilities : mapping of Case to float
+        Of each hypothesis. One whose effects were not fitted is taken for a smooth field, or, if
+        the constants hide them, for the nominal model.
+    accused : Fit or None
+        One of `fits`.
+    floor_mm : float
+        What every model misses beside that: the mesh, and the body as it was segmented.
+    """
+    settings = SETTINGS.gap
+    rng = np.random.default_rng(settings.seed)
+    known = {(): analysis.nominal, **fits}
+    weights = _of_fitted(probabilities, known, analysis.hidden, analysis.noise.has_field)
+    counts = _shared_out(settings.draws, np.array(list(weights.values())))
+    models = [analysis.nominal] + ([] if accused is None else [accused])
+    residuals, place = [m.residual(analysis.inverse) for m in models], analysis.inverse.is_place
+    drawn: list[list[FloatArray]] = [[] for _ in models]
+    for (names, field), count in zip(weights, counts, strict=True):
+        if not count:
+            continue
+        true = _Beliefs(analysis, known[names], bool(names), field).draw(count, rng)
+        for own, residual in zip(drawn, residuals, strict=True):
+            own.append((residual[:, None] - true)[place])
+    floors = floor_mm * parts_of_floor(rng, settings.draws)
+    each = [np.hstack(parts) for parts in drawn]
+    return GapDraws(each[0], each[1] if accused is not None else None, floors)
+
+
+def _of_fitted(
+    probabilities: Mapping[Case, float],
+    known: Mapping[tuple[str, ...], Fit],
+    hidden: set[str],
+    has_field: bool,
+) -> dict[Case, float]:
+    """Return the probability of each hypothesis that a fit stands for, but the improbable ones'."""
+    found: dict[Case, float] = {}
+    for (names, field), probability in probabilities.items():
+        stands = (names, field)
+        if names not in known:
+            stands = ((), has_field and not set(names) <= hidden)
+        found[stands] = found.get(stands, 0.0) + probability
+    heard = {case: value for case, value in found.items() if value >= SETTINGS.gap.heard}
+    return {case: value / sum(heard.values()) for case, value in heard.items()}
+
+
+def _shared_out(draws: int, weights: FloatArray) -> list[int]:
+    """Return how many draws each gets: in proportion, rounded so that none is lost."""
+    ends = np.rint(draws * np.cumsum(weights) / weights.sum()).astype(int)
+    return np.diff(ends, prepend=0).tolist()
+
+
+class _Beliefs:
+    """Where a hypothesis believes the body to be, as residuals of a model that is there.
+
+    A mixture of normal distributions: of states of the noise, of how far scans lie off, of the
+    size of the errors of form, and of the length and amplitude of a smooth field.
+    """
+
+    def __init__(self, analysis: NominalAnalysis, at: Fit, acts: bool, field: bool) -> None:
+        noise, hypothesis = analysis.noise, analysis.hypothesis(at)
+        errors = analysis.errors_of_form(hypothesis) if acts else _nothing_of(hypothesis)
+        fields = analysis.fields if field else (_nothing_of(hypothesis),)
+        self._parts: list[_Part] = []
+        for columns in fields:
+            wide = hypothesis.with_errors(errors).with_errors(columns)
+            states = noise.likeliest if field else noise.states
+            q = noise.plain(noise.products(wide.columns, wide.residual), states)
+            for log_prior, factors in _sizes(wide, errors, columns, noise.amplitudes_mm):
+                scaled = with_pose_scales(q.scaled(factors), wide.is_pose)
+                logs = log_prior + wide.log_marginal(scaled)
+                self._parts.append(_Part(wide, scaled, factors, logs.ravel()))
+
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Return residuals of a model that is where the body is, shape (m, count), in mm."""
+        chances = softmax(np.concatenate([part.logs for part in self._parts]))
+        counts = rng.multinomial(count, chances)
+        ends = np.cumsum([len(part.logs) for part in self._parts])
+        own = zip(self._parts, np.split(counts, ends[:-1]), strict=True)
+        return np.hstack([part.draw(n, c, rng) for part, each in own for n, c in _some(each)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Normal distributions of the same columns, which are larger by factors, (p,)."""
+
+    at: LinearHypothesis
+    q: Quadratic
+    factors: FloatArray
+    logs: FloatArray
+
+    def draw(self, which: int, count: int, rng: np.random.Generator) -> FloatArray:
+        """Return `count` draws of one of them, shape (m, count); poses have no part in it."""
+        p, offset = len(self.factors), self.at.offset
+        one = Quadratic(
+            self.q.misfit.ravel()[which],
+            self.q.gradient.reshape(-1, p)[which],
+            self.q.curvature.reshape(-1, p, p)[which],
+            self.q.log_determinant.ravel()[which],
+        )
+        mean, covariance = posterior(one, offset)
+        spread = np.linalg.cholesky(covariance) @ rng.standard_normal((p, count))
+        z = _within_bounds(mean[:, None] + spread, covariance, self.at.sides)
+        step = (self.factors[:, None] * (z - offset[:, None]))[~self.at.is_pose]
+        return self.at.residual[:, None] + self.at.columns[:, ~self.at.is_pose] @ step
+
+
+def _within_bounds(z: FloatArray, covariance: FloatArray, within: Sides) -> FloatArray:
+    """Return draws (p, n), each parameter in turn taken to its edge where it is beyond.
+
+    All others go where they are expected then: moved alone, one would leave what the scans say of
+    them together. Where the next ones move an earlier one beyond, it stays there: a little.
+    """
+    for j in np.flatnonzero(within.side):
+        inward = within.side[j]
+        short = inward * np.maximum(inward * (within.edge[j] - z[j]), 0.0)
+        z = z + np.outer(covariance[:, j] / covariance[j, j], short)
+    return z
+
+
+def _sizes(
+    wide: LinearHypothesis, errors: FloatArray, field: FloatArray, amplitudes_mm: Sequence[float]
+) -> Iterator[tuple[float, FloatArray]]:
+    """Yield the sizes that errors of form and a field may have: log prior and factors, (p,)."""
+    e, f, p = errors.shape[1], field.shape[1], wide.columns.shape[1]
+    of_errors = zip(SETTINGS.form.relative_sds, log_prior_of_sizes(), strict=True)
+    for size, log_prior in of_errors if e else [(1.0, 0.0)]:
+        for amplitude in amplitudes_mm if f else [1.0]:
+            yield log_prior, np.repeat([1.0, size, amplitude], [p - e - f, e, f])
+
+
+def _some(counts: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
+    """Yield place and number of those that are drawn at all."""
+    return ((n, int(count)) for n, count in enumerate(counts) if count)
+
+
+def _nothing_of(hypothesis: LinearHypothesis) -> FloatArray:
+    return np.zeros((len(hypothesis.residual), 0))

@@ -1,0 +1,167 @@
+r"""Where the tissue would have to be stiffer or softer to explain what is left.
+
+For a lump at a place, with whitened column b and the efficient residual of `Linearised`,
+
+.. math:: z = -\frac{b' P \rho}{\sqrt{b' P b}}
+
+is Rao's score of a unit variance: positive where a stiffer spot would explain the
+residuals, negative where a softer one would. It is the error estimator of model updating
+(L. Chamoin, P. Ladeveze and J. Waeytens, Comput. Mech. 54 (2014) 1567) with one adjoint
+problem for all places, freed of what the nominal constants absorb.
+
+Places share most of their data, so a map is smooth, and its largest value over many
+places is that of noise more often than a single one is: `reached_by_noise` draws
+residuals of pure noise and looks at the largest of each draw.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import KDTree
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, Tissue, Volume
+from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
+from palpate.workers.diagnosis.algebra.linearisation import Linearised
+
+DRAWS = 2000
+# Share of draws of pure noise whose largest |z| stays below the level.
+QUIET = 0.95
+VOXEL_MM = 2.0
+# A voxel farther from every place than this is not drawn: the rim, where no lump was tried.
+FARTHEST_MM = 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class CauseMap:
+    """Scores of "locally stiffer" at the places where a lump was tried.
+
+    Parameters
+    ----------
+    places : ndarray, shape (g, 3)
+        (x, y, z) in mm.
+    z : ndarray, shape (g,)
+        Positive for stiffer, of unit variance if only noise is left.
+    estimate, sd : ndarray, shape (g,)
+        Logarithm of the ratio of stiffness that is expected, with its prior, and its
+        standard deviation.
+    seen : ndarray of bool, shape (g,)
+        Whether the scans know more about the place than the prior does.
+    reached_by_noise : float
+        Level that the largest |z| of pure noise exceeds in 5 of 100 cases.
+    """
+
+    places: FloatArray
+    z: FloatArray
+    estimate: FloatArray
+    sd: FloatArray
+    seen: BoolArray
+    reached_by_noise: float
+
+    @property
+    def loudest(self) -> int:
+        """The place with the largest |z| among those that are seen; of all if none is."""
+        among = self.seen if self.seen.any() else np.ones_like(self.seen)
+        return int(np.where(among, np.abs(self.z), -1.0).argmax())
+
+
+def cause_map(
+    problem: Linearised, lump: EffectSensitivity, places: FloatArray, seed: int = 0
+) -> CauseMap:
+    """Score every place of a sensitivity.
+
+    Parameters
+    ----------
+    problem : Linearised
+        At the fit of the nominal parameters, or of a refit: the map then shows what an
+        effect leaves.
+    lump : EffectSensitivity
+        One parameter at g places.
+    places : ndarray, shape (g, 3)
+        Of the sensitivity, (x, y, z) in mm.
+    seed : int
+        Of the draws of noise.
+
+    Raises
+    ------
+    InputError
+        If the sensitivity has several parameters, or other places or residuals.
+    """
+    g, _, q = lump.places.shape
+    if q != 1 or places.shape != (g, 3):
+        raise InputError(
+            f"A map of causes needs one parameter at each of its places, found {q} at {g} places "
+            f"of the effect {lump.name} and places of shape {places.shape}."
+        )
+    B = np.ascontiguousarray(lump.whitened(problem)[:, :, 0].T)
+    PB = problem.project(B)
+    information = B.T @ PB
+    own = np.maximum(np.diag(information), np.finfo(float).tiny)
+    score = -(B.T @ problem.efficient_residual)
+    posterior = 1.0 / (1.0 + own)
+    return CauseMap(
+        places=places,
+        z=score / np.sqrt(own),
+        estimate=score * posterior * lump.prior_sd[0],
+        sd=np.sqrt(posterior) * lump.prior_sd[0],
+        # Data that say as much as the prior halve the variance.
+        seen=own > 1.0,
+        reached_by_noise=_largest_of_noise(information, own, seed),
+    )
+
+
+def _largest_of_noise(information: FloatArray, own: FloatArray, seed: int) -> float:
+    """Return quantile of the largest of correlated unit normals."""
+    scale = np.sqrt(own)
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = root @ np.random.default_rng(seed).standard_normal((len(own), DRAWS))
+    return float(np.quantile(np.abs(draws).max(axis=0), QUIET))
+
+
+def voxels(found: CauseMap, body: Volume, voxel_mm: float = VOXEL_MM) -> Volume:
+    """Return the scores between the places, in the body.
+
+    The interpolation is exact at the places and linear in the distance between them
+    (the biharmonic spline of three dimensions), so it neither overshoots far nor runs
+    away outside.
+
+    Parameters
+    ----------
+    found : CauseMap
+    body : Volume
+        `Tissue` labels of the body at rest.
+    voxel_mm : float
+        Of the map; > 0.
+
+    Returns
+    -------
+    Volume of float32
+        z in the body near to places that are seen; nan elsewhere.
+    """
+    if not voxel_mm > 0:
+        raise InputError(f"Voxels of a map need an edge > 0 mm, found {voxel_mm}.")
+    nx, ny, nz = (
+        max(1, round(n * s / voxel_mm))
+        for n, s in zip(body.shape_xyz, body.spacing_mm, strict=True)
+    )
+    origin = np.asarray(body.origin_mm) - np.asarray(body.spacing_mm) / 2 + voxel_mm / 2
+    z, y, x = np.meshgrid(*(np.arange(n) for n in (nz, ny, nx)), indexing="ij")
+    centres = origin + voxel_mm * np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    inside = _tissue_at(body, centres)
+    away, nearest = KDTree(found.places).query(centres[inside])
+    drawn = np.full(len(centres), np.nan, np.float32)
+    spline = RBFInterpolator(found.places, found.z, kernel="linear", degree=0)
+    known = found.seen[nearest] & (away <= FARTHEST_MM)
+    drawn[np.flatnonzero(inside)[known]] = spline(centres[inside][known])
+    ox, oy, oz = origin.tolist()
+    return Volume(drawn.reshape(nz, ny, nx), (voxel_mm,) * 3, (ox, oy, oz))
+
+
+def _tissue_at(body: Volume, points: FloatArray) -> BoolArray:
+    """Return whether points lie in voxels of tissue."""
+    index = np.rint((points - body.origin_mm) / np.asarray(body.spacing_mm)).astype(int)
+    valid = ((index >= 0) & (index < body.shape_xyz)).all(axis=1)
+    x, y, z = np.clip(index, 0, np.asarray(body.shape_xyz) - 1).T
+    return np.asarray(valid & (body.values[z, y, x] != Tissue.AIR))

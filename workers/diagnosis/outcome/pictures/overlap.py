@@ -1,0 +1,194 @@
+r"""How far predicted and observed bodies overlap, in the numbers of an image comparison.
+
+The reference labels are moved by the simulated displacement onto the lattice of the
+observed scan and compared interface by interface: Jaccard and Dice coefficient,
+modified Hausdorff distance and the geometric similarity function. These numbers take
+no part in a verdict: they saturate, and they do not know the noise. They tell how
+large a gap is to a reader who is used to them.
+
+What segmentation noise alone leaves of the Jaccard coefficient follows from the area S
+of an interface and the mean distance by which the noise moves it, as two bodies of
+volume V then differ in :math:`D = S \,\overline{|e|}`:
+
+.. math:: JC = \frac{V - D/2}{V + D/2}, \qquad
+          \overline{|e|} = \sqrt{2/\pi}\,\overline{\sigma} .
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Triple, Volume
+from palpate.workers.comparison.observation.interface import Interface
+from palpate.workers.comparison.similarity.score import Score, Scorer
+from palpate.workers.comparison.warp.warp_volume import warp_labels
+from palpate.workers.diagnosis.problem.acquisition import INTERFACES
+
+
+@dataclass(frozen=True, slots=True)
+class Distances:
+    """Distances of the points of one interface from what a scan shows.
+
+    Parameters
+    ----------
+    p50_mm, p95_mm : float
+        Median and 95th percentile of the distance without its sign.
+    signed_mean_mm : float
+        Positive if the model lies outside of the observed tissue on the whole.
+    points : int
+    """
+
+    p50_mm: float
+    p95_mm: float
+    signed_mean_mm: float
+    points: int
+
+
+def predict(labels: Volume, mesh: TetMesh, displacement_mm: FloatArray, observed: Volume) -> Volume:
+    """Return the body as the model deforms it, on the lattice of a scan, from where that begins.
+
+    Below the lowest slice in which a scan shows the body it may have been cut.
+
+    Parameters
+    ----------
+    labels : Volume
+        `Tissue` labels of the body at rest.
+    mesh : TetMesh
+        Of the body at rest, n nodes.
+    displacement_mm : ndarray, shape (n, 3)
+    observed : Volume
+        The scan that the body is compared with.
+
+    Raises
+    ------
+    InputError
+        If the displacement does not fit the mesh or is not finite.
+    """
+    found = warp_labels(labels, mesh, displacement_mm, observed)
+    x, y, z = found.origin_mm
+    below = max(0, round((observed.origin_mm[2] - z) / found.spacing_mm[2]))
+    origin_mm = (x, y, z + below * found.spacing_mm[2])
+    return replace(found, values=found.values[below:], origin_mm=origin_mm) if below else found
+
+
+def overlaps(
+    predicted: Volume, observed: Volume, interfaces: Sequence[Interface] = INTERFACES
+) -> dict[str, Score]:
+    """Compare two bodies on one lattice by what each interface encloses.
+
+    Parameters
+    ----------
+    predicted, observed : Volume
+        `Tissue` labels; their boxes may differ.
+    interfaces : sequence of Interface
+
+    Returns
+    -------
+    dict of str to Score
+        By the name of the interface.
+
+    Raises
+    ------
+    InputError
+        If the lattices differ, or `observed` has nothing inside an interface.
+    """
+    return {i.name: Scorer(observed, i.inside).score(predicted) for i in interfaces}
+
+
+def reachable_jc(
+    observed: Volume, interface: Interface, area_mm2: float, noise_mm: FloatArray
+) -> float:
+    """Return Jaccard coefficient that a perfect model would reach in spite of the noise.
+
+    Parameters
+    ----------
+    observed : Volume
+        `Tissue` labels.
+    interface : Interface
+    area_mm2 : float
+        Of the interface in the scan.
+    noise_mm : ndarray, shape (k,)
+        Standard deviations of the residuals of points on the interface, small against
+        the thickness of the tissue.
+
+    Raises
+    ------
+    InputError
+        If there is no point.
+    """
+    if not len(noise_mm):
+        raise InputError(f"The noise of the {interface.name} needs at least one point, found none.")
+    inside = np.isin(observed.values, [int(tissue) for tissue in interface.inside])
+    volume = float(inside.sum()) * observed.voxel_mm3
+    differing = area_mm2 * float(np.sqrt(2.0 / np.pi) * noise_mm.mean())
+    return max(0.0, (volume - differing / 2) / (volume + differing / 2))
+
+
+def distances(residual_mm: FloatArray, interface: IntArray, number: int) -> Distances:
+    """Return percentiles of the distance of one interface in one scan.
+
+    Parameters
+    ----------
+    residual_mm : ndarray, shape (k,)
+        Signed distances, positive outside of the observed tissue.
+    interface : ndarray of int, shape (k,)
+        The interface of each point.
+    number : int
+        Which one.
+
+    Raises
+    ------
+    InputError
+        If the interface has no point.
+    """
+    own = residual_mm[interface == number]
+    if not own.size:
+        raise InputError(f"Interface number {number} has none of the {len(residual_mm)} points.")
+    p50, p95 = np.quantile(np.abs(own), (0.5, 0.95))
+    return Distances(float(p50), float(p95), float(own.mean()), own.size)
+
+
+def on_one_box(volumes: Sequence[Volume]) -> tuple[NDArray[np.uint8], Triple]:
+    """Return labels on one lattice as one array, in a box around all of them.
+
+    Parameters
+    ----------
+    volumes : sequence of Volume
+        `Tissue` labels, n of them; their boxes may differ.
+
+    Returns
+    -------
+    labels : ndarray of uint8, shape (n, nz, ny, nx)
+        Air where a volume has no voxel.
+    origin_mm : tuple of float
+        Centre of the first voxel of the box, (x, y, z).
+
+    Raises
+    ------
+    InputError
+        If the volumes are on different lattices.
+    """
+    first = volumes[0]
+    spacing = np.asarray(first.spacing_mm)
+    starts = []
+    for volume in volumes:
+        if not volume.on_lattice_of(first):
+            raise InputError(
+                f"Labels on one box need one lattice: found voxels of {first.spacing_mm} mm with "
+                f"one at {first.origin_mm} mm, and of {volume.spacing_mm} mm with one at "
+                f"{volume.origin_mm} mm. Deform onto the lattice of the scan."
+            )
+        away = (np.asarray(volume.origin_mm) - first.origin_mm) / spacing
+        starts.append(np.rint(away).astype(int)[::-1])
+    low = np.min(starts, axis=0)
+    ends = [s + v.values.shape for s, v in zip(starts, volumes, strict=True)]
+    box = np.full((len(volumes), *np.max(ends, axis=0) - low), Tissue.AIR, np.uint8)
+    for into, volume, start in zip(box, volumes, starts, strict=True):
+        z, y, x = start - low
+        nz, ny, nx = volume.values.shape
+        into[z : z + nz, y : y + ny, x : x + nx] = volume.values
+    ox, oy, oz = (np.asarray(first.origin_mm) + low[::-1] * spacing).tolist()
+    return box, (ox, oy, oz)

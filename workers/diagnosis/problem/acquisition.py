@@ -1,0 +1,186 @@
+"""What is known of an acquisition before its loaded scans are made.
+
+The reference scan, the planned loads, the noise of the segmentation and the model with its
+plausible constants. With the loaded scans it becomes an inverse problem.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from palpate.storage.values import Volume
+from palpate.workers.body.mesh.hierarchy import Hierarchy
+from palpate.workers.comparison.observation.interface import (
+    GLANDULAR,
+    OUTLINE,
+    Interface,
+    interface_points,
+)
+from palpate.workers.comparison.observation.noise import SegmentationNoise, covariance
+from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.comparison.observation.residual import Observed, observe, residual
+from palpate.workers.diagnosis.problem.inverse_problem import (
+    FreeConstant,
+    InverseProblem,
+    Scan,
+    Values,
+)
+from palpate.workers.diagnosis.problem.preparation import (
+    BODY,
+    POINTS,
+    SHAPES,
+    Prepared,
+    ReadPrepared,
+    arrays_of_distances,
+    arrays_of_points,
+    arrays_of_volume,
+    distances_of,
+    points_of,
+    scan_preparation,
+    volume_of,
+)
+from palpate.workers.diagnosis.problem.shapes import shapes
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame, frame_of
+
+ProblemBuilder = Callable[[Values], Problem]
+"""From values of the free constants to the problem of one load."""
+
+INTERFACES: Sequence[Interface] = (OUTLINE, GLANDULAR)
+
+
+@dataclass(frozen=True, eq=False)
+class Acquisition:
+    """A body at rest, the loads under which it is scanned, and the model of both.
+
+    Parameters
+    ----------
+    name : str
+        As its owner calls it.
+    reference : Volume
+        `Tissue` labels of the body at rest, on whose interfaces points are put.
+    body : callable
+        Returns what is meshed.
+    mesh : callable
+        From that and a number of nodes to the mesh of the body.
+    noise : SegmentationNoise
+    free : sequence of FreeConstant
+        Constants of the model that the scans must determine.
+    loads : sequence of str
+        Names of the loaded scans.
+    problem : callable
+        From the number of a load and the frame of the body to its problem.
+    effects : sequence of Effect
+        Catalogue of what may be missing from the model.
+    pose_sd : tuple of float
+        How far a scan may lie from where its header puts it: along each axis in mm, about each
+        in degrees.
+    """
+
+    name: str
+    reference: Volume
+    body: Callable[[], Volume]
+    mesh: Callable[[Volume, int], Hierarchy]
+    noise: SegmentationNoise
+    free: Sequence[FreeConstant]
+    loads: Sequence[str]
+    problem: Callable[[int, Frame], ProblemBuilder]
+    effects: Sequence[Effect]
+    pose_sd: tuple[float, float] = (SETTINGS.pose.shift_sd_mm, SETTINGS.pose.turn_sd_deg)
+
+
+def prepare_scan(
+    acquisition: Acquisition, name: str, spacing_mm: float, loaded: Sequence[Volume] = ()
+) -> Prepared:
+    """Make what has this name in `workers.diagnosis.problem.preparation`.
+
+    Raises
+    ------
+    InputError
+        If a scan shows no body or no glandular tissue.
+    """
+    if name == BODY:
+        return arrays_of_volume(acquisition.body())
+    if name == POINTS:
+        clear_mm = SETTINGS.points.clear_noises * acquisition.noise.sd_mm
+        margin_mm = SETTINGS.points.wall_margin_mm
+        reference = acquisition.reference
+        points = interface_points(reference, INTERFACES, spacing_mm, margin_mm, clear_mm)
+        return arrays_of_points(points)
+    if name == SHAPES:
+        return shapes(acquisition.reference, INTERFACES)
+    number = [scan_preparation(n) for n in range(len(loaded))].index(name)
+    return arrays_of_distances(observe(loaded[number], INTERFACES))
+
+
+def finer_model(
+    acquisition: Acquisition, nodes: int, prepared: ReadPrepared | None = None
+) -> Model:
+    """Return another mesh of the body, with about so many nodes."""
+    body = acquisition.body() if prepared is None else volume_of(prepared(BODY))
+    return prepare(acquisition.mesh(body, nodes))
+
+
+def inverse_problem_of(
+    acquisition: Acquisition,
+    nodes: int,
+    spacing_mm: float,
+    loaded: Sequence[Volume] = (),
+    prepared: ReadPrepared | None = None,
+) -> InverseProblem:
+    """Mesh the body, put points on its interfaces and compare them with the loaded scans.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    nodes : int
+        Of the mesh.
+    spacing_mm : float
+        Between neighbouring points on the interfaces.
+    loaded : sequence of Volume
+        `Tissue` labels under each load, in order. Without them the problem has no scans, and
+        its covariance is that of one scan.
+    prepared : callable, optional
+        Gives what `prepare_scan` makes where it is made already.
+
+    Raises
+    ------
+    InputError
+        If a scan shows no body or no glandular tissue.
+    """
+    read = prepared or (lambda name: prepare_scan(acquisition, name, spacing_mm, loaded))
+    hierarchy = acquisition.mesh(volume_of(read(BODY)), nodes)
+    model, noise = prepare(hierarchy), acquisition.noise
+    frame = frame_of(model.finest.nodes)
+    points = points_of(read(POINTS))
+    states = max(1, len(loaded))
+    return InverseProblem(
+        model=model,
+        frame=frame,
+        points=points,
+        at_points=interpolation(hierarchy.finest.mesh, points.points),
+        free=acquisition.free,
+        scans=[
+            _scan(acquisition, number, frame, distances_of(read(scan_preparation(number))))
+            for number in range(len(loaded))
+        ],
+        noise=noise,
+        covariance=covariance(points, noise, states),
+        bias=np.zeros(len(points) * states),
+        pose_sd=acquisition.pose_sd,
+    )
+
+
+def _scan(acquisition: Acquisition, number: int, frame: Frame, observed: Observed) -> Scan:
+    return Scan(
+        acquisition.loads[number],
+        acquisition.problem(number, frame),
+        partial(residual, observed=observed),
+        interface_mm2=[one.interface_mm2 for one in observed.distances],
+        voxel_mm=observed.distances[0].spacing_mm,
+    )

@@ -1,0 +1,342 @@
+"""The scans as a hypothesis predicts them: residuals, and their derivatives."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palpate.storage.values import FloatArray, IntArray, Tissue
+from palpate.workers.diagnosis.problem.inverse_problem import (
+    FollowedPoints,
+    InverseProblem,
+    Scan,
+    Unknowns,
+)
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.plate_friction import FRICTION
+from palpate.workers.mechanics.effects.rigid_motion import (
+    RIGID_MOTION,
+    rigid_columns,
+    rigidly_moved,
+)
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import RELATIVE_ERROR, Change
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedScan:
+    """One scan compared with the model under one set of parameters.
+
+    Parameters
+    ----------
+    points : ndarray, shape (k, 3)
+        Where the points of the interfaces have gone.
+    residual : ndarray, shape (k,)
+        In mm, positive outside of the observed tissue; what the scan's pose adds is in it, as
+        far as it is linear.
+    normals : ndarray, shape (k, 3)
+        Of the observed interfaces.
+    """
+
+    points: FloatArray
+    residual: FloatArray
+    normals: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedScan(ComparedScan):
+    """The same with the equilibrium of the model, from which others can be solved.
+
+    `followed` is how the points were followed. `pose` is where the scan is supposed to lie: a
+    motion of the model against it, 3 shifts in mm and 3 turns in degrees.
+    """
+
+    at: Equilibrium
+    followed: FollowedPoints
+    pose: FloatArray | None = None
+
+    def along_normals(self, nodal: FloatArray) -> FloatArray:
+        """Return how a motion of the nodes (n, 3) moves the points along the normals, (k,)."""
+        moved = self.followed.at_points @ nodal
+        return np.asarray((moved * self.normals).sum(axis=1))
+
+
+def tissues_of(inverse: InverseProblem) -> IntArray:
+    """Return the tissue that the interface of each point encloses: fat for the outline."""
+    outline = inverse.points.interface == 0
+    return np.where(outline, Tissue.FAT, Tissue.GLANDULAR).astype(np.int32)
+
+
+def problem_of(
+    scan: Scan, unknowns: Unknowns, z: FloatArray, frame: Frame, leave_out: Effect | None = None
+) -> Problem:
+    """Return the problem of a scan with all effects of a hypothesis but one."""
+    problem = scan.problem(unknowns.constants(z))
+    if FRICTION in unknowns.effects:
+        steps = min(problem.friction_steps, SETTINGS.fit.friction_steps)
+        problem = replace(problem, friction_steps=steps)
+    for effect in unknowns.effects:
+        if effect is not leave_out:
+            problem = effect.apply(problem, unknowns.of_effect(effect, z), frame)
+    return problem
+
+
+def predict_scan(
+    inverse: InverseProblem,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    start: Equilibrium | None,
+    pose: FloatArray | None = None,
+) -> PredictedScan | None:
+    """Simulate one scan; None if the simulation does not converge."""
+    at = inverse.forward.equilibrium(
+        inverse.model, problem_of(scan, unknowns, z, inverse.frame), start
+    )
+    return (
+        compare_with_scan(inverse, scan, unknowns, z, at, pose)
+        if at.solution.outcome.converged
+        else None
+    )
+
+
+def compare_with_scan(
+    inverse: InverseProblem,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    at: Equilibrium,
+    pose: FloatArray | None = None,
+) -> PredictedScan:
+    """Compare an equilibrium with the scan, where it lies or is supposed to lie.
+
+    Far off an interface, distances to it are smoother than where it is, and no longer linear: a
+    motion of the scan is taken off the points, not off the distances.
+    """
+    followed = inverse.followed(scan)
+    points = followed.moved(at.solution.displacement_mm)
+    compared = compared_points(inverse, unknowns, z, points, pose)
+    r, normals = scan.compare(compared, inverse.points)
+    if pose is not None:
+        r = r + rigid_columns(points, normals, inverse.frame.centre_mm) @ pose
+    tissues = tissues_of(inverse)
+    for effect in unknowns.effects:
+        if effect.observation is not None and effect is not RIGID_MOTION:
+            values = unknowns.of_effect(effect, z)
+            places = _seen_by(effect, inverse, followed, at)
+            shift = effect.shift(places, normals, tissues, values, inverse.frame)
+            r = r + _of_places(inverse, shift)
+    return PredictedScan(points, r, normals, at, followed, pose)
+
+
+def compared_points(
+    inverse: InverseProblem,
+    unknowns: Unknowns,
+    z: FloatArray,
+    points: FloatArray,
+    pose: FloatArray | None,
+) -> FloatArray:
+    """Return where points that the model has moved are compared with a scan, shape (k, 3)."""
+    centre_mm = inverse.frame.centre_mm
+    if RIGID_MOTION in unknowns.effects:
+        motion = np.array(list(unknowns.of_effect(RIGID_MOTION, z).values()))
+        points = rigidly_moved(points, motion, centre_mm)
+    return points if pose is None else rigidly_moved(points, -pose, centre_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanJacobian:
+    """Derivatives of one scan by all parameters, shape (k, p), and where they were taken.
+
+    `moved` is what the parameters do to the nodes, (p, n, 3), as far as tangents know it. Fresh
+    unless a column was taken over from a place nearby.
+    """
+
+    z: FloatArray
+    columns: FloatArray
+    moved: FloatArray
+    fresh: bool = True
+
+
+def derivatives(
+    inverse: InverseProblem,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    prediction: PredictedScan,
+    before: ScanJacobian | None = None,
+) -> ScanJacobian:
+    """Return derivatives of the residual by every parameter.
+
+    With friction the path of the load counts, of which tangents know the last step only:
+    good enough for other parameters, but that of friction comes from another simulation,
+    unless `before` was taken at about the same friction.
+    """
+    moved = _moved_nodes(inverse, scan, unknowns, z, prediction)
+    found = _columns_of_all(inverse, unknowns, z, prediction, moved)
+    if FRICTION in unknowns.effects:
+        at = unknowns.names.index(FRICTION.names[0])
+        if (
+            before is not None
+            and abs(z[at] - before.z[at]) < SETTINGS.fit.friction_near * unknowns.sd[at]
+        ):
+            # The place where that column was taken stays: it must not drift.
+            found[:, at] = before.columns[:, at]
+            z = np.where(np.arange(len(z)) == at, before.z, z)
+            return ScanJacobian(z, found, moved, fresh=False)
+        found[:, at] = _by_solving(inverse, scan, unknowns, z, prediction, at)
+    return ScanJacobian(z, found, moved)
+
+
+def _moved_nodes(
+    inverse: InverseProblem,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    prediction: PredictedScan,
+) -> FloatArray:
+    """Return what all parameters do to the nodes, (p, n, 3); nothing for friction."""
+    changes = [_log_change(inverse, scan, unknowns, z, i) for i in range(len(unknowns.free))]
+    moving = list(range(len(unknowns.free)))
+    for effect in unknowns.effects:
+        if effect.observation is None and effect is not FRICTION:
+            base = problem_of(scan, unknowns, z, inverse.frame, leave_out=effect)
+            changes.extend(effect.changes(base, inverse.frame, unknowns.of_effect(effect, z)))
+            moving.extend(unknowns.names.index(name) for name in effect.names)
+    found = inverse.forward.tangents(prediction.at, changes, SETTINGS.fit.tangent_error)
+    moved = np.zeros((len(z), *found.shape[1:]))
+    moved[moving] = found
+    return moved
+
+
+def _columns_of_all(
+    inverse: InverseProblem,
+    unknowns: Unknowns,
+    z: FloatArray,
+    prediction: PredictedScan,
+    moved: FloatArray,
+) -> FloatArray:
+    """Return derivatives of the residual by all parameters, which move the nodes so."""
+    observed = [
+        (e, unknowns.of_effect(e, z)) for e in unknowns.effects if e.observation is not None
+    ]
+    columns = _along_motions(inverse, prediction, moved, observed)
+    for effect, _ in observed:
+        first = unknowns.names.index(effect.names[0])
+        which = slice(first, first + len(effect.names))
+        columns[:, which] = observed_columns(inverse, effect, prediction)
+    return columns
+
+
+def _by_solving(
+    inverse: InverseProblem,
+    scan: Scan,
+    unknowns: Unknowns,
+    z: FloatArray,
+    prediction: PredictedScan,
+    at: int,
+) -> FloatArray:
+    """Return the column of parameter number `at`; zero where the simulation fails."""
+    h = SETTINGS.fit.friction_step * unknowns.sd[at]
+    ahead = z.copy()
+    ahead[at] += h
+    found = predict_scan(inverse, scan, unknowns, ahead, prediction.at, prediction.pose)
+    if found is None:
+        return np.zeros_like(prediction.residual)
+    return (found.residual - prediction.residual) / h
+
+
+def columns_of(
+    inverse: InverseProblem,
+    prediction: PredictedScan,
+    changes: Sequence[Change],
+    tolerance: float = RELATIVE_ERROR,
+) -> FloatArray:
+    """Return derivatives of the residual by changes of the problem, shape (k, c).
+
+    `tolerance` is that of `tangents`.
+    """
+    moved = inverse.forward.tangents(prediction.at, changes, tolerance)
+    return _along_motions(inverse, prediction, moved)
+
+
+def _along_motions(
+    inverse: InverseProblem,
+    prediction: PredictedScan,
+    moved: FloatArray,
+    observed: Sequence[tuple[Effect, Mapping[str, float]]] = (),
+) -> FloatArray:
+    """Return derivatives of the residual along motions of the nodes, (c, n, 3): (k, c).
+
+    `observed` are the effects on the observation that act, with their values: a point that
+    moves is seen elsewhere.
+    """
+    out = np.empty((len(prediction.residual), len(moved)))
+    for c, nodal in enumerate(moved):
+        out[:, c] = prediction.along_normals(nodal)
+        for effect, values in observed:
+            out[:, c] += _shift_along(inverse, prediction, effect, values, nodal)
+    return out
+
+
+def _shift_along(
+    inverse: InverseProblem,
+    prediction: PredictedScan,
+    effect: Effect,
+    values: Mapping[str, float],
+    u: FloatArray,
+) -> FloatArray:
+    """Return the derivative of `Effect.shift`, affine in what it sees, along nodal motion `u`."""
+    here = _seen_by(effect, inverse, prediction.followed, prediction.at)
+    step = _moves(effect, inverse, prediction.followed, u)
+    rest = prediction.normals, tissues_of(inverse), values, inverse.frame
+    change = effect.shift(here + step, *rest) - effect.shift(here, *rest)
+    return _of_places(inverse, change)
+
+
+def observed_columns(
+    inverse: InverseProblem, effect: Effect, prediction: PredictedScan
+) -> FloatArray:
+    """Return derivatives by the parameters of an effect on the observation, shape (k, q)."""
+    if effect.observation is None:
+        raise ValueError(f"{effect.name} acts on the body")
+    places = _seen_by(effect, inverse, prediction.followed, prediction.at)
+    rest = prediction.normals, tissues_of(inverse), inverse.frame
+    return _of_places(inverse, effect.observation(places, *rest))
+
+
+def _of_places(inverse: InverseProblem, shift: FloatArray) -> FloatArray:
+    """Return what an effect on the observation does, (k, ...): load cells are not looked at."""
+    return np.where(inverse.is_force.reshape(-1, *[1] * (shift.ndim - 1)), 0.0, shift)
+
+
+def _seen_by(
+    effect: Effect, inverse: InverseProblem, followed: FollowedPoints, at: Equilibrium
+) -> FloatArray:
+    """Return what an effect on the observation is given as points; see `Effect.sees`."""
+    moved = _moves(effect, inverse, followed, at.solution.displacement_mm)
+    return followed.points + moved if effect.sees == "points" else moved
+
+
+def _moves(
+    effect: Effect, inverse: InverseProblem, followed: FollowedPoints, u: FloatArray
+) -> FloatArray:
+    """Return how motion `u` of the nodes moves what an effect sees, shape (k, 3)."""
+    if effect.sees != "arms":
+        return np.asarray(followed.at_points @ u)
+    if inverse.arms is None:
+        raise ValueError(f"{effect.name} needs markers")
+    return np.asarray(inverse.arms @ u)
+
+
+def _log_change(
+    inverse: InverseProblem, scan: Scan, unknowns: Unknowns, z: FloatArray, i: int
+) -> Change:
+    ahead, behind = z.copy(), z.copy()
+    ahead[i] += SETTINGS.fit.log_step
+    behind[i] -= SETTINGS.fit.log_step
+    plus, minus = (problem_of(scan, unknowns, at, inverse.frame) for at in (ahead, behind))
+    return Change(plus, minus, 2 * SETTINGS.fit.log_step)

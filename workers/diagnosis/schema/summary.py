@@ -1,0 +1,369 @@
+"""The schema of a diagnosis in plain numbers: what `palpate diagnose --json` prints.
+
+Frozen dataclasses, read by the report, the commands and the blind scores. `records.typed_json`
+writes them and reads them again. Lengths are in mm, constants in kPa; parameters of effects have
+their unit beside them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from palpate.workers.diagnosis.schema.experiment_summary import (
+    ConfoundedEffect,
+    MarkerState,
+    PredictedState,
+)
+from palpate.workers.diagnosis.verdict.verdict import Kind
+from palpate.workers.mechanics.readings import ShownMagnitude
+
+
+@dataclass(frozen=True, slots=True)
+class GapEstimate:
+    """A root mean square distance between model and scan, freed of noise, with its interval.
+
+    `noise_mm` is the noise of the observation of one point, `points` the number of residuals.
+    """
+
+    gap_mm: float
+    low_mm: float
+    high_mm: float
+    noise_mm: float
+    points: int
+
+
+@dataclass(frozen=True, slots=True)
+class ShareEstimate:
+    """By how much effects shrink the square of the gap, with its interval; nan without a gap."""
+
+    share: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class GapShrinkage:
+    """The gap without and with the accused effects."""
+
+    before: GapEstimate
+    after: GapEstimate
+    share: ShareEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class GapSummary:
+    """The gap of all scans, and where each scan is judged by a fit to the others.
+
+    Parameters
+    ----------
+    before : GapEstimate
+        Of the nominal model, averaged over all that may be the cause; see
+        `workers.diagnosis.outcome.gap_posterior`.
+    noise_floor : float
+        Noise of the observation of one point, in mm.
+    calibration_floor : float
+        What even the right model misses, in mm.
+    after : GapEstimate or None
+        The same with the accused effects; None if there are none, as for all that follows.
+    held_out_before, held_out_after : GapEstimate or None
+        None for one scan too.
+    share, held_out_share : ShareEstimate, optional
+        None too where "no gap" is among the causes that hold 90 %: no share is known of a gap
+        that may not be there.
+    held_out : str, optional
+        How scans were held out, in words.
+    held_out_each : mapping of str to GapShrinkage, optional
+        By the name of the scan.
+    not_judged : tuple of str
+        Scans that are not judged by a fit to the others, for these do not hold what moves them.
+    """
+
+    before: GapEstimate
+    noise_floor: float
+    calibration_floor: float
+    after: GapEstimate | None
+    held_out_before: GapEstimate | None
+    held_out_after: GapEstimate | None
+    share: ShareEstimate | None = None
+    held_out_share: ShareEstimate | None = None
+    held_out: str | None = None
+    held_out_each: Mapping[str, GapShrinkage] | None = None
+    not_judged: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class InterfaceNoise:
+    """How exactly an interface is drawn, as stated and as its residuals show: deviations in mm.
+
+    `learnt_mm` holds in the middle of the body, `least_mm` and `most_mm` where it is drawn best
+    and worst.
+    """
+
+    interface: str
+    stated_mm: float
+    learnt_mm: float
+    least_mm: float | None = None
+    most_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RegionGap:
+    """The gap of the nominal model in a part of an interface in one scan.
+
+    `signed_mean_mm` is positive where the model lies outside; `p50_mm` and `p95_mm` are
+    quantiles of the distance without its sign.
+    """
+
+    scan: str
+    interface: str
+    region: str
+    gap_mm: float
+    low_mm: float
+    high_mm: float
+    noise_mm: float
+    points: int
+    signed_mean_mm: float
+    significant: bool
+    p50_mm: float | None = None
+    p95_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterEstimate:
+    """A parameter of an effect, with its standard deviation, in its unit.
+
+    `shown` is the same as a reader thinks of it; None in records of earlier versions.
+    """
+
+    parameter: str
+    magnitude: float
+    sd: float
+    unit: str
+    shown: ShownMagnitude | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class EffectSummary:
+    """What is known of one effect.
+
+    Parameters
+    ----------
+    name, family, summary : str
+    probability : float
+        That it acts, alone or with another.
+    magnitude, sd, unit
+        Of the parameter that stands out most; of a joint fit averaged over noise and poses, see
+        `workers.diagnosis.outcome.parameter_posterior`.
+    parameters : tuple of ParameterEstimate
+    log_bayes_factor : float
+        Of the screening, in nats.
+    absorbed_share : float
+        What the constants hide of it, 0 to 1.
+    refitted : bool
+        Whether it was fitted together with the constants.
+    shown : ShownMagnitude, optional
+        The magnitude as a reader thinks of it; see `workers.mechanics.readings`.
+    """
+
+    name: str
+    family: str
+    summary: str
+    probability: float
+    magnitude: float
+    sd: float
+    unit: str
+    parameters: tuple[ParameterEstimate, ...]
+    log_bayes_factor: float
+    absorbed_share: float
+    refitted: bool
+    shown: ShownMagnitude | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantEstimate:
+    """A constant in kPa, of the nominal model and with the accused effects if there are any.
+
+    Parameters
+    ----------
+    before, after : float
+    before_interval, after_interval : (float, float), optional
+        90 % intervals of both; None in diagnoses of before there were any.
+    stated : (float, float), optional
+        The interval in which the case says that it lies.
+    converged : bool, optional
+        Whether the fit converged that the value comes from.
+    """
+
+    before: float
+    after: float | None
+    before_interval: tuple[float, float] | None = None
+    after_interval: tuple[float, float] | None = None
+    stated: tuple[float, float] | None = None
+    converged: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JointFitSummary:
+    """What the joint fit of some effects has gained over the nominal model, in nats.
+
+    `field_gain` is what a smooth field gains on top of it; `values` are all parameters at
+    its optimum, inside names and units.
+    """
+
+    effects: tuple[str, ...]
+    log_evidence_gain: float
+    field_gain: float | None
+    converged: bool
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class OverlapFigures:
+    """How far a predicted and an observed body overlap; see `Score` and `Distances`."""
+
+    jc: float
+    dice: float
+    mhd_mm: float
+    mhd_voxels: float
+    gsf: float
+    p50_mm: float
+    p95_mm: float
+    signed_mean_mm: float
+    points: int
+
+
+@dataclass(frozen=True, slots=True)
+class OverlapRow:
+    """Overlap inside one interface of one scan, and what noise alone leaves of the Jaccard."""
+
+    scan: str
+    interface: str
+    reachable_jc: float
+    before: OverlapFigures
+    after: OverlapFigures | None
+
+
+@dataclass(frozen=True, slots=True)
+class LoudestPlace:
+    """The place at which a lump would explain most; see `diagnosis.outcome.pictures.cause_map`."""
+
+    score: float
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    ln_ratio: float
+    ln_ratio_sd: float
+    reached_by_noise: float
+    places: int
+    places_seen: int
+
+
+@dataclass(frozen=True, slots=True)
+class CauseMapSummary:
+    """The loudest place of the residuals before, and after where effects are accused."""
+
+    before: LoudestPlace
+    after: LoudestPlace | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NextAcquisition:
+    """A further measurement: pairs of suspects that it separates, hidden effects that it reveals.
+
+    `minimum_ratio` is what becomes of the smallest magnitudes that are found.
+    """
+
+    name: str
+    separates: tuple[tuple[str, ...], ...]
+    reveals: tuple[str, ...]
+    minimum_ratio: float
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """A diagnosis in plain numbers.
+
+    Parameters
+    ----------
+    case : str
+    verdict : {"no-gap", "effect", "cannot-be-told-apart", "none-of-these"}
+    primary : tuple of str
+        The accused effects; see `workers.diagnosis.verdict.verdict.Verdict`.
+    effects : tuple of EffectSummary
+        Of all effects that act and could be simulated, in the order of the catalogue.
+    set90 : tuple of str
+    families : mapping of str to float
+    absorbed : tuple of str
+        Effects that the constants hide.
+    no_gap_probability, none_of_these_probability : float
+    alarm, threshold : float
+        In nats.
+    explained_share : float or None
+    gap_mm : GapSummary
+    where : tuple of RegionGap
+    constants : mapping of str to ConstantEstimate
+        By their names at the door, such as ``E_fat_kpa``.
+    refits : tuple of JointFitSummary
+    points, left_out : int
+        On the interfaces; those that some scan does not show clearly.
+    overlap, cause_map : optional
+        Of a body that was scanned.
+    markers, hidden, predictions : optional
+        Of a bench experiment.
+    next_acquisitions : optional
+        If further measurements were planned.
+    noise : tuple of InterfaceNoise, optional
+        Of the segmentation, where it is learnt.
+    surfaces, compared : tuple of str, str
+        The interfaces, and where their points lie, in words.
+    not_simulated : optional
+        Causes that no effect stands for, and why; those of a breast where it is None.
+    caveats : tuple of str, optional
+        Statements with which the diagnosis begins, such as a plausibility check that failed.
+    doubts : tuple of str, optional
+        Sentences that come before the verdict: reasons not to rely on it.
+    data_notes : tuple of str, optional
+        Sentences about data that are missing and were not compared.
+    """
+
+    case: str
+    verdict: Kind
+    primary: tuple[str, ...]
+    effects: tuple[EffectSummary, ...]
+    set90: tuple[str, ...]
+    families: Mapping[str, float]
+    absorbed: tuple[str, ...]
+    no_gap_probability: float
+    none_of_these_probability: float
+    alarm: float
+    threshold: float
+    explained_share: float | None
+    gap_mm: GapSummary
+    where: tuple[RegionGap, ...]
+    constants: Mapping[str, ConstantEstimate]
+    refits: tuple[JointFitSummary, ...]
+    points: int
+    overlap: tuple[OverlapRow, ...] | None = None
+    cause_map: CauseMapSummary | None = None
+    markers: tuple[MarkerState, ...] | None = None
+    hidden: tuple[ConfoundedEffect, ...] | None = None
+    predictions: tuple[PredictedState, ...] | None = None
+    next_acquisitions: tuple[NextAcquisition, ...] | None = None
+    noise: tuple[InterfaceNoise, ...] | None = None
+    surfaces: tuple[str, ...] = ("outline", "glandular")
+    compared: str = "the outline and on the boundary of the glandular tissue"
+    not_simulated: tuple[tuple[str, str], ...] | None = None
+    left_out: int = 0
+    caveats: tuple[str, ...] | None = None
+    doubts: tuple[str, ...] = ()
+    data_notes: tuple[str, ...] = ()
+
+    def effect(self, name: str) -> EffectSummary:
+        """Return what is known of one effect.
+
+        Raises
+        ------
+        KeyError
+            If it does not act, or could not be simulated.
+        """
+        found = {one.name: one for one in self.effects}
+        return found[name]

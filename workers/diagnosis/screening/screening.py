@@ -1,0 +1,119 @@
+r"""Which effects the residual speaks for, without solving anything again.
+
+For an effect with columns B (whitened) and prior covariance S, and the efficient
+residual P rho of `Linearised`:
+
+.. math:: g = B'P\rho, \quad H = B'PB + S^{-1}, \quad T = g'H^{-1}g, \quad
+          \hat\varphi = -H^{-1}g, \quad
+          \ln BF = \tfrac12 T - \tfrac12\ln|H| - \tfrac12\ln|S|.
+
+T is Rao's score with a prior, the modification index of structural equation models;
+the estimate is the expected parameter change (W. E. Saris, A. Satorra and
+W. M. van der Veld, Struct. Equ. Modeling 16 (2009) 561). A half-normal prior multiplies
+the Bayes factor by Phi(estimate / sd) / 0.5. An effect that may sit at many places is
+averaged over them, which pays for having looked everywhere.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
+from palpate.workers.diagnosis.algebra.evidence import Quadratic, log_marginal, posterior
+from palpate.workers.diagnosis.algebra.linearisation import Linearised
+from palpate.workers.diagnosis.screening.detectability import absorbed_share, hides
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScreeningResult:
+    """What the screening says of one effect.
+
+    Parameters
+    ----------
+    name : str
+    score : float
+        T, at the best place.
+    estimate, estimate_sd : ndarray, shape (q,)
+        Expected parameters and their standard deviations, at the best place and in their
+        units. That of a one-sided parameter may come out negative: the data then pull
+        the other way.
+    log_bayes_factor : float
+        Against the effect being absent, in nats; averaged over the places.
+    absorbed : float
+        Share of the effect that the nominal parameters hide, 0 to 1; at the best place.
+    hides : bool
+        Whether they hide all that the data could show; see
+        `workers.diagnosis.screening.detectability.hides`.
+    place : int
+        The best place, or magnitude of an effect that is tried at several; 0 for others.
+    place_log_bayes_factors : ndarray, shape (g,)
+        Of each place or magnitude.
+    """
+
+    name: str
+    score: float
+    estimate: FloatArray
+    estimate_sd: FloatArray
+    log_bayes_factor: float
+    absorbed: float
+    hides: bool
+    place: int
+    place_log_bayes_factors: FloatArray
+
+
+def screen(
+    problem: Linearised, sensitivities: Sequence[EffectSensitivity]
+) -> tuple[ScreeningResult, ...]:
+    """Look at every effect on its own.
+
+    Parameters
+    ----------
+    problem : Linearised
+        At the fit of the nominal parameters.
+    sensitivities : sequence of EffectSensitivity
+
+    Returns
+    -------
+    tuple of ScreeningResult
+        The largest Bayes factor first.
+
+    Raises
+    ------
+    InputError
+        If a sensitivity has another number of residuals.
+    """
+    screening = [_look_at(problem, sensitivity) for sensitivity in sensitivities]
+    return tuple(sorted(screening, key=lambda result: -result.log_bayes_factor))
+
+
+def _look_at(problem: Linearised, sensitivity: EffectSensitivity) -> ScreeningResult:
+    whitened = sensitivity.whitened(problem)
+    nowhere = np.zeros(len(sensitivity.prior_sd))
+    q = Quadratic.stacked([_efficient(problem, B) for B in whitened])
+    factors = log_marginal(q, nowhere, sensitivity.one_sided)
+    best = int(factors.argmax())
+    means, covariances = posterior(q, nowhere)
+    mean, covariance = means[best], covariances[best]
+    return ScreeningResult(
+        name=sensitivity.name,
+        score=float(-q.gradient[best] @ mean),
+        estimate=mean * sensitivity.prior_sd,
+        estimate_sd=np.sqrt(np.diag(covariance)) * sensitivity.prior_sd,
+        log_bayes_factor=float(logsumexp(factors) - np.log(len(factors))),
+        absorbed=absorbed_share(problem, whitened[best]),
+        hides=hides(problem, whitened[best]),
+        place=best,
+        place_log_bayes_factors=factors,
+    )
+
+
+def _efficient(problem: Linearised, B: FloatArray) -> Quadratic:
+    """Return the misfit as a function of the effect alone, nominal parameters integrated out.
+
+    Its constant part belongs to both hypotheses and is left out.
+    """
+    gradient = B.T @ problem.efficient_residual
+    return Quadratic(np.zeros(()), gradient, B.T @ problem.project(B), np.zeros(()))

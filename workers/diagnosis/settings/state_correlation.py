@@ -1,0 +1,56 @@
+"""How alike what a model lacks is in two states of a body.
+
+Plates that press along another direction touch other parts of the surface and bend other parts of
+the body: what a mesh or a missing cause does there is another displacement.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class StateCorrelation:
+    """Correlation of a displacement between two states.
+
+    Parameters
+    ----------
+    along : float
+        Of two loads along one direction, 0 to 1.
+    across : float
+        Of two loads along directions at right angles; no more than `along`.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
+
+    along: float
+    across: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.across <= self.along <= 1:
+            raise InputError(
+                "A correlation between states needs 0 <= across <= along <= 1, found "
+                f"along = {self.along}, across = {self.across}."
+            )
+
+    def between(self, directions: FloatArray) -> FloatArray:
+        """Return the correlation of all pairs of states, shape (s, s), ones on the diagonal.
+
+        Between parallel and perpendicular it goes with the squared cosine, which keeps the matrix
+        positive semi-definite.
+
+        Parameters
+        ----------
+        directions : ndarray, shape (s, 3)
+            Unit vectors along which each state is loaded.
+        """
+        squares = (directions @ directions.T) ** 2
+        found = self.across + (self.along - self.across) * squares
+        np.fill_diagonal(found, 1.0)
+        return np.asarray(found)

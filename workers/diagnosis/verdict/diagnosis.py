@@ -1,0 +1,220 @@
+"""From the nominal analysis to a verdict: fit the suspects, fit pairs of them, weigh.
+
+::
+
+    nominal analysis --> joint fits of single effects --> of pairs --> of three --> verdict
+                           |            ^  (each joint fit is independent of the others)
+                           v            |
+                       second reading of the noise, where the best one is far from the first
+
+The verdict rests on fits: an effect that it names is fitted and all are weighed again, for
+screening may miss a motion that all scans share, which poses take up one by one. So is one that
+hides in the constants and yet has something that speaks for it, alone and beside the best that does
+not hide: it would otherwise stand for what another effect leaves.
+
+`diagnose` is a generator: it yields the joint fits that it wants and is sent them, or a second
+reading and is sent the analysis that it gives. Who fits, where, and whether a fit is stored already
+is no business of this file.
+"""
+
+from collections.abc import Collection, Generator, Sequence
+from dataclasses import dataclass
+
+from palpate.workers.diagnosis.screening.form_error import acting_or_alike
+from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.verdict.hypotheses import Hypothesis, PriorOdds
+from palpate.workers.diagnosis.verdict.joint_evidence import JointEvidence
+from palpate.workers.diagnosis.verdict.joint_fit import JointFit, fit_jointly
+from palpate.workers.diagnosis.verdict.second_reading import is_elsewhere, read_again
+from palpate.workers.diagnosis.verdict.suspects import (
+    Combination,
+    near_best,
+    pairs,
+    ranked,
+    suspects,
+    triples,
+)
+from palpate.workers.diagnosis.verdict.verdict import Verdict, verdict
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.scan_threads import Each
+
+
+@dataclass(frozen=True, eq=False)
+class SecondReading:
+    """Wanted: the noise, read where `best` of some single effects puts the points."""
+
+    singles: Sequence[JointFit]
+    best: JointFit
+
+
+Wanted = Sequence[Combination] | SecondReading
+Answer = Sequence[JointFit | None] | NominalAnalysis
+Course = Generator[Wanted, Answer, "Diagnosis"]
+"""Yields combinations whose joint fits are wanted; is sent these in their order, None for one
+that could not be simulated. Or yields a second reading, and is sent the analysis with it: later
+fits are wanted under that. Returns the diagnosis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The verdict and all that it rests on.
+
+    Parameters
+    ----------
+    analysis : NominalAnalysis
+    verdict : Verdict
+    joint_fits : dict of tuple of str to JointFit
+        By the names of the effects, in the order in which they were asked for.
+    hypotheses : tuple of Hypothesis
+    """
+
+    analysis: NominalAnalysis
+    verdict: Verdict
+    joint_fits: dict[tuple[str, ...], JointFit]
+    hypotheses: tuple[Hypothesis, ...]
+
+    @property
+    def best(self) -> JointFit | None:
+        """The joint fit of the effects that are accused."""
+        accused = set(self.verdict.primary)
+        for names, fitted in self.joint_fits.items():
+            if set(names) == accused:
+                return fitted
+        return None
+
+
+def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
+    """Have the suspects fitted, and weigh them against each other.
+
+    Parameters
+    ----------
+    analysis : NominalAnalysis
+    effects : sequence of Effect
+        The catalogue.
+    """
+    known = {e.name: e for e in effects}
+    joint_fits = yield from _fitted([(e,) for e in suspects(analysis, known)])
+    singles = ranked(joint_fits.values())
+    if singles and is_elsewhere(analysis, singles[0].fit):
+        analysis = _read((yield SecondReading(singles, singles[0])))
+        joint_fits = yield from _fitted([one.effects for one in near_best(singles)])
+    joint_fits |= yield from _fitted(pairs(analysis, known, list(joint_fits.values())))
+    joint_fits |= yield from _fitted(triples(analysis, known, list(joint_fits.values())))
+    reached, hypotheses = _weighed_up(analysis, known, joint_fits)
+    tried: set[tuple[str, ...]] = set()
+    while missing := [names for names in unfitted(reached, joint_fits) if names not in tried]:
+        tried |= set(missing)
+        joint_fits |= yield from _fitted([tuple(known[n] for n in names) for names in missing])
+        reached, hypotheses = _weighed_up(analysis, known, joint_fits)
+    return Diagnosis(analysis, reached, joint_fits, hypotheses)
+
+
+def _weighed_up(
+    analysis: NominalAnalysis,
+    known: dict[str, Effect],
+    joint_fits: dict[tuple[str, ...], JointFit],
+) -> tuple[Verdict, tuple[Hypothesis, ...]]:
+    """Return the verdict, and the hypotheses that it weighs."""
+    hypotheses = weigh(analysis, joint_fits)
+    families = {one.name: known[one.name].family for one in analysis.sensitivities}
+    odds = PriorOdds(of_effect={one.name: known[one.name].odds for one in analysis.sensitivities})
+    return verdict(hypotheses, families, analysis.hidden, odds), hypotheses
+
+
+def unfitted(reached: Verdict, joint_fits: Collection[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Return the effects, by name, that a verdict rests on and that were not fitted."""
+    fitted = {name for names in joint_fits for name in names}
+    found: list[tuple[str, ...]] = [(name,) for name in sorted(set(reached.primary) - fitted)]
+    doubt = 1.0 - SETTINGS.verdict.credible
+    likely = [name for name in reached.hidden if reached.probabilities[name] > doubt]
+    alone = [names for names in joint_fits if len(names) == 1 and names[0] not in reached.hidden]
+    best = sorted(alone, key=lambda names: -reached.hypotheses[names, False])[:1]
+    found += [(*names, hidden) for hidden in likely for names in [(), *best]]
+    return [names for names in found if names not in joint_fits]
+
+
+def advance(course: Course, answer: Answer | None = None) -> Wanted | Diagnosis:
+    """Take a diagnosis to where it wants something again, or to its end.
+
+    Parameters
+    ----------
+    course : generator
+        See `diagnose`.
+    answer : sequence of JointFit or None, or NominalAnalysis, optional
+        What it wanted; nothing begins it.
+    """
+    try:
+        return next(course) if answer is None else course.send(answer)
+    except StopIteration as end:
+        diagnosis: Diagnosis = end.value
+        return diagnosis
+
+
+def diagnose_here(
+    analysis: NominalAnalysis, effects: Sequence[Effect], each: Each = map
+) -> Diagnosis:
+    """Return the diagnosis, with all that it wants computed in this process, without a store."""
+    course = diagnose(analysis, effects)
+    reached = advance(course)
+    known: dict[tuple[str, ...], JointFit] = {}
+    while not isinstance(reached, Diagnosis):
+        if isinstance(reached, SecondReading):
+            analysis = read_again(analysis, reached.singles, reached.best, each)
+            reached, known = advance(course, analysis), {}
+            continue
+        found = [fit_jointly(analysis, one, each, known.get(base_of(one))) for one in reached]
+        known |= {one.names: one for one in found if one is not None}
+        reached = advance(course, found)
+    return reached
+
+
+def base_of(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Return the names of the effects whose joint fit these begin from: all but the last one.
+
+    Combinations are wanted after those that they add an effect to.
+    """
+    return tuple(effect.name for effect in effects[:-1])
+
+
+def weigh(
+    analysis: NominalAnalysis, joint_fits: dict[tuple[str, ...], JointFit]
+) -> tuple[Hypothesis, ...]:
+    """Return the evidence of every hypothesis: of a joint fit, else of the linear model.
+
+    A joint fit's form is uncertain; see `workers.diagnosis.screening.form_error`.
+    """
+    nominal = analysis.hypothesis(analysis.nominal)
+    joint = JointEvidence(nominal, analysis.sensitivities, analysis.noise)
+    alone = ((one.name,) for one in analysis.sensitivities)
+    weighed = [joint.hypothesis(())]
+    weighed += [joint.hypothesis(effects) for effects in alone if effects not in joint_fits]
+    weighed += [_weighed(analysis, names, fitted) for names, fitted in joint_fits.items()]
+    return tuple(weighed)
+
+
+def _weighed(analysis: NominalAnalysis, names: tuple[str, ...], fitted: JointFit) -> Hypothesis:
+    at = analysis.hypothesis(fitted.fit)
+    errors, sizes = analysis.errors_of_form(at), SETTINGS.form.relative_sds
+    without, beside = analysis.noise.log_evidences_with_errors(at, errors, sizes)
+    alone, acting = acting_or_alike(without)
+    if beside is None:
+        return Hypothesis(names, alone, acting=acting)
+    together, acting_beside = acting_or_alike(beside)
+    return Hypothesis(names, alone, together - alone, acting, acting_beside)
+
+
+def _fitted(
+    combinations: Sequence[Combination],
+) -> Generator[Wanted, Answer, dict[tuple[str, ...], JointFit]]:
+    """Have combinations fitted; return the fits by the names of their effects."""
+    answer = (yield combinations) if combinations else []
+    if isinstance(answer, NominalAnalysis):
+        raise TypeError("joint fits are wanted, not an analysis")
+    return {one.names: one for one in answer if one is not None}
+
+
+def _read(answer: Answer) -> NominalAnalysis:
+    if not isinstance(answer, NominalAnalysis):
+        raise TypeError("an analysis is wanted, not joint fits")
+    return answer

@@ -1,0 +1,226 @@
+"""The constants and the parameters of some effects, fitted again together."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.algebra.evidence import log_evidence
+from palpate.workers.diagnosis.algebra.linearisation import Linearised
+from palpate.workers.diagnosis.fits.gauss_newton import Fit, SolvedFit, fit
+from palpate.workers.diagnosis.problem.inverse_problem import unknowns
+from palpate.workers.diagnosis.problem.places import starting_places
+from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
+from palpate.workers.diagnosis.screening.screening import ScreeningResult, screen
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.base import Effect, one_sided
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.scan_threads import Each
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """A hypothesis with effects at its optimum."""
+
+    effects: tuple[Effect, ...]
+    fit: Fit
+    log_evidence: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(e.name for e in self.effects)
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedJointFit(JointFit):
+    """The same with the equilibria of its scans, from which another fit can go on."""
+
+    fit: SolvedFit
+
+
+def fit_jointly(
+    analysis: NominalAnalysis,
+    effects: Sequence[Effect],
+    each: Each = map,
+    base: JointFit | None = None,
+) -> JointFit | None:
+    """Fit constants and effects, from the best places where an effect has one.
+
+    Parameters
+    ----------
+    analysis : NominalAnalysis
+    effects : sequence of Effect
+    each : callable
+        Calls a function with every scan; see `workers.diagnosis.fits.gauss_newton.fit`.
+    base : JointFit, optional
+        Of the first of the effects: the fit begins there, and the others where a screening of
+        what it leaves expects them. None to begin at the nominal fit.
+
+    Returns
+    -------
+    JointFit or None
+        None if no start could be simulated, nor one nearer to neutral.
+    """
+    begun = analysis.begun.get(effects[0].name, {}) if base is None else base.fit.values()
+    at = analysis.linear if base is None else base.fit.linearised(analysis.inverse)
+    new = [effect for effect in effects if effect.names[0] not in begun]
+    nominal = analysis.nominal.values() | dict(begun)
+    starts = _starts(analysis, at, new)
+    few = SETTINGS.joint_fits.trial_iterations if len(starts) > 1 else SETTINGS.fit.max_iterations
+    best: SolvedJointFit | None = None
+    for start in starts:
+        for share in SETTINGS.joint_fits.start_shares:
+            there = nominal | _nearer(new, start, share)
+            values = _compensated(analysis, at, new, there)
+            fitted = _fitted_from(analysis, effects, values, analysis.nominal, each, few)
+            if fitted is not None:
+                break
+        if fitted is not None and (best is None or fitted.log_evidence > best.log_evidence):
+            best = fitted
+    if best is None or len(starts) == 1 or best.fit.converged:
+        return best
+    return _gone_on(analysis, best, each)
+
+
+def _gone_on(analysis: NominalAnalysis, tried: SolvedJointFit, each: Each) -> SolvedJointFit:
+    """Return a fit that was tried for a few iterations, at its end."""
+    values, near = tried.fit.values(), tried.fit
+    found = _fitted_from(analysis, tried.effects, values, near, each)
+    if found is None:
+        return tried
+    iterations = near.iterations + found.fit.iterations
+    return replace(found, fit=replace(found.fit, iterations=iterations))
+
+
+def _fitted_from(
+    analysis: NominalAnalysis,
+    effects: Sequence[Effect],
+    values: Mapping[str, float],
+    near: SolvedFit,
+    each: Each,
+    max_iterations: int = SETTINGS.fit.max_iterations,
+) -> SolvedJointFit | None:
+    """Fit from values of all parameters, the first equilibria from those of a fit nearby."""
+    inverse = analysis.inverse
+    free = unknowns(inverse.free, effects)
+    z = np.array([values[name] for name in free.names])
+    k = len(inverse.free)
+    z[:k] = np.log(z[:k])
+    fitted = fit(inverse, free, z, near.starts(), near.poses(), each, max_iterations)
+    if fitted is None:
+        return None
+    q = inverse.nuisance_count
+    evidence = log_evidence(
+        fitted.linearised_with_poses(inverse),
+        np.append(free.one_sided, np.zeros(q, np.bool_)),
+        np.append(fitted.at_bound, np.zeros(q, np.int32)),
+    )
+    return SolvedJointFit(tuple(effects), fitted, evidence)
+
+
+def _compensated(
+    analysis: NominalAnalysis,
+    at: Linearised,
+    effects: Sequence[Effect],
+    values: Mapping[str, float],
+) -> dict[str, float]:
+    """Return values with constants that take up most of what the effects do there."""
+    sensitivities, free = analysis.sensitivity_by_name, analysis.inverse.free
+    k = len(free)
+    moved = np.zeros(at.size)
+    for effect in effects:
+        if effect.place is None:
+            away = [values[name] - effect.neutral[name] for name in effect.names]
+            moved += sensitivities[effect.name].places[0] @ np.array(away)
+    A = at.scaled_nominal[:, :k]
+    step = np.linalg.solve(np.eye(k) + A.T @ A, A.T @ at.whiten(moved))
+    most = SETTINGS.joint_fits.most_compensation
+    change = -np.clip(step, -most, most) * at.nominal_sd[:k]
+    taken = {f.name: values[f.name] * float(np.exp(c)) for f, c in zip(free, change, strict=True)}
+    return dict(values) | taken
+
+
+def _starts(
+    analysis: NominalAnalysis, at: Linearised, effects: Sequence[Effect]
+) -> list[dict[str, float]]:
+    """Return the parameters of the effects to begin with: several if one of them has places.
+
+    Where two have, each begins at its best place alone. A screening of what `at` leaves says what
+    to expect.
+    """
+    screened = {
+        effect.name: analysis.screening_by_name[effect.name]
+        if at is analysis.linear
+        else screen(at, [analysis.sensitivity_by_name[effect.name]])[0]
+        for effect in effects
+    }
+    common: dict[str, float] = {}
+    for effect in effects:
+        if effect.place is None:
+            steep = analysis.is_steep(effect)
+            common |= _expected(effect, screened[effect.name].estimate, steep=steep)
+    placed = [effect for effect in effects if effect.place is not None]
+    starts = [common]
+    for effect in placed:
+        there = _placed(analysis, effect, screened[effect.name])
+        tried = there if len(placed) == 1 else there[:1]
+        starts = [start | one for start in starts for one in tried]
+    return starts
+
+
+def _placed(
+    analysis: NominalAnalysis, effect: Effect, screened: ScreeningResult
+) -> list[dict[str, float]]:
+    """Return the parameters of an effect at the best of its places."""
+    if effect.place is None:
+        raise ValueError(f"{effect.name} acts everywhere")
+    places = analysis.places(effect)
+    sized = zip(effect.parameters, effect.prior_sd, screened.estimate, strict=False)
+    begun = effect.neutral | {p.name: _begin_at_place(p, sd, float(v)) for p, sd, v in sized}
+    best = starting_places(effect, places, screened.place_log_bayes_factors)
+    names = effect.place.names
+    return [begun | dict(zip(names, map(float, places[i]), strict=True)) for i in best]
+
+
+def _nearer(
+    effects: Sequence[Effect], start: Mapping[str, float], share: float
+) -> dict[str, float]:
+    """Return the parameters with sizes that are nearer to neutral; places are what they are."""
+    places = {name for e in effects if e.place is not None for name in e.place.names}
+    neutral = {name: value for e in effects for name, value in e.neutral.items()}
+    return {
+        name: value if name in places else neutral[name] + share * (value - neutral[name])
+        for name, value in start.items()
+    }
+
+
+def _expected(effect: Effect, estimate: FloatArray, *, steep: bool) -> dict[str, float]:
+    if effect.if_present:
+        return {n: mean for n, (mean, _) in zip(effect.names, effect.if_present, strict=True)}
+    each = zip(effect.parameters, effect.prior_sd, estimate, strict=True)
+    return {p.name: _begin(p, sd, float(value), steep=steep) for p, sd, value in each}
+
+
+def _begin(parameter: Parameter, sd: float, expected: float, *, steep: bool = False) -> float:
+    """Return where the fit of a parameter begins, of which the screening expects a change.
+
+    One that grows faster than its magnitude does so little near zero that a fit stays there: it
+    begins some way off at least.
+    """
+    settings, neutral = SETTINGS.joint_fits, parameter.neutral or 0.0
+    most = settings.most_start * sd
+    if one_sided(parameter):
+        least = (settings.steep_start if steep else settings.least_start) * sd
+        return neutral + float(np.clip(expected, least, most))
+    return neutral + float(np.clip(settings.start * expected, -most, most))
+
+
+def _begin_at_place(parameter: Parameter, sd: float, expected: float) -> float:
+    """Return the same for a size at one place: never neutral, for there the place does nothing."""
+    settings = SETTINGS.joint_fits
+    if one_sided(parameter):
+        return _begin(parameter, sd, expected)
+    most = settings.most_place_start * sd
+    return float(np.clip(settings.start * expected, -most, most)) or settings.least_place_start * sd

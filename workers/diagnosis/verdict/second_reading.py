@@ -1,0 +1,92 @@
+"""The noise, read once more where the best single effect puts the points.
+
+It is read first where the nominal model puts them. Where that model is wrong by more than the
+noise is high or long, it has been read off the interfaces, or on other parts of them, and what
+the model lacks has been learnt as noise. The best single effect is nearer to the truth, whatever it
+is called: the noise is read and learnt there again, and all hypotheses are weighed on that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from palpate.workers.diagnosis.fits.calibration import with_anchored_scans, with_learnt_noise
+from palpate.workers.diagnosis.fits.gauss_newton import Fit, fit
+from palpate.workers.diagnosis.problem.inverse_problem import Scan
+from palpate.workers.diagnosis.problem.scan_poses import registered
+from palpate.workers.diagnosis.problem.scan_prediction import (
+    PredictedScan,
+    compare_with_scan,
+    compared_points,
+    predict_scan,
+)
+from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.verdict.joint_fit import JointFit
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
+from palpate.workers.scan_threads import Each
+
+
+def is_elsewhere(analysis: NominalAnalysis, best: Fit) -> bool:
+    """Return whether a fit puts the points where the noise is another one.
+
+    As far from where the nominal model has them, root mean square, as the noise is high across
+    the interfaces, or long along them.
+    """
+    inverse, nominal = analysis.inverse, analysis.nominal
+    if not inverse.is_segmented:
+        return False
+    at = nominal.residual(inverse) - best.residual(inverse)
+    across = analysis.registered(at) / inverse.noise.sd_mm
+    before, after = (np.concatenate([v.points for v in f.predictions]) for f in (nominal, best))
+    normals, moves = np.concatenate([v.normals for v in nominal.predictions]), after - before
+    sliding = moves - (moves * normals).sum(axis=1)[:, None] * normals
+    along = np.linalg.norm(sliding, axis=1) / inverse.noise.correlation_mm
+    return bool((across**2 + along**2).mean() > SETTINGS.noise.elsewhere**2)
+
+
+def read_again(
+    analysis: NominalAnalysis, singles: Sequence[JointFit], best: JointFit, each: Each = map
+) -> NominalAnalysis:
+    """Read and learn the noise at the best single effect, and fit the constants alone again.
+
+    Parameters
+    ----------
+    analysis : NominalAnalysis
+    singles : sequence of JointFit
+        All single effects that were fitted.
+    best : JointFit
+        One of them.
+    each : callable
+        Calls a function with every scan; see `workers.diagnosis.fits.gauss_newton.fit`.
+
+    Returns
+    -------
+    NominalAnalysis
+        With the sensitivities of the first one.
+    """
+    inverse, nominal = analysis.inverse, analysis.nominal
+    begun = {one.names[0]: one.fit.values() for one in singles}
+    u, z = best.fit.unknowns, best.fit.z
+
+    def predicted(scan: Scan, start: Equilibrium) -> PredictedScan | None:
+        return predict_scan(inverse, scan, u, z, start)
+
+    found = list(each(predicted, inverse.scans, nominal.starts()))
+    solved = [one for one in found if one is not None]
+    if len(solved) < len(found):
+        return replace(analysis, begun=begun)
+    lying = registered(inverse, u, z, solved)
+    anchors = [compared_points(inverse, u, z, one.points, one.pose) for one in lying]
+    inverse = with_anchored_scans(inverse, anchors)
+    compared = [
+        compare_with_scan(inverse, scan, u, z, one.at, one.pose)
+        for scan, one in zip(inverse.scans, lying, strict=True)
+    ]
+    inverse = with_learnt_noise(inverse, best.fit.jacobian * u.sd, compared)
+    free = nominal.unknowns
+    again = fit(inverse, free, nominal.z, nominal.starts(), nominal.poses(), each)
+    if again is None:
+        raise AssertionError("the start of this fit was the end of another one")
+    return NominalAnalysis(inverse, again, analysis.sensitivities, begun)

@@ -1,0 +1,120 @@
+"""Which effects, and which of them together, are worth a joint fit with the constants."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
+from palpate.workers.diagnosis.screening.screening import screen
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.verdict.joint_fit import JointFit
+from palpate.workers.mechanics.effects.base import Effect
+
+Catalogue = Mapping[str, Effect]
+"""Effects by their names."""
+
+Combination = tuple[Effect, ...]
+"""Effects that are fitted together with the constants."""
+
+
+def suspects(analysis: NominalAnalysis, known: Catalogue) -> list[Effect]:
+    """Return the effects that are worth a joint fit, the most suspicious first.
+
+    Where the nominal model is far off, one follows that the linear model underrates.
+    """
+    settings = SETTINGS.joint_fits
+    visible = [one for one in analysis.screening if not one.hides]
+    if not visible:
+        return []
+    best = visible[0].log_bayes_factor
+    least = max(min(best - settings.far_behind, settings.nearly * best), settings.least_gain)
+    near = [one for one in visible if one.log_bayes_factor > least][: settings.singles]
+    if best > settings.far_off:
+        loud = [one for one in visible if one.log_bayes_factor > settings.least_gain]
+        steep = (one for one in loud if one not in near and analysis.is_steep(known[one.name]))
+        near += [*steep][:1]
+    return [known[one.name] for one in near]
+
+
+def pairs(
+    analysis: NominalAnalysis, known: Catalogue, singles: Sequence[JointFit]
+) -> list[Combination]:
+    """Return pairs that are worth a joint fit.
+
+    The best effect with what speaks from what it leaves; others with what speaks from what they
+    leave, where that promises more; all pairs of the best ones if a smooth field explains what the
+    best one leaves.
+    """
+    near = ranked(singles)[: SETTINGS.joint_fits.partners]
+    if not near:
+        return []
+    best, *others = near
+    own = _extended(analysis, known, best)
+    found = {one.names: one.effects for one in own}
+    unexplained = _is_unexplained(analysis, best)
+    if own or unexplained:
+        most = max((one.promise for one in own), default=best.log_evidence)
+        more = [one for other in others for one in _extended(analysis, known, other)]
+        more = sorted(more, key=lambda one: -one.promise)[: SETTINGS.joint_fits.partners]
+        found = {one.names: one.effects for one in more if one.promise > most} | found
+    if unexplained:
+        for a, b in combinations(near, 2):
+            found.setdefault(frozenset((*a.names, *b.names)), (*a.effects, *b.effects))
+    return list(found.values())
+
+
+def triples(
+    analysis: NominalAnalysis, known: Catalogue, fits: Sequence[JointFit]
+) -> list[Combination]:
+    """Return the best two effects with what speaks from what they leave."""
+    best = ranked(fits)[:1]
+    if not best or len(best[0].effects) < 2:
+        return []
+    extended = _extended(analysis, known, best[0])
+    return [one.effects for one in extended[: SETTINGS.joint_fits.thirds]]
+
+
+def ranked(fits: Iterable[JointFit]) -> list[JointFit]:
+    """Return joint fits, the one with the largest evidence first."""
+    return sorted(fits, key=lambda one: -one.log_evidence)
+
+
+def near_best(fits: Sequence[JointFit]) -> list[JointFit]:
+    """Return those of ranked fits that are worth another one: not far behind the best."""
+    least = fits[0].log_evidence - SETTINGS.joint_fits.far_behind
+    return [one for one in fits if one.log_evidence >= least]
+
+
+class _Extended(NamedTuple):
+    """Effects that were fitted, one more, and what log evidence a screening promises them."""
+
+    effects: Combination
+    promise: float
+
+    @property
+    def names(self) -> frozenset[str]:
+        return frozenset(effect.name for effect in self.effects)
+
+
+def _extended(analysis: NominalAnalysis, known: Catalogue, fitted: JointFit) -> list[_Extended]:
+    """Return a joint fit with each effect that speaks from what it leaves, the loudest first.
+
+    They are judged by their sensitivities at the nominal fit.
+    """
+    others = [one for one in analysis.sensitivities if one.name not in fitted.names]
+    at = fitted.fit.linearised(analysis.inverse).holding(fitted.fit.at_bound != 0)
+    loud = [
+        one
+        for one in screen(at, others)
+        if not one.hides and one.log_bayes_factor > SETTINGS.joint_fits.second_gain
+    ]
+    return [
+        _Extended((*fitted.effects, known[one.name]), fitted.log_evidence + one.log_bayes_factor)
+        for one in loud[: SETTINGS.joint_fits.partners]
+    ]
+
+
+def _is_unexplained(analysis: NominalAnalysis, best: JointFit) -> bool:
+    """Return whether the best effect alone leaves something that a smooth field explains."""
+    gain = analysis.noise.field_gain(analysis.hypothesis(best.fit))
+    return gain is not None and gain > SETTINGS.joint_fits.left_over

@@ -1,0 +1,143 @@
+r"""Where two rigid plates stand, and the gap between them and the body.
+
+A plate needs no contact search: it is a plane, or a paraboloid close to one, and
+the gap of a point is
+
+.. math:: g(x) = n \cdot r - \tfrac12 r^T C r , \quad r = x - p - t v ,
+
+with the normal n into the body, a point p, the velocity v per travel t and the
+curvature C. A plate with an edge leaves the body behind it as a parabola of the radius R of
+its rounding: at a distance s behind the edge the gap is larger by s^2 / 2R.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.storage.values import BoolArray, FloatArray, IntArray
+from palpate.workers.mechanics.fem.problem.loads import Device, Plate
+
+EDGE_RADIUS_MM = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Positions of the plates along the axis, in mm: the body fits in between."""
+
+    lower_mm: float
+    upper_mm: float
+
+    def closed_by(self, distance_mm: float, lower_share: float = 0.0) -> "Gap":
+        """Return the gap after the plates moved towards each other by `distance_mm`."""
+        return Gap(
+            self.lower_mm + lower_share * distance_mm,
+            self.upper_mm - (1 - lower_share) * distance_mm,
+        )
+
+    def towards(self, other: "Gap", fraction: float) -> "Gap":
+        """Interpolate between this gap (0) and another (1)."""
+        return Gap(
+            self.lower_mm + fraction * (other.lower_mm - self.lower_mm),
+            self.upper_mm + fraction * (other.upper_mm - self.upper_mm),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """Where a plate begins to be flat: the direction into it, (3,), and how far along, in mm."""
+
+    direction: FloatArray
+    start_mm: float
+
+    def behind(self, x: FloatArray) -> FloatArray:
+        """Return how far points, (..., 3), lie behind the edge, (...) in mm; zero before it."""
+        return np.maximum(self.start_mm - x @ self.direction, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceGap:
+    """Gap between points and a plate, and its derivatives.
+
+    Parameters
+    ----------
+    gap : ndarray, shape (...)
+        In mm, negative inside the plate.
+    gradient : ndarray, shape (..., 3)
+    rounding_per_mm : ndarray, shape (...)
+        Curvature of the rounded edge; zero in front of it.
+    """
+
+    gap: FloatArray
+    gradient: FloatArray
+    rounding_per_mm: FloatArray
+
+    def __getitem__(self, some: BoolArray | IntArray) -> "SurfaceGap":
+        return SurfaceGap(self.gap[some], self.gradient[some], self.rounding_per_mm[some])
+
+
+@dataclass(frozen=True, eq=False)
+class PlateSurface:
+    """One plate where it stands: point, normal into the body, velocity, curvature (3, 3)."""
+
+    point: FloatArray
+    normal: FloatArray
+    velocity: FloatArray
+    curvature: FloatArray
+    edge: Edge | None = None
+
+    def gap(self, x: FloatArray) -> SurfaceGap:
+        """Measure the gap between points, (..., 3) in mm, and this plate."""
+        r = x - self.point
+        bent = r @ self.curvature
+        gap = r @ self.normal - 0.5 * (r * bent).sum(axis=-1)
+        gradient = self.normal - bent
+        if self.edge is None:
+            return SurfaceGap(gap, gradient, np.zeros_like(gap))
+        behind = self.edge.behind(x)
+        return SurfaceGap(
+            gap=gap + 0.5 * behind**2 / EDGE_RADIUS_MM,
+            gradient=gradient - (behind / EDGE_RADIUS_MM)[..., None] * self.edge.direction,
+            rounding_per_mm=(behind > 0) / EDGE_RADIUS_MM,
+        )
+
+
+def plate_surfaces(device: Device, gap: Gap) -> tuple[PlateSurface, PlateSurface]:
+    """Return the lower and the upper plate of `device` at `gap`."""
+    axis = np.asarray(device.axis) / np.linalg.norm(device.axis)
+    second = np.array([0.0, 0.0, 1.0])
+    second = second - (second @ axis) * axis
+    second /= np.linalg.norm(second)
+    plane = np.stack([np.cross(axis, second), second])
+    pivot = np.asarray(device.pivot_mm)
+    pivot = pivot - (pivot @ axis) * axis
+    share = device.lower_share
+    edge = None if device.edge_mm is None else Edge(second, device.edge_mm)
+    return (
+        _surface(device.lower, pivot + gap.lower_mm * axis, axis, share * axis, plane, edge),
+        _surface(device.upper, pivot + gap.upper_mm * axis, -axis, (share - 1) * axis, plane, edge),
+    )
+
+
+def _surface(
+    plate: Plate,
+    point: FloatArray,
+    normal: FloatArray,
+    velocity: FloatArray,
+    plane: FloatArray,
+    edge: Edge | None,
+) -> PlateSurface:
+    """Tilt and bend a plane through `point`; `plane`, (2, 3), are its in-plane axes."""
+    rotation = np.eye(3)
+    for about, degrees in zip(plane, plate.tilt_deg, strict=True):
+        rotation = _rotation(about, np.radians(degrees)) @ rotation
+    in_plane = plane @ rotation.T
+    # A plate that bends away leaves room: the gap grows with the distance from the pivot.
+    curvature = -sum(b * np.outer(a, a) for a, b in zip(in_plane, plate.bow_per_mm, strict=True))
+    return PlateSurface(point, rotation @ normal, velocity, np.asarray(curvature), edge)
+
+
+def _rotation(axis: FloatArray, angle: float) -> FloatArray:
+    """Return the rotation matrix about a unit `axis` by Rodrigues' formula."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)

@@ -1,0 +1,238 @@
+r"""Constants of the elements of a mesh, from those of its tissues.
+
+Tissue that has grown to g times its volume, with :math:`F = F_e F_g`, :math:`F_g = g^{1/3} 1`
+(E. K. Rodriguez, A. Hoger, A. D. McCulloch, J. Biomech. 27 (1994) 455), stores g times the
+energy of :math:`F_e`. Isochoric invariants do not change, so its moduli grow by g, its nodes are
+at rest at v / V = g with a bulk modulus of 1 / g, and fibres are shorter by :math:`g^{-1/3}` in
+the measure of F.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, IntArray, Tissue
+from palpate.workers.mechanics.fem.elements.element_energy import ElementMaterial
+from palpate.workers.mechanics.fem.elements.model import LevelModel
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.fields import (
+    Inclusion,
+    elements_reached,
+    stiffness_factors,
+)
+from palpate.workers.mechanics.materials.base import Isochoric
+
+
+@dataclass(frozen=True, eq=False)
+class LawElements:
+    """Elements, shape (k,), whose matrix follows `law`, with a factor on it, shape (k,)."""
+
+    law: Isochoric
+    elements: IntArray
+    weight: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ElementConstants:
+    """What the elements are made of.
+
+    Parameters
+    ----------
+    problem : Problem
+        The one that they were made for.
+    material : ElementMaterial
+    laws : tuple of LawElements
+        Elements whose matrix follows another law.
+    density : ndarray, shape (m,)
+        In t/mm^3 of the undeformed body.
+    nodal_growth : ndarray, shape (n,)
+        Volume ratio v_n / V_n at which each node has no pressure.
+    """
+
+    problem: Problem
+    material: ElementMaterial
+    laws: tuple[LawElements, ...]
+    density: FloatArray
+    nodal_growth: FloatArray
+
+
+def element_constants(
+    model: LevelModel, problem: Problem, similar: ElementConstants | None = None
+) -> ElementConstants:
+    """Average the constants of the tissues over each element, by volume.
+
+    What `similar`, of another problem on the same mesh, has in common is taken from it.
+
+    Raises
+    ------
+    InputError
+        If the mesh contains a tissue that has no constants.
+    """
+    if similar is not None and _material_parts(problem) == _material_parts(similar.problem):
+        return similar
+    _check(model, problem)
+    if similar is not None and _differ_in_places(problem, similar.problem):
+        return _changed_in_places(model, problem, similar)
+    part = model.fractions
+    if similar is not None and _fibre_parts(problem) == _fibre_parts(similar.problem):
+        fibre = similar.material.fibre
+    else:
+        fibre = _directions(model, problem)
+    stiff = _stiffnesses(model, problem)
+    growth = _growth(problem, part)
+    material = ElementMaterial(
+        **_moduli(problem, stiff, growth),
+        fibre=fibre,
+        tension_only=not problem.literal_fibre,
+        isochoric_fibre=problem.isochoric_fibre,
+        plain=problem.plain_elements,
+    )
+    density = part @ _column(problem, part, "density_t_per_mm3")
+    laws = tuple(_laws(problem, stiff * growth))
+    return ElementConstants(problem, material, laws, density, _at_nodes(model, part @ (growth - 1)))
+
+
+def _changed_in_places(
+    model: LevelModel, problem: Problem, similar: ElementConstants
+) -> ElementConstants:
+    """Return `similar` with other variations of the stiffness, where those act that differ."""
+    now, before = _inclusions(problem), _inclusions(similar.problem)
+    differ = (now - before) + (before - now)
+    reached = elements_reached(differ, model.nodes, model.elements.tets, model.centroids)
+    there = np.flatnonzero(reached).astype(np.int32)
+    stiff = _stiffnesses(model, problem, there)
+    growth = _growth(problem, model.fractions)
+    moduli = {}
+    for name, values in _moduli(problem, stiff, growth).items():
+        moduli[name] = getattr(similar.material, name).copy()
+        moduli[name][there] = values
+    return replace(similar, problem=problem, material=similar.material._replace(**moduli))
+
+
+def _stiffnesses(
+    model: LevelModel, problem: Problem, elements: IntArray | None = None
+) -> FloatArray:
+    """Return the share of each tissue in each element, or in some of them, by its stiffness."""
+    part, tets = model.fractions, model.elements.tets
+    if elements is not None:
+        part, tets = part[elements], tets[elements]
+    if not problem.variations:
+        return part
+    factors = stiffness_factors(problem.variations, model.nodes, tets, part.shape[1])
+    return np.asarray(part * factors)
+
+
+def _moduli(problem: Problem, part: FloatArray, growth: FloatArray) -> dict[str, FloatArray]:
+    """Return the moduli of elements with these shares of tissues, shape (m, tissues)."""
+    soft, stiff = part / growth, part * growth
+    eta = [_column(problem, part, "fibre_mpa"), _column(problem, part, "second_fibre_mpa")]
+    return {
+        "mu": stiff @ _column(problem, part, "mu_mpa", matrix=True),
+        "c2": stiff @ _yeoh(problem, part),
+        "kappa": soft @ _column(problem, part, "kappa_mpa"),
+        "eta": np.stack([stiff @ e for e in eta[: _families(problem)]], axis=1),
+    }
+
+
+def _differ_in_places(p: Problem, q: Problem) -> bool:
+    """Return whether all that differs are inclusions, and no law keeps its own weights."""
+    balls = all(_inclusions(x).total() == len(x.variations) for x in (p, q))
+    laws = any(c.law is not None for c in p.constants.values())
+    alike = _material_parts(replace(p, variations=())) == _material_parts(replace(q, variations=()))
+    return balls and alike and not laws
+
+
+def _inclusions(p: Problem) -> Counter[Inclusion]:
+    """Return the inclusions among the variations of the stiffness."""
+    return Counter(v for v in p.variations if isinstance(v, Inclusion))
+
+
+def _material_parts(p: Problem) -> tuple[object, ...]:
+    """Return all that the constants of the elements depend on."""
+    kinds = p.literal_fibre, p.isochoric_fibre, p.plain_elements
+    return dict(p.constants), p.variations, p.fibres, kinds
+
+
+def _fibre_parts(p: Problem) -> tuple[object, ...]:
+    """Return all that the fibre directions depend on."""
+    growth = {tissue: c.growth for tissue, c in p.constants.items()}
+    return p.fibres, _families(p), p.isochoric_fibre, growth
+
+
+def _growth(problem: Problem, part: FloatArray) -> FloatArray:
+    """Return the growth of each tissue."""
+    values = np.ones(part.shape[1])
+    for tissue, c in _known(problem, part):
+        values[tissue] = c.growth
+    return values
+
+
+def _at_nodes(model: LevelModel, more: FloatArray) -> FloatArray:
+    """Return the volume ratio at rest of each node, of elements larger by the part `more`, (m,)."""
+    if not more.any():
+        return np.ones(len(model.nodes))
+    share = np.repeat(model.elements.volumes * more / 4, 4)
+    total = np.bincount(model.elements.tets.ravel(), share, len(model.nodes))
+    return np.asarray(1 + total / model.nodal_volumes)
+
+
+def _families(p: Problem) -> int:
+    """Return the number of fibre families."""
+    return 2 if any(c.second_fibre_mpa for c in p.constants.values()) else 1
+
+
+def _directions(model: LevelModel, problem: Problem) -> FloatArray:
+    """Return vectors along the fibres, of length 1 where nothing grows, (m, families, 3)."""
+    centroids = model.centroids
+    directions = [problem.fibres.directions(centroids)]
+    if _families(problem) == 2:
+        directions.append(problem.fibres.second_directions(centroids))
+    along = np.ascontiguousarray(np.stack(directions, axis=1))
+    growth = _growth(problem, model.fractions)
+    if not problem.isochoric_fibre and (growth != 1).any():
+        along *= (1 + model.fractions @ (growth - 1))[:, None, None] ** (-1 / 3)
+    return along
+
+
+def _laws(problem: Problem, stiff: FloatArray) -> Iterator[LawElements]:
+    """Yield the elements of each tissue that has a law of its own."""
+    for tissue, c in problem.constants.items():
+        if c.law is not None and tissue < stiff.shape[1]:
+            inside = np.flatnonzero(stiff[:, tissue] > 0).astype(np.int32)
+            if len(inside):
+                yield LawElements(c.law, inside, np.ascontiguousarray(stiff[inside, tissue]))
+
+
+def _column(problem: Problem, part: FloatArray, name: str, *, matrix: bool = False) -> FloatArray:
+    """Return one constant of each tissue; of the matrix, zero where another law stands for it."""
+    values = np.zeros(part.shape[1])
+    for tissue, c in _known(problem, part):
+        values[tissue] = 0.0 if matrix and c.law is not None else getattr(c, name)
+    return values
+
+
+def _yeoh(problem: Problem, part: FloatArray) -> FloatArray:
+    """Return c2 of each tissue, zero where another law stands for it."""
+    values = np.zeros(part.shape[1])
+    for tissue, c in _known(problem, part):
+        values[tissue] = 0.0 if c.law is not None else c.stiffening * c.mu_mpa
+    return values
+
+
+def _known(problem: Problem, part: FloatArray) -> Iterator[tuple[Tissue, Constants]]:
+    """Yield the tissues that this mesh may have, with their constants."""
+    for tissue, c in problem.constants.items():
+        if tissue < part.shape[1]:
+            yield tissue, c
+
+
+def _check(model: LevelModel, problem: Problem) -> None:
+    """Refuse a mesh with a tissue that has no constants."""
+    present = np.flatnonzero(model.fractions.sum(axis=0) > 0)
+    tissues = [Tissue(int(t)) for t in present]
+    missing = [t.name.lower() for t in tissues if t not in problem.constants]
+    if missing:
+        raise InputError(f"The mesh contains {', '.join(missing)}, but no constants say how stiff.")

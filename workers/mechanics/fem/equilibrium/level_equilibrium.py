@@ -1,0 +1,98 @@
+"""Equilibrium of one mesh at one moment, friction and follower pressure included."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from palpate.workers.mechanics.fem.elements.states import Stage, State
+from palpate.workers.mechanics.fem.equilibrium.equilibrium_check import equilibrium_fault
+from palpate.workers.mechanics.fem.equilibrium.newton import (
+    LOOSEST,
+    MAX_ITERATIONS,
+    Result,
+    minimise,
+)
+from palpate.workers.mechanics.fem.linear.level import Level, without_laws
+from palpate.workers.mechanics.fem.linear.multigrid import LinearSolverFactory
+
+# Updates of friction and follower pressure before giving up.
+MAX_UPDATES = 40
+# How exactly a state is found that an update will change anyway: the first one, and those
+# after, as a part of what the last update moved.
+FIRST_TOLERANCE_MM = 0.2
+PART_OF_LAST_MOTION = 0.1
+# A state whose steps are short, but whose forces are not balanced, is solved on to a tolerance
+# that is smaller by this factor, so many times.
+TIGHTER, MAX_TIGHTENINGS = 0.1, 2
+
+
+def solve_level(
+    level: Level,
+    start: State,
+    stage: Stage,
+    factory: LinearSolverFactory,
+    tolerance_mm: float,
+    max_iterations: int = MAX_ITERATIONS,
+    forcing: float = LOOSEST,
+) -> Result:
+    """Find the equilibrium near `start`, forces without an energy brought up to date.
+
+    Friction and follower pressure are held while the energy is minimised, then updated,
+    until an update moves no node by more than `tolerance_mm`. For `forcing` see `minimise`.
+    """
+    if level.constants.laws and not np.isfinite(level.energy(start, stage).potential):
+        # The law knows no inverted element; a neo-Hookean body finds a start without any.
+        relaxed = Level.build(level.model, without_laws(level.problem))
+        found = minimise(relaxed, start.with_eigenvector(None), stage, factory, tolerance_mm)
+        start = start.moved_to(found.state.x, found.state.travel_mm)
+    if level.is_conservative(start):
+        return minimise(level, start, stage, factory, tolerance_mm, max_iterations, forcing)
+    near = max(FIRST_TOLERANCE_MM, tolerance_mm)
+    result = minimise(level, start, stage, factory, near, max_iterations, forcing)
+    newton, cg = result.iterations, result.cg_iterations
+    moved = np.inf
+    for _ in range(MAX_UPDATES):
+        if result.reason:
+            return result
+        updated = level.update_history(result.state, stage)
+        again = minimise(level, updated, stage, factory, near)
+        moved = float(np.abs(again.state.x - result.state.x).max())
+        newton, cg = newton + again.iterations, cg + again.cg_iterations
+        result = Result(again.state, again.reason, newton, cg, again.residual_n, again.linear)
+        if moved < tolerance_mm and near <= tolerance_mm:
+            return result
+        near = max(tolerance_mm, PART_OF_LAST_MOTION * moved)
+    reason = f"friction or pressure still moved the body by {moved:.2g} mm"
+    return Result(result.state, reason, newton, cg, result.residual_n, result.linear)
+
+
+def solve_balanced(
+    level: Level,
+    start: State,
+    stage: Stage,
+    factory: LinearSolverFactory,
+    tolerance_mm: float,
+    max_iterations: int = MAX_ITERATIONS,
+    forcing: float = LOOSEST,
+) -> Result:
+    """Find the equilibrium near `start` on the finest mesh, its forces balanced.
+
+    `solve_level` ends where steps are short. From a good start they are so at once in a slender
+    or stiff body, whose forces need not be balanced then: it is solved on, more exactly.
+    """
+    result = solve_level(level, start, stage, factory, tolerance_mm, max_iterations, forcing)
+    for _ in range(MAX_TIGHTENINGS):
+        if result.reason or not _fault(level, result.state, stage):
+            break
+        tolerance_mm *= TIGHTER
+        again = solve_level(level, result.state, stage, factory, tolerance_mm, max_iterations)
+        newton = result.iterations + again.iterations
+        cg = result.cg_iterations + again.cg_iterations
+        result = replace(again, iterations=newton, cg_iterations=cg)
+    return result
+
+
+def _fault(level: Level, state: State, stage: Stage) -> str:
+    """Return why the forces on a level are not balanced; empty where they are."""
+    at = level.energy(state, stage)
+    return equilibrium_fault(level, state, at, stage, level.force(state, at, stage))

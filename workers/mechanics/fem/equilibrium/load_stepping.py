@@ -1,0 +1,250 @@
+"""Load stepping: all meshes of a body, from coarse to fine, through the stages of its load."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.fem.elements.model import Model
+from palpate.workers.mechanics.fem.elements.states import History, Stage, State
+from palpate.workers.mechanics.fem.equilibrium.level_equilibrium import solve_balanced, solve_level
+from palpate.workers.mechanics.fem.equilibrium.load_schedule import (
+    better_start,
+    bring_into_contact,
+    coarsest_increments,
+    load_schedules,
+    stage_at,
+)
+from palpate.workers.mechanics.fem.equilibrium.newton import LOOSEST, TIGHTEST, Result
+from palpate.workers.mechanics.fem.linear.level import Level
+from palpate.workers.mechanics.fem.linear.multigrid import LinearSolver, solver_factory
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+
+# Coarse levels only supply a start: their own error is far larger than this.
+COARSE_TOLERANCE_MM = 0.05
+# Newton iterations from a neighbour's state; what needs more is solved from rest. Points let go
+# of the edge of a plate one by one: up to 27 where nothing else needs more than 12; and from rest
+# such a load may need many stages.
+MAX_ITERATIONS_FROM_NEIGHBOUR = 40
+
+
+@dataclass(frozen=True, eq=False)
+class ConvergedStage:
+    """The end of one stage: a state and a linear solver for each level, coarse to fine.
+
+    `expected_mm`, shape (n, 3), is how far the finest nodes are expected to move from there when
+    a problem nearby is solved.
+    """
+
+    states: tuple[State, ...]
+    solvers: tuple[LinearSolver, ...]
+    expected_mm: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LoadPath:
+    """Where a way through the stages of a load ended.
+
+    Parameters
+    ----------
+    stage : Stage
+        The last one that was tried.
+    states : tuple of State
+        Of each level, coarse to fine; where the last stage did not converge, the state
+        that it reached, prolonged to the finer levels.
+    results : tuple of Result
+        Of each level that was solved in the last stage.
+    converged : tuple of ConvergedStage
+    """
+
+    stage: Stage
+    states: tuple[State, ...]
+    results: tuple[Result, ...]
+    converged: tuple[ConvergedStage, ...]
+
+    @property
+    def reason(self) -> str:
+        """Why the last stage did not converge; empty when it did."""
+        return self.results[-1].reason
+
+
+@dataclass(frozen=True, eq=False)
+class LoadStepping:
+    """The levels of a body under one problem, coarse to fine, ready to be loaded."""
+
+    model: Model
+    problem: Problem
+    levels: tuple[Level, ...]
+
+    def run(self, neighbour: Sequence[ConvergedStage] | None = None) -> LoadPath:
+        """Load the body, from a neighbour's stages where they lead to the end; see
+        `Problem.restarts`."""
+        histories = tuple(History() for _ in self.levels)
+        if neighbour is not None:
+            path = self.continue_from(neighbour)
+            if path is not None and not (path.reason and self.problem.restarts):
+                return path
+            if path is not None:
+                histories = (*histories[:-1], path.states[-1].history)
+        return self.from_rest(histories)
+
+    def from_rest(self, histories: Sequence[History]) -> LoadPath:
+        """Go through all stages; in more of them, until one way succeeds.
+
+        What an attempt leaves in the histories, except friction, is where the next begins.
+        """
+        path: LoadPath | None = None
+        for stages in load_schedules(self.model, self.problem):
+            path = self._follow(stages, self._at_rest(histories))
+            if not path.reason:
+                break
+            histories = [s.history for s in path.states]
+        if path is None:
+            raise AssertionError("a load has at least one schedule")
+        return path
+
+    def continue_from(self, neighbour: Sequence[ConvergedStage]) -> LoadPath | None:
+        """Go through a neighbour's stages on the finest mesh alone, from its own states.
+
+        Returns
+        -------
+        LoadPath or None
+            None if this load has no schedule of so many stages.
+        """
+        schedules = load_schedules(self.model, self.problem)
+        stages = next((s for s in schedules if len(s) == len(neighbour)), None)
+        if stages is None or len(neighbour[-1].states) != len(self.levels):
+            return None
+        level, tolerance = self.levels[-1], self._tolerance(len(self.levels) - 1)
+        states = self._at_rest([History() for _ in self.levels])
+        converged: list[ConvergedStage] = []
+        for stage, near in zip(stages, neighbour, strict=True):
+            begun, there = level.begin_step(states[-1], stage), near.states[-1]
+            x = level.with_prescribed(there.x, stage.fraction)
+            start = bring_into_contact(level, begun.moved_to(x, there.travel_mm), stage)
+            forcing = LOOSEST
+            if near.expected_mm is not None:
+                start = better_start(level, start, stage, near.expected_mm)
+                forcing = TIGHTEST
+            start = level.update_history(start, stage)
+            factory, limit = solver_factory(near.solvers[:-1]), MAX_ITERATIONS_FROM_NEIGHBOUR
+            result = solve_balanced(level, start, stage, factory, tolerance, limit, forcing)
+            if result.reason or result.linear is None:
+                states = (*states[:-1], result.state)
+                break
+            states = (*near.states[:-1], result.state)
+            converged.append(ConvergedStage(states, (*near.solvers[:-1], result.linear)))
+        return LoadPath(stage, states, (result,), tuple(converged))
+
+    def _at_rest(self, histories: Sequence[History]) -> tuple[State, ...]:
+        """Return the undeformed states of all levels, without friction."""
+        return tuple(
+            State(level.model.nodes.copy(), 0.0, replace(history, friction=()))
+            for level, history in zip(self.levels, histories, strict=True)
+        )
+
+    def _follow(self, stages: Sequence[Stage], states: tuple[State, ...]) -> LoadPath:
+        """Go through `stages`, each from coarse to fine, until one fails."""
+        converged: list[ConvergedStage] = []
+        for number, stage in enumerate(stages):
+            states, results = self._solve_stage(stage, states, first=number == 0)
+            solvers = tuple(r.linear for r in results if r.linear is not None and not r.reason)
+            if len(solvers) < len(self.levels):
+                break
+            converged.append(ConvergedStage(states, solvers))
+        return LoadPath(stage, states, results, tuple(converged))
+
+    def _solve_stage(
+        self, stage: Stage, before: tuple[State, ...], *, first: bool
+    ) -> tuple[tuple[State, ...], tuple[Result, ...]]:
+        """Solve one stage on each level, from coarse to fine, until one fails."""
+        states: list[State] = []
+        results: list[Result] = []
+        solvers: list[LinearSolver] = []
+        for k, level in enumerate(self.levels):
+            begun, tolerance = level.begin_step(before[k], stage), self._tolerance(k)
+            if k == 0 and first:
+                result = self._coarsest_from_rest(begun, stage, tolerance)
+            else:
+                start = self._start(k, begun, before, states, stage, first=first)
+                solve = solve_balanced if k == len(self.levels) - 1 else solve_level
+                result = solve(level, start, stage, solver_factory(solvers), tolerance)
+            results.append(result)
+            states.append(result.state)
+            if result.reason or result.linear is None:
+                return self._prolonged_to_finest(states, before, stage), tuple(results)
+            solvers.append(result.linear)
+        return tuple(states), tuple(results)
+
+    def _tolerance(self, k: int) -> float:
+        """Return the tolerance of level `k` in mm."""
+        wanted = self.problem.tolerance_mm
+        return wanted if k == len(self.levels) - 1 else max(COARSE_TOLERANCE_MM, wanted)
+
+    def _start(
+        self,
+        k: int,
+        begun: State,
+        before: Sequence[State],
+        coarser: Sequence[State],
+        stage: Stage,
+        *,
+        first: bool,
+    ) -> State:
+        """Return the start of level `k`, which has `begun` the stage.
+
+        The coarser solution, or what it gained since the stage `before` on top of that.
+        """
+        level = self.levels[k]
+        if k == 0:
+            x = level.with_prescribed(begun.x, stage.fraction)
+            return bring_into_contact(level, begun.moved_to(x, begun.travel_mm), stage)
+        coarse = coarser[k - 1]
+        if first:
+            u = self._prolonged(k, coarse.x - self.levels[k - 1].model.nodes)
+            travel = coarse.travel_mm
+        else:
+            u = begun.x - level.model.nodes
+            u = u + self._prolonged(k, coarse.x - before[k - 1].x)
+            travel = begun.travel_mm + coarse.travel_mm - before[k - 1].travel_mm
+        x = level.with_prescribed(level.model.nodes + u, stage.fraction)
+        return bring_into_contact(level, begun.moved_to(x, travel), stage)
+
+    def _prolonged(self, k: int, u: FloatArray) -> FloatArray:
+        """Interpolate a displacement of level `k` - 1, (n, 3), on level `k`."""
+        transfer = self.levels[k].model.transfer
+        if transfer is None:
+            raise AssertionError("only the coarsest level has no transfer")
+        return np.asarray(transfer.exact @ u)
+
+    def _coarsest_from_rest(self, begun: State, goal: Stage, tolerance_mm: float) -> Result:
+        """Load the coarsest level in more and more increments, until one way succeeds."""
+        level, history = self.levels[0], begun.history
+        for count in coarsest_increments(self.problem.load):
+            state = State(level.model.nodes.copy(), 0.0, history)
+            for i in range(count):
+                fraction = goal.fraction * (i + 1) / count
+                stage = stage_at(self.model, self.problem.load, fraction)
+                x = level.with_prescribed(state.x, stage.fraction)
+                state = bring_into_contact(level, state.moved_to(x, state.travel_mm), stage)
+                result = solve_level(level, state, stage, solver_factory(()), tolerance_mm)
+                if result.reason:
+                    break
+                state = result.state
+            if not result.reason:
+                break
+            history = result.state.history
+        return result
+
+    def _prolonged_to_finest(
+        self, states: Sequence[State], before: Sequence[State], stage: Stage
+    ) -> tuple[State, ...]:
+        """Prolong the last state, which did not converge, to all finer levels."""
+        prolonged = list(states)
+        for k in range(len(states), len(self.levels)):
+            level, coarse = self.levels[k], prolonged[-1]
+            u = self._prolonged(k, coarse.x - self.levels[k - 1].model.nodes)
+            x = level.with_prescribed(level.model.nodes + u, stage.fraction)
+            prolonged.append(before[k].moved_to(x, coarse.travel_mm))
+        return tuple(prolonged)

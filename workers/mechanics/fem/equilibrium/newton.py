@@ -1,0 +1,170 @@
+"""Newton's method with an energy line search on one level.
+
+The travel of force-controlled plates is one more unknown; it appears linearly in
+the bordered system and is eliminated exactly.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.fem.elements.states import Stage, State
+from palpate.workers.mechanics.fem.linear.level import Energy, Level, Tangent
+from palpate.workers.mechanics.fem.linear.multigrid import (
+    Correction,
+    LinearSolver,
+    LinearSolverFactory,
+)
+
+MAX_ITERATIONS = 60
+MAX_HALVINGS = 14
+# Longest step of a node in one iteration; farther, the quadratic model says nothing.
+LONGEST_STEP_MM = 20.0
+# Conjugate gradients: loose first, tighter as the residual falls (Eisenstat-Walker).
+LOOSEST, TIGHTEST = 3e-2, 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Where Newton's method ended.
+
+    Parameters
+    ----------
+    state : State
+    reason : str
+        Why it did not converge; empty when it did.
+    iterations, cg_iterations : int
+    residual_n : float
+        Norm of the last out-of-balance force.
+    linear : LinearSolver or None
+        With the last tangent.
+    """
+
+    state: State
+    reason: str
+    iterations: int
+    cg_iterations: int
+    residual_n: float
+    linear: LinearSolver | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A Newton direction, its slope and its longest nodal displacement."""
+
+    u: FloatArray
+    travel: float
+    slope: float
+    longest: float
+    cg_iterations: int
+    negative: bool
+
+
+def minimise(
+    level: Level,
+    start: State,
+    stage: Stage,
+    factory: LinearSolverFactory,
+    tolerance_mm: float,
+    max_iterations: int = MAX_ITERATIONS,
+    forcing: float = LOOSEST,
+) -> Result:
+    """Find the equilibrium nearest to `start`.
+
+    Friction and follower pressure are held. Converged when a full step moves no node by
+    more than `tolerance_mm`. The first step is solved to a relative residual of `forcing`:
+    `TIGHTEST` from a start that may be so near that this step is the last.
+    """
+    state = start
+    energy = level.energy(state, stage)
+    cg_total, residual, last_residual = 0, np.inf, np.inf
+    linear: LinearSolver | None = None
+    # `convex`: no descent otherwise, for good; `cautious`: for this step.
+    convex = cautious = False
+    for iteration in range(1, max_iterations + 1):
+        force, tangent = level.linearise(state, energy, stage, convex=convex or cautious)
+        if stage.force_n is not None and tangent.plate_stiffness == 0:
+            return Result(state, "the plate lost contact", iteration, cg_total, residual, linear)
+        plate = _plate_residual(energy, stage)
+        residual = float(np.sqrt(np.vdot(force, force) + plate**2))
+        if np.isfinite(last_residual):
+            forcing = min(LOOSEST, max(TIGHTEST, 0.5 * (residual / last_residual) ** 1.5))
+        last_residual = residual
+        linear = factory(level, tangent, state.history.eigenvector)
+        state = state.with_eigenvector(linear.eigenvector)
+        step = _direction(force, plate, tangent, linear, forcing)
+        cg_total += step.cg_iterations
+        indefinite = False
+        if step.negative and not (convex or cautious):
+            indefinite = True
+            # Far from equilibrium the pressure may turn the tangent indefinite: leave it out.
+            _, tangent = level.linearise(state, energy, stage, convex=True)
+            linear = factory(level, tangent, state.history.eigenvector)
+            state = state.with_eigenvector(linear.eigenvector)
+            step = _direction(force, plate, tangent, linear, forcing)
+            cg_total += step.cg_iterations
+        state, energy, length = _line_search(level, state, energy, stage, step)
+        cautious = (indefinite or cautious) and (step.negative or length < 1) and length > 0
+        gap = stage.gap_at(state.travel_mm)
+        if gap is not None and gap.upper_mm <= gap.lower_mm:
+            return Result(state, "the plates met", iteration, cg_total, residual, linear)
+        if length == 0:
+            if convex:
+                reason = f"no descent at a residual of {residual:.3g} N"
+                return Result(state, reason, iteration, cg_total, residual, linear)
+            convex = True
+        elif length == 1 and step.longest < tolerance_mm:
+            return Result(state, "", iteration, cg_total, residual, linear)
+    reason = f"{max_iterations} Newton iterations left a residual of {residual:.3g} N"
+    return Result(state, reason, max_iterations, cg_total, residual, linear)
+
+
+def solve_bordered(
+    linear: LinearSolver, tangent: Tangent, force: FloatArray, plate: float, tolerance: float
+) -> tuple[Correction, float]:
+    """Solve for displacement and travel under a force, (n, 3) in N, and one on the plates."""
+    if tangent.plate_stiffness == 0:
+        return linear.solve(force, tolerance), 0.0
+    b = force.copy()
+    b[tangent.contact_index] -= tangent.coupling * (plate / tangent.plate_stiffness)
+    correction = linear.solve(b, tolerance)
+    along = float(np.vdot(tangent.coupling, correction.u[tangent.contact_index]))
+    return correction, (plate - along) / tangent.plate_stiffness
+
+
+def _plate_residual(energy: Energy, stage: Stage) -> float:
+    """Return the out-of-balance force on force-controlled plates, in N."""
+    return 0.0 if stage.force_n is None else energy.contact.travel_force - stage.force_n
+
+
+def _direction(
+    force: FloatArray, plate: float, tangent: Tangent, linear: LinearSolver, forcing: float
+) -> _Step:
+    """Return the Newton direction, turned downhill if need be."""
+    correction, travel = solve_bordered(linear, tangent, -force, -plate, forcing)
+    u = correction.u
+    slope = float(np.vdot(force, u)) + plate * travel
+    if slope > 0:
+        u, travel, slope = -u, -travel, -slope
+    return _Step(
+        u, travel, slope, float(np.abs(u).max()), correction.iterations, correction.negative
+    )
+
+
+def _line_search(
+    level: Level, state: State, energy: Energy, stage: Stage, step: _Step
+) -> tuple[State, Energy, float]:
+    """Backtrack until the potential falls; length 0 means that it never did."""
+    length = min(1.0, LONGEST_STEP_MM / step.longest) if step.longest > 0 else 1.0
+    # Near the minimum the fall drowns in rounding; a Newton step is then taken on trust.
+    noise = 1e-11 * (abs(energy.elastic) + abs(energy.potential - energy.elastic))
+    noise += level.rounding_mj
+    for _ in range(MAX_HALVINGS):
+        trial = state.moved_to(state.x + length * step.u, state.travel_mm + length * step.travel)
+        trial_energy = level.energy(trial, stage)
+        fall = trial_energy.potential - energy.potential
+        if fall <= 1e-4 * length * step.slope or (-length * step.slope <= noise and fall <= noise):
+            return trial, trial_energy, length
+        length /= 2
+    return state, energy, 0.0

@@ -1,0 +1,394 @@
+r"""How an equilibrium moves when the problem changes: one linear solve each.
+
+With the out-of-balance force R(x, phi) = 0 at an equilibrium,
+
+.. math:: K \, dx/d\phi = - \partial R / \partial \phi .
+
+The right side is a difference of two forces at the same place, which costs no
+solve. Where friction or follower pressure act, their derivative by x, which is not
+symmetric, is added by GMRES around the symmetric solver. With friction the slip of
+earlier steps of the load is held.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse.linalg import LinearOperator, gmres
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.fem.contact.frictional_contact import PlateFriction
+from palpate.workers.mechanics.fem.elements.external_forces import (
+    dirichlet_conditions,
+    pressure_derivative,
+)
+from palpate.workers.mechanics.fem.elements.model import Model
+from palpate.workers.mechanics.fem.elements.states import History, Stage, State
+from palpate.workers.mechanics.fem.equilibrium.load_schedule import (
+    bring_into_contact,
+    friction_fractions,
+    stage_at,
+)
+from palpate.workers.mechanics.fem.equilibrium.newton import minimise, solve_bordered
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
+from palpate.workers.mechanics.fem.equilibrium.stress_free_shape import (
+    NoStressFreeShapeError,
+    hanging_problem,
+    stress_free,
+)
+from palpate.workers.mechanics.fem.linear import sparse_products
+from palpate.workers.mechanics.fem.linear.level import Energy, Level, Tangent
+from palpate.workers.mechanics.fem.linear.multigrid import linear_solver, solver_factory
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+
+# Of the linear solves.
+RELATIVE_ERROR = 1e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """Two problems on either side of the present one, `step` apart in a parameter."""
+
+    plus: Problem
+    minus: Problem
+    step: float
+
+
+def tangents(
+    at: Equilibrium, changes: Sequence[Change], tolerance: float = RELATIVE_ERROR
+) -> FloatArray:
+    """Return the derivative of the displacement by each change.
+
+    Parameters
+    ----------
+    at : Equilibrium
+        Converged.
+    changes : sequence of Change
+    tolerance : float
+        Relative error of the linear solves; see `conjugate_gradients.solve_many`.
+
+    Returns
+    -------
+    ndarray, shape (k, n, 3)
+        Of the finest nodes, in mm per unit of the parameter.
+
+    Raises
+    ------
+    InputError
+        If `at` did not converge.
+    """
+    _refuse_unconverged(at)
+    if not changes:
+        return np.empty((0, *at.solution.displacement_mm.shape))
+    return _solved(_Linearisation(at), changes, tolerance)[1]
+
+
+def tangents_with_reactions(
+    at: Equilibrium, changes: Sequence[Change], tolerance: float = RELATIVE_ERROR
+) -> tuple[FloatArray, FloatArray]:
+    """Return also how the forces change that hold the held nodes.
+
+    Parameters
+    ----------
+    at, changes, tolerance
+        See `tangents`; without friction and follower pressure.
+
+    Returns
+    -------
+    moved : ndarray, shape (k, n, 3)
+        As `tangents` has it.
+    reactions : ndarray, shape (k, n, 3)
+        In N per unit of the parameter, zero where a node is free; see `reactions`.
+
+    Raises
+    ------
+    InputError
+        If `at` did not converge.
+    """
+    _refuse_unconverged(at)
+    if not changes:
+        return (np.empty((0, *at.solution.displacement_mm.shape)),) * 2
+    here = _Linearisation(at)
+    right, moved = _solved(here, changes, tolerance)
+    return moved, np.stack([here.reactions(r, u) for r, u in zip(right, moved, strict=True)])
+
+
+def reactions(at: Equilibrium) -> FloatArray:
+    """Return the forces on the body that hold its held nodes, shape (n, 3), in N."""
+    level, state = at.levels[-1], at.states[-1]
+    force = level.force(state, level.energy(state, at.stage), at.stage)
+    return np.where(level.free > 0, 0.0, force)
+
+
+def _refuse_unconverged(at: Equilibrium) -> None:
+    if not at.solution.outcome.converged:
+        raise InputError(
+            "Only an equilibrium has tangents; this simulation did not converge: "
+            f"{at.solution.outcome.reason}."
+        )
+
+
+def _solved(
+    here: "_Linearisation", changes: Sequence[Change], tolerance: float
+) -> tuple[list["_RightSide"], FloatArray]:
+    """Return what each change leaves out of balance, and how the nodes follow, (k, n, 3)."""
+    right, at = [here.right_side(change) for change in changes], here.at
+    if at.levels[-1].is_conservative(at.states[-1]):
+        solutions = list(here.solve_symmetric(right, tolerance))
+    else:
+        # GMRES measures residuals, which say less of the displacement than errors do.
+        solutions = [here.solve_nonsymmetric(r, tolerance / 10) for r in right]
+    free = at.levels[-1].free > 0
+    moved = [np.where(free, u, r.prescribed) for u, r in zip(solutions, right, strict=True)]
+    return right, np.stack(moved)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RightSide:
+    """Right side of a linear solve.
+
+    Parameters
+    ----------
+    force : ndarray, shape (n, 3)
+        On the nodes, in N per unit of the parameter.
+    plate : float
+        On the plates.
+    prescribed : ndarray, shape (n, 3)
+        How held places move, in mm per unit of the parameter.
+    unbalanced : ndarray, shape (n, 3)
+        What the change adds to the forces on nodes that stay where they are, held ones too.
+    """
+
+    force: FloatArray
+    plate: float
+    prescribed: FloatArray
+    unbalanced: FloatArray
+
+
+class _Linearisation:
+    """The finest level at its equilibrium, and what changes of the problem do there."""
+
+    def __init__(self, at: Equilibrium) -> None:
+        self.at = at
+        self.level, self.state, self.stage = at.levels[-1], at.states[-1], at.stage
+        self.energy = self.level.energy(self.state, self.stage)
+        _, self.tangent = self.level.linearise(self.state, self.energy, self.stage)
+        eigenvector = self.state.history.eigenvector
+        self.linear = linear_solver(self.level, self.tangent, at.solvers[:-1], eigenvector)
+        self._frictionless: list[State] | None = None
+        self._inner: FloatArray | None = None
+
+    def right_side(self, change: Change) -> _RightSide:
+        """Return what a unit of the parameter leaves out of balance, with its sign turned."""
+        ahead, behind = (self._forces(p) for p in (change.plus, change.minus))
+        unbalanced = (ahead[0] - behind[0]) / change.step
+        b = -unbalanced * self.level.free
+        plate = -(ahead[1] - behind[1]) / change.step
+        prescribed = self._prescribed(change)
+        if prescribed.any():
+            b -= self._stiffness_times(prescribed) * self.level.free
+        return _RightSide(b, plate, prescribed, unbalanced)
+
+    def reactions(self, right: _RightSide, moved: FloatArray) -> FloatArray:
+        """Return how the forces on held nodes change as all nodes move so, shape (n, 3)."""
+        change = right.unbalanced + self._stiffness_times(moved)
+        return np.where(self.level.free > 0, 0.0, change)
+
+    def _forces(self, problem: Problem) -> tuple[FloatArray, float]:
+        """Return the out-of-balance force of nodes and plates under another problem."""
+        if problem is self.at.problem:
+            return self._own_forces
+        model = self._model_of(problem)
+        level = Level.build(model.finest, problem, self.level)
+        stage = stage_at(model, problem.load, self.stage.fraction)
+        return self._forces_of(level, self._state_under(level, stage), stage)
+
+    @cached_property
+    def _own_forces(self) -> tuple[FloatArray, float]:
+        return self._forces_of(self.level, self.state, self.stage)
+
+    def _forces_of(self, level: Level, state: State, stage: Stage) -> tuple[FloatArray, float]:
+        if self._is_touched_alike(level, state, stage):
+            energy = self.energy
+        elif level.model is self.level.model:  # the same place: its volumes are known
+            contacts, contact = level.contact(state, stage)
+            energy = replace(self.energy, plate_contacts=contacts, contact=contact)
+        else:
+            energy = level.energy(state, stage)
+        plate = 0.0
+        if stage.force_n is not None:
+            plate = energy.contact.travel_force - stage.force_n
+        same_skin = level.problem.membrane == self.at.problem.membrane
+        if level.constants is self.level.constants and same_skin:
+            inner = self._inner_force()
+            return inner + level.outer_force(state, energy.contact, stage), plate
+        return level.force(state, energy, stage), plate
+
+    def _is_touched_alike(self, level: Level, state: State, stage: Stage) -> bool:
+        """Return whether volumes and plates are those of here, as of a change inside the body."""
+        friction = state.history.friction or self.state.history.friction
+        return level.model is self.level.model and stage == self.stage and not friction
+
+    def _inner_force(self) -> FloatArray:
+        """Return the force of body and skin as they are, shape (n, 3)."""
+        if self._inner is None:
+            whole = self.level.force(self.state, self.energy, self.stage)
+            outer = self.level.outer_force(self.state, self.energy.contact, self.stage)
+            self._inner = whole - outer
+        return self._inner
+
+    def _model_of(self, problem: Problem) -> Model:
+        """Return the stress-free model of another problem: it also hangs on the constants.
+
+        Where that has none, a hair beyond a body that hardly carries its weight, it is this one.
+        """
+        if not any(problem.imaged_gravity_g):
+            return self.at.imaged
+        if hanging_problem(problem) == hanging_problem(self.at.problem):
+            return self.at.model
+        try:
+            return stress_free(self.at.imaged, problem)
+        except NoStressFreeShapeError:
+            return self.at.model
+
+    def _state_under(self, level: Level, stage: Stage) -> State:
+        """Return the present positions with the history that another problem would have.
+
+        Friction is as it is, or as it would begin at the end of a path without any.
+        """
+        coefficient = stage.device.friction
+        friction: tuple[PlateFriction, ...] = ()
+        if coefficient:
+            friction = self.state.history.friction or self._friction_of_path(level)
+        friction = tuple(replace(f, coefficient=coefficient) for f in friction)
+        state = State(self.state.x, self.state.travel_mm, History(friction))
+        return level.update_history(state, stage)
+
+    def _friction_of_path(self, level: Level) -> tuple[PlateFriction, ...]:
+        """Let the slip origins follow the path without friction."""
+        stages = [replace(s, device=replace(s.device, friction=1.0)) for s in self._stages()]
+        state = level.begin_step(State(level.model.nodes.copy(), 0.0), stages[0])
+        ends = self._frictionless_path()
+        for end, stage, following in zip(ends, stages[:-1], stages[1:], strict=True):
+            state = level.update_history(state.moved_to(end.x, end.travel_mm), stage)
+            state = level.begin_step(state, following)
+        return state.history.friction
+
+    def _stages(self) -> list[Stage]:
+        """Return the steps in which friction would be applied."""
+        problem = self.at.problem
+        fractions = friction_fractions(problem)
+        return [stage_at(self.at.model, problem.load, f) for f in fractions]
+
+    def _frictionless_path(self) -> list[State]:
+        """Return where those steps end without friction, the last one left out."""
+        if self._frictionless is None:
+            state, path = self.state.with_eigenvector(self.linear.eigenvector), []
+            for stage in reversed(self._stages()[:-1]):
+                x = self.level.with_prescribed(state.x, stage.fraction)
+                near = state.moved_to(x, state.travel_mm)
+                state = minimise(
+                    self.level,
+                    bring_into_contact(self.level, near, stage),
+                    stage,
+                    solver_factory(self.at.solvers[:-1]),
+                    self.at.problem.tolerance_mm,
+                ).state
+                path.append(state)
+            self._frictionless = path[::-1]
+        return self._frictionless
+
+    def _prescribed(self, change: Change) -> FloatArray:
+        """Return how the change moves held places: (n, 3) in mm per unit.
+
+        A wall that begins to yield under its reaction r moves by r / (area x spring).
+        """
+        level, wall = self.level, change.plus.wall
+        prescribed = np.zeros_like(level.prescribed_mm)
+        if change.plus.holds != change.minus.holds:
+            ahead, behind = (
+                dirichlet_conditions(level.model, p) for p in (change.plus, change.minus)
+            )
+            prescribed += (ahead.displacement_mm - behind.displacement_mm) / change.step
+        for axis, held in enumerate(level.problem.wall.held):
+            if held and not wall.held[axis]:
+                nodes = level.model.wall
+                stiffness = level.model.wall_areas[nodes] * wall.spring_mpa_per_mm[axis]
+                reaction = level.force(self.state, self.energy, self.stage)[nodes, axis]
+                prescribed[nodes, axis] -= reaction / stiffness / change.step
+        return np.where(level.free > 0, 0.0, prescribed)
+
+    def _stiffness_times(self, u: FloatArray) -> FloatArray:
+        """Return the force on the nodes of a displacement `u`, that of held places included.
+
+        The plates feel nothing of it: held nodes take no part in their coupling.
+        """
+        t = self._whole_tangent
+        g = self.level.model.graph
+        matrix = g.start.view(np.uint32), g.neighbour.view(np.uint32), t.rows
+        x, y = np.zeros((2, len(u), 4))
+        x[:, :3] = u
+        sparse_products.set_pressure(*matrix, x)
+        sparse_products.multiply(*matrix, x, y)
+        return y[:, :3]
+
+    @cached_property
+    def _whole_tangent(self) -> Tangent:
+        """The tangent with the rows and columns of held nodes."""
+        _, found = self.level.linearise(self.state, self.energy, self.stage, everywhere=True)
+        return found
+
+    def solve_symmetric(self, right: Sequence[_RightSide], tolerance: float) -> FloatArray:
+        """Solve for all right sides at once, shape (k, n, 3)."""
+        t = self.tangent
+        b = np.stack([r.force for r in right])
+        if t.plate_stiffness > 0:
+            push = np.array([r.plate for r in right]) / t.plate_stiffness
+            b[:, t.contact_index] -= push[:, None, None] * t.coupling
+        return self.linear.solve_many(b, tolerance).u
+
+    def solve_nonsymmetric(self, right: _RightSide, tolerance: float) -> FloatArray:
+        """Solve with the symmetric tangent, and with what has no energy around it."""
+        b, plate = right.force, right.plate
+        shape, n = b.shape, b.size
+
+        def operator(v: FloatArray) -> FloatArray:
+            force, on_plate = _nonconservative_derivative(
+                self.level, self.state, self.energy, self.stage, v[:n].reshape(shape), v[n]
+            )
+            u, travel = self._solve_bordered(force * self.level.free, on_plate, tolerance / 10)
+            return v + np.append(u.ravel(), travel)
+
+        u, travel = self._solve_bordered(b, plate, tolerance / 10)
+        start = np.append(u.ravel(), travel)
+        shifted = LinearOperator((n + 1, n + 1), matvec=operator, dtype=np.float64)
+        solution, failed = gmres(shifted, start, rtol=tolerance, maxiter=5, restart=30)
+        if failed:
+            raise ArithmeticError("the tangent with friction or pressure was not solved")
+        return np.asarray(solution[:n].reshape(shape))
+
+    def _solve_bordered(
+        self, b: FloatArray, plate: float, tolerance: float
+    ) -> tuple[FloatArray, float]:
+        """Return the displacement, (n, 3), and the travel, without friction and pressure."""
+        correction, travel = solve_bordered(self.linear, self.tangent, b, plate, tolerance)
+        return correction.u, travel
+
+
+def _nonconservative_derivative(
+    level: Level, state: State, at: Energy, stage: Stage, u: FloatArray, travel: float
+) -> tuple[FloatArray, float]:
+    """Differentiate friction and follower pressure along (u, travel): on nodes and plates."""
+    force, on_plate = np.zeros_like(u), 0.0
+    pressures = level.problem.pressures
+    if pressures:
+        force -= stage.fraction * pressure_derivative(level.model, state.x, pressures, u)
+    for friction, contact in zip(state.history.friction, at.plate_contacts, strict=False):
+        nodes = friction.nodes
+        gain = friction.coefficient * contact.normal_force_change(u[nodes.index], travel)
+        drag = gain[:, None] * friction.direction(state.x, state.travel_mm)
+        force[nodes.index] += drag
+        on_plate -= float(drag.sum(axis=0) @ friction.sliding_velocity)
+    return force, on_plate

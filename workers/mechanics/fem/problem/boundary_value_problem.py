@@ -1,0 +1,193 @@
+"""The problem that the solver is given. Units mm, N, MPa."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Triple
+from palpate.workers.mechanics.fem.problem.fields import WALL_TO_NIPPLE, FibreField, Variation
+from palpate.workers.mechanics.fem.problem.loads import (
+    SLIDING_WALL,
+    Attachment,
+    DeadForce,
+    Hold,
+    Load,
+    Pressure,
+    Wall,
+)
+from palpate.workers.mechanics.materials.base import Isochoric
+
+# Gravity in mm/s^2.
+GRAVITY_MM_PER_S2 = 9806.65
+
+
+@dataclass(frozen=True, slots=True)
+class Constants:
+    """Elastic constants of one tissue.
+
+    Parameters
+    ----------
+    young_mpa : float
+        Young's modulus E, > 0.
+    poisson : float
+        Poisson's ratio, in (0, 0.5).
+    fibre_mpa : float
+        Fibre stiffness eta of thesis Eq. 4.6, >= 0.
+    second_fibre_mpa : float
+        The same of a second family, >= 0.
+    stiffening : float
+        c2 / mu of Yeoh's law, ``mu ((I1bar - 3) / 2 + c2/mu (I1bar - 3)^2)``, >= 0.
+    density_t_per_mm3 : float
+        1e-9 is water.
+    law : Isochoric, optional
+        Another law for the matrix, in place of neo-Hooke's and Yeoh's. Young's
+        modulus and Poisson's ratio then say the bulk modulus alone.
+    growth : float
+        Volume at which the tissue is free of stress over that in the undeformed body, > 0;
+        the same along all axes.
+
+    Raises
+    ------
+    InputError
+        If a constant lies outside its range.
+    """
+
+    young_mpa: float
+    poisson: float = 0.49
+    fibre_mpa: float = 0.0
+    second_fibre_mpa: float = 0.0
+    stiffening: float = 0.0
+    density_t_per_mm3: float = 1e-9
+    law: Isochoric | None = None
+    growth: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.young_mpa > 0 and 0 < self.poisson < 0.5):
+            raise InputError(
+                "A tissue needs E > 0 and 0 < nu < 0.5, got "
+                f"E = {self.young_mpa * 1e3:g} kPa, nu = {self.poisson:g}."
+            )
+        if min(self.fibre_mpa, self.second_fibre_mpa, self.stiffening, self.density_t_per_mm3) < 0:
+            raise InputError(
+                "A tissue needs eta, its strain stiffening and its density >= 0, got "
+                f"eta = {self.fibre_mpa * 1e3:g} and {self.second_fibre_mpa * 1e3:g} kPa, "
+                f"c2/mu = {self.stiffening:g}, density {self.density_t_per_mm3 * 1e12:g} kg/m3."
+            )
+        if not self.growth > 0:
+            raise InputError(f"A tissue needs a growth > 0, got {self.growth:g}.")
+
+    @property
+    def mu_mpa(self) -> float:
+        """Shear modulus mu = E / 2(1 + nu) (thesis Eq. 4.8)."""
+        return self.young_mpa / (2 * (1 + self.poisson))
+
+    @property
+    def kappa_mpa(self) -> float:
+        """Bulk modulus kappa = E / 3(1 - 2 nu), so that d = 2 / kappa (thesis Eq. 4.8)."""
+        return self.young_mpa / (3 * (1 - 2 * self.poisson))
+
+
+@dataclass(frozen=True, slots=True)
+class Membrane:
+    """Skin as an incompressible neo-Hookean sheet on the free surface.
+
+    Parameters
+    ----------
+    young_mpa : float
+        Young's modulus E, > 0.
+    thickness_mm : float
+        > 0.
+    wrinkles : bool
+        Fold where it would be compressed, see `workers.mechanics.fem.elements.membrane`. A sheet
+        that does not wrinkle pushes back, and turns elements under it inside out
+        where it is much stiffer than they are.
+
+    Raises
+    ------
+    InputError
+        If a constant lies outside its range.
+    """
+
+    young_mpa: float
+    thickness_mm: float
+    wrinkles: bool = True
+
+    def __post_init__(self) -> None:
+        if not (self.young_mpa > 0 and self.thickness_mm > 0):
+            raise InputError(
+                "Skin needs E > 0 and thickness > 0, got "
+                f"E = {self.young_mpa * 1e3:g} kPa, thickness = {self.thickness_mm:g} mm."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One loading of one body.
+
+    Parameters
+    ----------
+    constants : mapping of Tissue to Constants
+        Every tissue present in the mesh must be named.
+    load : ForceControl, DistanceControl or NoPlates
+    membrane : Membrane, optional
+        Skin on the free surface, when the mesh does not resolve it.
+    fibres : FibreField
+        Fibre directions in the undeformed body.
+    literal_fibre : bool
+        Let fibres push back under compression too, as thesis Eq. 4.6 says when
+        read literally. Many equilibria may then exist; the default acts in
+        tension only.
+    isochoric_fibre : bool
+        Measure fibres by I4bar = J^(-2/3) I4, as FEBio does.
+    wall : Wall
+        How the chest wall holds the body.
+    attachments : tuple of Attachment
+        Springs on patches of the boundary.
+    variations : tuple of Gradient or Inclusion
+        Where the stiffness departs from that of the tissue.
+    gravity_g : tuple of float
+        Body force in multiples of gravity.
+    imaged_gravity_g : tuple of float
+        Gravity that the undeformed image already carries: its shape is then not
+        stress-free, and the shape that is is found first.
+    pressures : tuple of Pressure
+    forces : tuple of DeadForce
+    holds : tuple of Hold
+    plain_elements : bool
+        Textbook linear tetrahedra without the nodal average; they lock, and do not grow.
+    tolerance_mm : float
+        The last full Newton step on the finest mesh is shorter than this.
+    friction_steps : int
+        Steps of the load, each in equilibrium, in which friction is followed; >= 1. With four the
+        plates' travel is that of eight within 0.3 %.
+    restarts : bool
+        Solve from rest what was not found from the equilibrium of a similar problem.
+
+    Raises
+    ------
+    InputError
+        If plain elements are to grow.
+    """
+
+    constants: Mapping[Tissue, Constants]
+    load: Load
+    membrane: Membrane | None = None
+    fibres: FibreField = WALL_TO_NIPPLE
+    literal_fibre: bool = False
+    isochoric_fibre: bool = False
+    wall: Wall = SLIDING_WALL
+    attachments: tuple[Attachment, ...] = ()
+    variations: tuple[Variation, ...] = ()
+    gravity_g: Triple = (0.0, 0.0, 0.0)
+    imaged_gravity_g: Triple = (0.0, 0.0, 0.0)
+    pressures: tuple[Pressure, ...] = ()
+    forces: tuple[DeadForce, ...] = ()
+    holds: tuple[Hold, ...] = ()
+    plain_elements: bool = False
+    tolerance_mm: float = 2e-3
+    friction_steps: int = 8
+    restarts: bool = True
+
+    def __post_init__(self) -> None:
+        if self.plain_elements and any(c.growth != 1 for c in self.constants.values()):
+            raise InputError("Plain elements do not grow; leave out plain_elements, or growth.")

@@ -1,0 +1,239 @@
+"""Loads and boundary conditions: plates, pressure, forces, held places, chest wall."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import RBFInterpolator
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, Triple
+from palpate.workers.mechanics.fem.problem.regions import EVERYWHERE, Region
+
+
+@dataclass(frozen=True, slots=True)
+class Plate:
+    """Deviation of one plate from a flat plane normal to the axis of compression.
+
+    Parameters
+    ----------
+    tilt_deg : tuple of float
+        Turned about the first and the second in-plane axis; see `Device`.
+    bow_per_mm : tuple of float
+        Curvature along the first and the second in-plane axis, positive where the
+        plate bends away from the body.
+    """
+
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    bow_per_mm: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """Position and motion of two rigid plates.
+
+    For compression along y the in-plane axes are x and z: in general the second
+    is z less its part along the axis, and the first is axis x second.
+
+    Parameters
+    ----------
+    axis : tuple of float
+        From the lower to the upper plate: (0, 1, 0) cranio-caudal, (s, s, 0)
+        with s = sqrt(1/2) mediolateral oblique at 45 degrees.
+    pivot_mm : tuple of float
+        Tilt and bow leave the plate's distance at this point unchanged.
+    lower, upper : Plate
+    lower_share : float
+        Part of the travel that the lower plate makes, 0 to 1.
+    friction : float
+        Coulomb's coefficient between skin and both plates.
+    edge_mm : float, optional
+        Where both plates begin to be flat along the second in-plane axis: behind that place
+        their rounding leaves the body. None for plates without an end.
+    """
+
+    axis: Triple = (0.0, 1.0, 0.0)
+    pivot_mm: Triple = (0.0, 0.0, 0.0)
+    lower: Plate = Plate()
+    upper: Plate = Plate()
+    lower_share: float = 0.0
+    friction: float = 0.0
+    edge_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.lower_share <= 1:
+            raise InputError(
+                f"The lower plate makes a share of the travel from 0 to 1, got {self.lower_share}."
+            )
+        if not np.linalg.norm(np.cross(self.axis, (0.0, 0.0, 1.0))) > 1e-6:
+            raise InputError(
+                f"The axis of compression must not lie along z, which runs from chest wall "
+                f"to nipple; got {self.axis}."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class ForceControl:
+    """The plates are pushed together until they carry `force_n`.
+
+    They start at `lower_mm` and `upper_mm` along the axis of the device.
+    """
+
+    force_n: float
+    lower_mm: float
+    upper_mm: float
+    device: Device = Device()
+
+    def __post_init__(self) -> None:
+        if not self.force_n > 0:
+            raise InputError(f"The plate force must be positive, got {self.force_n:g} N.")
+        _check_plates(self.lower_mm, self.upper_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceControl:
+    """The plates end at `lower_mm` and `upper_mm`, whatever force that takes."""
+
+    lower_mm: float
+    upper_mm: float
+    device: Device = Device()
+
+    def __post_init__(self) -> None:
+        _check_plates(self.lower_mm, self.upper_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class NoPlates:
+    """No plates; gravity, pressure, forces and held places may act."""
+
+    device: Device = Device()
+
+
+Load = ForceControl | DistanceControl | NoPlates
+
+
+@dataclass(frozen=True, slots=True)
+class Pressure:
+    """Pressure on the free surface inside a region, normal to it as it deforms.
+
+    Positive pushes inwards.
+    """
+
+    pressure_mpa: float
+    region: Region = EVERYWHERE
+
+
+@dataclass(frozen=True, slots=True)
+class DeadForce:
+    """A force that keeps its direction, shared evenly by the nodes of a region."""
+
+    force_n: Triple
+    region: Region
+
+
+@dataclass(frozen=True, slots=True)
+class DisplacementField:
+    """Displacements that are known at some points.
+
+    Between them they are an affine map, fitted by least squares, and what it leaves by
+    biharmonic functions, the linear kernel of M. D. Buhmann, Radial Basis Functions (2003):
+    points of one plane will do.
+    """
+
+    points_mm: tuple[Triple, ...]
+    displacement_mm: tuple[Triple, ...]
+
+    def at(self, points: FloatArray) -> FloatArray:
+        """Return the displacement at points, (k, 3) in and out, in mm."""
+        known, moved = np.array(self.points_mm), np.array(self.displacement_mm)
+        middle = known.mean(axis=0)
+        affine = np.linalg.lstsq(_with_one(known - middle), moved)[0]
+        rest = moved - _with_one(known - middle) @ affine
+        field = RBFInterpolator(known, rest, kernel="linear", degree=0)
+        return np.asarray(field(points) + _with_one(points - middle) @ affine)
+
+
+def _with_one(points: FloatArray) -> FloatArray:
+    return np.column_stack([points, np.ones(len(points))])
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Displacement prescribed on the nodes of a region, along the axes that are held."""
+
+    region: Region
+    displacement_mm: Triple | DisplacementField = (0.0, 0.0, 0.0)
+    axes: tuple[bool, bool, bool] = (True, True, True)
+
+    def at(self, points: FloatArray) -> FloatArray:
+        """Return what is prescribed at points of the region, (k, 3) in and out, in mm."""
+        if isinstance(self.displacement_mm, DisplacementField):
+            return self.displacement_mm.at(points)
+        return np.tile(np.asarray(self.displacement_mm, np.float64), (len(points), 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """Support of the body by the chest wall.
+
+    Parameters
+    ----------
+    held : tuple of bool
+        Which displacement components are zero.
+    spring_mpa_per_mm : tuple of float
+        Elastic foundation along the components that are not held: traction per
+        displacement. Zero lets the wall slide.
+    """
+
+    held: tuple[bool, bool, bool] = (False, False, True)
+    spring_mpa_per_mm: Triple = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if min(self.spring_mpa_per_mm) < 0:
+            raise InputError(
+                f"The chest wall needs springs >= 0, got {self.spring_mpa_per_mm} MPa/mm."
+            )
+
+
+SLIDING_WALL = Wall()
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """Springs that hold a patch of the skin or of the chest wall to where it was.
+
+    Their stiffness falls off with the distance d from the centre as ``exp(-d^2 / 2 r^2)``.
+
+    Parameters
+    ----------
+    spring_mpa_per_mm : tuple of float
+        Traction per displacement along x, y and z, >= 0.
+    centre_mm : tuple of float
+        In the undeformed body.
+    radius_mm : float
+        r, > 0.
+    """
+
+    spring_mpa_per_mm: Triple
+    centre_mm: Triple
+    radius_mm: float
+
+    def __post_init__(self) -> None:
+        if not (min(self.spring_mpa_per_mm) >= 0 and self.radius_mm > 0):
+            raise InputError(
+                "An attachment needs springs >= 0 and a radius > 0, got "
+                f"{self.spring_mpa_per_mm} MPa/mm and {self.radius_mm:g} mm."
+            )
+
+    def weight(self, points: FloatArray) -> FloatArray:
+        """Return the part of the stiffness at `points`, shape (k, 3); shape (k,)."""
+        away = (points - np.asarray(self.centre_mm)) / self.radius_mm
+        return np.asarray(np.exp(-0.5 * (away * away).sum(axis=1)))
+
+
+def _check_plates(lower_mm: float, upper_mm: float) -> None:
+    """Refuse plates in the wrong order."""
+    if not upper_mm > lower_mm:
+        raise InputError(
+            f"The upper plate ({upper_mm:g} mm along the axis) must lie above the lower one "
+            f"({lower_mm:g} mm)."
+        )

@@ -1,0 +1,66 @@
+"""Places on a body, named by their undeformed coordinates so that every mesh has them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, Triple
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """Points between two corners, in mm; infinite corners leave a side open."""
+
+    lower_mm: Triple
+    upper_mm: Triple
+
+    def __post_init__(self) -> None:
+        if any(a > b for a, b in zip(self.lower_mm, self.upper_mm, strict=True)):
+            raise InputError(f"A box needs lower <= upper, got {self.lower_mm} and {self.upper_mm}")
+
+    def contains(self, points: FloatArray, margin_mm: float = 0.0) -> BoolArray:
+        """Return which of `points`, shape (k, 3), lie inside the box grown by `margin_mm`."""
+        low = np.asarray(self.lower_mm) - margin_mm
+        high = np.asarray(self.upper_mm) + margin_mm
+        return np.asarray(((points >= low) & (points <= high)).all(axis=1))
+
+
+@dataclass(frozen=True, slots=True)
+class Ball:
+    """Points within `radius_mm` of a centre."""
+
+    centre_mm: Triple
+    radius_mm: float
+
+    def contains(self, points: FloatArray, margin_mm: float = 0.0) -> BoolArray:
+        """Return which of `points`, shape (k, 3), lie inside the ball grown by `margin_mm`."""
+        distance = np.linalg.norm(points - np.asarray(self.centre_mm), axis=1)
+        return np.asarray(distance <= self.radius_mm + margin_mm)
+
+
+Region = Box | Ball
+
+EVERYWHERE = Box((-np.inf, -np.inf, -np.inf), (np.inf, np.inf, np.inf))
+
+
+def nodes_in(region: Region, nodes: FloatArray, margin_mm: float) -> BoolArray:
+    """Return which `nodes`, shape (n, 3), belong to the region: at least the nearest one.
+
+    A coarse mesh may have no node inside a small region; it then takes those
+    within `margin_mm`, or the nearest of all.
+    """
+    inside = region.contains(nodes)
+    if not inside.any():
+        inside = region.contains(nodes, margin_mm)
+    if not inside.any():
+        inside[np.argmin(_distance(region, nodes))] = True
+    return inside
+
+
+def _distance(region: Region, nodes: FloatArray) -> FloatArray:
+    """Return the distance of `nodes` from a region in which none lies, shape (n,)."""
+    if isinstance(region, Ball):
+        return np.asarray(np.linalg.norm(nodes - np.asarray(region.centre_mm), axis=1))
+    nearest = np.clip(nodes, region.lower_mm, region.upper_mm)
+    return np.asarray(np.linalg.norm(nodes - nearest, axis=1))

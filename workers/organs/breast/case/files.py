@@ -1,0 +1,164 @@
+"""A case as files: what it says, the scan at rest and the scans under load.
+
+::
+
+    case.yaml           loads, nominal model, noise: all that may be known; see `case_spec`.
+                        Or case.json, the same as JSON or in prose; see `case_prose`
+    reference.nrrd      labels of the body at rest; a second segmentation of it, if there is
+                        one, measures the noise
+    deformed_40N.nrrd   labels between the plates, one file for each load and direction
+
+The only file that opens a case; all others get what stands in it.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import Volume
+from palpate.workers.body.images.labels import crop_to_body
+from palpate.workers.body.images.largest_component import in_air, one_body
+from palpate.workers.documents import parse_json, parse_yaml
+from palpate.workers.organs.breast.case.alignment import aligned_case
+from palpate.workers.organs.breast.case.images import CaseImages, StoredVolume, no_store
+from palpate.workers.organs.breast.case.prose import from_prose, is_prose
+from palpate.workers.organs.breast.case.scanned_case import ScannedCase, above_wall
+from palpate.workers.organs.breast.case.source import PlannedCaseSource, ScannedCaseSource
+from palpate.workers.organs.breast.case.spec import CaseFile
+from palpate.workers.organs.breast.case.table import understood
+from palpate.workers.organs.breast.case.yaml import case_yaml
+from palpate.workers.spec import validated
+
+# Where a folder has both, the structured file is the case.
+CASE_FILES = ("case.yaml", "case.json")
+YAML = (".yaml", ".yml")
+
+
+def read_case(path: Path, *, loaded: bool = True, stored: StoredVolume = no_store) -> ScannedCase:
+    """Read a case and its scans.
+
+    Parameters
+    ----------
+    path : Path
+        The file of a case, or the folder that it lies in.
+    loaded : bool
+        False reads the scan at rest only; those under load need not exist.
+    stored : callable
+        From the name of a volume in the store to the volume, or None.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, or the case lacks something, says something that is not known
+        or makes no sense.
+    """
+    path = case_file(path)
+    file = read_case_file(path)
+    scans, tissues = file.scans, CaseImages(path, file.scans, stored).tissues
+    case = ScannedCase(
+        file,
+        _scan(file, tissues(scans.reference)),
+        _scan(file, tissues(scans.reference_repeat)) if scans.reference_repeat else None,
+        [_one_body(tissues(load.file)) for load in scans.loads] if loaded else [],
+        str(path),
+    )
+    return aligned_case(case) if loaded and scans.align is not None else case
+
+
+def case_file(path: Path) -> Path:
+    """Return the file of a case, from the file itself or its folder.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    if path.is_file():
+        return path
+    for name in CASE_FILES:
+        if (path / name).is_file():
+            return path / name
+    raise InputError(
+        f"{path} is no case: it has neither {' nor '.join(CASE_FILES)}. `palpate new diagnosis "
+        "NAME` writes one."
+    )
+
+
+def read_case_file(path: Path) -> CaseFile:
+    """Return what the file of a case says, structured or in prose.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or says something that is not known.
+    """
+    data = _data(path)
+    return from_prose(data, str(path)) if is_prose(data) else validated(CaseFile, data, str(path))
+
+
+def _data(path: Path) -> Mapping[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is no text: {error}.") from error
+    data = parse_yaml(text, str(path)) if path.suffix in YAML else parse_json(text, str(path))
+    if not isinstance(data, Mapping):
+        raise InputError(f"{path} is no case: expected keys such as scans, found {text[:40]!r}.")
+    return data
+
+
+def _scan(file: CaseFile, tissues: Volume) -> Volume:
+    """Return a scan at rest as one body of `Tissue` labels, in air and above the chest wall.
+
+    A scan under load keeps what it shows below the place of the wall: a wall that gives way lets
+    tissue go there. Cut off, the cut would be taken for skin.
+    """
+    wall_mm = file.wall.z_mm
+    return _one_body(tissues if wall_mm is None else above_wall(tissues, wall_mm))
+
+
+def _one_body(tissues: Volume) -> Volume:
+    # A scan has air around the body, which need not be searched for specks and holes.
+    return in_air(one_body(crop_to_body(tissues, margin_voxels=0)))
+
+
+class CaseReader:
+    """See `workers.organs.source_registry.Reader`."""
+
+    plans = True
+
+    def knows(self, path: Path) -> bool:
+        """Return whether a path is a case, or a folder with one."""
+        if path.is_dir():
+            return any((path / name).is_file() for name in CASE_FILES)
+        if not path.is_file() or path.suffix not in (*YAML, ".json"):
+            return False
+        try:
+            data = _data(path)
+        except InputError:
+            # Nothing else is JSON: reading it will name the mistake.
+            return path.suffix == ".json"
+        return is_prose(data) or data.get("organ") == "breast" or "scans" in data
+
+    def read(self, path: Path, stored: StoredVolume = no_store) -> ScannedCaseSource:
+        """Read a case with its loaded scans."""
+        return ScannedCaseSource(read_case(path, stored=stored))
+
+    def read_planned(self, path: Path, stored: StoredVolume = no_store) -> PlannedCaseSource:
+        """Read a case whose loaded scans need not exist."""
+        return PlannedCaseSource(read_case(path, loaded=False, stored=stored))
+
+    def understood(self, path: Path) -> list[tuple[str, str]]:
+        """Return what the case was understood to say."""
+        file = case_file(path)
+        return [("read from", str(file)), *understood(read_case_file(file))]
+
+    def structured(self, path: Path) -> str:
+        """Return the case as YAML."""
+        return case_yaml(read_case_file(case_file(path)))
+
+
+READER = CaseReader()

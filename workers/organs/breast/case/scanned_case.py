@@ -1,0 +1,202 @@
+"""A case to be diagnosed: what its file says, the scan at rest and the scans under load.
+
+Plates press with a known force, or stand at a known distance.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.comparison.observation.noise import SegmentationNoise
+from palpate.workers.comparison.observation.noise_estimation import from_repeat
+from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, Values
+from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.fields import FibreField, Frame
+from palpate.workers.mechanics.fem.problem.loads import (
+    Device,
+    DistanceControl,
+    ForceControl,
+    Load,
+    Wall,
+)
+from palpate.workers.organs.breast.case.spec import CaseFile, CaseLoad, CasePlates, CaseWall
+from palpate.workers.organs.breast.plausibility.extents import extent_mm
+from palpate.workers.organs.breast.study_noise import NUGGET_VOXELS, study_noise
+from palpate.workers.units import KPA, KPA_PER_MM
+
+__all__ = ["ScannedCase", "above_wall", "extent_mm"]
+
+# Points this near to the chest wall sit where the image was cut.
+WALL_MARGIN_MM = 4.0
+
+
+class ScannedCase:
+    """A case with its scans.
+
+    Parameters
+    ----------
+    file : CaseFile
+        What its file says.
+    reference : Volume
+        `Tissue` labels of the body at rest, in air and above the chest wall.
+    repeat : Volume or None
+        A second segmentation of it.
+    loaded : sequence of Volume
+        The same under each load, with what went below the place of the wall; empty if the scans
+        are not made, for which the body at rest then stands: plates at a distance close around
+        its middle.
+    where : str
+        The path of the file, for messages.
+    motions : sequence of str
+        How each loaded scan was moved into the frame of the scan at rest; empty if none was.
+    """
+
+    def __init__(
+        self,
+        file: CaseFile,
+        reference: Volume,
+        repeat: Volume | None,
+        loaded: Sequence[Volume],
+        where: str = "the case",
+        motions: Sequence[str] = (),
+    ) -> None:
+        self.file = file
+        self.reference = reference
+        self.repeat = repeat
+        self.where = where
+        self.motions = tuple(motions)
+        self.loads = list(file.scans.loads)
+        self.is_scanned = bool(loaded)
+        self.deformed = list(loaded) if loaded else [reference] * len(self.loads)
+
+    @property
+    def names(self) -> list[str]:
+        """Of the loaded scans."""
+        return [load.name for load in self.loads]
+
+    @property
+    def free(self) -> list[FreeConstant]:
+        """The unknown constants with their plausible intervals."""
+        return [
+            FreeConstant(name, KPA.to_inside(low), KPA.to_inside(high))
+            for name, (low, high) in self.file.free.items()
+        ]
+
+    @cached_property
+    def noise(self) -> SegmentationNoise:
+        """Of the segmentation: as two of one image differ, as stated, or as in a study."""
+        if self.repeat is not None:
+            return from_repeat(self.reference, self.repeat, wall_margin_mm=WALL_MARGIN_MM)
+        stated = self.file.noise
+        if stated is None:
+            return study_noise(self.reference, *self.deformed, imaged=True)
+        of_reference = stated.sd_mm if stated.in_scans == "all" else 0.0
+        nugget = NUGGET_VOXELS * max(self.reference.spacing_mm)
+        return SegmentationNoise(stated.sd_mm, stated.correlation_mm, of_reference, nugget)
+
+    @property
+    def pose_sd(self) -> tuple[float, float]:
+        """How far a scan may lie from where its header puts it, in mm and in degrees."""
+        shift_mm, turn_deg = self.file.scans.pose_sd_mm, self.file.scans.pose_sd_deg
+        return (
+            SETTINGS.pose.shift_sd_mm if shift_mm is None else shift_mm,
+            SETTINGS.pose.turn_sd_deg if turn_deg is None else turn_deg,
+        )
+
+    def above_wall(self, labels: Volume) -> Volume:
+        """Return the part of a loaded scan where the body was at rest; see `above_wall`."""
+        return above_wall(labels, self.wall_mm)
+
+    def problem(self, number: int, frame: Frame) -> Callable[[Values], Problem]:
+        """Return the nominal model of one loaded scan, from the values of the free constants."""
+        model = self.file.model
+        has_fibres = model.law == "fibre-neo-hookean"
+        load = self._load(number, frame)
+        wall = _wall(self.file.wall)
+        held = {name: KPA.to_inside(value) for name, value in self.file.held.items()}
+
+        def build(values: Values) -> Problem:
+            known = held | dict(values)
+            return Problem(
+                {
+                    Tissue.FAT: _constants(known, "E_fat", "eta_fat", model.nu),
+                    Tissue.GLANDULAR: _constants(known, "E_gl", "eta_glandular", model.nu),
+                },
+                load,
+                fibres=FibreField(axis=model.fibre_direction),
+                isochoric_fibre=has_fibres and model.fibre_invariant == "isochoric",
+                literal_fibre=not has_fibres or model.fibres == "literal",
+                wall=wall,
+            )
+
+        return build
+
+    def _load(self, number: int, frame: Frame) -> Load:
+        stated = self.loads[number]
+        device = Device(stated.axis, frame.centre_mm)
+        if stated.force_n is not None:
+            return ForceControl(stated.force_n, *self.plate_starts_mm(stated), device)
+        lower, upper = extent_mm(self.above_wall(self.deformed[number]), stated.axis)
+        if stated.plate_distance_mm is not None:
+            spare = (upper - lower - stated.plate_distance_mm) / 2
+            lower, upper = lower + spare, upper - spare
+        return DistanceControl(
+            lower if stated.lower_mm is None else stated.lower_mm,
+            upper if stated.upper_mm is None else stated.upper_mm,
+            device,
+        )
+
+    def plate_starts_mm(self, load: CaseLoad) -> tuple[float, float]:
+        """Return where the plates of a force start: as stated, or at the body at rest."""
+        lower, upper = stated_starts_mm(self.file, load)
+        body = extent_mm(self.reference, load.axis)
+        return body[0] if lower is None else lower, body[1] if upper is None else upper
+
+    @property
+    def wall_mm(self) -> float:
+        """The z of the chest wall: as stated, or the lower face of the body at rest."""
+        stated = self.file.wall.z_mm
+        return lower_face_mm(self.reference) if stated is None else stated
+
+    @property
+    def unloaded(self) -> "ScannedCase":
+        """The same case before its loaded scans are made."""
+        return ScannedCase(self.file, self.reference, self.repeat, [], self.where)
+
+
+def stated_starts_mm(file: CaseFile, load: CaseLoad) -> tuple[float | None, float | None]:
+    """Return the plate positions that a load states; if not both, those of `plates`."""
+    if load.lower_mm is not None and load.upper_mm is not None:
+        return load.lower_mm, load.upper_mm
+    plates = file.plates or CasePlates()
+    return plates.lower_mm, plates.upper_mm
+
+
+def lower_face_mm(labels: Volume) -> float:
+    """Return the z of the lower face of a body's first slice."""
+    first = int((labels.values != Tissue.AIR).any(axis=(1, 2)).argmax())
+    return float(labels.origin_mm[2] + (first - 0.5) * labels.spacing_mm[2])
+
+
+def above_wall(labels: Volume, wall_mm: float) -> Volume:
+    """Return the slices whose centres lie above the chest wall; segmentation may spill below it."""
+    z = labels.origin_mm[2] + labels.spacing_mm[2] * np.arange(labels.values.shape[0])
+    first = int(np.searchsorted(z, wall_mm + 1e-6))
+    x0, y0, _ = labels.origin_mm
+    return replace(labels, values=labels.values[first:], origin_mm=(x0, y0, float(z[first])))
+
+
+def _constants(values: Values, young: str, fibre: str, poisson: float) -> Constants:
+    fibre_mpa = values.get(fibre, values.get("eta", 0.0))
+    return Constants(values[young], poisson, fibre_mpa=fibre_mpa)
+
+
+def _wall(stated: CaseWall) -> Wall:
+    if stated.held:
+        return Wall((True, True, True))
+    springs = KPA_PER_MM.to_inside(stated.kx_kpa_per_mm), KPA_PER_MM.to_inside(stated.ky_kpa_per_mm)
+    return Wall((False, False, True), (*springs, 0.0))

@@ -1,0 +1,301 @@
+"""What a case of a diagnosis says: its scans and loads, and what the nominal model knows.
+
+The words are those of a study, every number carries its unit in its name, and a key that is
+not known is refused. A case in prose becomes one of these; see `case_prose`.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from palpate.storage.values import Triple
+from palpate.workers.mechanics.parameters import unknown_name
+from palpate.workers.missing_keys import Pairs, missing
+from palpate.workers.organs.breast import default_physics as physics
+from palpate.workers.organs.breast.spec import Axes, Labels, SpacingMm
+from palpate.workers.spec import Door, Finite, NotNegative, Positive
+
+ALONG_X: Triple = (1.0, 0.0, 0.0)
+ALONG_Y: Triple = (0.0, 1.0, 0.0)
+AXES = {"x": ALONG_X, "y": ALONG_Y}
+# Names at the door of the constants of the model, and inside it.
+CONSTANTS = {
+    "E_fat_kpa": "E_fat",
+    "E_glandular_kpa": "E_gl",
+    "eta_kpa": "eta",
+    "eta_fat_kpa": "eta_fat",
+    "eta_glandular_kpa": "eta_glandular",
+}
+# Stiffness of the fibres: one value for both tissues, or one for each.
+ONE_FIBRE, FIBRE_OF_EACH = {"eta_kpa"}, {"eta_fat_kpa", "eta_glandular_kpa"}
+# By how much the given places of the plates may differ from the given distance.
+DISTANCE_SLACK_MM = 0.5
+
+
+def _constant(given: Any) -> Any:
+    """Return a value as a float, an interval as two."""
+    many = given if isinstance(given, list | tuple) else [given]
+    numbers = [v for v in many if isinstance(v, int | float) and not isinstance(v, bool)]
+    if len(numbers) != len(many) or not all(math.isfinite(v) and v > 0 for v in numbers):
+        raise ValueError(
+            "expected a value above zero, such as 10, which is held, or an interval to search, "
+            f"such as [7, 14]; found {given!r}"
+        )
+    if len(many) == 1 and many is not given:
+        return float(numbers[0])
+    if len(many) != 2 or not numbers[0] < numbers[1]:
+        raise ValueError(f"expected an interval [lower, upper], lower < upper; found {given!r}")
+    return float(numbers[0]), float(numbers[1])
+
+
+def _axis(given: Any) -> Any:
+    """Let x and y stand for their directions."""
+    if isinstance(given, str):
+        if given not in AXES:
+            raise ValueError(f"expected x, y or a direction such as [1, 1, 0]; found {given!r}")
+        return AXES[given]
+    return given
+
+
+CASE_TISSUES = ("air", "fat", "glandular")
+Constant = Annotated[float | tuple[float, float], BeforeValidator(_constant)]
+Axis = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(_axis)]
+
+
+class CaseModel(Door):
+    """The law of the tissue.
+
+    Parameters
+    ----------
+    law : str
+        A neo-Hookean solid, or one with fibres of stiffness eta.
+    nu : float
+        Poisson's ratio.
+    fibres, fibre_invariant : str
+        As in a study: whether fibres resist compression too, and whether their stretch is
+        I4 or its isochoric part.
+    fibre_direction : tuple of float
+        Anywhere in the body; from the chest wall to the nipple is z.
+    """
+
+    law: physics.Law = physics.LAW
+    nu: Annotated[float, Field(gt=0, lt=0.5)] = physics.NU
+    fibres: physics.Fibres = physics.FIBRES
+    fibre_invariant: physics.FibreInvariant = physics.FIBRE_INVARIANT
+    fibre_direction: tuple[Finite, Finite, Finite] = physics.FIBRE_DIRECTION
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if not any(self.fibre_direction):
+            raise ValueError("fibre_direction must not be zero")
+        given = {"fibres", "fibre_invariant", "fibre_direction"} & self.model_fields_set
+        defaults = type(self).model_fields
+        changed = [k for k in sorted(given) if getattr(self, k) != defaults[k].default]
+        if self.law == "neo-hookean" and changed:
+            raise ValueError(
+                f"{', '.join(changed)} are for the law fibre-neo-hookean, found law: neo-hookean"
+            )
+        return self
+
+
+class CaseWall(Door):
+    """The chest wall: its position, and what holds the body along it.
+
+    Away from the wall nothing moves. Along it the body is held, or on springs: force per
+    area and displacement, of which zero lets it slide. Without `z_mm` the wall is where the
+    body begins in the scan at rest, as in a study.
+    """
+
+    z_mm: Finite | None = None
+    held: bool = physics.WALL_HELD
+    kx_kpa_per_mm: NotNegative = physics.WALL_SPRING_KPA_PER_MM
+    ky_kpa_per_mm: NotNegative = physics.WALL_SPRING_KPA_PER_MM
+
+    @model_validator(mode="after")
+    def _held_or_sprung(self) -> Self:
+        if self.held and (self.kx_kpa_per_mm or self.ky_kpa_per_mm):
+            raise ValueError("a wall that is held has no springs: give held or kx and ky")
+        return self
+
+
+class CasePlates(Door):
+    """Where the plates start along the direction of compression; by default at the body."""
+
+    lower_mm: Finite | None = None
+    upper_mm: Finite | None = None
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        if self.lower_mm is None or self.upper_mm is None:
+            return self
+        if not self.lower_mm < self.upper_mm:
+            raise ValueError(
+                f"lower_mm ({self.lower_mm:g}) must be less than upper_mm ({self.upper_mm:g})"
+            )
+        return self
+
+
+class CaseNoise(Door):
+    """How segmentations err: a smooth field of signed distances.
+
+    `in_scans` says which of them err: all, or only the loaded ones.
+    """
+
+    sd_mm: Positive = Field(description="error of a drawn boundary, standard deviation in mm")
+    correlation_mm: Positive = Field(description="length in mm over which errors are alike")
+    in_scans: Literal["all", "loaded"] = "all"
+
+
+class CaseLoad(Door):
+    """One loaded scan.
+
+    Plates start at `lower_mm` and `upper_mm` along their axis if the force is known; without
+    them where `plates` says, or at the body in the scan at rest. With `plate_distance_mm` they
+    end there; by default where the body in the scan does.
+    """
+
+    exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
+
+    file: str = Field(description="the labels of the body under this load")
+    force_n: Positive | None = Field(default=None, description="the force on the plates, in N")
+    plate_distance_mm: Positive | None = Field(
+        default=None, description="the distance between the plates, in mm"
+    )
+    axis: Axis = ALONG_Y
+    lower_mm: Finite | None = None
+    upper_mm: Finite | None = None
+
+    @model_validator(mode="after")
+    def _one_load(self) -> Self:
+        if self.axis[2] or not any(self.axis):
+            raise ValueError("axis must lie across z, such as x, y or [1, 1, 0]")
+        if self.lower_mm is None or self.upper_mm is None:
+            return self
+        CasePlates(lower_mm=self.lower_mm, upper_mm=self.upper_mm)
+        distance, apart = self.plate_distance_mm, self.upper_mm - self.lower_mm
+        if distance is not None and abs(distance - apart) > DISTANCE_SLACK_MM:
+            raise ValueError(
+                f"lower_mm and upper_mm are {apart:g} mm apart, but plate_distance_mm is "
+                f"{distance:g}: leave one of them out"
+            )
+        return self
+
+    @property
+    def name(self) -> str:
+        """Return what the report calls it."""
+        loaded = (
+            f"{self.force_n:g} N" if self.force_n is not None else f"{self.plate_distance_mm:g} mm"
+        )
+        if self.axis == ALONG_Y:
+            return loaded
+        x, y, _ = self.axis
+        known = {axis: name for name, axis in AXES.items()}
+        along = known.get(self.axis, f"{np.degrees(np.arctan2(y, x)):.0f} degrees")
+        return f"{loaded} along {along}"
+
+
+class CaseScans(Door):
+    """The scan at rest, a second segmentation of it, and the scans under load.
+
+    `pose_sd_mm` and `pose_sd_deg` say how far a loaded scan may lie from where its header puts
+    it, along and about each axis; without them the settings of the diagnosis do. All scans are
+    files, or volumes of the store by their names; `labels`, `axes` and `spacing_mm` state how the
+    files are read, as in a study. With ``align: rigid`` each loaded scan is first moved into the
+    frame of the scan at rest; see `workers.organs.breast.plausibility.rigid_motion`.
+    """
+
+    reference: str = Field(description="the labels of the body at rest")
+    reference_repeat: str | None = None
+    pose_sd_mm: NotNegative | None = None
+    pose_sd_deg: NotNegative | None = None
+    align: Literal["rigid"] | None = None
+    labels: Labels = None
+    axes: Axes | None = None
+    spacing_mm: SpacingMm | None = None
+    loads: Annotated[tuple[CaseLoad, ...], Field(min_length=1)] = Field(
+        description="one entry for each loaded scan, with its file and its force or distance"
+    )
+
+    @field_validator("labels")
+    @classmethod
+    def _known_tissues(cls, labels: Any) -> Any:
+        for label, tissue in labels.items() if isinstance(labels, Mapping) else ():
+            if tissue not in CASE_TISSUES:
+                raise ValueError(
+                    f"{label}: expected 'air', 'fat' or 'glandular', found {tissue!r}: a diagnosis "
+                    "knows no other tissue"
+                )
+        return labels
+
+
+class CaseFile(Door):
+    """A breast that was scanned at rest and under load, to be diagnosed."""
+
+    organ: Literal["breast"] = "breast"
+    name: Annotated[str, Field(min_length=1)] = Field(description="a name for the report")
+    model: CaseModel = CaseModel()
+    wall: CaseWall = CaseWall()
+    plates: CasePlates | None = None
+    constants: dict[str, Constant] = Field(
+        description="a value that is held, such as 10, or an interval to search, such as [5, 20]"
+    )
+    noise: CaseNoise | None = None
+    scans: CaseScans = Field(description="the scan at rest and the scans under load")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_constants(cls, data: Any) -> Any:
+        constants = data.get("constants") if isinstance(data, Mapping) else None
+        if isinstance(constants, Mapping):
+            wrong = [
+                unknown_name("key", str(k), CONSTANTS) for k in constants if k not in CONSTANTS
+            ]
+            if wrong:
+                raise ValueError(f"constants: {'; '.join(wrong)}")
+        return data
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        self._check_constants()
+        if not self.free:
+            raise ValueError(
+                "constants: all are held, at least one is to be searched, as in E_fat_kpa: [7, 14]"
+            )
+        return self
+
+    def _check_constants(self) -> None:
+        given, fibres = set(self.constants), set(self.constants) & (ONE_FIBRE | FIBRE_OF_EACH)
+        if self.model.law == "neo-hookean" and fibres:
+            raise ValueError(
+                f"constants: {', '.join(sorted(fibres))} {'is' if len(fibres) == 1 else 'are'} "
+                "for fibres, but model.law is neo-hookean"
+            )
+        if fibres >= ONE_FIBRE and fibres != ONE_FIBRE:
+            raise ValueError(
+                "constants: give eta_kpa for both tissues, or eta_fat_kpa and eta_glandular_kpa"
+            )
+        wanted = {"E_fat_kpa", "E_glandular_kpa"}
+        if self.model.law != "neo-hookean":
+            wanted |= FIBRE_OF_EACH if fibres & FIBRE_OF_EACH else ONE_FIBRE
+        if lacking := sorted(wanted - given):
+            raise missing(
+                f"constants: no value of {', '.join(lacking)}: hold it, as in "
+                "E_fat_kpa: 10, or give an interval to search, as in E_fat_kpa: [7, 14]"
+            )
+
+    @property
+    def free(self) -> dict[str, tuple[float, float]]:
+        """Return the searched intervals in kPa, by names inside, in one order."""
+        given = self.constants
+        chosen = [(n, given[d]) for d, n in CONSTANTS.items() if d in given]
+        return {name: value for name, value in chosen if isinstance(value, tuple)}
+
+    @property
+    def held(self) -> dict[str, float]:
+        """Return the held constants in kPa, by names inside."""
+        given = self.constants
+        chosen = [(n, given[d]) for d, n in CONSTANTS.items() if d in given]
+        return {name: value for name, value in chosen if isinstance(value, float)}

@@ -1,0 +1,85 @@
+"""What a case was understood to say, as rows for a reader."""
+
+from palpate.workers.organs.breast.case.images import labels_in_words
+from palpate.workers.organs.breast.case.scanned_case import stated_starts_mm
+from palpate.workers.organs.breast.case.spec import CONSTANTS, CaseFile, CaseLoad
+from palpate.workers.organs.breast.physics_words import law_text, wall_text
+from palpate.workers.organs.breast.study_noise import DRAWN_LENGTH_MM, DRAWN_VOXELS
+
+Rows = list[tuple[str, str]]
+
+
+def understood(file: CaseFile) -> Rows:
+    """Return a name and a text for all that the diagnosis will rest on.
+
+    Examples
+    --------
+    >>> case = CaseFile.model_validate({
+    ...     "name": "mine", "wall": {"z_mm": 0}, "plates": {"lower_mm": -50, "upper_mm": 50},
+    ...     "constants": {"E_fat_kpa": 10, "E_glandular_kpa": [20, 50], "eta_kpa": 80},
+    ...     "noise": {"sd_mm": 0.3, "correlation_mm": 4},
+    ...     "scans": {"reference": "rest.nrrd", "loads": [{"file": "a.nrrd", "force_n": 40}]}})
+    >>> dict(understood(case))["E_glandular"]
+    'searched from 20 to 50 kPa'
+    """
+    return [
+        ("case", file.name),
+        ("law", _law(file)),
+        ("Poisson's ratio", f"{file.model.nu:g}"),
+        ("chest wall", _wall(file)),
+        ("plates", "rigid, flat, without friction"),
+        *(
+            (key.removesuffix("_kpa"), _constant(file, key))
+            for key in CONSTANTS
+            if key in file.constants
+        ),
+        ("gravity, skin", "not in the model"),
+        ("segmentation noise", _noise(file)),
+        ("labels", labels_in_words(file.scans.labels)),
+        ("scan at rest", file.scans.reference),
+        *((f"scan {n}", _load(file, load)) for n, load in enumerate(file.scans.loads, start=1)),
+    ]
+
+
+def _law(file: CaseFile) -> str:
+    model = file.model
+    if model.law == "neo-hookean":
+        return "neo-Hookean, without fibres"
+    return law_text(model.fibres, model.fibre_invariant, model.fibre_direction)
+
+
+def _wall(file: CaseFile) -> str:
+    wall = file.wall
+    place = "where the body at rest begins" if wall.z_mm is None else f"z = {wall.z_mm:g} mm"
+    return f"{place}, {wall_text(wall.held, wall.kx_kpa_per_mm, wall.ky_kpa_per_mm)}"
+
+
+def _constant(file: CaseFile, key: str) -> str:
+    value = file.constants[key]
+    if isinstance(value, tuple):
+        return f"searched from {value[0]:g} to {value[1]:g} kPa"
+    return f"held at {value:g} kPa"
+
+
+def _noise(file: CaseFile) -> str:
+    if file.scans.reference_repeat is not None:
+        return f"measured from {file.scans.reference_repeat}, a second segmentation at rest"
+    if file.noise is None:
+        return (
+            f"not stated: {DRAWN_VOXELS:g} voxels, correlated over {DRAWN_LENGTH_MM:g} mm, "
+            "in all scans"
+        )
+    scans = "in all scans" if file.noise.in_scans == "all" else "in the loaded scans alone"
+    return f"sd {file.noise.sd_mm:g} mm, correlated over {file.noise.correlation_mm:g} mm, {scans}"
+
+
+def _load(file: CaseFile, load: CaseLoad) -> str:
+    text = f"{load.file}: {load.name}"
+    starts = load.force_n is not None
+    placed = stated_starts_mm(file, load) if starts else (load.lower_mm, load.upper_mm)
+    if placed == (None, None):
+        where = "the scan at rest" if starts else "the scan"
+        return f"{text}, plates {'start' if starts else 'end'} at the body in {where}"
+    known = ((n, p) for n, p in zip(("lower", "upper"), placed, strict=True) if p is not None)
+    verb = "start" if starts else "end"
+    return f"{text}, plates {verb} at " + " and ".join(f"{n} {p:g} mm" for n, p in known)

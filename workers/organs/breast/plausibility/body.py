@@ -1,0 +1,85 @@
+"""Plausibility checks of one scan of a breast, whatever it is used for."""
+
+from collections.abc import Iterator
+
+from palpate.workers.organs.breast.plausibility.scan_facts import Scan
+from palpate.workers.organs.study_checks import Finding
+
+# The longest side of a breast on its chest wall, in mm.
+USUAL_MM = (50.0, 400.0)
+# Breasts of women who were scanned or operated have some 50 to 3,000 ml (Huang et al., Med.
+# Phys. 38, 2180, 2011: 80 to 2,500 ml in breast CT). The limits leave room for a part of a small
+# breast that was cut far from the chest wall.
+POSSIBLE_ML = (10.0, 5000.0)
+# Of the body: smaller pieces are specks of a segmentation.
+SPECKS = 0.01
+
+
+def check_volume_range(scan: Scan) -> Iterator[Finding]:
+    """Refuse a body that is no breast, such as one in metres or micrometres."""
+    least, most = POSSIBLE_ML
+    if not least <= scan.ml <= most:
+        yield Finding(
+            "implausible",
+            f"The body in {scan.file} has {_number(scan.ml)} ml and is {_size(scan)} mm large, in "
+            f"voxels of {scan.sides}; a breast has {least:g} to {most:g} ml. State its spacing_mm "
+            "in mm.",
+        )
+        return
+    longest = max(scan.sides_mm)
+    if not USUAL_MM[0] <= longest <= USUAL_MM[1]:
+        yield Finding(
+            "warning",
+            f"The body in {scan.file} is {_size(scan)} mm large, in voxels of {scan.sides}; a "
+            f"breast is {USUAL_MM[0]:g} to {USUAL_MM[1]:g} mm long. State its spacing_mm in mm.",
+        )
+
+
+def check_empty_slices(scan: Scan) -> Iterator[Finding]:
+    """Refuse a body with slices that nobody has labelled."""
+    for axis, empty in scan.empty_slices.items():
+        count = scan.body.shape["zyx".index(axis)]
+        yield Finding(
+            "implausible",
+            f"{len(empty)} of the {count} slices along {axis} in {scan.file} show only air, "
+            f"although there is tissue on both sides: {_runs(empty)} (counted from 1). Label "
+            "them, or interpolate them in the segmentation program.",
+        )
+
+
+def check_pieces(scan: Scan) -> Iterator[Finding]:
+    """Refuse a body in several pieces, of which only one would be meshed."""
+    largest, *others = scan.pieces_ml
+    if not others:
+        return
+    share = sum(others) / scan.ml
+    shown = [_number(ml) for ml in (largest, *others)[:4]]
+    more = " and smaller ones" if len(others) > 3 else ""
+    yield Finding(
+        "implausible" if share > SPECKS else "warning",
+        f"The body in {scan.file} has {1 + len(others)} separate pieces, of {', '.join(shown)} "
+        f"ml{more}; the largest is {1 - share:.1%} of it, and only that one is simulated. "
+        "Connect the pieces, or remove what is not the breast.",
+    )
+
+
+BODY_CHECKS = (check_volume_range, check_empty_slices, check_pieces)
+
+
+def _size(scan: Scan) -> str:
+    return " x ".join(f"{s:.3g}" for s in scan.sides_mm)
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if value < 1000 or value >= 1e6 else f"{value:,.0f}"
+
+
+def _runs(numbers: list[int]) -> str:
+    """Return ascending numbers as texts such as "3, 7 to 9"."""
+    runs: list[tuple[int, int]] = []
+    for n in numbers:
+        if runs and runs[-1][1] == n - 1:
+            runs[-1] = (runs[-1][0], n)
+        else:
+            runs.append((n, n))
+    return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in runs)

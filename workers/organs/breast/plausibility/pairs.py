@@ -1,0 +1,310 @@
+"""Plausibility checks of a breast at rest and the same breast under load."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import binary_erosion
+
+from palpate.storage.values import Tissue
+from palpate.workers.body.images.labels import resample_labels
+from palpate.workers.organs.breast.plausibility.extents import plate_frame
+from palpate.workers.organs.breast.plausibility.mirror_images import mirrored
+from palpate.workers.organs.breast.plausibility.rigid_motion import RigidMotion, motion_between
+from palpate.workers.organs.breast.plausibility.scan_facts import AXES, BreastFacts, PlateLoad, Scan
+from palpate.workers.organs.study_checks import Finding
+
+# Of the volume: two segmentations of one body differ by less. A systematic error of half a voxel
+# of 1 mm on the whole outline of 450 ml would be 4 %.
+SEGMENTED = 0.04
+# Simulated pairs lose 0.5 to 1.05 times 3 (1 - 2 nu) ln(thickness before / after) of their volume
+# under the plates, 1.5 to 5 % at nu = 0.49; the pair of shared/data/breast_bct_niftysim 1 %.
+COMPRESSED = 1.25
+# Decimal logarithm of a ratio of spacings that another unit explains rather than another scan.
+OTHER_UNIT = 0.7
+# Of the smaller body that must be inside the other one.
+OVERLAP_SHARE = 0.1
+# Share of voxels with the same label above which nothing has moved.
+NOT_MOVED = 0.98
+# A body that shrinks this much more along another axis was pressed along that one; a breast
+# pressed by plates shrinks along no other axis by more than its segmentation errs.
+OTHER_AXIS, ALONG = 1.5, 0.7
+# By how much a body may be thicker under the larger force: segmentation and voxels.
+THICKNESS_VOXELS = 2.0
+# Glandular shares this far apart are compared with those of exchanged labels.
+GLAND_SHARE = 0.1
+# Outline made of glandular voxels, above which fat and gland are taken for each other.
+GLAND_OUTSIDE = 0.75
+# Smaller shifts and turns are not told from compression and voxels.
+LEAST_SHIFT_MM, LEAST_SHIFT_VOXELS, LEAST_TURN_DEG = 2.5, 1.5, 1.0
+
+
+def check_places(facts: BreastFacts) -> Iterator[Finding]:
+    """Refuse scans that have no known common frame of reference."""
+    if facts.rest is None or facts.aligned:
+        return
+    for scan, _ in facts.pressed:
+        text = _no_common_place(facts.rest, scan)
+        if text:
+            yield Finding(
+                "implausible",
+                f"{text} Their relative position is unknown, and it decides the result. Export "
+                "both in one frame, or register them first, or let Palpate align them: "
+                f"{facts.align_key}: rigid.",
+            )
+
+
+def _no_common_place(rest: Scan, scan: Scan) -> str:
+    unknown = [one.file for one in (rest, scan) if not one.labels.place_known]
+    if unknown:
+        names = " and ".join(dict.fromkeys(unknown))
+        return f"{names} {'does' if len(set(unknown)) == 1 else 'do'} not state where the body is."
+    here, there = rest.labels.frame_uid, scan.labels.frame_uid
+    if here and there and here != there:
+        return (
+            f"{rest.file} and {scan.file} have different frames of reference "
+            f"(FrameOfReferenceUID {here} and {there})."
+        )
+    return ""
+
+
+def check_volumes(facts: BreastFacts) -> Iterator[Finding]:
+    """Refuse a pair whose volumes differ by more than compression and segmentation explain."""
+    for rest, scan, _ in _pairs(facts):
+        lost = COMPRESSED * 3 * (1 - 2 * facts.least_nu) * _strain(rest, scan)
+        most = SEGMENTED + facts.swelling
+        least = -most - lost
+        whole = scan if scan.whole is None else Scan(scan.file, None, scan.axis, scan.whole)
+        change, after = min(
+            ((one.ml / rest.ml - 1, one.ml) for one in (scan, whole)),
+            key=lambda pair: max(pair[0] - most, least - pair[0]),
+        )
+        if least <= change <= most:
+            continue
+        sides = np.log10(np.divide(scan.labels.spacing_mm, rest.labels.spacing_mm))
+        if (np.abs(sides) > OTHER_UNIT).any():
+            cause = (
+                "The spacing of one of the files looks wrong, as by a factor of 10: found "
+                f"{rest.sides} in {rest.file} and {scan.sides} in {scan.file}. Write the spacing "
+                "in mm into its header."
+            )
+        else:
+            scale = (1 + change) ** (1 / 3)
+            cause = (
+                "Is it the same body, segmented to the same chest wall, and are both spacings "
+                f"right (a scale of {scale:.3f} would explain it)? Give scans of one body."
+            )
+        yield Finding(
+            "implausible",
+            f"The body has {rest.ml:.4g} ml in {rest.file} and {after:.4g} ml in {scan.file}, "
+            f"{change:+.1%}; tissue nearly keeps its volume, so {least:+.1%} to {most:+.1%} was "
+            f"expected. {cause}",
+        )
+
+
+def check_thickness(facts: BreastFacts) -> Iterator[Finding]:
+    """Refuse a body that is thicker under load, or was pressed along another axis."""
+    for rest, scan, _ in _pairs(facts):
+        other = _pressed_axis(rest, scan)
+        if other is not None:
+            before, after = rest.sides_mm[other], scan.sides_mm[other]
+            yield Finding(
+                "implausible",
+                f"The body is {_extent(rest, scan):.1f} mm thick along the compression in "
+                f"{rest.file} and {scan.thickness_mm:.1f} mm in {scan.file}, but {before:.1f} and "
+                f"{after:.1f} mm along {AXES[other]}: it was pressed along {AXES[other]}. Give "
+                "axes that make it y, or the axis of the load.",
+            )
+            continue
+        slack = THICKNESS_VOXELS * max(rest.voxel_mm, scan.voxel_mm)
+        thick, thin = _extent(rest, scan), scan.thickness_mm
+        if thin > thick + slack and scan.median_thickness_mm > slack + _median(rest, scan):
+            yield Finding(
+                "implausible",
+                f"The body is {thick:.1f} mm thick between the plates in {rest.file} at rest, but "
+                f"{thin:.1f} mm in {scan.file} under load; compression was expected to make it "
+                "thinner. Reference and target look exchanged.",
+            )
+
+
+def check_moved(facts: BreastFacts) -> Iterator[Finding]:
+    """Refuse a scan under load that shows the body at rest."""
+    for rest, scan, load in _pairs(facts):
+        there = resample_labels(scan.labels, rest.labels).values
+        body = rest.body | (there != Tissue.AIR)
+        same = np.count_nonzero((there == rest.labels.values) & body) / np.count_nonzero(body)
+        if same > NOT_MOVED and abs(_extent(rest, scan) - scan.thickness_mm) < scan.voxel_mm:
+            under = "a load" if load.force_n is None else f"{load.force_n:g} N"
+            yield Finding(
+                "implausible",
+                f"{scan.file} shows the same as {rest.file} in {same:.1%} of the body's voxels: "
+                f"nothing moved under {under}, so it tells nothing about stiffness. Give the scan "
+                "under load.",
+            )
+
+
+def check_overlap(facts: BreastFacts) -> Iterator[Finding]:
+    """Refuse bodies that are far apart."""
+    for rest, scan, _ in _pairs(facts):
+        if not facts.aligned and _no_common_place(rest, scan):
+            continue
+        there = resample_labels(scan.labels, rest.labels).values != Tissue.AIR
+        smaller = min(rest.ml, scan.ml) * 1000 / rest.labels.voxel_mm3
+        share = np.count_nonzero(rest.body & there) / smaller
+        if share < OVERLAP_SHARE:
+            yield Finding(
+                "implausible",
+                f"The bodies of {rest.file} and {scan.file} overlap in {share:.0%} of their "
+                f"volume, expected at least {OVERLAP_SHARE:.0%}: their centres are at "
+                f"{_middle(rest)} and {_middle(scan)} mm. Write origins into the headers that put "
+                f"both scans into the frame of the plates, or set {facts.align_key}: rigid.",
+            )
+
+
+def check_outline(facts: BreastFacts) -> Iterator[Finding]:
+    """Refuse a body whose outline is mostly gland: its labels look exchanged."""
+    if facts.rest is None:
+        return
+    rest = facts.rest
+    inside = binary_erosion(np.pad(rest.body, ((0, 0), (1, 1), (1, 1))), iterations=2)
+    outside = rest.body & ~inside[:, 1:-1, 1:-1]
+    gland = rest.labels.values == Tissue.GLANDULAR
+    share, whole = gland[outside].mean(), gland[rest.body].mean()
+    if share > max(GLAND_OUTSIDE, whole):
+        yield Finding(
+            "implausible",
+            f"In {rest.file} {share:.0%} of the outline is glandular tissue (label 2), expected "
+            f"less than {GLAND_OUTSIDE:.0%}: fat is outside. Fat (1) and glandular tissue (2) "
+            "look exchanged: exchange the labels in all scans.",
+        )
+
+
+def check_shares(facts: BreastFacts) -> Iterator[Finding]:
+    """Refuse a pair of which one has the labels of fat and gland exchanged."""
+    for rest, scan, _ in _pairs(facts):
+        before, after = _gland_share(rest), _gland_share(scan)
+        if abs(after - before) > max(GLAND_SHARE, abs(after - (1 - before))):
+            yield Finding(
+                "implausible",
+                f"Glandular tissue (label 2) is {before:.0%} of the body in {rest.file}, but "
+                f"{after:.0%} in {scan.file}, where fat (label 1) is {1 - after:.0%}; about equal "
+                f"shares were expected. Exchange labels 1 and 2 in {scan.file}.",
+            )
+
+
+def check_mirror_image(facts: BreastFacts) -> Iterator[Finding]:
+    """Refuse a scan that is mirrored along one or more axes."""
+    for rest, scan, _ in _pairs(facts):
+        flips = mirrored(rest, scan)
+        if not any(flips):
+            continue
+        frame = plate_frame(scan.axis)
+        names = [
+            AXES[int(np.argmax(np.abs(direction)))]
+            for direction, flipped in zip(frame, flips, strict=True)
+            if flipped
+        ]
+        along = " and ".join(sorted(dict.fromkeys(names)))
+        yield Finding(
+            "implausible",
+            f"{scan.file} looks like a mirror image of {rest.file} along {along}: outline and "
+            "glandular tissue agree clearly better after a flip. Flip "
+            f"{scan.file} along {along}, or write the right directions into its header.",
+        )
+
+
+def check_rigid_motion(facts: BreastFacts) -> Iterator[Finding]:
+    """Name the rigid motion that would bring a scan into the frame of the other one."""
+    for rest, scan, load in _pairs(facts):
+        if not facts.aligned and _no_common_place(rest, scan):
+            continue
+        motion = motion_between(rest, scan, load)
+        if _is_small(motion, rest, scan):
+            continue
+        other = motion_between(rest, scan, replace(load, fixed="middle"))
+        moving = load.force_n is not None and _is_small(other, rest, scan)
+        remedy = (
+            "The middle of the body stays where it is: if both plates move, state "
+            "case.load.moving: both."
+            if moving and facts.rigid_is_refused
+            else f"Check both origins, or let Palpate align them: {facts.align_key}: rigid."
+        )
+        yield Finding(
+            "implausible" if facts.rigid_is_refused else "warning",
+            f"{scan.file} does not fit {rest.file} where it is: moving it by {motion.words} would "
+            "fit better, judged by the chest wall, the plates and the centre of the body. "
+            f"{remedy}",
+        )
+
+
+def _is_small(motion: RigidMotion, rest: Scan, scan: Scan) -> bool:
+    """Return whether compression and voxels explain a motion."""
+    voxel = max(rest.voxel_mm, scan.voxel_mm)
+    least_mm = max(LEAST_SHIFT_MM, LEAST_SHIFT_VOXELS * voxel)
+    return motion.shift <= least_mm and motion.turn <= LEAST_TURN_DEG
+
+
+def check_order_of_loads(facts: BreastFacts) -> Iterator[Finding]:
+    """Refuse scans of which the body gets no thinner from the smallest force to the largest."""
+    if facts.rest is None:
+        return
+    for axis in dict.fromkeys(scan.axis for scan, _ in facts.pressed):
+        known = [s for s, _ in facts.pressed if s.axis == axis and s.force_n is not None]
+        pressed = sorted([facts.rest, *known], key=lambda scan: scan.force_n or 0.0)
+        thickness = [scan.median_thickness_along(axis) for scan in pressed]
+        for number in range(1, len(pressed) - 1):
+            less, more = pressed[number], pressed[number + 1]
+            thick, thin = thickness[number], thickness[number + 1]
+            sides = (*less.labels.spacing_mm[:2], *more.labels.spacing_mm[:2])
+            if thin > thick + THICKNESS_VOXELS * max(sides) and less.force_n != more.force_n:
+                yield Finding(
+                    "implausible",
+                    f"The body is {thick:.1f} mm thick in its median slice under "
+                    f"{less.force_n:g} N ({less.file}), but {thin:.1f} mm under {more.force_n:g} N "
+                    f"({more.file}); the larger force was expected to press it thinner. Exchange "
+                    "the two files, or their forces, in the case.",
+                )
+
+
+def _pairs(facts: BreastFacts) -> Iterator[tuple[Scan, Scan, PlateLoad]]:
+    if facts.rest is not None:
+        for scan, load in facts.pressed:
+            yield facts.rest, scan, load
+
+
+def _extent(rest: Scan, scan: Scan) -> float:
+    return Scan(rest.file, 0.0, scan.axis, rest.labels).thickness_mm
+
+
+def _pressed_axis(rest: Scan, scan: Scan) -> int | None:
+    """Return the axis along which a body was pressed if it is not the stated one.
+
+    It is the one along which the size changes most, and there the body has become thinner.
+    """
+    change = np.log(np.divide(scan.sides_mm, rest.sides_mm))
+    most = int(np.abs(change).argmax())
+    slack = THICKNESS_VOXELS * max(rest.voxel_mm, scan.voxel_mm)
+    along = math.log(scan.thickness_mm / _extent(rest, scan))
+    thinner = rest.sides_mm[most] - scan.sides_mm[most] > slack
+    if thinner and change[most] < OTHER_AXIS * min(along, 0.0) and change[most] < -abs(along):
+        return None if abs(scan.axis[most]) > ALONG else most
+    return None
+
+
+def _median(rest: Scan, scan: Scan) -> float:
+    return rest.median_thickness_along(scan.axis)
+
+
+def _strain(rest: Scan, scan: Scan) -> float:
+    """Return the logarithm of the thickness before over the thickness after."""
+    return max(0.0, math.log(_extent(rest, scan) / scan.thickness_mm))
+
+
+def _gland_share(scan: Scan) -> float:
+    gland = np.count_nonzero(scan.labels.values == Tissue.GLANDULAR)
+    return float(gland / np.count_nonzero(scan.body))
+
+
+def _middle(scan: Scan) -> str:
+    return str(tuple(scan.sample[0].mean(axis=0).round(1).tolist()))

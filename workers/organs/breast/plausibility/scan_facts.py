@@ -1,0 +1,213 @@
+"""Facts of the scans and loads of a breast on which its plausibility checks rest."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import label
+
+from palpate.storage.values import BoolArray, FloatArray, Tissue, Triple, Volume
+from palpate.workers.organs.breast.plausibility.extents import extent_mm
+
+# Voxels of a scan that are looked at where all of them would take long.
+ENOUGH_VOXELS = 400_000
+AXES = "xyz"
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """One scan of a breast.
+
+    Parameters
+    ----------
+    file : str
+        Its name in messages.
+    force_n : float or None
+        On the plates; 0 at rest, None if only their distance is known.
+    axis : tuple of float
+        From the lower to the upper plate.
+    labels : Volume
+        `Tissue` labels, above the chest wall.
+    whole : Volume, optional
+        The same with what is below the place of the chest wall.
+    """
+
+    file: str
+    force_n: float | None
+    axis: Triple
+    labels: Volume
+    whole: Volume | None = None
+
+    @cached_property
+    def body(self) -> BoolArray:
+        """Return where there is tissue, ``[z, y, x]``."""
+        return np.asarray(self.labels.values != Tissue.AIR)
+
+    @cached_property
+    def ml(self) -> float:
+        """Return the volume of the body."""
+        return float(np.count_nonzero(self.body)) * self.labels.voxel_mm3 / 1000
+
+    @cached_property
+    def _lines(self) -> tuple[BoolArray, BoolArray, BoolArray]:
+        """Return which slices along x, y and z show tissue."""
+        flat: BoolArray = np.any(self.body, axis=0)
+        return np.any(flat, axis=0), np.any(flat, axis=1), np.any(self.body, axis=(1, 2))
+
+    @cached_property
+    def box(self) -> list[tuple[int, int]]:
+        """Return the first and the last voxel of the body along x, y and z."""
+        indices = [np.flatnonzero(line) for line in self._lines]
+        return [(int(i[0]), int(i[-1])) for i in indices]
+
+    @cached_property
+    def sides_mm(self) -> list[float]:
+        """Return the lengths of the body along x, y and z."""
+        spacing = self.labels.spacing_mm
+        return [(b - a + 1) * s for (a, b), s in zip(self.box, spacing, strict=True)]
+
+    @cached_property
+    def extent_mm(self) -> tuple[float, float]:
+        """Return where the body begins and ends along the axis of compression."""
+        return extent_mm(self.labels, self.axis)
+
+    @property
+    def thickness_mm(self) -> float:
+        """Return its greatest thickness between the plates."""
+        low, high = self.extent_mm
+        return high - low
+
+    @cached_property
+    def median_thickness_mm(self) -> float:
+        """Return its thickness in the median slice.
+
+        Behind the edge of a plate a body bulges as it is pressed.
+        """
+        return self.median_thickness_along(self.axis)
+
+    def median_thickness_along(self, axis: Triple) -> float:
+        """Return the thickness along any axis in the median slice."""
+        there = np.flatnonzero(self.body.any(axis=(1, 2)))
+        slices = (replace(self.labels, values=self.labels.values[z : z + 1]) for z in there)
+        extents = (extent_mm(one, axis) for one in slices)
+        return float(np.median([high - low for low, high in extents]))
+
+    @property
+    def voxel_mm(self) -> float:
+        """Return the longest side of a voxel."""
+        return max(self.labels.spacing_mm)
+
+    @property
+    def sides(self) -> str:
+        """Return the sides of a voxel, as a text."""
+        return " x ".join(f"{s:g}" for s in self.labels.spacing_mm) + " mm"
+
+    @cached_property
+    def pieces_ml(self) -> list[float]:
+        """Return the volumes of the connected pieces, the largest first."""
+        (x0, x1), (y0, y1), (z0, z1) = self.box
+        pieces, count = label(self.body[z0 : z1 + 1, y0 : y1 + 1, x0 : x1 + 1])
+        if count < 2:
+            return [self.ml]
+        voxels = np.sort(np.bincount(pieces.ravel())[1:])[::-1]
+        return [float(n) * self.labels.voxel_mm3 / 1000 for n in voxels]
+
+    @cached_property
+    def empty_slices(self) -> dict[str, list[int]]:
+        """Return the slices inside the body that show only air, by axis, counted from 1."""
+        found: dict[str, list[int]] = {}
+        for axis, line, (first, last) in zip(AXES, self._lines, self.box, strict=True):
+            empty = [int(i) + 1 for i in np.flatnonzero(~line) if first < i < last]
+            if empty:
+                found[axis] = empty
+        return found
+
+    @cached_property
+    def sample(self) -> tuple[FloatArray, np.ndarray, FloatArray]:
+        """Return centres of voxels of the body, their labels, and the step between them.
+
+        Centres have shape (n, 3) and are (x, y, z) in mm; of a fine scan every second or third
+        voxel along each axis is taken.
+        """
+        step = max(1, int(np.ceil((np.count_nonzero(self.body) / ENOUGH_VOXELS) ** (1 / 3))))
+        coarse = self.labels.values[step // 2 :: step, step // 2 :: step, step // 2 :: step]
+        index = np.argwhere(coarse != Tissue.AIR)
+        spacing = np.asarray(self.labels.spacing_mm)
+        origin = np.asarray(self.labels.origin_mm) + (step // 2) * spacing
+        return origin + step * spacing * index[:, ::-1], coarse[tuple(index.T)], step * spacing
+
+
+@dataclass(frozen=True)
+class PlateLoad:
+    """A load between two plates, as a file states it.
+
+    Parameters
+    ----------
+    where : str
+        Its place in the file, for messages.
+    axis : tuple of float
+        From the lower to the upper plate.
+    force_n : float or None
+    starts_mm : (str, float, float) or None
+        Where the plates of a force start along the axis, and the key that says so; None where
+        they are taken from the scan at rest.
+    initial_mm, distance_mm : float or None
+        Stated distances of the plates, before and under compression.
+    ends_mm : (float, float) or None
+        Stated positions of the plates under compression.
+    fixed : {"lower", "middle", "none"}
+        The end of the body that a force leaves in place.
+    """
+
+    where: str
+    axis: Triple
+    force_n: float | None = None
+    starts_mm: tuple[str, float, float] | None = None
+    initial_mm: float | None = None
+    distance_mm: float | None = None
+    ends_mm: tuple[float, float] | None = None
+    fixed: str = "lower"
+
+
+@dataclass(frozen=True, eq=False)
+class BreastFacts:
+    """All that the checks of a study or a diagnosis look at.
+
+    Parameters
+    ----------
+    rest : Scan or None
+        The undeformed body; None where it is not at hand.
+    pressed : sequence of (Scan, PlateLoad)
+        The scans under load.
+    loads : sequence of PlateLoad
+        All loads, also of scans that are not at hand.
+    least_nu : float
+        Least Poisson's ratio of the model.
+    E_mpa : (float, float)
+        Least and greatest Young's modulus of the softest tissue.
+    align_key : str
+        The key that aligns the scans.
+    aligned : bool
+        Whether the scans were aligned, so that their own frames do not matter.
+    swelling : float
+        Share of its volume by which the body may have changed between the scans.
+    rigid_is_refused : bool
+        Whether a rigid motion between the scans contradicts the model; otherwise something in
+        the model may cause it.
+    """
+
+    rest: Scan | None
+    pressed: Sequence[tuple[Scan, PlateLoad]]
+    loads: Sequence[PlateLoad]
+    least_nu: float
+    E_mpa: tuple[float, float]
+    align_key: str
+    aligned: bool
+    swelling: float
+    rigid_is_refused: bool
+
+    @property
+    def scans(self) -> list[Scan]:
+        """Return all scans that are at hand."""
+        return [*([] if self.rest is None else [self.rest]), *(scan for scan, _ in self.pressed)]

@@ -1,0 +1,150 @@
+"""What a diagnosis varies of a cornea, and how it is solved; see `diagnosis.problem.forward`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change
+from palpate.workers.organs.cornea.material.model import CorneaModel
+from palpate.workers.organs.cornea.solver.candidate import Candidate
+from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
+from palpate.workers.organs.cornea.solver.sensitivity import Change as CandidateChange
+from palpate.workers.organs.cornea.solver.sensitivity import sensitivity
+from palpate.workers.organs.cornea.solver.solve import (
+    CorneaSolution,
+    Equilibrium,
+    equilibrium,
+    solve_prepared,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class CorneaProblem:
+    """A candidate, and how far it behaves like one of another kind.
+
+    Parameters
+    ----------
+    candidate : Candidate
+    shares : mapping of (str, str) to float
+        By option of the model and its other value, such as ("kind", "plane strain"): the part
+        of the way from the displacement of the candidate to that of the same with the option.
+    """
+
+    candidate: Candidate
+    shares: dict[tuple[str, str], float] = field(default_factory=dict)
+
+
+def remodelled(candidate: Candidate, **options: Any) -> Candidate:
+    """Return a candidate with other options of its model."""
+    prepared = candidate.prepared
+    model: CorneaModel = replace(prepared.model, **options)
+    return replace(candidate, prepared=prepare(prepared.mesh, model))
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a simulation has ended."""
+
+    converged: bool
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneSolution:
+    """A displacement with a third component, which is zero."""
+
+    displacement_mm: FloatArray
+    outcome: Ending
+
+
+@dataclass(frozen=True, eq=False)
+class CorneaEquilibrium:
+    """A problem with its solution, and the equilibrium of its candidate if there is one."""
+
+    problem: CorneaProblem
+    solution: PlaneSolution
+    of_candidate: Equilibrium | None
+
+
+class CorneaForward:
+    """See `workers.diagnosis.problem.forward.Forward`. A cornea is always solved from rest."""
+
+    def equilibrium(
+        self, model: Any, problem: CorneaProblem, start: Any = None
+    ) -> CorneaEquilibrium:
+        """Solve a problem; a load that makes no sense has no equilibrium."""
+        base, at = problem.candidate, None
+        try:
+            at = equilibrium(base.prepared, base.constants, base.load)
+            u, reason = _displacement(problem, at.solution)
+        except InputError as error:
+            u, reason = np.zeros_like(base.prepared.mesh.nodes_mm), str(error)
+        return CorneaEquilibrium(problem, PlaneSolution(_padded(u), Ending(not reason, reason)), at)
+
+    def expecting(self, at: CorneaEquilibrium, moved_mm: FloatArray) -> CorneaEquilibrium:
+        """Return the equilibrium itself: nothing begins there."""
+        return at
+
+    def tangents(
+        self, at: CorneaEquilibrium, changes: Sequence[Change], tolerance: float = 0.0
+    ) -> FloatArray:
+        """Return derivatives of the displacement, shape (c, n, 3), in mm per unit.
+
+        Of the candidate itself, without its shares of other kinds; a change of a share is a
+        difference of solutions, in which it is linear, and so is one that lets a limbus go that
+        was held: it has other unknowns.
+        """
+        found = np.empty((len(changes), *at.solution.displacement_mm.shape))
+        pairs: list[tuple[int, CandidateChange]] = []
+        for number, change in enumerate(changes):
+            plus: Any = change.plus
+            minus: Any = change.minus
+            held = {one.candidate.prepared.clamped for one in (plus, minus, at.problem)}
+            if plus.shares != minus.shares or len(held) > 1:
+                ends = [self.equilibrium(None, one).solution for one in (plus, minus)]
+                apart = ends[0].displacement_mm - ends[1].displacement_mm
+                found[number] = apart / change.step
+            else:
+                half = CandidateChange(plus.candidate, minus.candidate, change.step / 2)
+                pairs.append((number, half))
+        if pairs:
+            differentiated = [pair for _, pair in pairs]
+            result = sensitivity(at.problem.candidate, differentiated, at.of_candidate)
+            for (number, _), derivative in zip(pairs, result.derivatives, strict=True):
+                found[number] = _padded(derivative)
+        return found
+
+    def loosened(
+        self, problem: CorneaProblem, tolerance_mm: float, friction_steps: int
+    ) -> CorneaProblem:
+        """Return the problem itself: it is cheap."""
+        return problem
+
+    def direction(self, problem: CorneaProblem) -> tuple[float, float, float]:
+        """Return that of the jet."""
+        return 0.0, -1.0, 0.0
+
+    def pressed(self, at: CorneaEquilibrium) -> None:
+        """Return nothing: there are no plates."""
+
+
+def _displacement(problem: CorneaProblem, solution: CorneaSolution) -> tuple[FloatArray, str]:
+    """Return the displacement, (n, 2), and why it is none; empty if it is."""
+    base = problem.candidate
+    u, reason = solution.displacement_mm, solution.reason
+    for (option, value), share in problem.shares.items():
+        if reason or share == 0:
+            continue
+        other = remodelled(base, **{option: value})
+        there = solve_prepared(other.prepared, other.constants, other.load)
+        reason = there.reason
+        u = u + share * (there.displacement_mm - solution.displacement_mm)
+    return u, reason
+
+
+def _padded(u: FloatArray) -> FloatArray:
+    return np.concatenate([u, np.zeros((*u.shape[:-1], 1))], axis=-1)

@@ -1,0 +1,347 @@
+"""A search of a cornea that has ended, as something that can be diagnosed.
+
+Points lie on both surfaces of the undeformed section; a residual is the distance of such a
+point, moved by the model, from the same surface under the jet. In the words of
+`workers.diagnosis` the outer surface is the outline, and the inner one bounds the gland.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray
+from palpate.workers.comparison.observation.interface import InterfacePoints
+from palpate.workers.comparison.observation.noise import SegmentationNoise, covariance
+from palpate.workers.diagnosis.noise.smooth_field import SmoothField
+from palpate.workers.diagnosis.outcome.pictures.scan_pictures import Displacements
+from palpate.workers.diagnosis.outcome.source import FinishedStudy, SourceContent
+from palpate.workers.diagnosis.problem.acquisition import Acquisition
+from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, InverseProblem, Scan
+from palpate.workers.diagnosis.problem.preparation import ReadPrepared
+from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.parameters import Bounds
+from palpate.workers.organs.cornea.comparison.surface_residual import (
+    ANTERIOR,
+    POSTERIOR,
+    SurfaceResidual,
+)
+from palpate.workers.organs.cornea.diagnosis.diagnosed_problem import CorneaForward, CorneaProblem
+from palpate.workers.organs.cornea.diagnosis.drawn_geometry import geometry_covariance
+from palpate.workers.organs.cornea.diagnosis.effect_catalogue import CORNEA_EFFECTS, SEARCHED_AS
+from palpate.workers.organs.cornea.diagnosis.region_rows import SURFACES, region_rows
+from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
+from palpate.workers.organs.cornea.organ import ORGAN
+from palpate.workers.organs.cornea.problem import candidate_of
+from palpate.workers.organs.cornea.section.outline import Section
+from palpate.workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget
+from palpate.workers.organs.cornea.study_checks import CHECKS
+from palpate.workers.organs.study_checks import Finding
+from palpate.workers.scan_threads import Each
+from palpate.workers.spec import validated
+from palpate.workers.units import KPA, NUMBER, Unit
+
+# A constant that was searched from about zero is plausible from this part of its upper end.
+LEAST_PART = 0.1
+# Between neighbouring points on a surface.
+SPACING_MM = 0.15
+# Errors of a surface that was segmented in an image, and the length over which they are alike;
+# see `workers.organs.cornea.frames.registration`.
+SEGMENTED = SegmentationNoise(0.010, 0.5, 0.010, 0.002)
+# Of a section that was simulated: what the score's pixels of 2 um could tell.
+SIMULATED = SegmentationNoise(0.001, 0.5, 0.0, 0.0006)
+# A misfit that is not in the catalogue: from the error of a segmentation to a tenth of the
+# motion under a jet, over a thickness of the cornea to a third of its width.
+SOMETHING_ELSE = SmoothField(amplitudes_mm=(0.01, 0.03, 0.1), lengths_mm=(0.6, 1.5, 4.0))
+
+
+@dataclass(frozen=True, eq=False)
+class CorneaStudy:
+    """What a study says and has in its store.
+
+    Parameters
+    ----------
+    name : str
+    case : CorneaCase
+    window_mm : (float, float) or None
+        What the images show.
+    bounds : mapping of str to (float, float)
+        Searched intervals, inside names and units.
+    best : mapping of str to float
+        The searched parameters of the best candidate; empty if there is none.
+    reference, target : Section
+    noise : SegmentationNoise
+    caveats : tuple of str
+        Statements with which every result of the study begins.
+    frames : (CorneaCase, CorneaTarget) or None
+        Which say where the frames are, for their checks; None where the study is read again.
+    """
+
+    name: str
+    case: CorneaCase
+    window_mm: tuple[float, float] | None
+    bounds: Mapping[str, Bounds]
+    best: Mapping[str, float]
+    reference: Section
+    target: Section
+    noise: SegmentationNoise
+    caveats: tuple[str, ...] = ()
+    frames: tuple[CorneaCase, CorneaTarget] | None = None
+
+
+class CorneaStudySource:
+    """See `workers.diagnosis.outcome.source.Source`."""
+
+    kind = "cornea study"
+
+    def __init__(self, study: CorneaStudy) -> None:
+        self.study = study
+
+    @classmethod
+    def from_content(cls, content: SourceContent) -> "CorneaStudySource":
+        """Make it again from what the store holds."""
+        record, arrays = content.record, content.arrays
+        window = record["window_mm"]
+        return cls(
+            CorneaStudy(
+                name=record["name"],
+                case=validated(CorneaCase, record["case"], "The study's case"),
+                window_mm=None if window is None else (window[0], window[1]),
+                bounds={name: (lower, upper) for name, (lower, upper) in record["bounds"].items()},
+                best=record["best"],
+                reference=Section(arrays["reference_anterior"], arrays["reference_posterior"]),
+                target=Section(arrays["target_anterior"], arrays["target_posterior"]),
+                noise=SegmentationNoise(**record["noise"]),
+            )
+        )
+
+    @property
+    def content(self) -> SourceContent:
+        """Case, intervals and best candidate of the study, and both sections."""
+        study = self.study
+        case = study.case.model_dump(mode="json")
+        # The section is among the arrays; where it came from does not matter any more.
+        case["reference"] = {"section": {}}
+        record = {
+            "name": study.name,
+            "case": case,
+            "window_mm": study.window_mm,
+            "bounds": {name: list(ends) for name, ends in study.bounds.items()},
+            "best": dict(study.best),
+            "noise": asdict(study.noise),
+        }
+        arrays = {
+            "reference_anterior": study.reference.anterior_mm,
+            "reference_posterior": study.reference.posterior_mm,
+            "target_anterior": study.target.anterior_mm,
+            "target_posterior": study.target.posterior_mm,
+        }
+        return SourceContent(self.kind, record, {}, arrays)
+
+    @property
+    def name(self) -> str:
+        """The study's."""
+        return self.study.name
+
+    @property
+    def scans(self) -> Sequence[str]:
+        """The one jet."""
+        return [f"{1000 * self.study.case.load.jet.pressure_mpa:g} kPa"]
+
+    @property
+    def effects(self) -> Sequence[Effect]:
+        """What may be missing from the model of a cornea, less what was searched."""
+        searched = set(self.study.bounds)
+        return [e for e in CORNEA_EFFECTS if not searched & set(SEARCHED_AS.get(e.name, ()))]
+
+    @cached_property
+    def free(self) -> list[FreeConstant]:
+        """The searched constants of the law."""
+        bounds = self.study.bounds
+        return [
+            FreeConstant(name, max(low, LEAST_PART * high), high, _unit(name))
+            for name, (low, high) in bounds.items()
+            if name.startswith(("mu", "alpha"))
+        ]
+
+    def check(self) -> None:
+        """Refuse a study that left nothing to fit."""
+        if not self.free:
+            raise InputError(
+                f"The study {self.name} has searched {', '.join(self.study.bounds) or 'nothing'}; "
+                "a diagnosis needs a constant of the law, such as mu1_pa, under search.parameters."
+            )
+
+    def findings(self) -> Iterator[Finding]:
+        """See `workers.organs.study_checks.CheckedSource`."""
+        self.check()
+        if self.study.frames is not None:
+            case, target = self.study.frames
+            bodies = self.study.reference, self.study.target
+            yield from CHECKS.of_bodies(case, target, None, *bodies)
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """Those of the study."""
+        return self.study.caveats
+
+    def inverse_problem(
+        self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
+    ) -> InverseProblem:
+        """Mesh the section as the study does and compare its surfaces with the image.
+
+        The mesh is that of the study, and points are `SPACING_MM` apart: `nodes` and
+        `spacing_mm` are those of a body a hundred times as large.
+        """
+        study = self.study
+        mesh = self._mesh
+        points, chosen = surface_points(mesh, study.window_mm)
+        rows = np.arange(len(chosen)), chosen
+        at = csr_matrix((np.ones(len(chosen)), rows), (len(chosen), len(mesh.nodes_mm)))
+        model: Any = ORGAN.prepare(mesh)
+        near = self.problem()({})
+        drawn = geometry_covariance(near, study.noise, at, points.normals)
+        return InverseProblem(
+            model=model,
+            frame=frame_of_section(mesh),
+            points=points,
+            at_points=at,
+            free=self.free,
+            scans=[Scan(self.scans[0], self.problem(), SurfaceResidual(study.target))],
+            noise=study.noise,
+            covariance=covariance(points, study.noise, 1) + drawn,
+            bias=np.zeros(len(points)),
+            forward=CorneaForward(),
+            something_else=SOMETHING_ELSE,
+            is_segmented=False,
+        )
+
+    def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> None:
+        """Return None: a finer mesh moves no point by a tenth of a micrometre."""
+
+    def describe(
+        self,
+        diagnosis: Diagnosis,
+        displacements: Displacements,
+        summary: Summary,
+        prepared: ReadPrepared,
+        each: Each = map,
+    ) -> tuple[dict[str, NDArray[Any]], Summary]:
+        """Name surfaces and regions as those of a cornea."""
+        named = replace(
+            summary,
+            where=tuple(region_rows(diagnosis)),
+            surfaces=SURFACES,
+            compared="the outer and the inner surface of the cornea",
+            not_simulated=ORGAN.not_simulated,
+        )
+        return {}, named
+
+    @property
+    def acquisition(self) -> Acquisition:
+        """Refuse: further images of a puff come from the same puff.
+
+        Raises
+        ------
+        InputError
+        """
+        raise InputError(
+            "Further frames of a cornea cannot be planned. What several pressures would tell "
+            "stands in the findings of the study: `palpate report` shows them."
+        )
+
+    def problem(self) -> Callable[[Mapping[str, float]], Any]:
+        """Return the study's model, from the values of the free constants."""
+        study = self.study
+        meshes, middle = ORGAN.prepare(self._mesh), ORGAN.landmarks(study.reference, study.case)
+
+        def build(values: Mapping[str, float]) -> CorneaProblem:
+            constants = study.case.complete(dict(study.best) | dict(values))
+            return CorneaProblem(candidate_of(meshes, study.case, constants, middle))
+
+        return build
+
+    @cached_property
+    def _mesh(self) -> T6Mesh:
+        return ORGAN.make_mesh(self.study.reference, self.study.case)
+
+
+def from_study(study: FinishedStudy) -> CorneaStudySource:
+    """Return a study that has run as the source of a diagnosis.
+
+    Raises
+    ------
+    InputError
+        If its case or target makes no sense.
+    """
+    case = validated(CorneaCase, study.case, "The study's case")
+    target = validated(CorneaTarget, study.target, "The study's target")
+    score = validated(CorneaScore, study.score, "The study's score")
+    return CorneaStudySource(
+        CorneaStudy(
+            name=study.name,
+            case=case,
+            window_mm=score.window_mm,
+            bounds=case.parameters.bounds_from_door(study.parameters),
+            best=case.parameters.from_door(study.best),
+            reference=study.reference,
+            target=study.deformed,
+            noise=SIMULATED if target.frame is None else SEGMENTED,
+            caveats=study.caveats,
+            frames=(case, target),
+        )
+    )
+
+
+SOURCES = {CorneaStudySource.kind: CorneaStudySource.from_content}
+
+
+def surface_points(
+    mesh: T6Mesh, window_mm: tuple[float, float] | None
+) -> tuple[InterfacePoints, NDArray[np.intp]]:
+    """Return nodes of both surfaces inside the window as points, and their numbers."""
+    nodes, normals, interfaces, lengths = [], [], [], []
+    for number, surface in ((ANTERIOR, mesh.anterior), (POSTERIOR, mesh.posterior)):
+        line = mesh.nodes_mm[surface]
+        kept = _spread(line, window_mm)
+        tangent = np.gradient(line, axis=0)[kept]
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        upward = np.stack([-tangent[:, 1], tangent[:, 0], np.zeros(len(tangent))], axis=1)
+        nodes.append(surface[kept])
+        normals.append(upward if number == ANTERIOR else -upward)
+        interfaces.append(np.full(len(tangent), number, np.int32))
+        lengths.append(np.full(len(tangent), SPACING_MM))
+    chosen = np.concatenate(nodes)
+    places = np.pad(mesh.nodes_mm[chosen], ((0, 0), (0, 1)))
+    own = np.concatenate(interfaces)
+    points = InterfacePoints(places, np.concatenate(normals), own, np.concatenate(lengths), own)
+    return points, chosen.astype(np.intp)
+
+
+def _unit(constant: str) -> Unit:
+    return KPA if constant.startswith("mu") else NUMBER
+
+
+def frame_of_section(mesh: T6Mesh) -> Frame:
+    """Return the box around a section, 2 mm thick."""
+    low, high = mesh.nodes_mm.min(axis=0), mesh.nodes_mm.max(axis=0)
+    (x, y), (half_x, half_y) = ((low + high) / 2).tolist(), ((high - low) / 2).tolist()
+    return Frame((x, y, 0.0), (half_x, half_y, 1.0))
+
+
+def _spread(line: FloatArray, window_mm: tuple[float, float] | None) -> BoolArray:
+    """Return which nodes of a surface are points: about `SPACING_MM` apart, none at the ends."""
+    step = np.linalg.norm(np.diff(line, axis=0), axis=1).mean()
+    kept = np.zeros(len(line), np.bool_)
+    kept[1 : -1 : max(1, round(SPACING_MM / float(step)))] = True
+    if window_mm is not None:
+        kept &= (line[:, 0] > window_mm[0]) & (line[:, 0] < window_mm[1])
+    return kept

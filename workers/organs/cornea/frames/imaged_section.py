@@ -1,0 +1,73 @@
+"""A section from an image file: read, segmented, corrected for refraction."""
+
+from pathlib import Path
+
+import numpy as np
+
+from palpate.storage.errors import InputError
+from palpate.workers.organs.cornea.frames.frame import Frame
+from palpate.workers.organs.cornea.frames.picture import likely_causes, read_picture
+from palpate.workers.organs.cornea.frames.reading import read_frame
+from palpate.workers.organs.cornea.frames.segmentation import segment_frame
+from palpate.workers.organs.cornea.plausible import PRESSED_CENTRAL_MM, WIDTH_MM
+from palpate.workers.organs.cornea.section.checks import check_section
+from palpate.workers.organs.cornea.section.outline import Section
+from palpate.workers.organs.cornea.section.refraction import corrected_posterior
+from palpate.workers.organs.cornea.section.shape import shape_of
+from palpate.workers.organs.cornea.spec import FrameSpec
+
+# Enlargements of a picture that are tried where no cornea is seen in it.
+EXPORTED = (2, 3, 4)
+
+
+def imaged_section(spec: FrameSpec) -> Section:
+    """Return the section in an image, in the coordinates of the frame (x from its left edge).
+
+    Raises
+    ------
+    InputError
+        If the file is no image, no cornea is seen in it, or its surfaces cross; with its name and
+        what in the picture is a likely cause.
+    """
+    path = Path(spec.file)
+    frame = read_frame(path, spec.pixel_mm, spec.first_pixel)
+    try:
+        section = _section(frame, spec)
+        check_section(section)
+    except InputError as error:
+        causes = likely_causes(read_picture(path)) + _remedy(frame, spec)
+        raise InputError(f"{path}: {error}{causes}") from error
+    return section
+
+
+def _section(frame: Frame, spec: FrameSpec) -> Section:
+    segmented = segment_frame(frame)
+    anterior, posterior = segmented.anterior_mm, segmented.posterior_mm
+    if spec.refraction is not None:
+        posterior = corrected_posterior(
+            anterior, posterior, spec.refraction.index, spec.refraction.camera_angle_deg
+        )
+    return Section(anterior_mm=anterior, posterior_mm=posterior)
+
+
+def _remedy(frame: Frame, spec: FrameSpec) -> str:
+    """Return a sentence if there is a cornea in the picture turned, or in smaller pixels."""
+    across, down = frame.spacing_mm
+    if _shows_cornea(Frame(np.rot90(frame.grey), (down, across)), spec):
+        return " A cornea is seen if the picture is turned by 90 degrees: turn the file."
+    for times in EXPORTED:
+        size = (across / times, down / times)
+        if _shows_cornea(Frame(frame.grey, size), spec):
+            return (
+                f" A cornea is seen if the picture was exported at {times} times its size: set "
+                f"pixel_mm to [{size[0]:.6g}, {size[1]:.6g}], or give the original picture."
+            )
+    return ""
+
+
+def _shows_cornea(frame: Frame, spec: FrameSpec) -> bool:
+    try:
+        shape = shape_of(_section(frame, spec))
+    except InputError:
+        return False
+    return shape.central_thickness_mm in PRESSED_CENTRAL_MM and shape.width_mm in WIDTH_MM

@@ -1,0 +1,146 @@
+"""Pictures of a cornea as files hold them, and what in them is no cornea."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps
+from scipy.ndimage import find_objects, label
+from skimage.filters import threshold_otsu
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+
+# Difference of the channels, as a part of full brightness, from which a pixel has a colour.
+COLOURED_FROM = 0.18
+# Fewer coloured pixels than this, and than this part of the picture, are dirt of a compression.
+FEWEST_COLOURED = 20
+LEAST_COLOURED_PART = 1e-4
+# From this part on the whole picture is in colours.
+FALSE_COLOURS_FROM = 0.2
+# A spot at full brightness counts from this part of the picture, an edge from this many columns.
+LEAST_SPOT_PART = 5e-4
+FULL_BRIGHTNESS = 0.98
+LEAST_EDGE_PART = 0.05
+
+
+@dataclass(frozen=True)
+class Box:
+    """A part of a picture, first and last pixel included."""
+
+    columns: tuple[int, int]
+    rows: tuple[int, int]
+
+    def __str__(self) -> str:
+        (left, right), (top, bottom) = self.columns, self.rows
+        return f"columns {left} to {right}, rows {top} to {bottom}"
+
+
+def read_picture(path: Path) -> FloatArray:
+    """Return the picture in a file (PNG, TIFF, JPEG, BMP), turned as its EXIF orientation says.
+
+    Transparency is left out.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    ndarray, shape (rows, columns) or (rows, columns, 3)
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is not an image, or holds several.
+    """
+    if not path.is_file():
+        raise InputError(f"There is no image {path}. Give the path of a frame of the cornea.")
+    try:
+        with Image.open(path) as image:
+            count = getattr(image, "n_frames", 1)
+            upright = ImageOps.exif_transpose(image)
+            coloured = upright.mode not in ("L", "1", "F") and not upright.mode.startswith("I")
+            values = np.asarray(upright.convert("RGB") if coloured else upright, np.float64)
+    except (OSError, ValueError, SyntaxError) as error:
+        raise InputError(
+            f"{path} is not an image that can be read ({error}). Give a PNG, TIFF, JPEG or BMP."
+        ) from error
+    if count > 1:
+        raise InputError(
+            f"{path} holds {count} images, and a frame is one. Save the frame before the puff and "
+            "the one under it as a file each."
+        )
+    return values
+
+
+def coloured_pixels(picture: FloatArray) -> NDArray[np.bool_]:
+    """Return which pixels of a picture have a colour that its other pixels do not have.
+
+    A picture that is tinted as a whole has none.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (rows, columns) or (rows, columns, 3)
+    """
+    if picture.ndim == 2:
+        return np.zeros(picture.shape, np.bool_)
+    grey = picture.mean(axis=2)
+    bright = grey >= np.median(grey)
+    tint = np.median(picture[bright], axis=0) / max(float(np.median(grey[bright])), 1.0)
+    found = np.ptp(picture - grey[:, :, None] * tint, axis=2) > COLOURED_FROM * full_scale(picture)
+    few = found.sum() < max(FEWEST_COLOURED, LEAST_COLOURED_PART * found.size)
+    return np.zeros_like(found) if few else found
+
+
+def full_scale(picture: FloatArray) -> float:
+    """Return the grey value of white: 255, or the largest one where there are larger ones."""
+    return max(255.0, float(picture.max()))
+
+
+def box_of(mask: NDArray[np.bool_]) -> Box:
+    """Return the part of a picture in which a mask has pixels; it has some."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return Box((int(columns[0]), int(columns[-1])), (int(rows[0]), int(rows[-1])))
+
+
+def likely_causes(picture: FloatArray) -> str:
+    """Return what in a picture may have been taken for a cornea; empty if nothing is found.
+
+    As the end of a message, with a space before it.
+    """
+    found = [*_colours(picture), *_spots(picture), *_top(picture)]
+    return f" Found in the picture: {'; '.join(found)}." if found else ""
+
+
+def _colours(picture: FloatArray) -> Iterator[str]:
+    coloured = coloured_pixels(picture)
+    count = int(coloured.sum())
+    if count > FALSE_COLOURS_FROM * coloured.size:
+        yield "false colours; export it in grey"
+    elif count:
+        yield f"{count:,} coloured pixels, as of a viewer's lines or text ({box_of(coloured)})"
+
+
+def _spots(picture: FloatArray) -> Iterator[str]:
+    grey = picture if picture.ndim == 2 else picture.mean(axis=2)
+    numbers, count = label(grey >= FULL_BRIGHTNESS * full_scale(picture))
+    sizes = np.bincount(numbers.ravel(), minlength=count + 1)[1:]
+    if not count or sizes.max() < LEAST_SPOT_PART * grey.size:
+        return
+    where = find_objects(numbers)[int(sizes.argmax())]
+    box = Box((where[1].start, where[1].stop - 1), (where[0].start, where[0].stop - 1))
+    yield f"pixels at full brightness, as of a reflection or text ({box})"
+
+
+def _top(picture: FloatArray) -> Iterator[str]:
+    grey = picture if picture.ndim == 2 else picture.mean(axis=2)
+    if np.ptp(grey) == 0:
+        return
+    numbers, _ = label(grey > threshold_otsu(grey))
+    first = np.flatnonzero(numbers[0])
+    if len(first) >= LEAST_EDGE_PART * grey.shape[1]:
+        box = box_of(np.isin(numbers, np.unique(numbers[0][first])))
+        yield f"a bright part from the first row on, as of a lid or a window's frame ({box})"

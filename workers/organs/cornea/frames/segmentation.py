@@ -1,0 +1,341 @@
+"""The two surfaces of a cornea in a tonometer's image."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates, uniform_filter1d
+from skimage.filters import threshold_otsu
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.organs.cornea.frames.frame import Frame
+from palpate.workers.organs.cornea.frames.robust_smooth import robust_smooth
+from palpate.workers.organs.cornea.frames.surface_path import best_path
+from palpate.workers.organs.cornea.section.outline import Section
+
+# Standard deviation of the derivative filter across a surface, and of the mean along it.
+EDGE_MM = 0.016
+ALONG_MM = 0.06
+# Waves shorter than this are halved on a surface; the dent of an air puff is 4 mm wide. The
+# posterior edge is the fainter one.
+ANTERIOR_WAVE_MM = 0.5
+POSTERIOR_WAVE_MM = 0.8
+# Vertical distance of the surfaces, uncorrected for refraction and slope.
+THICKNESS_MM = (0.15, 1.3)
+# How far from its first path a surface is looked for again.
+REFINE_MM = 0.06
+# Half the width over which the flank of an edge is averaged, in deviations of the filter.
+FLANK_SIGMA = 3.0
+# A column counts where the tissue stands out of the background by so many standard
+# deviations of the pixel noise and by this part of the typical contrast.
+MIN_CONTRAST_NOISE = 2.0
+MIN_CONTRAST_PART = 0.25
+# Part of the columns where both surfaces must be seen.
+MIN_SEEN = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentedFrame:
+    """Surfaces of a cornea in pixels of its image.
+
+    Parameters
+    ----------
+    frame : Frame
+    columns : ndarray, shape (k,)
+        Neighbouring columns from the first to the last one where both surfaces were seen.
+    anterior_row, posterior_row : ndarray, shape (k,)
+        Row of the surface, not whole.
+    anterior_confidence, posterior_confidence : ndarray, shape (k,)
+        0 where the surface is bridged over a gap or a reflex, 1 where it is as sharp as
+        typical in this image.
+    anterior_rms_px, posterior_rms_px : float
+        Scatter of the edges of single columns about the smooth surface.
+    """
+
+    frame: Frame
+    columns: FloatArray
+    anterior_row: FloatArray
+    posterior_row: FloatArray
+    anterior_confidence: FloatArray
+    posterior_confidence: FloatArray
+    anterior_rms_px: float
+    posterior_rms_px: float
+
+    @property
+    def anterior_mm(self) -> FloatArray:
+        """Return the anterior surface in the coordinates of the frame, shape (k, 2)."""
+        return self.frame.to_mm(self.columns, self.anterior_row)
+
+    @property
+    def posterior_mm(self) -> FloatArray:
+        """Return the posterior surface as it appears, in the frame's coordinates, shape (k, 2)."""
+        return self.frame.to_mm(self.columns, self.posterior_row)
+
+    @property
+    def section(self) -> Section:
+        """Return both surfaces as a section in the coordinates of the frame."""
+        return Section(anterior_mm=self.anterior_mm, posterior_mm=self.posterior_mm)
+
+    @property
+    def labels(self) -> NDArray[np.uint8]:
+        """Return the label image [row, column]: 1 where the centre of a pixel is cornea."""
+        labels = np.zeros(self.frame.grey.shape, dtype=np.uint8)
+        row = np.arange(len(labels))[:, None]
+        inside = (row >= self.anterior_row) & (row <= self.posterior_row)
+        labels[:, self.columns.astype(np.int64)] = inside
+        return labels
+
+
+@dataclass(frozen=True)
+class _Levels:
+    """Grey values of an image: darkness, tissue above it, pixel noise; pixels a length."""
+
+    background: float
+    contrast: float
+    noise: float
+    pixels: tuple[float, float]  # a millimetre along x and y
+
+    def down(self, mm: float, least: int = 1) -> int:
+        return max(least, round(mm * self.pixels[1]))
+
+
+def segment_frame(frame: Frame) -> SegmentedFrame:
+    """Return the two surfaces of the cornea in an image, to a fraction of a pixel.
+
+    1. The anterior surface is the path from left to right along which dark turns to bright
+       downwards, with darkness above and tissue below; the posterior one the path below it
+       where bright turns to dark. Both are found by dynamic programming, so gaps and
+       reflexes are crossed.
+    2. Each is refined in the image that has been straightened along its path and averaged
+       along it: the anterior one where the grey value changes fastest, the posterior one in
+       the middle of its fall.
+    3. A robust smooth curve is laid through the columns, weighted by how clear the edge is.
+
+    Parameters
+    ----------
+    frame : Frame
+        The whole width of the image should hold cornea; it may be missing near the sides.
+
+    Returns
+    -------
+    SegmentedFrame
+
+    Raises
+    ------
+    InputError
+        If there is no bright band with two edges across the image.
+    """
+    levels = _levels(frame)
+    grey = frame.grey
+    anterior = _refined(
+        grey, _anterior_path(grey, levels), levels, sign=1.0, wave_mm=ANTERIOR_WAVE_MM
+    )
+    seen = anterior.confidence > 0
+    _demand(seen, "anterior")
+    first, last = np.flatnonzero(seen)[[0, -1]]
+    columns = np.arange(first, last + 1)
+    anterior = anterior.between(first, last + 1)
+    grey = grey[:, first : last + 1]
+    posterior = _refined(
+        grey,
+        _posterior_path(grey, anterior.row, levels),
+        levels,
+        sign=-1.0,
+        wave_mm=POSTERIOR_WAVE_MM,
+    )
+    both = (posterior.confidence > 0) & (posterior.row < grey.shape[0] - 1)
+    _demand(both, "posterior")
+    first, last = np.flatnonzero(both)[[0, -1]]
+    anterior = anterior.between(first, last + 1)
+    posterior = posterior.between(first, last + 1)
+    thickness = (posterior.row - anterior.row) * frame.spacing_mm[1]
+    if not (np.all(thickness > 0) and np.median(thickness) < THICKNESS_MM[1]):
+        raise InputError(
+            "The bright band in the image is no cornea: its two edges meet or are "
+            f"{np.median(thickness):.2f} mm apart. {_ADVICE}"
+        )
+    return SegmentedFrame(
+        frame=frame,
+        columns=columns[first : last + 1].astype(np.float64),
+        anterior_row=anterior.row,
+        posterior_row=posterior.row,
+        anterior_confidence=anterior.confidence,
+        posterior_confidence=posterior.confidence,
+        anterior_rms_px=anterior.rms,
+        posterior_rms_px=posterior.rms,
+    )
+
+
+_ADVICE = (
+    "Give an image with the cornea as a bright band from left to right on a dark background, "
+    "and its pixel size in mm."
+)
+
+
+def _demand(seen: NDArray[np.bool_], surface: str) -> None:
+    if seen.mean() < MIN_SEEN:
+        raise InputError(
+            f"The {surface} surface of a cornea is seen in {100 * seen.mean():.0f} % of the "
+            f"columns of the image; at least {100 * MIN_SEEN:.0f} % are needed. {_ADVICE}"
+        )
+
+
+def _levels(frame: Frame) -> _Levels:
+    grey = frame.grey
+    if np.ptp(grey) == 0:
+        raise InputError(f"All grey values of the image are {grey.flat[0]:g}. {_ADVICE}")
+    soft = gaussian_filter(grey, 2.0)
+    bright = soft > threshold_otsu(soft)
+    background = float(np.median(grey[~bright]))
+    # Second differences along rows are free of the image's own slopes: variance 6 sigma^2.
+    rough = np.diff(grey, n=2, axis=1)[~bright[:, 1:-1]]
+    return _Levels(
+        background=background,
+        contrast=float(np.median(grey[bright])) - background,
+        noise=float(1.4826 * np.median(np.abs(rough)) / np.sqrt(6)),
+        pixels=(1 / frame.spacing_mm[0], 1 / frame.spacing_mm[1]),
+    )
+
+
+def _strip(image: FloatArray, begin: int, end: int) -> FloatArray:
+    """Return the mean of the rows from `begin` to before `end` below each pixel."""
+    length = end - begin
+    mean = uniform_filter1d(image, length, axis=0, mode="nearest", origin=0)
+    shift = begin + length // 2
+    index = np.clip(np.arange(image.shape[0]) + shift, 0, image.shape[0] - 1)
+    return np.asarray(mean[index])
+
+
+def _part(image: FloatArray, levels: _Levels) -> FloatArray:
+    """Return how bright an image is: 0 the background, 1 the typical tissue or more."""
+    return np.clip((image - levels.background) / levels.contrast, 0.0, 1.0)
+
+
+def _smoothed(grey: FloatArray, levels: _Levels) -> FloatArray:
+    sigma = [max(0.8, EDGE_MM * p) for p in levels.pixels]
+    return gaussian_filter(grey, (sigma[1], 2 * sigma[0]))
+
+
+def _slope_gain(slope: FloatArray) -> FloatArray:
+    """Return slopes as parts of half the typical largest one of a column, 0 to 1."""
+    typical = 0.5 * float(np.median(slope.max(axis=0)))
+    return np.clip(slope / max(typical, 1e-12), 0.0, 1.0)
+
+
+def _anterior_path(grey: FloatArray, levels: _Levels) -> FloatArray:
+    soft = _smoothed(grey, levels)
+    slope = np.gradient(soft, axis=0)
+    near, far = levels.down(0.05), levels.down(0.2, least=3)
+    below = _part(_strip(soft, near, far), levels)
+    above = _part(_strip(soft, -levels.down(0.4, least=5), -near), levels)
+    gain = _slope_gain(slope) + below - 2 * above
+    steepest = max(1, int(np.ceil(2 * levels.pixels[1] / levels.pixels[0])))
+    return best_path(gain, steepest, bend=0.05).astype(np.float64)
+
+
+def _posterior_path(grey: FloatArray, anterior: FloatArray, levels: _Levels) -> FloatArray:
+    nearest = levels.down(THICKNESS_MM[0], least=3)
+    farthest = levels.down(THICKNESS_MM[1])
+    tall = _straightened(grey, anterior, 0, farthest + levels.down(0.3), levels.background)
+    soft = _smoothed(tall, levels)
+    # Each column against its own tissue, as the light falls off towards the limbus.
+    tissue = np.median(soft[levels.down(0.08) : levels.down(0.2) + 2], axis=0)
+    tissue = gaussian_filter1d(tissue, max(1.0, 0.2 * levels.pixels[0])) - levels.background
+    soft = (soft - levels.background) / np.maximum(tissue, 0.1 * levels.contrast)
+    slope = -np.gradient(soft, axis=0)
+    near, far = levels.down(0.03), levels.down(0.15, least=3)
+    below = np.clip(_strip(soft, near, far), 0.0, 1.0)
+    above = np.clip(_strip(soft, -far, -near), 0.0, 1.0)
+    gain = _slope_gain(slope) + above - 2 * below
+    gain[:nearest] = -np.inf
+    gain[farthest:] = -np.inf
+    return anterior + best_path(gain, 1, bend=0.1)
+
+
+def _straightened(
+    grey: FloatArray, path: FloatArray, begin: int, end: int, outside: float
+) -> FloatArray:
+    """Return the rows from `begin` to before `end` below a path, shape (end - begin, k)."""
+    rows = path + np.arange(begin, end)[:, None]
+    columns = np.broadcast_to(np.arange(len(path)), rows.shape)
+    return np.asarray(
+        map_coordinates(grey, [rows, columns], order=1, mode="constant", cval=outside)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    row: FloatArray
+    confidence: FloatArray
+    rms: float
+
+    def between(self, first: int, last: int) -> "_Surface":
+        return _Surface(self.row[first:last], self.confidence[first:last], self.rms)
+
+
+def _refined(
+    grey: FloatArray, path: FloatArray, levels: _Levels, sign: float, wave_mm: float
+) -> _Surface:
+    """Return the surface near a path where the grey value rises (sign 1) or falls (-1)."""
+    width = wave_mm * levels.pixels[0]
+    weights = np.ones_like(path)
+    row = robust_smooth(path, weights, width)
+    for _ in range(3):
+        offset, weights = _edge_offset(grey, row, levels, sign)
+        if not weights.any():
+            return _Surface(row=row, confidence=weights, rms=np.inf)
+        edge = row + offset
+        row = robust_smooth(edge, weights, width)
+    residual = edge - row
+    rms = float(1.4826 * np.median(np.abs(residual[weights > 0])))
+    outlier = np.abs(residual) > np.maximum(5 * rms, 1.0)
+    return _Surface(row=row, confidence=np.where(outlier, 0.0, weights), rms=rms)
+
+
+def _steepest(slope: FloatArray) -> FloatArray:
+    """Return the place of the largest slope of each column, by a parabola through three.
+
+    The bright ridge below the anterior surface pulls it out by a quarter of a pixel of the
+    camera, half as much as the centre of the flank.
+    """
+    peak = np.clip(np.argmax(slope, axis=0), 1, len(slope) - 2)
+    before, top, after = (slope[peak + k, np.arange(slope.shape[1])] for k in (-1, 0, 1))
+    curvature = np.minimum(before - 2 * top + after, -1e-12)
+    return np.asarray(peak + np.clip(0.5 * (before - after) / curvature, -0.5, 0.5))
+
+
+def _flank_centre(slope: FloatArray, sigma: float) -> FloatArray:
+    """Return the centre of the slopes near the largest one of each column.
+
+    The posterior edge is faint and blurred over many pixels; there the centre scatters less
+    than the steepest place.
+    """
+    place = np.arange(len(slope))[:, None]
+    near = np.abs(place - np.argmax(slope, axis=0)) <= FLANK_SIGMA * sigma + 1
+    flank = np.where(near, np.maximum(slope, 0.0), 0.0)
+    return np.asarray(np.sum(place * flank, axis=0) / np.maximum(flank.sum(axis=0), 1e-12))
+
+
+def _edge_offset(
+    grey: FloatArray, row: FloatArray, levels: _Levels, sign: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return where the edge lies below a curve, in pixels, and how clear it is, 0 to 1."""
+    reach = levels.down(REFINE_MM, least=3)
+    side = levels.down(0.15, least=4)
+    tall = _straightened(grey, row, -reach - side, reach + side + 1, levels.background)
+    tall = gaussian_filter1d(tall, max(1.0, ALONG_MM * levels.pixels[0]), axis=1)
+    sigma = max(0.8, EDGE_MM * levels.pixels[1])
+    slope = sign * gaussian_filter1d(tall, sigma, axis=0, order=1)
+    window = slope[side : side + 2 * reach + 1]
+    offset = (_steepest(window) if sign > 0 else _flank_centre(window, sigma)) - reach
+    index = np.arange(tall.shape[0])[:, None] - (side + reach) - offset
+    near = sigma + 0.5
+    over = np.where((index < -near) & (index > -side), tall, np.nan)
+    under = np.where((index > near) & (index < side), tall, np.nan)
+    step = sign * (np.nanmean(under, axis=0) - np.nanmean(over, axis=0))
+    demanded = max(MIN_CONTRAST_NOISE * levels.noise, MIN_CONTRAST_PART * levels.contrast)
+    inside = (row + offset > 0.5) & (row + offset < grey.shape[0] - 1.5)
+    typical = max(float(np.median(step)), demanded)
+    clear = np.where((step > demanded) & inside, np.clip(step / typical, 0.0, 1.0), 0.0)
+    return offset, clear

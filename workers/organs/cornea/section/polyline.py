@@ -1,0 +1,40 @@
+"""Arclength on polylines."""
+
+import numpy as np
+
+from palpate.storage.values import FloatArray
+
+
+def arclength_mm(points_mm: FloatArray) -> FloatArray:
+    """Return the length of a polyline from its first point to each of its points.
+
+    Parameters
+    ----------
+    points_mm : ndarray, shape (n, 2)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Begins with zero; not descending.
+    """
+    steps = np.diff(points_mm, axis=0)
+    return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
+
+
+def points_at(points_mm: FloatArray, at_mm: FloatArray) -> FloatArray:
+    """Return the points of a polyline at given arclengths.
+
+    Parameters
+    ----------
+    points_mm : ndarray, shape (n, 2)
+    at_mm : ndarray, shape (k,)
+        Arclengths from the first point; beyond the ends, the end is returned.
+
+    Returns
+    -------
+    ndarray, shape (k, 2)
+    """
+    along = arclength_mm(points_mm)
+    return np.column_stack(
+        [np.interp(at_mm, along, points_mm[:, 0]), np.interp(at_mm, along, points_mm[:, 1])]
+    )

@@ -1,0 +1,57 @@
+"""How the simulation of a cornea has ended, as a study records it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from palpate.storage.values import FloatArray
+from palpate.workers.organs.cornea.solver.solve import CorneaSolution
+
+
+@dataclass(frozen=True, eq=False)
+class CorneaOutcome:
+    """A solution, seen as the `Solution` and the `Outcome` of `workers.organs.organ`.
+
+    Parameters
+    ----------
+    solution : CorneaSolution
+    """
+
+    solution: CorneaSolution
+
+    @property
+    def displacement_mm(self) -> FloatArray:
+        """Return the displacement of the nodes, shape (n, 2)."""
+        return self.solution.displacement_mm
+
+    @property
+    def outcome(self) -> "CorneaOutcome":
+        """Return itself: how the simulation has ended."""
+        return self
+
+    @property
+    def converged(self) -> bool:
+        """Return whether the displacement is in equilibrium with the whole load."""
+        return self.solution.converged
+
+    @property
+    def reason(self) -> str:
+        """Return why it diverged; empty when it converged."""
+        return self.solution.reason
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the outcome as plain values, units in their names."""
+        s = self.solution
+        return {
+            "converged": s.converged,
+            "apex_displacement_um": s.apex_displacement_um,
+            "jet_fraction": s.jet_fraction,
+            "min_j": s.min_j if np.isfinite(s.min_j) else None,
+            "stable": s.stable,
+            "load_steps": s.load_steps,
+            "cuts": s.cuts,
+            "prestress_iterations": s.prestress_iterations,
+            "newton_iterations": [s.newton_iterations],
+            "factorisations": s.factorisations,
+        }

@@ -1,0 +1,297 @@
+r"""Out-of-balance force and tangent of 6-node triangles, total Lagrangian.
+
+An element is described against its stress-free state. With the gradient
+:math:`F_0` from that state to the one in the image (1 without pre-stretch), the total
+gradient is :math:`F = F_0 + \sum_n u_n \otimes \tilde G_n`, :math:`\tilde G_n = G_n F_0`,
+where G are gradients in the image; with weights :math:`w / \det F_0` nothing else changes.
+The stress may have an initial part, :math:`S = S(F) + S_0`.
+
+With the nominal stress P = F S and its slope
+
+.. math:: A_{iJkL} = F_{iM} D_{MJNL} F_{kN} + \delta_{ik} S_{JL} ,
+
+the force of node n is :math:`w P_{iJ} G_{nJ}` and the tangent between nodes n and m
+:math:`w G_{nJ} A_{iJkL} G_{mL}`. An axisymmetric section has the hoop as a fifth component,
+with N/R for a gradient. The six nodes of a triangle lie side by side in a short vector.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.compile_flags import CONTRACTED
+from palpate.workers.mechanics.fem.elements.simd import LANES, load, store
+from palpate.workers.organs.cornea.material.constants import OgdenLaw
+from palpate.workers.organs.cornea.material.ogden_stress import AXISYMMETRIC, second_piola
+from palpate.workers.organs.cornea.solver.envelope_lu import Envelope
+
+NOTHING = np.empty(0)
+
+
+class Elements(NamedTuple):
+    """Triangles and their stress-free state.
+
+    Parameters
+    ----------
+    triangles : ndarray of int32, shape (m, 6)
+    gradients : ndarray, shape (m, q, 2, 8)
+        Of the six shape functions in the stress-free state, in 1/mm.
+    hoop : ndarray, shape (m, q, 8)
+        Shape functions over the stress-free radius in 1/mm.
+    weights : ndarray, shape (m, q)
+        Stress-free measure of a point.
+    prestretch : ndarray, shape (m, q, 4)
+        F11, F12, F21, F22 where the displacement is zero.
+    out_of_plane : ndarray, shape (m, q)
+        Stretch of the hoop where the displacement is zero.
+    initial_stress : ndarray, shape (m, q, 4)
+        S11, S22, S12, S33 in MPa.
+    stiffness : ndarray, shape (m,)
+        Factor of the moduli.
+    """
+
+    triangles: IntArray
+    gradients: FloatArray
+    hoop: FloatArray
+    weights: FloatArray
+    prestretch: FloatArray
+    out_of_plane: FloatArray
+    initial_stress: FloatArray
+    stiffness: FloatArray
+
+
+@njit(inline="always", **CONTRACTED)
+def _deformation(
+    u: FloatArray, elements: Elements, e: int, q: int
+) -> tuple[float, float, float, float, float]:
+    """Return F11, F12, F21, F22 and the stretch of the hoop."""
+    f11, f12 = elements.prestretch[e, q, 0], elements.prestretch[e, q, 1]
+    f21, f22 = elements.prestretch[e, q, 2], elements.prestretch[e, q, 3]
+    f33 = elements.out_of_plane[e, q]
+    for n in range(6):
+        node = elements.triangles[e, n]
+        g1, g2 = elements.gradients[e, q, 0, n], elements.gradients[e, q, 1, n]
+        u1, u2 = u[node, 0], u[node, 1]
+        f11 += u1 * g1
+        f12 += u1 * g2
+        f21 += u2 * g1
+        f22 += u2 * g2
+        f33 += u1 * elements.hoop[e, q, n]
+    return f11, f12, f21, f22, f33
+
+
+@njit(**CONTRACTED)
+def _nominal_slope(
+    f11: float,
+    f12: float,
+    f21: float,
+    f22: float,
+    f33: float,
+    S: FloatArray,
+    D: FloatArray,
+    A: FloatArray,
+) -> None:
+    """Write the slope of P11, P12, P21, P22, P33 by the components of F into A, (5, 5)."""
+    # Rows: d(E11, E22, 2 E12, E33) by each component of F.
+    columns = ((f11, 0.0, f12), (0.0, f12, f11), (f21, 0.0, f22), (0.0, f22, f21))
+    for i in range(4):
+        a, b, c = columns[i]
+        d0 = a * D[0, 0] + b * D[1, 0] + c * D[2, 0]
+        d1 = a * D[0, 1] + b * D[1, 1] + c * D[2, 1]
+        d2 = a * D[0, 2] + b * D[1, 2] + c * D[2, 2]
+        for j in range(i, 4):
+            x, y, z = columns[j]
+            A[i, j] = d0 * x + d1 * y + d2 * z
+            A[j, i] = A[i, j]
+        A[i, 4] = f33 * (a * D[0, 3] + b * D[1, 3] + c * D[2, 3])
+        A[4, i] = A[i, 4]
+    A[4, 4] = f33 * f33 * D[3, 3] + S[3]
+    for i in (0, 2):
+        A[i, i] += S[0]
+        A[i + 1, i + 1] += S[1]
+        A[i, i + 1] += S[2]
+        A[i + 1, i] += S[2]
+
+
+@njit(**CONTRACTED)
+def _add_tangent(
+    elements: Elements, e: int, q: int, A: FloatArray, kind: int, tangent: FloatArray
+) -> None:
+    """Add ``w G A G`` of one point to the tangent, (2, 6, 2, 8): component and node, twice."""
+    gradients, hoop = elements.gradients, elements.hoop
+    w = elements.weights[e, q]
+    point = e * elements.weights.shape[1] + q
+    g1, g2 = w * load(gradients, 2 * point), w * load(gradients, 2 * point + 1)
+    # Columns by the x and the y components of the nodes, for each row of A.
+    x0, y0 = A[0, 0] * g1 + A[0, 1] * g2, A[0, 2] * g1 + A[0, 3] * g2
+    x1, y1 = A[1, 0] * g1 + A[1, 1] * g2, A[1, 2] * g1 + A[1, 3] * g2
+    x2, y2 = A[2, 0] * g1 + A[2, 1] * g2, A[2, 2] * g1 + A[2, 3] * g2
+    x3, y3 = A[3, 0] * g1 + A[3, 1] * g2, A[3, 2] * g1 + A[3, 3] * g2
+    if kind == AXISYMMETRIC:
+        h = w * load(hoop, point)
+        x0, x1, x2, x3 = x0 + A[0, 4] * h, x1 + A[1, 4] * h, x2 + A[2, 4] * h, x3 + A[3, 4] * h
+        x4 = A[4, 0] * g1 + A[4, 1] * g2 + A[4, 4] * h
+        y4 = A[4, 2] * g1 + A[4, 3] * g2
+        for n in range(6):
+            hn = hoop[e, q, n]
+            store(tangent, 2 * n, load(tangent, 2 * n) + hn * x4)
+            store(tangent, 2 * n + 1, load(tangent, 2 * n + 1) + hn * y4)
+    for n in range(6):
+        a, b = gradients[e, q, 0, n], gradients[e, q, 1, n]
+        x, y = 2 * n, 12 + 2 * n
+        store(tangent, x, load(tangent, x) + a * x0 + b * x1)
+        store(tangent, x + 1, load(tangent, x + 1) + a * y0 + b * y1)
+        store(tangent, y, load(tangent, y) + a * x2 + b * x3)
+        store(tangent, y + 1, load(tangent, y + 1) + a * y2 + b * y3)
+
+
+@njit(**CONTRACTED)
+def _scatter(
+    rows: IntArray,
+    force: FloatArray,
+    tangent: FloatArray,
+    residual: FloatArray,
+    envelope: Envelope,
+    values: FloatArray,
+) -> None:
+    """Add force and tangent of one triangle; its unknowns in x, then in y, are `rows`, (2, 6)."""
+    for i in range(2):
+        for n in range(6):
+            row = rows[i, n]
+            if row < 0:
+                continue
+            residual[row] += force[i, n]
+            if len(values) == 0:
+                continue
+            start = envelope.row_starts[row]
+            for j in range(2):
+                for m in range(6):
+                    if rows[j, m] >= 0:
+                        values[start + rows[j, m]] += tangent[i, n, j, m]
+
+
+@njit(**CONTRACTED)
+def assemble(
+    u: FloatArray,
+    elements: Elements,
+    law: OgdenLaw,
+    kind: int,
+    equations: IntArray,
+    residual: FloatArray,
+    envelope: Envelope,
+    values: FloatArray,
+) -> float:
+    """Add the internal force and, if `values` is not empty, the tangent.
+
+    Parameters
+    ----------
+    u : ndarray, shape (n, 2)
+        Displacement in mm from the state of the prestretch.
+    elements : Elements
+    law : OgdenLaw
+    kind : int
+        See `ogden_stress`.
+    equations : ndarray of int32, shape (n, 2)
+        Unknown of each component, -1 where it is held.
+    residual : ndarray, shape (unknowns,)
+        In N per mm of thickness, or N per radian.
+    envelope : Envelope
+    values : ndarray
+
+    Returns
+    -------
+    float
+        Smallest volume ratio; zero, and the rest meaningless, if a triangle is turned
+        inside out.
+    """
+    S, D, A = np.empty(4), np.empty((4, 4)), np.empty((5, 5))
+    powers = np.empty((len(law.exponent), 3))
+    force, tangent = np.empty((2, 6)), np.empty((2, 6, 2, LANES))
+    rows = np.empty((2, 6), dtype=np.int32)
+    with_tangent = len(values) > 0
+    smallest = np.inf
+    for e in range(elements.triangles.shape[0]):
+        force[:] = 0.0
+        if with_tangent:
+            tangent[:] = 0.0
+        for q in range(elements.weights.shape[1]):
+            f11, f12, f21, f22, f33 = _deformation(u, elements, e, q)
+            if not (f11 * f22 - f12 * f21 > 0.0 and f33 > 0.0):
+                return 0.0
+            J = second_piola(
+                f11 * f11 + f21 * f21,
+                f12 * f12 + f22 * f22,
+                f11 * f12 + f21 * f22,
+                f33,
+                law,
+                elements.stiffness[e],
+                kind,
+                with_tangent,
+                powers,
+                S,
+                D,
+            )
+            smallest = min(smallest, J)
+            for a in range(4):
+                S[a] += elements.initial_stress[e, q, a]
+            w = elements.weights[e, q]
+            p11, p12 = w * (f11 * S[0] + f12 * S[2]), w * (f11 * S[2] + f12 * S[1])
+            p21, p22 = w * (f21 * S[0] + f22 * S[2]), w * (f21 * S[2] + f22 * S[1])
+            p33 = w * f33 * S[3]
+            for n in range(6):
+                g1, g2 = elements.gradients[e, q, 0, n], elements.gradients[e, q, 1, n]
+                force[0, n] += p11 * g1 + p12 * g2 + p33 * elements.hoop[e, q, n]
+                force[1, n] += p21 * g1 + p22 * g2
+            if with_tangent:
+                _nominal_slope(f11, f12, f21, f22, f33, S, D, A)
+                _add_tangent(elements, e, q, A, kind, tangent)
+        for n in range(6):
+            rows[0, n] = equations[elements.triangles[e, n], 0]
+            rows[1, n] = equations[elements.triangles[e, n], 1]
+        _scatter(rows, force, tangent, residual, envelope, values)
+    return smallest
+
+
+@njit(**CONTRACTED)
+def deformed_state(
+    u: FloatArray, elements: Elements, law: OgdenLaw, kind: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the total gradient, the stretch out of the plane and the total stress.
+
+    Returns
+    -------
+    gradient : ndarray, shape (m, q, 4)
+        F11, F12, F21, F22 from the stress-free state.
+    out_of_plane : ndarray, shape (m, q)
+    stress : ndarray, shape (m, q, 4)
+        S11, S22, S12, S33 in MPa, the initial stress included.
+    """
+    m, points = elements.weights.shape
+    gradient, stress = np.empty((m, points, 4)), np.empty((m, points, 4))
+    out_of_plane = np.empty((m, points))
+    powers = np.empty((len(law.exponent), 3))
+    S, D = np.empty(4), np.empty((4, 4))
+    for e in range(m):
+        for q in range(points):
+            f11, f12, f21, f22, f33 = _deformation(u, elements, e, q)
+            J = second_piola(
+                f11 * f11 + f21 * f21,
+                f12 * f12 + f22 * f22,
+                f11 * f12 + f21 * f22,
+                f33,
+                law,
+                elements.stiffness[e],
+                kind,
+                False,
+                powers,
+                S,
+                D,
+            )
+            gradient[e, q, 0], gradient[e, q, 1] = f11, f12
+            gradient[e, q, 2], gradient[e, q, 3] = f21, f22
+            out_of_plane[e, q] = J / (f11 * f22 - f12 * f21)
+            for a in range(4):
+                stress[e, q, a] = S[a] + elements.initial_stress[e, q, a]
+    return gradient, out_of_plane, stress

@@ -1,0 +1,303 @@
+"""What was observed of a specimen: points of its body, their displacements, and their noise."""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray, Triple
+from palpate.workers.comparison.observation.marker_noise import (
+    Scatter,
+    component_covariance,
+    scatter_of,
+)
+from palpate.workers.comparison.observation.marker_recording import Recording, read_recording
+from palpate.workers.comparison.observation.rigid_registration import misfit_mm, rotation_to
+from palpate.workers.mechanics.fem.problem.loads import DisplacementField
+from palpate.workers.organs.specimen.problem import held_axes, region_of
+from palpate.workers.organs.specimen.readings.field_tables import MOVE, FieldTables, read_field
+from palpate.workers.organs.specimen.spec import FieldSpec, MarkersSpec, SpecimenSpec
+
+# Markers at rest this far off their places have been mixed up, or misread.
+FARTHEST_MM = 10.0
+# Points of a field that show how a region moves, at least: an affine motion of a plane.
+FEWEST = 4
+# Repeats that scatter by more than so many times the stated noise need a confirmation, and so
+# does a single point that repeats place this much further apart.
+MOST_SCATTER, MOST_OF_ONE = 5.0, 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Displacements of k points in s states.
+
+    Parameters
+    ----------
+    points_mm : ndarray, shape (k, 3)
+        Where the model believes them, in the frame of the body.
+    names : tuple of str
+    moved_mm : ndarray, shape (s, k, 3)
+        Means over the repeats; nan for components that were not measured.
+    covariance : ndarray, shape (s m, s m)
+        Of the m components that are compared in each state; see
+        `workers.comparison.observation.marker_noise.component_covariance`.
+    sd_mm : float
+        Of a component of one point, typically.
+    misfit_mm : float
+        Of the markers at rest from the places they should have; 0 without a frame.
+    repeats_mm : tuple of float
+        Mean absolute difference between the first two repeats of each state; nan for one.
+    boundary_mm : ndarray, shape (b, 3)
+        Points of a field whose displacement is prescribed; none of the k points.
+    boundary_moved_mm : ndarray, shape (s, b, 3)
+    notes : tuple of str
+        Sentences about what is missing in the recordings.
+    scatter : str
+        How far repeats differ, where that is far more than stated; empty otherwise.
+    """
+
+    points_mm: FloatArray
+    names: tuple[str, ...]
+    moved_mm: FloatArray
+    covariance: FloatArray
+    sd_mm: float
+    misfit_mm: float
+    repeats_mm: tuple[float, ...]
+    boundary_mm: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    boundary_moved_mm: FloatArray = field(default_factory=lambda: np.empty((0, 0, 3)))
+    notes: tuple[str, ...] = ()
+    scatter: str = ""
+
+    @property
+    def measured(self) -> BoolArray:
+        """Return which components are compared, shape (k, 3)."""
+        return np.all(np.isfinite(self.moved_mm), axis=0)
+
+    def boundary_of(self, state: int, spec: SpecimenSpec) -> dict[str, DisplacementField]:
+        """Return how each region moves that moves as was measured, in one of the states."""
+        found = {}
+        for name in spec.measured_regions:
+            inside = region_of(spec.regions[name]).contains(self.boundary_mm)
+            points, moved = self.boundary_mm[inside], self.boundary_moved_mm[state, inside]
+            found[name] = DisplacementField(_triples(points), _triples(moved))
+        return found
+
+
+class _Noisy(Protocol):
+    @property
+    def sd_mm(self) -> float: ...
+    @property
+    def common_sd_mm(self) -> float | None: ...
+
+
+def observed(spec: SpecimenSpec, folder: Path) -> Observed:
+    """Read what the states of an experiment show.
+
+    Parameters
+    ----------
+    spec : SpecimenSpec
+    folder : Path
+        To which the names of its files are relative.
+
+    Raises
+    ------
+    InputError
+        If a file is missing or lacks a column, or states show different points.
+    """
+    if spec.markers is not None:
+        return _of_markers(spec, spec.markers, folder)
+    if spec.field is None:
+        raise AssertionError("an experiment has markers or a field")
+    return _of_field(spec, spec.field, folder)
+
+
+def _of_markers(spec: SpecimenSpec, markers: MarkersSpec, folder: Path) -> Observed:
+    names = tuple(markers.markers)
+    wanted = list(dict.fromkeys([*names, *(markers.frame.at_rest_mm if markers.frame else ())]))
+    read = partial(
+        read_recording,
+        time=markers.time,
+        column=markers.column,
+        names=wanted,
+        mm_per_unit=markers.mm_per_unit,
+    )
+    repeats, misfits, notes = [], [0.0], []
+    for state in spec.states:
+        recordings = [read(folder / file) for file in state.files]
+        repeats.append(np.stack([_displacements(r, markers) for r in recordings]))
+        misfits += [_misfit(r, markers) for r in recordings]
+        notes += [note for r in recordings for note in r.notes]
+    points = np.array([m.at_mm for m in markers.markers.values()], np.float64)
+    found = _observed(points, names, repeats, markers, max(misfits))
+    return _with_scatter(replace(found, notes=tuple(notes)), spec, repeats, markers)
+
+
+def _of_field(spec: SpecimenSpec, field: FieldSpec, folder: Path) -> Observed:
+    tables = read_field(spec, folder)
+    points, measured = tables.points_mm, tables.measured
+    inside = _on_boundary(spec, tables)
+    compared = ~inside & measured.any(axis=1)
+    if not compared.any():
+        raise InputError("All points of the field prescribe what moves; none is left to compare.")
+    own = [np.where(measured, r, np.nan)[:, compared] for r in tables.repeats_mm]
+    names = tuple(str(n) for n in np.flatnonzero(compared))
+    # What is not measured at a point that prescribes is not prescribed along that axis either.
+    boundary = [np.nan_to_num(r[:, inside].mean(axis=0)) for r in tables.repeats_mm]
+    found = replace(
+        _observed(points[compared], names, own, field, 0.0),
+        boundary_mm=points[inside],
+        boundary_moved_mm=np.stack(boundary),
+        notes=tables.notes,
+    )
+    return _with_scatter(found, spec, own, field)
+
+
+def _on_boundary(spec: SpecimenSpec, tables: FieldTables) -> BoolArray:
+    """Return which points of a field prescribe how a region moves, shape (k,)."""
+    points = tables.points_mm
+    inside = np.zeros(len(points), np.bool_)
+    for name in spec.measured_regions:
+        axes = _measured_axes(spec, name)
+        known = tables.measured[:, axes]
+        absent = np.flatnonzero(~known.any(axis=0))
+        if len(absent):
+            raise InputError(
+                f"The region {name} moves as was measured, but {MOVE[axes[absent[0]]]} was not "
+                "measured. Add the column, or list the axes that were measured: axes: [...]."
+            )
+        there = region_of(spec.regions[name]).contains(points)
+        here = there & known.all(axis=1)
+        if here.sum() < FEWEST:
+            raise InputError(
+                f"The region {name} moves as was measured, but {int(here.sum())} points of the "
+                f"field with a displacement are in it; at least {FEWEST} are needed. Give it as a "
+                "box that holds a layer of points."
+            )
+        if len(np.unique(points[here], axis=0)) < here.sum():
+            raise InputError(
+                f"The region {name} moves as was measured, but points of the field in it are "
+                "listed twice. List each point once, with one displacement."
+            )
+        inside |= here
+    return inside
+
+
+def _measured_axes(spec: SpecimenSpec, region: str) -> list[int]:
+    """Return the axes along which a region moves as was measured, in some state."""
+    moves = [m for state in spec.states for m in state.moves if m.region == region and m.measured]
+    return [a for a in range(3) if any(held_axes(m.axes)[a] for m in moves)]
+
+
+def _triples(rows: FloatArray) -> tuple[Triple, ...]:
+    return tuple((float(x), float(y), float(z)) for x, y, z in rows)
+
+
+def _displacements(recording: Recording, markers: MarkersSpec) -> FloatArray:
+    """Return those of each marker in the frame of the body, shape (k, 3)."""
+    moved = np.array(
+        [
+            recording.mean(name, markers.loaded_s) - recording.mean(name, markers.rest_s)
+            for name in markers.markers
+        ]
+    )
+    return moved if markers.frame is None else moved @ rotation_to(*_at_rest(recording, markers)).T
+
+
+def _misfit(recording: Recording, markers: MarkersSpec) -> float:
+    if markers.frame is None:
+        return 0.0
+    off = misfit_mm(*_at_rest(recording, markers))
+    worst = int(off.argmax())
+    if off[worst] > FARTHEST_MM:
+        raise InputError(
+            f"The marker {list(markers.frame.at_rest_mm)[worst]} lies {off[worst]:.1f} mm off its "
+            "place at rest after the best rigid motion. Check markers.frame.at_rest_mm and "
+            "markers.mm_per_unit: places may be mixed up, or in another unit."
+        )
+    return float(np.sqrt((off**2).mean()))
+
+
+def _at_rest(recording: Recording, markers: MarkersSpec) -> tuple[FloatArray, FloatArray]:
+    if markers.frame is None:
+        raise AssertionError("only a frame is fitted")
+    wanted = markers.frame.at_rest_mm
+    at_rest = np.array([recording.mean(name, markers.rest_s) for name in wanted])
+    return np.array(list(wanted.values()), np.float64), at_rest
+
+
+def _observed(
+    points: FloatArray,
+    names: tuple[str, ...],
+    repeats: list[FloatArray],
+    stated: _Noisy,
+    misfit: float,
+) -> Observed:
+    if len({r.shape[1] for r in repeats}) > 1:
+        raise InputError("All states must show the same points.")
+    measured = np.isfinite(repeats[0][0])
+    several = [_complete(r) for r in repeats if len(r) > 1]
+    typical = _pooled([scatter_of(r) for r in several]) if several else Scatter(0.0, 0.0)
+    scatters = [scatter_of(_complete(r)) if len(r) > 1 else typical for r in repeats]
+    floor = Scatter(stated.sd_mm, stated.common_sd_mm or 0.0)
+    counts = [len(r) for r in repeats]
+    whole = component_covariance(scatters, len(points), counts, floor)
+    if not measured.all():
+        compared = np.tile(measured.ravel(), len(repeats))
+        whole = whole[np.ix_(compared, compared)]
+    differ = [
+        float(np.nanmean(np.abs(r[0] - r[1]))) if len(r) > 1 else float("nan") for r in repeats
+    ]
+    return Observed(
+        points,
+        names,
+        np.stack([r.mean(axis=0) for r in repeats]),
+        whole,
+        float(np.sqrt(np.diag(whole).mean())),
+        misfit,
+        tuple(differ),
+    )
+
+
+def _complete(repeats: FloatArray) -> FloatArray:
+    """Return repeats of the points and axes of which all is measured, shape (r, k, axes)."""
+    axes = np.isfinite(repeats).all(axis=0).any(axis=0)
+    found = repeats[..., axes]
+    points = np.isfinite(found).all(axis=(0, 2))
+    if not points.any():
+        raise InputError(
+            "No point of the field is complete in all repeats of a state, so nothing tells their "
+            "noise. Leave out the repeat that lacks most."
+        )
+    return np.asarray(found[:, points])
+
+
+def _with_scatter(
+    found: Observed, spec: SpecimenSpec, repeats: list[FloatArray], stated: _Noisy
+) -> Observed:
+    """Add how far repeats differ, where that is far more than stated."""
+    expected = float(np.hypot(stated.sd_mm, stated.common_sd_mm or 0.0))
+    for state, moved in zip(spec.states, repeats, strict=True):
+        if len(moved) < 2:
+            continue
+        scatter = scatter_of(_complete(moved))
+        size = float(np.hypot(scatter.own_mm, scatter.common_mm))
+        away = np.sqrt(np.nanmean(moved.var(axis=0, ddof=1), axis=1))
+        worst = int(np.nanargmax(away))
+        if size <= MOST_SCATTER * expected and away[worst] <= MOST_OF_ONE * expected:
+            continue
+        text = (
+            f"The repeats of the state {state.name} scatter by {size:.2g} mm, "
+            f"{size / expected:.2g} times the stated {expected:.2g} mm; {found.names[worst]} "
+            f"scatters most, by {away[worst]:.2g} mm."
+        )
+        return replace(found, scatter=text)
+    return found
+
+
+def _pooled(scatters: list[Scatter]) -> Scatter:
+    own = np.sqrt(np.mean([s.own_mm**2 for s in scatters]))
+    common = np.sqrt(np.mean([s.common_mm**2 for s in scatters]))
+    return Scatter(float(own), float(common))

@@ -1,0 +1,247 @@
+"""Mesh files as tetrahedra or triangles, or a refusal of what is not read.
+
+Hexahedra, wedges, pyramids and pixels are split; of cells with nodes on their edges the
+corners count. Where a file holds volume cells, they are the body, and surfaces beside
+them are left out.
+"""
+
+import io
+from collections import Counter
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+import meshio
+import numpy as np
+from numpy.typing import NDArray
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import BoolArray, FloatArray
+from palpate.workers.organs.specimen.readings.deck_keywords import check_deck
+
+Indices = NDArray[np.int64]
+
+# Corners of each face of a volume cell, and the number of its corners.
+_TETRA = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
+_PYRAMID = ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4))
+_WEDGE = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5))
+_BRICK = (
+    (0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7),
+)  # fmt: skip
+_VOXEL = tuple(tuple((0, 1, 3, 2, 4, 5, 7, 6)[c] for c in face) for face in _BRICK)
+VOLUMES: dict[str, tuple[int, tuple[tuple[int, ...], ...]]] = {
+    **dict.fromkeys(("tetra", "tetra10"), (4, _TETRA)),
+    **dict.fromkeys(("pyramid", "pyramid13", "pyramid14"), (5, _PYRAMID)),
+    **dict.fromkeys(("wedge", "wedge15", "wedge18"), (6, _WEDGE)),
+    **dict.fromkeys(("hexahedron", "hexahedron20", "hexahedron24", "hexahedron27"), (8, _BRICK)),
+    "voxel": (8, _VOXEL),
+}
+SURFACES: dict[str, tuple[tuple[int, int, int], ...]] = {
+    **dict.fromkeys(("triangle", "triangle6", "triangle7"), ((0, 1, 2),)),
+    **dict.fromkeys(("quad", "quad8", "quad9"), ((0, 1, 2), (0, 2, 3))),
+    "pixel": ((0, 1, 3), (0, 3, 2)),
+}
+NO_BODY = ("vertex", "line")
+# Cells of less than this part of the mean volume are flat.
+FLAT = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class MeshFile:
+    """A body as its file holds it.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (m, 4, 3) or (m, 3, 3)
+        Of tetrahedra, or of the triangles of a surface, in mm.
+    cell : ndarray of int, shape (m,)
+        The cell of the file that each is a part of, counted over all blocks of volume cells.
+    labels : dict of str to ndarray
+        Data of these cells.
+    notes : tuple of str
+        Sentences about what was left out.
+    """
+
+    corners: FloatArray
+    cell: Indices
+    labels: dict[str, FloatArray]
+    notes: tuple[str, ...]
+
+    @property
+    def is_solid(self) -> bool:
+        """Whether the file holds volume cells."""
+        return self.corners.shape[1] == 4
+
+
+def read_mesh_file(path: Path, mm_per_unit: float) -> MeshFile:
+    """Read the body of a mesh file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or holds cells or points that make no body.
+    """
+    mesh = _read(path)
+    blocks = [(b.type, np.asarray(b.data)) for b in mesh.cells if len(b.data)]
+    _check_kinds(path, blocks)
+    points = _points(path, mesh, mm_per_unit)
+    solid = [n for n, block in enumerate(mesh.cells) if block.type in VOLUMES and len(block.data)]
+    if solid:
+        return _solid(path, mesh, points, solid)
+    return _surface(path, points, [(kind, data) for kind, data in blocks if kind in SURFACES])
+
+
+def _read(path: Path) -> meshio.Mesh:
+    check_deck(path)
+    said = io.StringIO()
+    try:
+        # meshio prints what went wrong, and takes the header of a text for a count.
+        with redirect_stdout(said), redirect_stderr(said), np.errstate(all="ignore"):
+            return meshio.read(path)
+    except (Exception, SystemExit) as error:  # of damaged files it raises nearly anything
+        why = " ".join(said.getvalue().split()) or str(error) or type(error).__name__
+        raise InputError(f"{path} cannot be read as a mesh: {why}.") from error
+
+
+def _check_kinds(path: Path, blocks: list[tuple[str, Indices]]) -> None:
+    counts = Counter[str]()
+    for kind, data in blocks:
+        counts[kind] += len(data)
+    unread = {
+        kind: count
+        for kind, count in counts.items()
+        if kind not in VOLUMES and kind not in SURFACES and not kind.startswith(NO_BODY)
+    }
+    if unread:
+        found = ", ".join(f"{count} {kind}" for kind, count in unread.items())
+        raise InputError(
+            f"{path} holds cells that are not read: {found}. Read are {', '.join(VOLUMES)} and, "
+            "where there are none of these, surfaces of triangles and quadrilaterals. Convert them."
+        )
+    if not set(counts) & (set(VOLUMES) | set(SURFACES)):
+        found = ", ".join(counts) or "no cells"
+        raise InputError(
+            f"{path} must hold volume cells such as tetrahedra, or a surface of triangles, found "
+            f"{found}."
+        )
+
+
+def _points(path: Path, mesh: meshio.Mesh, mm_per_unit: float) -> FloatArray:
+    points = np.asarray(mesh.points, np.float64) * mm_per_unit
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"{path} is flat: its points have {points.shape[-1]} coordinates, not 3.")
+    return points
+
+
+def _checked(path: Path, kind: str, data: Indices, points: FloatArray) -> Indices:
+    """Return the points of cells, all of which exist and are finite."""
+    bad = (data < 0) | (data >= len(points))
+    if bad.any():
+        cell = int(np.flatnonzero(bad.any(axis=1))[0])
+        raise InputError(
+            f"{path}: cell {cell} of {kind} refers to the point {data[bad][0]}, counted from 0, "
+            f"but the file has {len(points)} points. Export it again."
+        )
+    lost = ~np.isfinite(points[data]).all(axis=2)
+    if lost.any():
+        raise InputError(
+            f"{path}: the point {data[lost][0]}, counted from 0, has coordinates that are no "
+            "finite numbers. Export it again."
+        )
+    return data
+
+
+def _solid(path: Path, mesh: meshio.Mesh, points: FloatArray, blocks: list[int]) -> MeshFile:
+    """Return volume cells as tetrahedra, without flat ones."""
+    corners, cells, first = [], [], 0
+    for block in (mesh.cells[n] for n in blocks):
+        count, faces = VOLUMES[block.type]
+        data = _checked(path, block.type, np.asarray(block.data, np.int64)[:, :count], points)
+        parts, owner = _split(points, data, faces) if count > 4 else (points[data], _all(data))
+        corners.append(parts)
+        cells.append(owner + first)
+        first += len(data)
+    every, cell = np.concatenate(corners), np.concatenate(cells)
+    size = np.abs(np.linalg.det(every[:, 1:] - every[:, :1])) / 6
+    whole = np.bincount(cell, size, first)
+    if not whole.sum() > 0:
+        raise InputError(f"{path} holds {first} volume cells, all of them flat.")
+    flat = whole < FLAT * whole.mean()
+    kept = ~flat[cell] & (size > 0)
+    labels = {
+        name: np.concatenate(
+            [np.asarray(data[n]).reshape(len(mesh.cells[n].data), -1)[:, 0] for n in blocks]
+        )
+        for name, data in mesh.cell_data.items()
+        if all(np.asarray(data[n]).size == len(mesh.cells[n].data) for n in blocks)
+    }
+    return MeshFile(every[kept], cell[kept], labels, tuple(_notes(path, mesh, flat)))
+
+
+def _all(data: Indices) -> Indices:
+    return np.arange(len(data), dtype=np.int64)
+
+
+def _split(
+    points: FloatArray, data: Indices, faces: tuple[tuple[int, ...], ...]
+) -> tuple[FloatArray, Indices]:
+    """Return tetrahedra between the middle of each cell and its faces, and their cells.
+
+    A face of four corners is cut through its lowest point, as its neighbour cuts it, so cells
+    with warped faces leave no gap.
+    """
+    middle = points[data].mean(axis=1)
+    triangles = []
+    for face in faces:
+        ring = data[:, face]
+        if len(face) == 3:
+            triangles.append(ring)
+            continue
+        start = ring.argmin(axis=1)[:, None]
+        ring = np.take_along_axis(ring, (start + np.arange(4)) % 4, axis=1)
+        triangles += [ring[:, [0, 1, 2]], ring[:, [0, 2, 3]]]
+    every = np.concatenate(triangles)
+    owner = np.tile(_all(data), len(triangles))
+    return np.concatenate([middle[owner][:, None], points[every]], axis=1), owner
+
+
+def _notes(path: Path, mesh: meshio.Mesh, flat: BoolArray) -> list[str]:
+    """Return sentences about cells that are no part of the body."""
+    notes = []
+    if flat.any():
+        notes.append(
+            f"{int(flat.sum())} of {len(flat)} cells of {path.name} are flat and left out."
+        )
+    beside = sum(len(block.data) for block in mesh.cells if block.type in SURFACES)
+    if beside:
+        notes.append(f"{beside} surface cells of {path.name} are no part of the body.")
+    return notes
+
+
+def _surface(path: Path, points: FloatArray, blocks: list[tuple[str, Indices]]) -> MeshFile:
+    """Return the triangles of a surface, each facet once."""
+    triangles = np.concatenate(
+        [
+            _checked(path, kind, data, points)[:, list(part)]
+            for kind, data in blocks
+            for part in SURFACES[kind]
+        ]
+    ).astype(np.int64)
+    used, index = np.unique(points[triangles].reshape(-1, 3), axis=0, return_inverse=True)
+    kept = _once(index.reshape(-1, 3))
+    twice = len(triangles) - len(kept)
+    notes = (f"{twice} facets of {path.name} are there twice and counted once.",) if twice else ()
+    return MeshFile(used[kept], _all(kept), {}, notes)
+
+
+def _once(triangles: Indices) -> Indices:
+    """Return facets without repetitions.
+
+    Two facets that face each other are the walls of two bodies that touch and both remain,
+    unless every facet has such a partner.
+    """
+    start = triangles.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(triangles, (start + np.arange(3)) % 3, axis=1)
+    facing = np.unique(turned, axis=0)
+    ways, count = np.unique(np.sort(facing, axis=1), axis=0, return_counts=True)
+    return ways if (count == 2).all() else facing

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
 import palpate
@@ -25,6 +27,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.timeout(600)  # with kernels to compile; else half a minute
 def test_a_script_beside_folders_of_these_names_runs_a_study(tmp_path: Path) -> None:
     for name in ("storage", "workers", "tests"):
         (tmp_path / name).mkdir()
@@ -37,7 +40,7 @@ def test_a_script_beside_folders_of_these_names_runs_a_study(tmp_path: Path) -> 
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=550,
         check=False,
     )
     assert ran.returncode == 0, ran.stderr

@@ -17,7 +17,7 @@ if __name__ == "__main__":
             "name": "small",
             "case": {"reference": {"phantom": {"preset": "250ml", "spacing_mm": 2}},
                      "mesh": {"nodes": 1200}, "load": {"force_n": 20}},
-            "target": {"constants": {"E_fat_kpa": 12, "E_glandular_kpa": 30}},
+            "target": {"constants": {"E_fat_kpa": 12}},
             "search": {"strategy": "least-squares", "parameters": {"E_fat_kpa": [5, 20]}},
         },
         folder="runs/small",

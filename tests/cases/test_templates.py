@@ -101,13 +101,13 @@ def test_a_study_template_shows_its_strategy(kind: str) -> None:
     assert "least-squares:" in text
 
 
-def test_a_finished_template_of_images_is_a_study_with_the_default_search() -> None:
+def test_a_finished_template_of_images_is_a_study_with_the_defaults() -> None:
     spec = StudySpec.model_validate(filled("breast-images", required("breast-images", 60.0)))
     least = {
         "name": "mine",
         "case": {"reference": {"volume": "rest.nrrd"}, "load": {"force_n": 60}},
         "target": {"volume": "pressed.nrrd"},
-        "search": {"parameters": spec.search.parameters},
+        "search": {"parameters": spec.search.parameters, "strategy": "least-squares"},
     }
     shown, bare = spec.as_dict(), StudySpec.model_validate(least).as_dict()
     assert shown["case"].pop("constants") == {"nu": 0.49}

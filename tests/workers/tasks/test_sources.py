@@ -114,7 +114,7 @@ def test_a_kind_that_this_version_does_not_know_is_named(tmp_path: Path) -> None
 @pytest.mark.parametrize("kind", MODULES)
 def test_the_code_of_a_diagnosis_is_all_that_it_imports(kind: str) -> None:
     modules = reached(["palpate.workers.tasks.diagnosis", source_module(kind)])
-    organ = source_module(kind).split(".")[2]
+    organ = source_module(kind).split(".")[3]
     wanted = {
         "palpate.workers.diagnosis.settings.values",
         "palpate.workers.diagnosis.fits.gauss_newton",

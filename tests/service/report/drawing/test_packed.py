@@ -18,4 +18,4 @@ def test_template_and_style_go_into_the_wheel() -> None:
     scripts = {path.name for path in (ROOT / folder / "scripts").glob("*.js")}
     assert {"common.js", "slices.js", "body.js", "charts.js", "page.js"} == scripts
     assert {"palpate" / folder / name for name in needed} <= packed
-    assert {folder / "scripts" / name for name in scripts} <= packed
+    assert {"palpate" / folder / "scripts" / name for name in scripts} <= packed

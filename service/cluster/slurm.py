@@ -204,11 +204,14 @@ def _scheduler_options(request: SlurmRequest) -> dict[str, Any]:
 
 
 def _exports() -> list[str]:
-    """Tell the workers what a cluster of this machine is told; see `service.cluster.open`."""
-    told = dict(WORKER_ENVIRONMENT) | {"PYTHONSAFEPATH": "1"}
+    """Return shell lines that give workers the environment of a local cluster's workers.
+
+    See `service.cluster.open`.
+    """
+    environment = dict(WORKER_ENVIRONMENT) | {"PYTHONSAFEPATH": "1"}
     for key, value in CONFIG.items():
         if key.startswith("distributed.worker."):
-            told["DASK_" + key.upper().replace(".", "__").replace("-", "_")] = str(value)
+            environment["DASK_" + key.upper().replace(".", "__").replace("-", "_")] = str(value)
     if "PYTHONPATH" in os.environ:
-        told["PYTHONPATH"] = os.environ["PYTHONPATH"]
-    return [f"export {name}='{value}'" for name, value in told.items()]
+        environment["PYTHONPATH"] = os.environ["PYTHONPATH"]
+    return [f"export {name}='{value}'" for name, value in environment.items()]

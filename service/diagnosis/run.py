@@ -17,10 +17,9 @@ from palpate.storage.stores.arrays import Arrays
 from palpate.workers.diagnosis.outcome.source import Source
 from palpate.workers.diagnosis.schema.summary import Summary
 from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.inclusion import INCLUSION
-from palpate.workers.mechanics.effects.local_attachment import LOCAL_ATTACHMENT
-from palpate.workers.mechanics.effects.plate_edge import PLATE_EDGE
-from palpate.workers.mechanics.effects.plate_friction import FRICTION
+from palpate.workers.mechanics.effects.boundary import FRICTION, LOCAL_ATTACHMENT
+from palpate.workers.mechanics.effects.local_stiffness import INCLUSION
+from palpate.workers.mechanics.effects.plates import PLATE_EDGE
 from palpate.workers.tasks.diagnosis import (
     analyse_effect,
     calibrate_nominal,

@@ -18,7 +18,8 @@
       overruns/<digest>-<n>     evaluations that have overrun their deadline for the n-th time
       locks/<name>.json         who looks after the store just now
 
-A study lies in a local folder, a store there or in a bucket; see `storage.backends.places`.
+A study is a local folder; a store is a local folder or part of a bucket. See
+`storage.backends.places`.
 """
 
 import re

@@ -86,7 +86,7 @@ def test_no_parameter_is_shown_as_a_logarithm(name: str) -> None:
 
 
 def test_the_shown_value_is_what_the_effect_does_to_nu() -> None:
-    from palpate.workers.mechanics.effects.compressibility import COMPRESSIBILITY
+    from palpate.workers.mechanics.effects.material import COMPRESSIBILITY
     from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
     from palpate.workers.mechanics.fem.problem.fields import Frame
     from palpate.workers.mechanics.fem.problem.loads import ForceControl

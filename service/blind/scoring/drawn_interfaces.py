@@ -7,7 +7,7 @@ import numpy as np
 
 from palpate.service.blind.scoring.magnitudes import SCALES
 from palpate.storage.values import FloatArray, IntArray, Triple
-from palpate.workers.mechanics.effects.rigid_motion import RIGID_MOTION, rigid_columns
+from palpate.workers.mechanics.effects.observation import RIGID_MOTION, rigid_columns
 
 # Labels that are drawn too large, by the interface that they move.
 OFFSETS_MM = ("segmentation_fat_mm", "segmentation_glandular_mm")

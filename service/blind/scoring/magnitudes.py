@@ -34,7 +34,7 @@ from palpate.storage.values import Triple
 from palpate.workers.diagnosis.schema.summary import EffectSummary
 from palpate.workers.mechanics.effects.base import one_sided
 from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
-from palpate.workers.mechanics.effects.inclusion import INCLUSION, PLACE
+from palpate.workers.mechanics.effects.local_stiffness import INCLUSION, PLACE
 
 Given = Mapping[str, Any]
 SCALES = ("scale_x", "scale_y", "scale_z")

@@ -23,7 +23,7 @@ from palpate.service.blind.scoring.calibration import (
 from palpate.service.blind.scoring.statistics import Estimate, correlation, mean, median, share
 from palpate.service.blind.sealed.records import CaseRecord
 from palpate.workers.diagnosis.verdict.verdict import NO_GAP, NONE_OF_THESE
-from palpate.workers.mechanics.effects.inclusion import INCLUSION
+from palpate.workers.mechanics.effects.local_stiffness import INCLUSION
 
 Unit = Literal["share", "mm", "number"]
 VISIBLE = 1.5

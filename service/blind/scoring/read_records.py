@@ -24,10 +24,12 @@ from palpate.storage.records.typed_json import from_json
 from palpate.storage.values import FloatArray, Triple
 from palpate.workers.diagnosis.schema.summary import ShareEstimate, Summary
 from palpate.workers.diagnosis.verdict.verdict import NO_GAP, NONE_OF_THESE
-from palpate.workers.mechanics.effects.image_scale import IMAGE_SCALE
-from palpate.workers.mechanics.effects.image_shear import IMAGE_SHEAR
-from palpate.workers.mechanics.effects.rigid_motion import RIGID_MOTION
-from palpate.workers.mechanics.effects.segmentation_offset import SEGMENTATION_OFFSET
+from palpate.workers.mechanics.effects.observation import (
+    IMAGE_SCALE,
+    IMAGE_SHEAR,
+    RIGID_MOTION,
+    SEGMENTATION_OFFSET,
+)
 
 Arrays = Mapping[str, FloatArray]
 Y_AXIS = [0, 1, 0]

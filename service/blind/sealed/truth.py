@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict
 from palpate.service.blind.sealed.seal import read_json
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray
-from palpate.workers.mechanics.effects.plate_force import PLATE_FORCE
+from palpate.workers.mechanics.effects.loading import PLATE_FORCE
 from palpate.workers.spec import validated
 
 Group = Literal["control", "absorbed", "single", "pair", "triple", "unlike", "relative"]

@@ -363,7 +363,7 @@ def test_a_scan_under_load_that_shows_the_body_at_rest_is_refused() -> None:
 
 
 def with_axes(volume: Volume, order: tuple[int, int, int]) -> Volume:
-    """Exchange axes of a volume; `order` is that of its array, ``[z, y, x]``."""
+    """Return a volume with its array axes, ``[z, y, x]``, in another order."""
     (a, b, c) = (volume.origin_mm[::-1][k] for k in order)
     (u, v, w) = (volume.spacing_mm[::-1][k] for k in order)
     values = np.ascontiguousarray(volume.values.transpose(order))

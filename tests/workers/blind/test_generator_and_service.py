@@ -14,9 +14,9 @@ from palpate.workers.blind.solver.material_points import GLANDULAR, points_on
 from palpate.workers.blind.solver.system import topology_of
 from palpate.workers.body.mesh.hierarchy import build_hierarchy
 from palpate.workers.comparison.observation.point_interpolation import interpolation
-from palpate.workers.mechanics.effects.fibre_rotation import FIBRE_ROTATION
-from palpate.workers.mechanics.effects.plate_tilt import PLATE_TILT
-from palpate.workers.mechanics.effects.stiffness_gradient import STIFFNESS_GRADIENT
+from palpate.workers.mechanics.effects.local_stiffness import STIFFNESS_GRADIENT
+from palpate.workers.mechanics.effects.material import FIBRE_ROTATION
+from palpate.workers.mechanics.effects.plates import PLATE_TILT
 from palpate.workers.mechanics.fem.contact.contact_potential import ContactNodes
 from palpate.workers.mechanics.fem.contact.plate_surface import Gap, plate_surfaces
 from palpate.workers.mechanics.fem.contact.plates import plate_contact

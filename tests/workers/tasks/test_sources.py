@@ -119,7 +119,7 @@ def test_the_code_of_a_diagnosis_is_all_that_it_imports(kind: str) -> None:
         "palpate.workers.diagnosis.settings.values",
         "palpate.workers.diagnosis.fits.gauss_newton",
         "palpate.workers.mechanics.fem.equilibrium.solve",
-        "palpate.workers.mechanics.effects.plate_friction",
+        "palpate.workers.mechanics.effects.boundary",
         "palpate.workers.comparison.observation.noise",
         "palpate.storage.records.typed_json",
     }

@@ -16,7 +16,7 @@ import numpy as np
 from palpate.storage.values import FloatArray, IntArray, Triple
 from palpate.workers.diagnosis.algebra.low_rank import pivoted
 from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.rigid_motion import rigid_columns
+from palpate.workers.mechanics.effects.observation import rigid_columns
 
 
 def pose_columns(

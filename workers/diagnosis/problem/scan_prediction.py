@@ -14,8 +14,8 @@ from palpate.workers.diagnosis.problem.inverse_problem import (
 )
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.plate_friction import FRICTION
-from palpate.workers.mechanics.effects.rigid_motion import (
+from palpate.workers.mechanics.effects.boundary import FRICTION
+from palpate.workers.mechanics.effects.observation import (
     RIGID_MOTION,
     rigid_columns,
     rigidly_moved,

@@ -12,7 +12,7 @@ import numpy as np
 from palpate.storage.values import FloatArray
 from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
 from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.compressibility import COMPRESSIBILITY
+from palpate.workers.mechanics.effects.material import COMPRESSIBILITY
 
 
 def held_columns(sensitivities: Mapping[str, EffectSensitivity], residuals: int) -> FloatArray:

@@ -24,7 +24,7 @@ from palpate.workers.diagnosis.screening.rough_surface import RoughSurface
 from palpate.workers.diagnosis.screening.screening import ScreeningResult, screen
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.skin import SKIN_ADDED
+from palpate.workers.mechanics.effects.material import SKIN_ADDED
 
 
 @dataclass(frozen=True, eq=False)

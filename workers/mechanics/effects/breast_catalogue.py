@@ -4,32 +4,33 @@ from collections.abc import Iterable
 
 from palpate.storage.errors import InputError
 from palpate.workers.mechanics.effects.base import Effect, Values
-from palpate.workers.mechanics.effects.compressibility import COMPRESSIBILITY
-from palpate.workers.mechanics.effects.compressibility_contrast import COMPRESSIBILITY_CONTRAST
-from palpate.workers.mechanics.effects.creep import CREEP
-from palpate.workers.mechanics.effects.fibre_contrast import FIBRE_CONTRAST
-from palpate.workers.mechanics.effects.fibre_fan import FIBRE_FAN
-from palpate.workers.mechanics.effects.fibre_rotation import FIBRE_ROTATION
-from palpate.workers.mechanics.effects.gravity_change import GRAVITY_CHANGE
-from palpate.workers.mechanics.effects.gravity_prestress import PRESTRESS
-from palpate.workers.mechanics.effects.growth import GROWTH
-from palpate.workers.mechanics.effects.image_scale import IMAGE_SCALE
-from palpate.workers.mechanics.effects.image_shear import IMAGE_SHEAR
-from palpate.workers.mechanics.effects.inclusion import INCLUSION
-from palpate.workers.mechanics.effects.local_attachment import LOCAL_ATTACHMENT
-from palpate.workers.mechanics.effects.plate_edge import PLATE_EDGE
-from palpate.workers.mechanics.effects.plate_flex import PLATE_FLEX
-from palpate.workers.mechanics.effects.plate_force import PLATE_FORCE
-from palpate.workers.mechanics.effects.plate_friction import FRICTION
-from palpate.workers.mechanics.effects.plate_tilt import PLATE_TILT
-from palpate.workers.mechanics.effects.rigid_motion import RIGID_MOTION
-from palpate.workers.mechanics.effects.second_fibres import SECOND_FIBRES
-from palpate.workers.mechanics.effects.segmentation_offset import SEGMENTATION_OFFSET
-from palpate.workers.mechanics.effects.skin import SKIN_ADDED, SKIN_SCALED
-from palpate.workers.mechanics.effects.stiffness_gradient import STIFFNESS_GRADIENT
-from palpate.workers.mechanics.effects.strain_stiffening import STIFFENING
-from palpate.workers.mechanics.effects.wall_compliance import WALL_COMPLIANCE
-from palpate.workers.mechanics.effects.wall_hold import WALL_HOLD
+from palpate.workers.mechanics.effects.boundary import (
+    FRICTION,
+    LOCAL_ATTACHMENT,
+    WALL_COMPLIANCE,
+    WALL_HOLD,
+)
+from palpate.workers.mechanics.effects.loading import GRAVITY_CHANGE, PLATE_FORCE, PRESTRESS
+from palpate.workers.mechanics.effects.local_stiffness import GROWTH, INCLUSION, STIFFNESS_GRADIENT
+from palpate.workers.mechanics.effects.material import (
+    COMPRESSIBILITY,
+    COMPRESSIBILITY_CONTRAST,
+    CREEP,
+    FIBRE_CONTRAST,
+    FIBRE_FAN,
+    FIBRE_ROTATION,
+    SECOND_FIBRES,
+    SKIN_ADDED,
+    SKIN_SCALED,
+    STIFFENING,
+)
+from palpate.workers.mechanics.effects.observation import (
+    IMAGE_SCALE,
+    IMAGE_SHEAR,
+    RIGID_MOTION,
+    SEGMENTATION_OFFSET,
+)
+from palpate.workers.mechanics.effects.plates import PLATE_EDGE, PLATE_FLEX, PLATE_TILT
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.parameters import BREAST, Parameter, unknown_name

@@ -3,18 +3,12 @@
 from dataclasses import replace
 
 from palpate.storage.values import Triple
-from palpate.workers.mechanics.effects.added_mass import added_mass
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.base_motion import base_motion
-from palpate.workers.mechanics.effects.clamp_compliance import CLAMP_COMPLIANCE
-from palpate.workers.mechanics.effects.compressibility import COMPRESSIBILITY
-from palpate.workers.mechanics.effects.creep import CREEP
-from palpate.workers.mechanics.effects.frame_turn import FRAME_TURN
-from palpate.workers.mechanics.effects.load_scale import LOAD_SCALE
-from palpate.workers.mechanics.effects.marker_standoff import MARKER_STANDOFF
-from palpate.workers.mechanics.effects.self_weight import self_weight
-from palpate.workers.mechanics.effects.stiffness_gradient import STIFFNESS_GRADIENT
-from palpate.workers.mechanics.effects.strain_stiffening import STIFFENING
+from palpate.workers.mechanics.effects.boundary import CLAMP_COMPLIANCE, base_motion
+from palpate.workers.mechanics.effects.loading import LOAD_SCALE, added_mass, self_weight
+from palpate.workers.mechanics.effects.local_stiffness import STIFFNESS_GRADIENT
+from palpate.workers.mechanics.effects.material import COMPRESSIBILITY, CREEP, STIFFENING
+from palpate.workers.mechanics.effects.observation import FRAME_TURN, MARKER_STANDOFF
 from palpate.workers.mechanics.fem.problem.regions import Region
 
 GRADIENT = replace(

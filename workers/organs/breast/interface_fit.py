@@ -33,8 +33,8 @@ from palpate.workers.comparison.warp.warp_volume import warp_labels
 from palpate.workers.diagnosis.algebra.linearisation import factored
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.boundary import FRICTION
 from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
-from palpate.workers.mechanics.effects.plate_friction import FRICTION
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change, tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium

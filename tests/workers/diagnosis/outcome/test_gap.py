@@ -13,7 +13,7 @@ from palpate.workers.diagnosis.outcome.shrinkage import Comparison
 from palpate.workers.diagnosis.outcome.summarise import known_shares
 from palpate.workers.diagnosis.schema.summary import GapEstimate, GapSummary, ShareEstimate
 from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.rigid_motion import rigid_columns
+from palpate.workers.mechanics.effects.observation import rigid_columns
 from tests.workers.diagnosis.linear_world import catalogue, layout, mode, nominal_problem, observed
 
 STATE = layout(60)[2]

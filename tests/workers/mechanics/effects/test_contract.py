@@ -11,7 +11,7 @@ import pytest
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
 from palpate.workers.mechanics.effects.base import Effect, one_sided
-from palpate.workers.mechanics.effects.base_motion import base_motion
+from palpate.workers.mechanics.effects.boundary import CLAMP_COMPLIANCE, base_motion
 from palpate.workers.mechanics.effects.breast_catalogue import (
     BREAST_EFFECTS,
     NOT_SIMULATED,
@@ -19,7 +19,6 @@ from palpate.workers.mechanics.effects.breast_catalogue import (
     effect_parameters,
     with_effects,
 )
-from palpate.workers.mechanics.effects.clamp_compliance import CLAMP_COMPLIANCE
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.fem.problem.loads import NoPlates, Wall
 from palpate.workers.mechanics.parameters import BREAST, Parameter

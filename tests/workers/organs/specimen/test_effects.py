@@ -6,12 +6,10 @@ from scipy.spatial.transform import Rotation
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.effects.added_mass import GRAM
 from palpate.workers.mechanics.effects.base import one_sided
-from palpate.workers.mechanics.effects.clamp_compliance import CLAMP_COMPLIANCE
-from palpate.workers.mechanics.effects.frame_turn import FRAME_TURN
-from palpate.workers.mechanics.effects.load_scale import LOAD_SCALE
-from palpate.workers.mechanics.effects.marker_standoff import MARKER_STANDOFF
+from palpate.workers.mechanics.effects.boundary import CLAMP_COMPLIANCE
+from palpate.workers.mechanics.effects.loading import GRAM, LOAD_SCALE
+from palpate.workers.mechanics.effects.observation import FRAME_TURN, MARKER_STANDOFF
 from palpate.workers.mechanics.effects.specimen_catalogue import specimen_effects
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame

@@ -19,7 +19,7 @@ from palpate.workers.diagnosis.outcome.pictures.overlap import predict
 from palpate.workers.diagnosis.problem.preparation import SHAPES, ReadPrepared
 from palpate.workers.diagnosis.schema.summary import CauseMapSummary, Summary
 from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
-from palpate.workers.mechanics.effects.inclusion import INCLUSION
+from palpate.workers.mechanics.effects.local_stiffness import INCLUSION
 from palpate.workers.scan_threads import Each
 
 Displacements = Mapping[str, Sequence[FloatArray]]

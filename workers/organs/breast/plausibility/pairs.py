@@ -27,8 +27,8 @@ OTHER_UNIT = 0.7
 OVERLAP_SHARE = 0.1
 # Share of voxels with the same label above which nothing has moved.
 NOT_MOVED = 0.98
-# A body that shrinks this much more along another axis was pressed along that one; a breast
-# pressed by plates shrinks along no other axis by more than its segmentation errs.
+# Logarithmic shrinkage along another axis, over that along the stated one, above which a body was
+# pressed along the other; and the cosine above which two axes are the same.
 OTHER_AXIS, ALONG = 1.5, 0.7
 # By how much a body may be thicker under the larger force: segmentation and voxels.
 THICKNESS_VOXELS = 2.0
@@ -280,16 +280,15 @@ def _extent(rest: Scan, scan: Scan) -> float:
 def _pressed_axis(rest: Scan, scan: Scan) -> int | None:
     """Return the axis along which a body was pressed if it is not the stated one.
 
-    It is the one along which the size changes most, and there the body has become thinner.
+    The body is much thinner there, and its size changes less along every other axis.
     """
     change = np.log(np.divide(scan.sides_mm, rest.sides_mm))
     most = int(np.abs(change).argmax())
     slack = THICKNESS_VOXELS * max(rest.voxel_mm, scan.voxel_mm)
     along = math.log(scan.thickness_mm / _extent(rest, scan))
     thinner = rest.sides_mm[most] - scan.sides_mm[most] > slack
-    if thinner and change[most] < OTHER_AXIS * min(along, 0.0) and change[most] < -abs(along):
-        return None if abs(scan.axis[most]) > ALONG else most
-    return None
+    much = -change[most] > max(along, -OTHER_AXIS * along)
+    return most if thinner and much and abs(scan.axis[most]) < ALONG else None
 
 
 def _median(rest: Scan, scan: Scan) -> float:

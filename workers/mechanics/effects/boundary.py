@@ -1,0 +1,266 @@
+"""Effects of how a body is held and touched."""
+
+import math
+from dataclasses import dataclass, replace
+
+from palpate.storage.values import FloatArray, IntArray, Triple
+from palpate.workers.mechanics.effects.base import Effect, Place, Values, from_zero, two_sided
+from palpate.workers.mechanics.effects.observation import rigid_columns
+from palpate.workers.mechanics.effects.problem_changes import plus, unchanged, with_device
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import Attachment
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.mechanics.readings import Reading
+from palpate.workers.units import DEGREE, KPA_PER_MM, MM, MM_PER_KPA, NUMBER
+
+# --- plate friction
+# Let skin and plates rub.
+
+
+PLATE_FRICTION_NAME = "friction"
+
+
+def _plate_friction(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Add to Coulomb's coefficient."""
+    return with_device(
+        problem, lambda d: replace(d, friction=d.friction + values[PLATE_FRICTION_NAME])
+    )
+
+
+FRICTION = Effect(
+    name="plate_friction",
+    family="boundary",
+    summary="The skin does not slide freely along the plates.",
+    parameters=(
+        from_zero(
+            PLATE_FRICTION_NAME,
+            NUMBER,
+            1.0,
+            "Coulomb's coefficient of skin on plate",
+            reading=Reading(name="coefficient"),
+        ),
+    ),
+    prior_sd=(0.25,),
+    steps=(0.001,),
+    transform=_plate_friction,
+    references=(
+        "T.-C. Shih et al., Phys. Med. Biol. 55 (2010) 4153",
+        "C. M. L. Hsu et al., Med. Phys. 38 (2011) 5756",
+    ),
+)
+
+
+# --- wall compliance
+# Let the chest wall yield under pressure.
+
+
+WALL_COMPLIANCE_NAME = "wall_compliance"
+
+
+def _wall_compliance(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Put a compliance in series with what holds the wall along z."""
+    wall, compliance = problem.wall, values[WALL_COMPLIANCE_NAME]
+    if not compliance:
+        return problem
+    x, y, stiffness = wall.spring_mpa_per_mm
+    softer = 1 / compliance if wall.held[2] else stiffness / (1 + compliance * stiffness)
+    held = (wall.held[0], wall.held[1], False)
+    return replace(problem, wall=replace(wall, held=held, spring_mpa_per_mm=(x, y, softer)))
+
+
+# Far from linear where it exceeds the compliance of the breast itself: its tangent at a
+# held wall promises more than a large one does.
+WALL_COMPLIANCE = Effect(
+    name="wall_compliance",
+    family="boundary",
+    summary="The chest wall gives way where the breast presses on it.",
+    parameters=(
+        from_zero(
+            WALL_COMPLIANCE_NAME,
+            MM_PER_KPA,
+            MM_PER_KPA.to_inside(0.5),
+            "yield of the chest wall under pressure",
+        ),
+    ),
+    prior_sd=(MM_PER_KPA.to_inside(0.2),),
+    steps=(MM_PER_KPA.to_inside(1e-4),),
+    transform=_wall_compliance,
+    references=("C. Tanner et al., Med. Phys. 33 (2006) 1758",),
+)
+
+
+# --- wall hold
+# Hold the breast against sliding freely along the chest wall.
+
+
+WALL_HOLD_NAMES = ("wall_hold_x", "wall_hold_y")
+
+
+def _wall_hold(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Add springs along x and y, in parallel to those of the wall, where it is not held."""
+    wall = problem.wall
+    x, y = (
+        0.0 if held else values[name]
+        for name, held in zip(WALL_HOLD_NAMES, wall.held[:2], strict=True)
+    )
+    return replace(
+        problem, wall=replace(wall, spring_mpa_per_mm=plus(wall.spring_mpa_per_mm, (x, y, 0.0)))
+    )
+
+
+# 10 kPa over 50 mm is 0.2 kPa/mm: a hold that the breast feels.
+WALL_HOLD = Effect(
+    name="wall_hold",
+    family="boundary",
+    summary="The breast is attached to the chest wall and does not slide along it.",
+    parameters=tuple(
+        from_zero(
+            name,
+            KPA_PER_MM,
+            KPA_PER_MM.to_inside(1.0),
+            f"stiffness of the attachment to the chest wall along {name[-1]}",
+        )
+        for name in WALL_HOLD_NAMES
+    ),
+    prior_sd=(KPA_PER_MM.to_inside(0.2),) * 2,
+    steps=(KPA_PER_MM.to_inside(1e-3),) * 2,
+    transform=_wall_hold,
+    references=("M. A. Lago, PhD thesis, 2014, section 4.6",),
+)
+
+
+# --- local attachment
+# Hold the breast at one place of its skin or of the chest wall.
+
+
+STIFFNESS = ("attachment_stiffness_x", "attachment_stiffness_y", "attachment_stiffness_z")
+PLACE = ("attachment_x", "attachment_y", "attachment_z")
+RADIUS = "attachment_radius"
+
+
+def _local_attachment(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Add springs on a patch of the boundary."""
+    x, y, z = (values[name] for name in PLACE)
+    kx, ky, kz = (values[name] for name in STIFFNESS)
+    patch = Attachment((kx, ky, kz), plus(frame.centre_mm, (x, y, z)), values[RADIUS])
+    return replace(problem, attachments=(*problem.attachments, patch)) if kx + ky + kz else problem
+
+
+# 1 kPa/mm on a patch of 12 mm radius is 0.9 N/mm: nearly as firm as if the skin were glued. A
+# long tether holds along itself alone, skin that sticks to a plate across it.
+LOCAL_ATTACHMENT = Effect(
+    name="local_attachment",
+    family="boundary",
+    summary="The breast is held at one place: by a tether, by a scar, by skin that sticks.",
+    parameters=(
+        *(
+            from_zero(
+                name,
+                KPA_PER_MM,
+                KPA_PER_MM.to_inside(3.0),
+                f"stiffness of the attachment along {name[-1]}, in its middle",
+            )
+            for name in STIFFNESS
+        ),
+        *(
+            two_sided(
+                name, MM, 90.0, f"place of the attachment along {name[-1]} from the body's middle"
+            )
+            for name in PLACE
+        ),
+        Parameter(
+            RADIUS, MM, 5.0, 30.0, 12.0, "radius of the attachment", admissible=(0.0, math.inf)
+        ),
+    ),
+    prior_sd=(*(KPA_PER_MM.to_inside(1.0),) * 3, 40.0, 40.0, 40.0, 10.0),
+    steps=(*(KPA_PER_MM.to_inside(1e-3),) * 3, 1e-3, 1e-3, 1e-3, 1e-3),
+    transform=_local_attachment,
+    references=(
+        "A. Cooper, On the Anatomy of the Breast, London 1840",
+        "J. H. Hipwell et al., Phys. Med. Biol. 61 (2016) R1",
+    ),
+    place=Place((*PLACE, RADIUS), "boundary", (12.0, 30.0)),
+)
+
+
+# --- base motion
+# Let the base move between the recording at rest and that under load.
+
+
+SHIFTS = ("base_x", "base_y", "base_z")
+TURNS = ("base_turn_x", "base_turn_y", "base_turn_z")
+
+
+@dataclass(frozen=True, slots=True)
+class BaseMotionColumns:
+    """Move points with their base, which turns about `centre_mm`."""
+
+    centre_mm: Triple
+
+    def __call__(
+        self, points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
+    ) -> FloatArray:
+        """Return normal motion for 1 mm along and 1 degree about each axis, shape (k, 6)."""
+        return rigid_columns(points, normals, self.centre_mm)
+
+
+def base_motion(centre_mm: Triple) -> Effect:
+    """Move the body with its base, alike in all states, turning about `centre_mm`."""
+    return Effect(
+        name="base_motion",
+        family="boundary",
+        summary="The base moved when the load came on, and the body with it.",
+        parameters=(
+            *(two_sided(n, MM, 3.0, f"shift of the base along {n[-1]}") for n in SHIFTS),
+            *(two_sided(n, DEGREE, 3.0, f"turn of the base about {n[-1]}") for n in TURNS),
+        ),
+        prior_sd=(0.3,) * 3 + (0.3,) * 3,
+        steps=(0.01,) * 6,
+        transform=unchanged,
+        references=("J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE TMI 17 (1998) 694",),
+        observation=BaseMotionColumns(centre_mm),
+    )
+
+
+# --- clamp compliance
+# Let the clamp yield.
+
+
+CLAMP_COMPLIANCE_NAME = "clamp_compliance"
+
+
+def _clamp_compliance(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Let the clamped face give way along its normal by so much under a unit of traction.
+
+    Bending pulls on one side of the face and presses on the other, so that it turns.
+    """
+    wall, compliance = problem.wall, values[CLAMP_COMPLIANCE_NAME]
+    if not compliance or not wall.held[2]:
+        return problem
+    x, y, _ = wall.spring_mpa_per_mm
+    held = (wall.held[0], wall.held[1], False)
+    return replace(problem, wall=replace(wall, held=held, spring_mpa_per_mm=(x, y, 1 / compliance)))
+
+
+# A layer of 3 mm of a material of 300 kPa gives way by 0.01 mm/kPa.
+CLAMP_COMPLIANCE = Effect(
+    name="clamp_compliance",
+    family="boundary",
+    summary="The clamp gives way where the body pulls and presses on it.",
+    parameters=(
+        from_zero(
+            CLAMP_COMPLIANCE_NAME,
+            MM_PER_KPA,
+            MM_PER_KPA.to_inside(0.5),
+            "yield of the clamp under traction",
+        ),
+    ),
+    prior_sd=(MM_PER_KPA.to_inside(0.01),),
+    steps=(MM_PER_KPA.to_inside(1e-4),),
+    transform=_clamp_compliance,
+    references=(
+        "W. J. O'Donnell, J. Appl. Mech. 27 (1960) 461: the additional deflection of a "
+        "cantilever due to the elasticity of the support",
+    ),
+)

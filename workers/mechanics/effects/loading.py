@@ -1,0 +1,265 @@
+"""Effects of the load: forces, weight, posture."""
+
+import math
+from dataclasses import dataclass, replace
+
+from palpate.storage.values import Triple
+from palpate.workers.mechanics.effects.base import ANY, Effect, Values, from_zero, two_sided
+from palpate.workers.mechanics.effects.problem_changes import plus
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import GRAVITY_MM_PER_S2, Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.loads import DeadForce, ForceControl
+from palpate.workers.mechanics.fem.problem.regions import Region
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.mechanics.readings import Reading, ratio
+from palpate.workers.units import NUMBER, G, Unit
+
+# --- gravity change
+# Let gravity differ between the two scans: another posture.
+
+
+GRAVITY_CHANGE_NAMES = ("gravity_x", "gravity_y", "gravity_z")
+
+
+def _gravity_change(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Add a body force to the one that the problem has."""
+    x, y, z = (values[name] for name in GRAVITY_CHANGE_NAMES)
+    return replace(problem, gravity_g=plus(problem.gravity_g, (x, y, z)))
+
+
+# A turn upside down changes gravity by 2 g.
+GRAVITY_CHANGE = Effect(
+    name="gravity_change",
+    family="loading",
+    summary="The body lay differently in the two scans, so gravity pulls another way.",
+    parameters=tuple(
+        two_sided(
+            name,
+            G,
+            2.0,
+            f"change of gravity along {name[-1]} between the scans",
+            reading=Reading(unit=f"times gravity along {name[-1]}"),
+        )
+        for name in GRAVITY_CHANGE_NAMES
+    ),
+    prior_sd=(0.3, 0.3, 0.3),
+    steps=(0.01, 0.01, 0.01),
+    transform=_gravity_change,
+    references=(
+        "M. A. Lago, PhD thesis, 2014, section 4.6",
+        "V. Rajagopal et al., Acad. Radiol. 15 (2008) 1425",
+        "A. Mira et al., Clin. Biomech. 60 (2018) 191",
+    ),
+)
+
+
+# --- gravity prestress
+# Let gravity act in both scans alike: the image is not of a stress-free body.
+
+
+GRAVITY_PRESTRESS_NAME = "common_gravity"
+
+
+def _gravity_prestress(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Let gravity along z act on the imaged body and under the load."""
+    pull = (0.0, 0.0, values[GRAVITY_PRESTRESS_NAME])
+    return replace(
+        problem,
+        gravity_g=plus(problem.gravity_g, pull),
+        imaged_gravity_g=plus(problem.imaged_gravity_g, pull),
+    )
+
+
+PRESTRESS = Effect(
+    name="gravity_prestress",
+    family="loading",
+    summary="Gravity pulled the same way in both scans and had stretched the imaged body.",
+    parameters=(
+        two_sided(
+            GRAVITY_PRESTRESS_NAME,
+            G,
+            1.0,
+            "gravity along z in both scans: 1 prone, -1 supine, 0 upright",
+            reading=Reading(unit="times gravity along z"),
+        ),
+    ),
+    prior_sd=(0.5,),
+    steps=(0.05,),
+    transform=_gravity_prestress,
+    references=(
+        "V. Rajagopal et al., Int. J. Numer. Methods Eng. 72 (2007) 1434",
+        "S. Govindjee, P. A. Mihalic, Comput. Methods Appl. Mech. Eng. 136 (1996) 47",
+    ),
+)
+
+
+# --- plate force
+# Scale the share of the plate's force that goes through the breast.
+
+
+PLATE_FORCE_NAME = "ln_plate_force"
+
+
+def _plate_force(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Multiply the force; plates that stand at a distance stay there."""
+    load = problem.load
+    if not isinstance(load, ForceControl):
+        return problem
+    return replace(
+        problem, load=replace(load, force_n=load.force_n * math.exp(values[PLATE_FORCE_NAME]))
+    )
+
+
+# Between the least share measured with rigid plates and a sensor that reads 15 % low.
+PLATE_FORCE = Effect(
+    name="plate_force",
+    family="loading",
+    summary="Part of the plate's force goes through the chest wall, or its sensor is off.",
+    parameters=(
+        Parameter(
+            PLATE_FORCE_NAME,
+            NUMBER,
+            math.log(0.14),
+            math.log(1.15),
+            0.0,
+            "ln of the share of the plate's force that the breast carries",
+            admissible=ANY,
+            reading=ratio("times the stated force"),
+        ),
+    ),
+    prior_sd=(0.5,),
+    steps=(1e-4,),
+    transform=_plate_force,
+    references=(
+        "M. Dustler et al., Acta Radiol. 62 (2021) 1583: rigid plates put 22 % (CC) and "
+        "14 % (MLO) of their force on the breast",
+    ),
+)
+
+
+# --- load scale
+# Make forces larger or smaller than written down.
+
+
+LOAD_SCALE_NAME = "ln_load"
+
+
+def _load_scale(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Multiply all forces; gravity is known better and stays."""
+    factor = math.exp(values[LOAD_SCALE_NAME])
+    forces = []
+    for dead in problem.forces:
+        x, y, z = dead.force_n
+        forces.append(replace(dead, force_n=(factor * x, factor * y, factor * z)))
+    return replace(problem, forces=tuple(forces))
+
+
+# Without gravity or a prescribed displacement the stiffness takes all of it.
+LOAD_SCALE = Effect(
+    name="load_scale",
+    family="loading",
+    summary="The forces are not what was written down: scales, friction, a lever arm.",
+    parameters=(
+        two_sided(
+            LOAD_SCALE_NAME,
+            NUMBER,
+            0.3,
+            "ln of the true forces over those stated",
+            reading=ratio("times the stated forces"),
+        ),
+    ),
+    prior_sd=(0.05,),
+    steps=(1e-4,),
+    transform=_load_scale,
+    references=("JCGM 100:2008, Guide to the expression of uncertainty in measurement",),
+)
+
+
+# --- self weight
+# Add the weight of a body that was simulated without it.
+
+
+SELF_WEIGHT_NAME = "self_weight"
+# Of the density of a material that was cast or printed, relative.
+DENSITY_SD = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class AddGravity:
+    """Add a part of gravity along a unit vector."""
+
+    down: Triple
+
+    def __call__(self, problem: Problem, values: Values, frame: Frame) -> Problem:
+        """Return the problem with the weight, see `Effect.transform`."""
+        x, y, z = (values[SELF_WEIGHT_NAME] * part for part in self.down)
+        return replace(problem, gravity_g=plus(problem.gravity_g, (x, y, z)))
+
+
+def self_weight(down: Triple) -> Effect:
+    """Let gravity act along a known direction, of length 1.
+
+    Unlike a change of posture neither direction nor size is a question: the body feels its
+    weight or does not, and the weight is as certain as the density of its material.
+    """
+    return Effect(
+        name="self_weight",
+        family="loading",
+        summary="The body sags under its own weight, which the model has not.",
+        parameters=(
+            from_zero(
+                SELF_WEIGHT_NAME,
+                G,
+                1.5,
+                "part of its weight that the body feels",
+                reading=Reading(unit="times its weight"),
+            ),
+        ),
+        prior_sd=(1.0,),
+        steps=(1e-2,),
+        transform=AddGravity(down),
+        if_present=((1.0, DENSITY_SD),),
+        references=(
+            "M. Dubied et al., IEEE Robot. Autom. Lett. 7 (2022) 5015: a beam of silicone",
+        ),
+    )
+
+
+# --- added mass
+# Hang a mass on the body that was not weighed: markers, hooks, glue.
+
+
+ADDED_MASS_NAME = "added_mass"
+# Inside a mass is in t, so that t mm/s^2 is N.
+GRAM = Unit("gram", "t", 1e6)
+
+
+@dataclass(frozen=True, slots=True)
+class AddMass:
+    """Hang a mass on a region."""
+
+    down: Triple
+    region: Region
+
+    def __call__(self, problem: Problem, values: Values, frame: Frame) -> Problem:
+        """Return the problem with the mass, see `Effect.transform`."""
+        x, y, z = (values[ADDED_MASS_NAME] * GRAVITY_MM_PER_S2 * part for part in self.down)
+        return replace(problem, forces=(*problem.forces, DeadForce((x, y, z), self.region)))
+
+
+def added_mass(down: Triple, region: Region) -> Effect:
+    """Hang a mass on `region`, pulled along the unit vector `down`, in all states alike."""
+    return Effect(
+        name="added_mass",
+        family="loading",
+        summary="Markers, hooks or glue weigh on the loaded place.",
+        parameters=(
+            from_zero(
+                ADDED_MASS_NAME, GRAM, GRAM.to_inside(50.0), "mass that hangs there in every state"
+            ),
+        ),
+        prior_sd=(GRAM.to_inside(5.0),),
+        steps=(GRAM.to_inside(0.1),),
+        transform=AddMass(down, region),
+        references=("JCGM 100:2008, Guide to the expression of uncertainty in measurement",),
+    )

@@ -1,0 +1,139 @@
+"""Effects of stiffness that varies inside a body."""
+
+import math
+from dataclasses import replace
+
+from palpate.storage.values import Tissue
+from palpate.workers.mechanics.effects.base import Effect, Place, Values, two_sided
+from palpate.workers.mechanics.effects.problem_changes import plus
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame, Gradient, Inclusion
+from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.mechanics.readings import ratio
+from palpate.workers.units import MM, NUMBER
+
+# --- stiffness gradient
+# Stiffen tissue of one kind towards one side of the breast.
+
+
+STIFFNESS_GRADIENT_NAMES = ("ln_gradient_x", "ln_gradient_y", "ln_gradient_z")
+
+
+def _stiffness_gradient(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Let the stiffness of all tissues grow exponentially along the axes."""
+    x, y, z = (values[name] for name in STIFFNESS_GRADIENT_NAMES)
+    return replace(problem, variations=(Gradient((x, y, z), frame), *problem.variations))
+
+
+STIFFNESS_GRADIENT = Effect(
+    name="stiffness_gradient",
+    family="global material",
+    summary="Each tissue is stiffer on one side of the breast than on the other.",
+    parameters=tuple(
+        two_sided(
+            name,
+            NUMBER,
+            1.0,
+            f"ln of the stiffness from the middle to the end of {name[-1]}",
+            reading=ratio(f"times as stiff at the end of {name[-1]} as in the middle"),
+        )
+        for name in STIFFNESS_GRADIENT_NAMES
+    ),
+    prior_sd=(0.5, 0.5, 0.5),
+    steps=(1e-4, 1e-4, 1e-4),
+    transform=_stiffness_gradient,
+    references=(
+        "M. A. Lago, PhD thesis, 2014, section 4.5.7",
+        "N. G. Ramião et al., Biomech. Model. Mechanobiol. 15 (2016) 1307",
+    ),
+)
+
+
+# --- inclusion
+# Put a hard or soft lump where the images do not show one.
+
+
+RATIO, RADIUS = "inclusion_ln_ratio", "inclusion_radius"
+PLACE = ("inclusion_x", "inclusion_y", "inclusion_z")
+
+
+def _inclusion(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Multiply the stiffness of all tissues in a ball."""
+    x, y, z = (values[name] for name in PLACE)
+    centre = plus(frame.centre_mm, (x, y, z))
+    ball = Inclusion(values[RATIO], centre, values[RADIUS])
+    return replace(problem, variations=(*problem.variations, ball)) if values[RATIO] else problem
+
+
+INCLUSION = Effect(
+    name="inclusion",
+    family="local stiffness",
+    summary="There is a lump, harder or softer than the tissue around it.",
+    parameters=(
+        two_sided(
+            RATIO,
+            NUMBER,
+            2.7,
+            "ln of the lump's stiffness over that of its surroundings",
+            reading=ratio("times as stiff as its surroundings"),
+        ),
+        *(
+            two_sided(name, MM, 60.0, f"place of the lump along {name[-1]} from the body's middle")
+            for name in PLACE
+        ),
+        Parameter(RADIUS, MM, 3.0, 15.0, 6.0, "radius of the lump", admissible=(0.0, math.inf)),
+    ),
+    prior_sd=(1.5, 30.0, 30.0, 30.0, 4.0),
+    steps=(1e-4, 1e-3, 1e-3, 1e-3, 1e-3),
+    transform=_inclusion,
+    references=(
+        "A. Samani, J. Zubovits, D. Plewes, Phys. Med. Biol. 52 (2007) 1565",
+        "T. A. Krouskop et al., Ultrason. Imaging 20 (1998) 260",
+    ),
+    place=Place(PLACE, "inside"),
+)
+
+
+# --- growth
+# Let tissue swell or shrink between the scans.
+
+
+GROWTH_NAMES = {Tissue.FAT: "ln_growth_fat", Tissue.GLANDULAR: "ln_growth_glandular"}
+
+
+def _growth(problem: Problem, values: Values, frame: Frame) -> Problem:
+    """Multiply the volume at which fat and glandular tissue are free of stress."""
+
+    def grown(tissue: Tissue, c: Constants) -> Constants:
+        name = GROWTH_NAMES.get(tissue)
+        return replace(c, growth=c.growth * math.exp(values[name])) if name else c
+
+    return replace(problem, constants={t: grown(t, c) for t, c in problem.constants.items()})
+
+
+# The volume of a breast changes by some 10 % over a menstrual cycle, but scans to be compared are
+# taken days apart at most, so that swelling is rarer than what the plates do. Even growth looks
+# much like labels that are drawn too large.
+GROWTH = Effect(
+    name="growth",
+    family="growth",
+    summary="Tissue has swollen or shrunk between the scans.",
+    parameters=tuple(
+        two_sided(
+            name,
+            NUMBER,
+            0.3,
+            f"ln of the volume of {tissue.name.lower()} in the loaded scans over that at rest",
+            reading=ratio(f"times the volume of {tissue.name.lower()} at rest"),
+        )
+        for tissue, name in GROWTH_NAMES.items()
+    ),
+    prior_sd=(0.03,) * len(GROWTH_NAMES),
+    steps=(1e-6,) * len(GROWTH_NAMES),  # fibres that hardly act fall slack on the way, or not
+    transform=_growth,
+    references=(
+        "P. A. Fowler et al., Br. J. Obstet. Gynaecol. 97 (1990) 595",
+        "E. K. Rodriguez, A. Hoger, A. D. McCulloch, J. Biomech. 27 (1994) 455",
+    ),
+    odds=0.2,
+)

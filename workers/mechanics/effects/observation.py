@@ -1,0 +1,258 @@
+"""Effects of how a body was imaged or measured."""
+
+import numpy as np
+
+from palpate.storage.values import FloatArray, IntArray, Tissue, Triple
+from palpate.workers.mechanics.effects.base import Effect, from_zero, two_sided
+from palpate.workers.mechanics.effects.problem_changes import unchanged
+from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.readings import Reading, percent
+from palpate.workers.units import DEGREE, MM, NUMBER
+
+# --- rigid motion
+# Move the body between the scans, as far as the registration has left it.
+
+
+SHIFTS = ("motion_x", "motion_y", "motion_z")
+RIGID_MOTION_TURNS = ("motion_turn_x", "motion_turn_y", "motion_turn_z")
+
+
+def rigid_columns(points: FloatArray, normals: FloatArray, centre_mm: Triple) -> FloatArray:
+    """Return normal motion for 1 mm along and 1 degree about each axis, shape (k, 6).
+
+    Turns are about `centre_mm` and linearised: of r theta^2 / 2 they know nothing, which
+    is 0.12 mm for 3 degrees at 85 mm. See `Effect.shift`.
+    """
+    arm = np.asarray(points) - np.asarray(centre_mm)
+    # n . (w x r) = w . (r x n)
+    return np.hstack([normals, np.radians(np.cross(arm, normals))])
+
+
+def rigidly_moved(points: FloatArray, motion: FloatArray, centre_mm: Triple) -> FloatArray:
+    """Return points after a motion of 3 shifts in mm and 3 turns in degrees, shape (k, 3).
+
+    As linear as `rigid_columns`.
+    """
+    turn = np.radians(motion[3:])
+    return np.asarray(points + motion[:3] + np.cross(turn, points - np.asarray(centre_mm)))
+
+
+def _rigid_motion_columns(
+    points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
+) -> FloatArray:
+    """Return the columns of a motion that turns about the middle of the body, shape (k, 6)."""
+    return rigid_columns(points, normals, frame.centre_mm)
+
+
+# Every scan lies elsewhere by what a registration leaves, whatever the hypothesis; that all loaded
+# scans share another motion beyond that is as rare as a scanner with a wrong scale.
+RIGID_MOTION = Effect(
+    name="rigid_motion",
+    family="observation",
+    summary="The two scans are not perfectly aligned.",
+    parameters=(
+        *(two_sided(n, MM, 5.0, f"shift of the deformed scan along {n[-1]}") for n in SHIFTS),
+        *(
+            two_sided(n, DEGREE, 3.0, f"turn of the deformed scan about {n[-1]}")
+            for n in RIGID_MOTION_TURNS
+        ),
+    ),
+    prior_sd=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0),
+    steps=(0.01,) * 6,
+    transform=unchanged,
+    references=("J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE TMI 17 (1998) 694",),
+    observation=_rigid_motion_columns,
+    odds=0.1,
+)
+
+
+# --- frame turn
+# Turn the frame of the cameras against that of the body.
+
+
+FRAME_TURN_TURNS = ("frame_turn_x", "frame_turn_y", "frame_turn_z")
+
+
+def _frame_turn_columns(
+    moves: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
+) -> FloatArray:
+    """Return how 1 degree about each axis shifts displacements along the normals, shape (k, 3)."""
+    return np.asarray(np.radians(np.cross(moves, normals)))
+
+
+# What a fit to markers 0.5 mm off their places leaves, with the base 30 mm wide.
+FRAME_TURN = Effect(
+    name="frame_turn",
+    family="observation",
+    summary="The cameras' frame is turned against the body's: markers are not where they "
+    "are believed to be at rest.",
+    parameters=tuple(
+        two_sided(n, DEGREE, 5.0, f"turn of the observed displacements about {n[-1]}")
+        for n in FRAME_TURN_TURNS
+    ),
+    prior_sd=(1.0, 1.0, 1.0),
+    steps=(0.01,) * 3,
+    transform=unchanged,
+    references=("J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE TMI 17 (1998) 694",),
+    observation=_frame_turn_columns,
+    sees="moves",
+)
+
+
+# --- image scale
+# Let the loaded scans have another scale than that at rest.
+
+
+IMAGE_SCALE_NAMES = ("scale_x", "scale_y", "scale_z")
+
+
+def _image_scale_columns(
+    points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
+) -> FloatArray:
+    """Return normal motion where everything grows about the middle of the body, shape (k, 3).
+
+    For a scale that is larger by one; see `Effect.shift`.
+    """
+    return np.asarray((points - np.asarray(frame.centre_mm)) * normals)
+
+
+# Distortions of MR images that are left after correction: 1 % is much, and scans of one scanner
+# share them. Voxels alone can look like a scale that is off by a tenth of that.
+IMAGE_SCALE = Effect(
+    name="image_scale",
+    family="observation",
+    summary="The loaded scans have another scale than the scan at rest.",
+    parameters=tuple(
+        two_sided(
+            name,
+            NUMBER,
+            0.05,
+            f"how much larger they show the body along {name[-1]}",
+            reading=percent(f"% larger along {name[-1]}"),
+        )
+        for name in IMAGE_SCALE_NAMES
+    ),
+    prior_sd=(0.005,) * len(IMAGE_SCALE_NAMES),
+    steps=(1e-4,) * len(IMAGE_SCALE_NAMES),
+    transform=unchanged,
+    references=("D. Wang et al., Magn. Reson. Imaging 22 (2004) 1211",),
+    observation=_image_scale_columns,
+    odds=0.1,
+)
+
+
+# --- image shear
+# Let the loaded scans be sheared against that at rest.
+
+
+IMAGE_SHEAR_NAMES = ("shear_xy", "shear_xz", "shear_yz")
+# What is moved, along which axis, and in proportion to which coordinate.
+MOVED, BY = (0, 0, 1), (1, 2, 2)
+
+
+def _image_shear_columns(
+    points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
+) -> FloatArray:
+    """Return normal motion where planes slide over each other, shape (k, 3).
+
+    For a shear of one about the middle of the body; see `Effect.shift`. The other three shears
+    are these and a turn, which the pose of a scan has.
+    """
+    arms = points - np.asarray(frame.centre_mm)
+    return np.asarray(normals[:, MOVED] * arms[:, BY])
+
+
+# A gantry that stands a quarter of a degree off, or what is left of a distortion.
+IMAGE_SHEAR = Effect(
+    name="image_shear",
+    family="observation",
+    summary="The loaded scans are sheared against the scan at rest.",
+    parameters=tuple(
+        two_sided(
+            name,
+            NUMBER,
+            0.05,
+            f"how far they are moved along {name[-2]} by 1 mm of {name[-1]}",
+            reading=Reading(unit=f"mm along {name[-2]} for each mm of {name[-1]}"),
+        )
+        for name in IMAGE_SHEAR_NAMES
+    ),
+    prior_sd=(0.005,) * len(IMAGE_SHEAR_NAMES),
+    steps=(1e-4,) * len(IMAGE_SHEAR_NAMES),
+    transform=unchanged,
+    references=("D. Wang et al., Magn. Reson. Imaging 22 (2004) 1211",),
+    observation=_image_shear_columns,
+    odds=0.1,
+)
+
+
+# --- segmentation offset
+# Draw labels too large or too small.
+
+
+TISSUES = (Tissue.FAT, Tissue.GLANDULAR, Tissue.SKIN, Tissue.MUSCLE)
+
+
+def _segmentation_offset_columns(
+    points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
+) -> FloatArray:
+    """Return 1 where an interface encloses the tissue, shape (k, 4); see `Effect.shift`."""
+    return np.equal.outer(np.asarray(tissues), np.array(TISSUES)).astype(np.float64)
+
+
+SEGMENTATION_OFFSET = Effect(
+    name="segmentation_offset",
+    family="observation",
+    summary="The labels of a tissue are drawn too large or too small.",
+    parameters=tuple(
+        two_sided(
+            f"segmentation_{tissue.name.lower()}",
+            MM,
+            2.0,
+            f"how far the labels of {tissue.name.lower()} reach beyond its true boundary",
+        )
+        for tissue in TISSUES
+    ),
+    prior_sd=(0.35,) * len(TISSUES),
+    steps=(0.01,) * len(TISSUES),
+    transform=unchanged,
+    references=("M. A. Lago, PhD thesis, 2014, section 4.5.7",),
+    observation=_segmentation_offset_columns,
+)
+
+
+# --- marker standoff
+# Let markers stand off the surface on which they are believed to sit.
+
+
+MARKER_STANDOFF_NAME = "marker_standoff"
+
+
+def _marker_standoff_columns(
+    arms: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
+) -> FloatArray:
+    """Return how an arm's end (1 mm) moves against its foot, along the normals, shape (k, 1).
+
+    The arm stands on the surface and turns with it, so what it adds is exact for any
+    turn, and linear in its length.
+    """
+    return np.asarray((arms * normals).sum(axis=1)[:, None])
+
+
+MARKER_STANDOFF = Effect(
+    name="marker_standoff",
+    family="observation",
+    summary="The markers stand off the surface and swing out as it turns.",
+    parameters=(
+        from_zero(MARKER_STANDOFF_NAME, MM, 15.0, "height of the markers above the surface"),
+    ),
+    prior_sd=(5.0,),
+    steps=(0.01,),
+    transform=unchanged,
+    references=(
+        "A. Cappozzo et al., Clin. Biomech. 11 (1996) 90: markers that move "
+        "against what they stand for",
+    ),
+    observation=_marker_standoff_columns,
+    sees="arms",
+)

@@ -42,6 +42,7 @@ from palpate.storage.records.record import (
 from palpate.storage.records.seal import seal
 from palpate.storage.records.tasks import FitJson
 from palpate.storage.stores.store import Store, open_store
+from palpate.workers.organs.organ import DifferentiableOrgan, no_derivatives
 from palpate.workers.organs.registry import organ_named
 
 __all__ = ["Conclusion", "Study", "Tasks"]
@@ -263,9 +264,11 @@ class _Run:
 
     def _identify(self, best: EvaluationRecord, evaluation: EvaluationRun) -> None:
         """Find out what the image tells of the constants, from the tangents at the best one."""
-        reason = organ_named(self.spec.case.organ).no_derivatives
+        organ = organ_named(self.spec.case.organ)
+        differentiable = isinstance(organ, DifferentiableOrgan)
+        reason = "" if differentiable else no_derivatives(organ.name)
         fit = best.fit
-        if fit is None and not reason:
+        if fit is None and differentiable:
             ending = evaluation.differentiate(best.candidate)
             if ending.kind == "lost":  # of its workers; the next run tries again
                 return

@@ -36,7 +36,8 @@ from palpate.storage.records.tasks import FreeParameter
 from palpate.workers.documents import parse_yaml
 from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.missing_keys import missing
-from palpate.workers.organs.registry import DEFAULT, MODULES, organ_named
+from palpate.workers.organs.organ import DifferentiableOrgan, no_derivatives
+from palpate.workers.organs.registry import DEFAULT, organ_named, organ_names
 from palpate.workers.spec import (
     CaseSpec,
     Door,
@@ -119,8 +120,9 @@ class StudySpec(Door):
 
     @model_validator(mode="after")
     def _organ_has_derivatives(self) -> Self:
-        reason = organ_named(self.case.organ).no_derivatives
-        if self.search.by_derivatives and reason:
+        organ = organ_named(self.case.organ)
+        if self.search.by_derivatives and not isinstance(organ, DifferentiableOrgan):
+            reason = no_derivatives(self.case.organ)
             raise ValueError(f"search.strategy {self.search.strategy}: {reason}")
         return self
 
@@ -255,7 +257,7 @@ def _organ_in(data: Mapping[str, Any]) -> str:
     case = data.get("case")
     named = case.get("organ", DEFAULT) if isinstance(case, Mapping) else DEFAULT
     organ = getattr(case, "organ", named)
-    return organ if isinstance(organ, str) and organ in MODULES else DEFAULT
+    return organ if isinstance(organ, str) and organ in organ_names() else DEFAULT
 
 
 def read_spec(path: Path) -> StudySpec:

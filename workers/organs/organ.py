@@ -4,9 +4,8 @@
 
     make_body > make_mesh > prepare > solve > deform > scorer
 
-An organ is a room beside this file with an object that follows `Organ`, and one line in
-`workers.organs.registry`. It takes and gives values: volumes or sections, meshes,
-displacements. What it is called in a store and what of it is kept there is decided by
+An organ is an object that follows `Organ`, named by an `OrganPlugin`. It takes and returns
+values: volumes or sections, meshes, displacements. How they are stored is decided by
 `workers.tasks`.
 """
 
@@ -17,10 +16,11 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from numpy.typing import NDArray
 
+from palpate.storage.errors import InputError
 from palpate.storage.records.tasks import FreeParameter
 from palpate.storage.values import FloatArray, Volume
-from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.parameters import Vocabulary
+from palpate.workers.mechanics.pressed import Pressed
 from palpate.workers.organs.normal_equations import NormalEquations
 from palpate.workers.organs.nuisances import Nuisance
 from palpate.workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec
@@ -113,7 +113,10 @@ def logarithmic(parameter: FreeParameter) -> bool:
 
 
 class Organ(Protocol[Body, Mesh, Model]):
-    """One organ: its doors, its model and what is compared of it."""
+    """What every organ needs: its keys, its bodies and meshes, its model and its score.
+
+    What only some organs can do is said by the protocols below.
+    """
 
     @property
     def name(self) -> str:
@@ -136,20 +139,8 @@ class Organ(Protocol[Body, Mesh, Model]):
         """All that a study may hold or search, effects of the model included."""
 
     @property
-    def effects(self) -> Sequence[Effect]:
-        """What may be missing from the model; see `workers.mechanics.effects.base`."""
-
-    @property
-    def not_simulated(self) -> Sequence[tuple[str, str]]:
-        """What no effect stands for, by name, and why."""
-
-    @property
     def picture_labels(self) -> Mapping[int, str]:
         """The names of the labels of `picture`, by number."""
-
-    @property
-    def load_direction(self) -> str:
-        """How the load acts in a picture, as a sentence."""
 
     def body_files(self, spec: Door) -> Sequence[Path]:
         """Return the files that a body is read from; none if it is generated.
@@ -170,18 +161,6 @@ class Organ(Protocol[Body, Mesh, Model]):
         ------
         InputError
             If its files cannot be read, or show no body.
-        """
-
-    def stored_name(self, spec: Door) -> str | None:
-        """Return the name of the stored body that is meant, or None where a body is made."""
-
-    def adapt_stored(self, body: Body, spec: Door) -> Body | None:
-        """Return a stored body as `spec` describes it; None if it is taken as it is.
-
-        Raises
-        ------
-        InputError
-            If `spec` says what only a file can have, or the body is not fit for a study.
         """
 
     def body_to_arrays(self, body: Body) -> Arrays | Volume:
@@ -214,23 +193,11 @@ class Organ(Protocol[Body, Mesh, Model]):
     def facts(self, body: Body, mesh: Mesh) -> Facts:
         """Return what body and mesh are like: sizes, volumes, counts, units in their names."""
 
-    def check(self, case: Any, body: Body, mesh_facts: Mapping[str, Any]) -> None:
-        """Refuse a case whose body cannot be modelled as it says.
-
-        Raises
-        ------
-        InputError
-            Saying what was found, what was expected and what to change.
-        """
-
     def prepare(self, mesh: Mesh) -> Model:
         """Make ready what the mesh alone decides; kept by a process for all candidates."""
 
     def landmarks(self, body: Body, case: Any) -> Any:
         """Return what the load must know of a body's place, such as where it begins and ends."""
-
-    def landmarks_depend_on(self, case: Any) -> str:
-        """Return the part of the case that the landmarks depend on, as a key of a cache."""
 
     def problem(
         self,
@@ -253,49 +220,6 @@ class Organ(Protocol[Body, Mesh, Model]):
     def solve(self, model: Model, problem: Any) -> Solution:
         """Deform the body; not to converge is an ordinary outcome."""
 
-    @property
-    def no_derivatives(self) -> str:
-        """Why constants cannot be fitted by derivatives, as a sentence; empty where they can."""
-
-    def nuisances(self, case: Any, imaged: bool) -> Sequence[Nuisance]:
-        """Return the parameters that intervals allow for in addition to those searched.
-
-        Parameters
-        ----------
-        imaged : bool
-            Whether the target is an image; the place, scale and force of a simulated one are exact.
-        """
-
-    def coarse(self, body: Body, spacing_mm: float) -> Body:
-        """Return a body in coarser voxels, to be fitted first; itself where it is as coarse."""
-
-    def coarse_case(self, case: Any, nodes: int) -> CaseSpec:
-        """Return the case with a mesh of about so many nodes."""
-
-    def observation(self, body: Body, mesh: Mesh, target: Body, imaged: bool) -> Any:
-        """Return what residuals need of body and target; kept by a process for all candidates.
-
-        Parameters
-        ----------
-        imaged : bool
-            Whether the target is an image; else it was simulated.
-        """
-
-    def fit(
-        self,
-        model: Model,
-        case: Any,
-        constants: Mapping[str, float],
-        free: Sequence[FreeParameter],
-        landmarks: Any,
-        target_landmarks: Any | None,
-        observation: Any,
-    ) -> Fitted:
-        """Deform the body, and differentiate its residuals by the free parameters.
-
-        The same displacement as that of `solve` for the same problem.
-        """
-
     def deform(
         self, body: Body, mesh: Mesh, displacement_mm: FloatArray, target: Body | None = None
     ) -> Body:
@@ -307,9 +231,6 @@ class Organ(Protocol[Body, Mesh, Model]):
     def picture(self, body: Body) -> Volume:
         """Return a body as labelled voxels, to be drawn; a section has one slice."""
 
-    def scores_by_part(self, target: Body, candidate: Body, spec: Any) -> dict[str, Scores]:
-        """Return the score of each part of the organ on its own, by name."""
-
 
 @runtime_checkable
 class AligningOrgan(Protocol):
@@ -320,3 +241,126 @@ class AligningOrgan(Protocol):
 
         Facts are ``shift_mm`` and ``turn_deg``, each (x, y, z), and ``words``.
         """
+
+
+@runtime_checkable
+class DifferentiableOrgan(Protocol):
+    """An organ whose constants can be fitted by derivatives."""
+
+    def nuisances(self, case: Any, imaged: bool) -> Sequence[Nuisance]:
+        """Return the parameters that intervals allow for in addition to those searched.
+
+        Parameters
+        ----------
+        imaged : bool
+            Whether the target is an image; the place, scale and force of a simulated one are exact.
+        """
+
+    def coarse_case(self, case: Any, nodes: int) -> CaseSpec:
+        """Return the case with a mesh of about so many nodes."""
+
+    def observation(self, body: Any, mesh: Any, target: Any, imaged: bool) -> Any:
+        """Return what residuals need of body and target; kept by a process for all candidates.
+
+        Parameters
+        ----------
+        imaged : bool
+            Whether the target is an image; else it was simulated.
+        """
+
+    def fit(
+        self,
+        model: Any,
+        case: Any,
+        constants: Mapping[str, float],
+        free: Sequence[FreeParameter],
+        landmarks: Any,
+        target_landmarks: Any | None,
+        observation: Any,
+    ) -> Fitted:
+        """Deform the body, and differentiate its residuals by the free parameters.
+
+        The same displacement as that of `Organ.solve` for the same problem.
+        """
+
+
+def differentiable(organ: Organ[Any, Any, Any]) -> DifferentiableOrgan:
+    """Return an organ as one whose constants can be fitted by derivatives.
+
+    Raises
+    ------
+    InputError
+        If they cannot.
+    """
+    if not isinstance(organ, DifferentiableOrgan):
+        raise InputError(no_derivatives(organ.name))
+    return organ
+
+
+def no_derivatives(organ: str) -> str:
+    """Return the sentence for an organ whose constants cannot be fitted by derivatives."""
+    return f"the organ {organ} has no derivatives; use the strategy genetic or cma"
+
+
+@runtime_checkable
+class VoxelOrgan(Protocol):
+    """An organ whose bodies are voxels, so that they can be fitted in coarser ones first."""
+
+    def coarse(self, body: Any, spacing_mm: float) -> Any:
+        """Return a body in coarser voxels; itself where it is as coarse."""
+
+
+@runtime_checkable
+class StoredOrgan(Protocol):
+    """An organ whose bodies can be named in the store instead of being read from a file."""
+
+    def stored_name(self, spec: Door) -> str | None:
+        """Return the name of the stored body that is meant, or None where a body is made."""
+
+    def adapt_stored(self, body: Any, spec: Door) -> Any | None:
+        """Return a stored body as `spec` describes it; None if it is taken as it is.
+
+        Raises
+        ------
+        InputError
+            If `spec` says what only a file can have, or the body is not fit for a study.
+        """
+
+
+@runtime_checkable
+class CheckingOrgan(Protocol):
+    """An organ that refuses some bodies after they were meshed."""
+
+    def check(self, case: Any, body: Any, mesh_facts: Mapping[str, Any]) -> None:
+        """Refuse a case whose body cannot be modelled as it says.
+
+        Raises
+        ------
+        InputError
+            Saying what was found, what was expected and what to change.
+        """
+
+
+@runtime_checkable
+class PartedOrgan(Protocol):
+    """An organ of several parts, each with a score of its own."""
+
+    def scores_by_part(self, target: Any, candidate: Any, spec: Any) -> dict[str, Scores]:
+        """Return the score of each part, by name."""
+
+
+def scores_by_part(
+    organ: Organ[Any, Any, Any], target: Any, candidate: Any, spec: Any
+) -> dict[str, Scores]:
+    """Return the score of each part of an organ, by name; an organ without parts is one."""
+    if isinstance(organ, PartedOrgan):
+        return organ.scores_by_part(target, candidate, spec)
+    return {organ.name: organ.scorer(target, spec).score(candidate).as_dict()}
+
+
+@runtime_checkable
+class PressedOrgan(Protocol):
+    """An organ that plates press."""
+
+    def pressed(self, case: Any) -> Pressed:
+        """Return how they press."""

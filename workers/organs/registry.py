@@ -4,27 +4,20 @@ A result of one organ therefore does not depend on the code of another.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
-from palpate.storage.errors import InputError
 from palpate.storage.records.tasks import FreeParameter
-from palpate.workers.mechanics.parameters import unknown_name
+from palpate.workers import plugins
+from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.pressed import Pressed
-from palpate.workers.organs.organ import Organ
+from palpate.workers.organs.organ import Organ, PressedOrgan
+from palpate.workers.organs.plugin import OrganPlugin, module_of, resolve
 from palpate.workers.spec import CaseSpec
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# The module of each organ; it holds the object ORGAN.
-MODULES = {
-    "breast": "palpate.workers.organs.breast.organ",
-    "cornea": "palpate.workers.organs.cornea.organ",
-}
 DEFAULT = "breast"
-# What is said of a fitted body beside its constants, where an organ has something to say.
-FINDINGS = {"cornea": "palpate.workers.organs.cornea.findings.study"}
 
 
 class Findings(Protocol):
@@ -52,40 +45,54 @@ class Findings(Protocol):
         """Return figures of a study, each with its caption; of bodies some may be None."""
 
 
+def organ_names() -> tuple[str, ...]:
+    """Return the names of all organs, Palpate's own first."""
+    return tuple(plugins.plugins("organs"))
+
+
+def organ_plugin(name: str) -> OrganPlugin:
+    """Return an organ with its capabilities.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; close names are suggested.
+    """
+    plugin: OrganPlugin = plugins.load("organs", name)
+    return plugin
+
+
+def organ_module(name: str) -> str:
+    """Return the dotted name of an organ's module; see `organ_plugin`."""
+    return module_of(organ_plugin(name).organ)
+
+
+def organ_named(name: str) -> Organ[Any, Any, Any]:
+    """Return an organ; see `organ_plugin`."""
+    organ: Organ[Any, Any, Any] = resolve(organ_plugin(name).organ)
+    return organ
+
+
 def findings_of(organ: str) -> Findings | None:
     """Return what says more of a fitted body; None for an organ without."""
-    name = FINDINGS.get(organ)
-    module: Any = None if name is None else import_module(name)
-    return module
+    name = organ_plugin(organ).findings
+    found: Findings | None = resolve(name) if name else None
+    return found
+
+
+def effects_of(organ: str) -> Sequence[Effect]:
+    """Return the effects that the model of an organ may lack; maybe none."""
+    name = organ_plugin(organ).effects
+    return resolve(name) if name else ()
+
+
+def not_simulated_by(organ: str) -> Sequence[tuple[str, str]]:
+    """Return what no effect of an organ stands for: names and reasons."""
+    name = organ_plugin(organ).not_simulated
+    return resolve(name) if name else ()
 
 
 def pressed_of(case: CaseSpec) -> Pressed | None:
     """Return how plates press the body of a case; None for an organ without plates."""
-    pressed = getattr(organ_named(case.organ), "pressed", None)
-    found: Pressed | None = None if pressed is None else pressed(case)
-    return found
-
-
-def organ_module(name: str) -> str:
-    """Return the dotted name of an organ's module.
-
-    Raises
-    ------
-    InputError
-        If there is no such organ; close names are suggested.
-    """
-    if name not in MODULES:
-        raise InputError(unknown_name("organ", name, MODULES))
-    return MODULES[name]
-
-
-def organ_named(name: str) -> Organ[Any, Any, Any]:
-    """Return an organ.
-
-    Raises
-    ------
-    InputError
-        If there is none of that name.
-    """
-    organ: Organ[Any, Any, Any] = import_module(organ_module(name)).ORGAN
-    return organ
+    organ = organ_named(case.organ)
+    return organ.pressed(case) if isinstance(organ, PressedOrgan) else None

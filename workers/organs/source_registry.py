@@ -5,35 +5,20 @@ A result of one kind therefore does not depend on the code of another; see
 """
 
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
 from palpate.storage.errors import InputError, StoreError
 from palpate.storage.values import Volume
+from palpate.workers import plugins
 from palpate.workers.diagnosis.outcome.source import (
     FinishedStudy,
     PlannedSource,
     Source,
     SourceContent,
 )
-from palpate.workers.mechanics.parameters import unknown_name
-
-# The module of each kind; it makes the source again from its content.
-MODULES = {
-    "scanned case": "palpate.workers.organs.breast.case.source",
-    "planned case": "palpate.workers.organs.breast.case.source",
-    "breast study": "palpate.workers.organs.breast.study_source",
-    "cornea study": "palpate.workers.organs.cornea.diagnosis.study_source",
-    "specimen": "palpate.workers.organs.specimen.source",
-}
-# The kind of source that a study of an organ is.
-STUDIES = {"breast": "breast study", "cornea": "cornea study"}
-# Modules that read sources from files, each with an object READER.
-READERS = (
-    "palpate.workers.organs.breast.case.files",
-    "palpate.workers.organs.specimen.experiment_files",
-)
+from palpate.workers.organs.plugin import SourcePlugin, module_of, resolve
+from palpate.workers.organs.registry import organ_names, organ_plugin
 
 
 class Reader(Protocol):
@@ -72,6 +57,23 @@ class Reader(Protocol):
         """Return the same as a structured YAML text; None if this kind has no other form."""
 
 
+def source_kinds() -> dict[str, str]:
+    """Return what makes a source again from its content, ``"module:class"``, by kind."""
+    kinds: dict[str, str] = {}
+    for name in plugins.plugins("sources"):
+        kinds |= source_plugin(name).kinds
+    for organ in map(organ_plugin, organ_names()):
+        if organ.study_kind:
+            kinds[organ.study_kind] = organ.study_source
+    return kinds
+
+
+def source_plugin(name: str) -> SourcePlugin:
+    """Return a plug-in of sources by its name."""
+    plugin: SourcePlugin = plugins.load("sources", name)
+    return plugin
+
+
 def source_module(kind: str) -> str:
     """Return the dotted name of the module that makes a kind of source.
 
@@ -80,33 +82,25 @@ def source_module(kind: str) -> str:
     StoreError
         If there is no such kind.
     """
-    if kind not in MODULES:
-        raise StoreError(
-            f"The store holds a source of the kind {kind!r}, this version knows "
-            f"{', '.join(MODULES)}: other versions of Palpate share it. `palpate doctor` shows "
-            "which."
-        )
-    return MODULES[kind]
+    return module_of(_source_class(kind))
 
 
 def readers() -> Iterator[Reader]:
     """Yield what reads sources from files."""
-    for module in READERS:
-        reader: Reader = import_module(module).READER
+    for name in plugins.plugins("sources"):
+        reader: Reader = resolve(source_plugin(name).reader)
         yield reader
 
 
 def source_of(content: SourceContent) -> Source:
     """Make a source of a diagnosis again from its content."""
-    source: Source = import_module(source_module(content.kind)).SOURCES[content.kind](content)
+    source: Source = resolve(_source_class(content.kind)).from_content(content)
     return source
 
 
 def planned_source_of(content: SourceContent) -> PlannedSource:
     """Make a source of a plan again from its content."""
-    source: PlannedSource = import_module(source_module(content.kind)).SOURCES[content.kind](
-        content
-    )
+    source: PlannedSource = resolve(_source_class(content.kind)).from_content(content)
     return source
 
 
@@ -118,12 +112,22 @@ def source_of_study(organ: str, study: FinishedStudy) -> "StudySource":
     InputError
         If studies of that organ cannot be diagnosed.
     """
-    if organ not in STUDIES:
-        raise InputError(
-            f"A study of this organ cannot be diagnosed: {unknown_name('organ', organ, STUDIES)}"
-        )
-    source: StudySource = import_module(source_module(STUDIES[organ])).from_study(study)
+    reference = organ_plugin(organ).study_source
+    if not reference:
+        raise InputError(f"Studies of the organ {organ} cannot be diagnosed.")
+    source: StudySource = resolve(reference).from_study(study)
     return source
+
+
+def _source_class(kind: str) -> str:
+    kinds = source_kinds()
+    if kind not in kinds:
+        raise StoreError(
+            f"The store holds a source of the kind {kind!r}, this version knows "
+            f"{', '.join(kinds)}: other versions of Palpate share it. `palpate doctor` shows "
+            "which."
+        )
+    return kinds[kind]
 
 
 class StudySource(Source, PlannedSource, Protocol):

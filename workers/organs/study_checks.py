@@ -5,17 +5,13 @@ A module of checks is imported when it is first asked for, so no result depends 
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, Literal, Protocol, runtime_checkable
 
 from palpate.storage.errors import InputError
 from palpate.workers.mechanics.parameters import Bounds
+from palpate.workers.organs.plugin import resolve
+from palpate.workers.organs.registry import organ_plugin
 
-# The module of each organ that has checks of its own; it holds the object CHECKS.
-MODULES = {
-    "breast": "palpate.workers.organs.breast.study_checks",
-    "cornea": "palpate.workers.organs.cornea.study_checks",
-}
 ANYWAY = "If the input is right as it is, continue with --anyway (in Python: anyway=True)."
 FIRST_LINE = "Computed with --anyway, although a plausibility check failed: "
 
@@ -84,9 +80,8 @@ class CheckedSource(Protocol):
 
 def checks_of(organ: str) -> StudyChecks | None:
     """Return the checks of an organ; None if it has none of its own."""
-    if organ not in MODULES:
-        return None
-    checks: StudyChecks = import_module(MODULES[organ]).CHECKS
+    name = organ_plugin(organ).checks
+    checks: StudyChecks | None = resolve(name) if name else None
     return checks
 
 

@@ -23,7 +23,14 @@ from palpate.storage.stores.volumes import (
     volume_meta,
 )
 from palpate.storage.values import Volume
-from palpate.workers.organs.organ import AligningOrgan, Facts, Organ
+from palpate.workers.organs.organ import (
+    AligningOrgan,
+    Facts,
+    Organ,
+    StoredOrgan,
+    VoxelOrgan,
+    differentiable,
+)
 from palpate.workers.organs.registry import organ_module
 from palpate.workers.resources import CACHE
 from palpate.workers.spec import CaseSpec, Door, ScoreSpec
@@ -54,9 +61,10 @@ class BodyStore:
         InputError
             If it cannot be made, or is neither a file nor in the store.
         """
-        given = self.organ.stored_name(spec)
-        if given is not None:
-            return self._stored(given, spec)
+        if isinstance(self.organ, StoredOrgan):
+            given = self.organ.stored_name(spec)
+            if given is not None:
+                return self._stored(self.organ, given, spec)
         files = self.organ.body_files(spec)
         settings = self.organ.body_settings(spec)
         request = self._request("body", settings, [file_digest(file) for file in files])
@@ -126,7 +134,8 @@ class BodyStore:
 
     def landmarks(self, name: str, case: CaseSpec) -> Any:
         """Return what the load must know of the place of a stored body."""
-        what = f"landmarks {self.organ.landmarks_depend_on(case)}"
+        load = case.model_dump_json(exclude={"reference", "mesh", "constants"})
+        what = f"landmarks {load}"
         return self._cached(what, name, lambda: self.organ.landmarks(self.body(name), case))
 
     def scorer(self, target: str, spec: ScoreSpec) -> Any:
@@ -139,6 +148,8 @@ class BodyStore:
         request = self._request("coarse body", name, spacing_mm)
 
         def make() -> str:
+            if not isinstance(self.organ, VoxelOrgan):
+                return name
             body = self.body(name)
             coarse = self.organ.coarse(body, spacing_mm)
             if coarse is body:
@@ -149,10 +160,11 @@ class BodyStore:
 
     def observation(self, body: str, mesh: str, target: str) -> Any:
         """Return what residuals need of a body and its target."""
+        organ = differentiable(self.organ)
         return self._cached(
             f"observation {body} {mesh}",
             target,
-            lambda: self.organ.observation(
+            lambda: organ.observation(
                 self.body(body), self.mesh(mesh), self.body(target), self.imaged(target)
             ),
         )
@@ -198,9 +210,9 @@ class BodyStore:
             observation=self.observation(body, mesh, target) if target and observed else None,
         )
 
-    def _stored(self, given: str, spec: Door) -> str:
+    def _stored(self, organ: StoredOrgan, given: str, spec: Door) -> str:
         name = self._find(given)
-        adapted = self.organ.adapt_stored(self.body(name), spec)
+        adapted = organ.adapt_stored(self.body(name), spec)
         return name if adapted is None else self.add(adapted, {"kind": "image"})
 
     def _find(self, given: str) -> str:

@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from palpate.storage.digest import digest, file_digest
+from palpate.workers.plugins import foreign_plugins
 
 PACKAGES = ("palpate.workers", "palpate.storage")
 # Python 3.11 cannot parse in several threads at once (cpython issue 106905), and studies of one
@@ -29,7 +30,8 @@ def code_version(*modules: str) -> str:
     Parameters
     ----------
     *modules : str
-        Dotted names, such as ``"palpate.workers.tasks.evaluation"``.
+        Dotted names, such as ``"palpate.workers.tasks.evaluation"``. Of a plug-in the whole
+        top-level package counts that it imports from, and the version of its distribution.
 
     Returns
     -------
@@ -41,8 +43,11 @@ def code_version(*modules: str) -> str:
     ModuleNotFoundError
         If there is no such module.
     """
-    files = reached(modules)
-    return digest(sorted((name, file_digest(file)) for name, file in files.items()))
+    foreign = {_top(module) for module in modules if not _below(module, PACKAGES)}
+    files = reached(modules, (*PACKAGES, *foreign))
+    versions = {(p.distribution, p.version) for p in foreign_plugins() if _top(p.module) in foreign}
+    code = sorted((name, file_digest(file)) for name, file in files.items())
+    return digest(code, sorted(versions)) if foreign else digest(code)
 
 
 def reached(modules: Iterable[str], packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
@@ -75,8 +80,12 @@ def reached(modules: Iterable[str], packages: Iterable[str] = PACKAGES) -> dict[
             raise ModuleNotFoundError(f"There is no module {name}.", name=name)
         files[name] = file
         waiting.extend(_parents(name))
-        waiting.extend(_imported(file, name))
+        waiting.extend(_imported(file, name, roots))
     return files
+
+
+def _top(module: str) -> str:
+    return module.partition(".")[0]
 
 
 def _below(module: str, packages: Iterable[str]) -> bool:
@@ -90,6 +99,8 @@ def source_file(module: str) -> Path | None:
     spec = find_spec(top)
     if spec is None or spec.origin is None:
         return None
+    if not rest and spec.submodule_search_locations is None:
+        return Path(spec.origin)
     place = Path(spec.origin).parent.joinpath(*rest)
     for file in (place / "__init__.py", place.with_suffix(".py")):
         if file.is_file():
@@ -103,7 +114,7 @@ def _parents(module: str) -> Iterator[str]:
 
 
 @cache
-def _imported(file: Path, module: str) -> tuple[str, ...]:
+def _imported(file: Path, module: str, roots: tuple[str, ...] = PACKAGES) -> tuple[str, ...]:
     """Return the modules that a file names in import statements.
 
     ``from package import name`` names the module ``package.name`` where there is one.
@@ -115,12 +126,19 @@ def _imported(file: Path, module: str) -> tuple[str, ...]:
         if isinstance(node, ast.Import):
             names.extend(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            if node.level:
-                raise ImportError(f"{module} has a relative import, which is not followed.")
-            base = node.module or ""
+            base = _imported_from(node, module, file)
             names.append(base)
-            names.extend(_submodules(base, node))
+            names.extend(_submodules(base, node, roots))
     return tuple(names)
+
+
+def _imported_from(node: ast.ImportFrom, module: str, file: Path) -> str:
+    """Return the absolute name of the module that a ``from`` statement imports from."""
+    if not node.level:
+        return node.module or ""
+    package = module.split(".") if file.name == "__init__.py" else module.split(".")[:-1]
+    above = package[: len(package) - node.level + 1]
+    return ".".join([*above, node.module] if node.module else above)
 
 
 def _statements(tree: ast.AST) -> Iterator[ast.AST]:
@@ -133,8 +151,8 @@ def _statements(tree: ast.AST) -> Iterator[ast.AST]:
             waiting.extend(getattr(node, block, ()))
 
 
-def _submodules(base: str, node: ast.ImportFrom) -> Iterator[str]:
-    if not _below(base, PACKAGES):
+def _submodules(base: str, node: ast.ImportFrom, roots: tuple[str, ...]) -> Iterator[str]:
+    if not _below(base, roots):
         return
     for alias in node.names:
         name = f"{base}.{alias.name}"

@@ -35,7 +35,13 @@ from palpate.storage.records.tasks import (
 )
 from palpate.storage.stores.fields import load_field, save_field
 from palpate.storage.stores.store import Store, open_store
-from palpate.workers.organs.organ import Organ, Solution
+from palpate.workers.organs.organ import (
+    CheckingOrgan,
+    Organ,
+    Solution,
+    differentiable,
+    scores_by_part,
+)
 from palpate.workers.organs.registry import DEFAULT, organ_module, organ_named
 from palpate.workers.resources import worker_name
 from palpate.workers.spec import CaseSpec, ScoreSpec, validated
@@ -86,7 +92,8 @@ def prepare_case(case: SpecJson, store: str) -> PreparedBody:
     bodies = BodyStore(open_store(store), organ)
     body = bodies.bring_body(spec.reference)
     mesh, facts = bodies.bring_mesh(body, spec)
-    organ.check(spec, bodies.body(body), facts)
+    if isinstance(organ, CheckingOrgan):
+        organ.check(spec, bodies.body(body), facts)
     return {"volume": body, "mesh": mesh, "facts": facts}
 
 
@@ -101,7 +108,7 @@ def prepare_level(
         If the body cannot be meshed so coarsely.
     """
     organ = case_organ(case)
-    spec = organ.coarse_case(case_of(case), nodes)
+    spec = differentiable(organ).coarse_case(case_of(case), nodes)
     bodies = BodyStore(open_store(store), organ)
     body = bodies.coarse(prepared["volume"], spacing_mm)
     coarse_target = bodies.coarse(target, spacing_mm)
@@ -280,11 +287,11 @@ def keep_volume(request: EvaluationRequest) -> str:
 def score_bodies(
     case: SpecJson, store: str, target: str, candidate: str, score: SpecJson | None = None
 ) -> Mapping[str, Scores]:
-    """Compare two stored bodies part by part; see `Organ.scores_by_part`."""
+    """Compare two stored bodies part by part; see `scores_by_part`."""
     organ = case_organ(case)
     how = validated(organ.score_spec, score or {}, "The score")
     bodies = BodyStore(open_store(store), organ)
-    return organ.scores_by_part(bodies.body(target), bodies.body(candidate), how)
+    return scores_by_part(organ, bodies.body(target), bodies.body(candidate), how)
 
 
 def _dependencies(spec: CaseSpec, prepared: PreparedBody, values: Mapping[str, float]) -> list[Any]:

@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 
 from palpate.storage.records.tasks import FitJson, FreeParameter
-from palpate.workers.organs.organ import Organ, Residuals, Scorer, Scores, Solution, logarithmic
+from palpate.workers.organs.organ import (
+    Organ,
+    Residuals,
+    Scorer,
+    Scores,
+    Solution,
+    differentiable,
+    logarithmic,
+)
 from palpate.workers.spec import CaseSpec
 
 
@@ -111,7 +119,7 @@ def evaluate(
     fit: FitJson | None = None
     with watch.stage("solve"):
         if free:
-            fitted = organ.fit(
+            fitted = differentiable(organ).fit(
                 setup.model,
                 setup.case,
                 constants,

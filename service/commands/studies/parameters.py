@@ -17,11 +17,11 @@ def parameters(
     as_json: JsonOption = False,
 ) -> None:
     """List an organ's constants and effects for study files."""
-    from palpate.workers.organs.registry import organ_named
+    from palpate.workers.organs.registry import effects_of, not_simulated_by, organ_named
 
-    about = organ_named(organ)
-    of_effects = {name for e in about.effects for name in e.names}
-    named = [p for p in about.parameters if p.name not in of_effects]
+    known, not_simulated = effects_of(organ), not_simulated_by(organ)
+    of_effects = {name for e in known for name in e.names}
+    named = [p for p in organ_named(organ).parameters if p.name not in of_effects]
     constants = [] if effects else [_parameter(p) for p in named]
     causes: list[dict[str, Any]] = [
         {
@@ -32,9 +32,9 @@ def parameters(
             "parameters": [_parameter(p) for p in e.parameters],
             "references": list(e.references),
         }
-        for e in about.effects
+        for e in known
     ]
-    missing = [{"effect": name, "why": why} for name, why in about.not_simulated]
+    missing = [{"effect": name, "why": why} for name, why in not_simulated]
     if as_json:
         print_json({"constants": constants, "effects": causes, "not_simulated": missing})
         return

@@ -21,7 +21,8 @@ from palpate.storage.stores.meshes import has_mesh
 from palpate.storage.stores.store import open_store
 from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.mesh.hierarchy import Hierarchy
-from palpate.workers.organs.registry import findings_of, organ_named
+from palpate.workers.organs.organ import scores_by_part
+from palpate.workers.organs.registry import findings_of, organ_named, organ_plugin
 from palpate.workers.tasks.body_store import BodyStore
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def find_bodies(
     def scores(body: Any | None) -> Mapping[str, Scores]:
         if body is None or target is None or not compare:
             return {}
-        return organ.scores_by_part(target, body, spec.score)
+        return scores_by_part(organ, target, body, spec.score)
 
     def picture(body: Any | None) -> Volume | None:
         return None if body is None else organ.picture(body)
@@ -129,7 +130,7 @@ def find_bodies(
         scores(reference),
         scores(explained),
         organ.picture_labels,
-        organ.load_direction,
+        organ_plugin(spec.case.organ).load_direction,
         surfaces=_surfaces(bodies, session, best, reference, target) if in_3d else (),
         figures=_no_figures
         if more is None

@@ -320,7 +320,7 @@ def _details(data: StudyData) -> dict[str, Any]:
     versions = data.results.versions
     configuration = to_plain(data.results.spec.as_dict())
     return {
-        "case": study_tables.case(data.results.body_facts),
+        "case": study_tables.case(data.results.spec.case.organ, data.results.body_facts),
         "configuration": yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True),
         "provenance": study_provenance(data),
         "glossary": STUDY,

@@ -21,6 +21,8 @@ from palpate.service.results.record import ParameterEstimate, StageTime
 from palpate.storage.records.record import EvaluationRecord
 from palpate.storage.records.status import Status
 from palpate.storage.records.tasks import BodyFacts, OutcomeJson, Scores
+from palpate.workers.organs.plugin import Fact
+from palpate.workers.organs.registry import organ_plugin
 
 
 @dataclass(frozen=True)
@@ -180,32 +182,18 @@ def outcome(solver: OutcomeJson) -> list[tuple[str, str | Markup]]:
     return rows
 
 
-def case(facts: BodyFacts) -> list[tuple[str, str]]:
-    """Return what body and mesh are like."""
-    rows = []
-    if "volume_ml" in facts:
-        rows.append(("Volume of the body", f"{number(facts['volume_ml'])} ml"))
-    if "glandular_fraction" in facts:
-        rows.append(("Glandular share", f"{100 * facts['glandular_fraction']:.1f} %"))
-    if "voxels" in facts:
-        sides = " × ".join(number(s) for s in facts.get("spacing_mm", ()))
-        rows.append(("Voxels of the body", f"{count(facts['voxels'])} of {sides} mm"))
-    for name, key, unit in (
-        ("Chord of the cornea", "chord_mm", "mm"),
-        ("Central thickness", "central_thickness_um", "µm"),
-        ("Nodes of the mesh", "nodes", ""),
-        ("Tetrahedra", "tets", ""),
-        ("6-node triangles", "triangles", ""),
-        ("Meshes, coarse to fine", "levels", ""),
-        ("Element size", "element_size_mm", "mm"),
-    ):
-        if key in facts:
-            rows.append((name, _fact(facts[key], unit)))
+def case(organ: str, facts: BodyFacts) -> list[tuple[str, str]]:
+    """Return what body and mesh are like, as the organ words it."""
+    known: Mapping[str, Any] = facts
+    rows = [(f.label, _fact(known[f.key], f)) for f in organ_plugin(organ).facts if f.key in known]
+    if "voxels" in known:
+        sides = " × ".join(number(s) for s in known.get("spacing_mm", ()))
+        rows.append(("Voxels of the body", f"{count(known['voxels'])} of {sides} mm"))
     return rows
 
 
-def _fact(value: Any, unit: str) -> str:
+def _fact(value: Any, fact: Fact) -> str:
     if isinstance(value, float):
-        return f"{number(value, 3)} {unit}".rstrip()
+        return f"{number(fact.factor * value, 3)} {fact.unit}".rstrip()
     counts = value if isinstance(value, list) else [value]
     return " > ".join(count(n) for n in counts)

@@ -25,11 +25,7 @@ from palpate.workers.body.mesh.whole_body import mesh_whole_body
 from palpate.workers.body.phantom.breast import generate_breast
 from palpate.workers.comparison.similarity.score import Scorer, Surface, score_labels
 from palpate.workers.comparison.warp.warp_volume import warp_labels
-from palpate.workers.mechanics.effects.breast_catalogue import (
-    BREAST_EFFECTS,
-    BREAST_MODEL,
-    NOT_SIMULATED,
-)
+from palpate.workers.mechanics.effects.breast_catalogue import BREAST_MODEL
 from palpate.workers.mechanics.fem.elements.model import Model, prepare
 from palpate.workers.mechanics.fem.equilibrium.solve import solve
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
@@ -76,10 +72,7 @@ class Breast:
     target_spec = BreastTarget
     score_spec = BreastScore
     parameters = BREAST_MODEL
-    effects = BREAST_EFFECTS
-    not_simulated = NOT_SIMULATED
     picture_labels: Mapping[int, str] = {int(t): t.name.lower() for t in Tissue if t}
-    load_direction = "The plates press along y."
 
     def body_files(self, spec: Door) -> Sequence[Path]:
         """See `Organ.body_files`."""
@@ -106,14 +99,14 @@ class Breast:
         return read_image(_image_of(spec))
 
     def stored_name(self, spec: Door) -> str | None:
-        """See `Organ.stored_name`."""
+        """See `StoredOrgan.stored_name`."""
         if _phantom_of(spec):
             return None
         given = str(_image_of(spec).volume)
         return None if Path(given).exists() else given
 
     def adapt_stored(self, body: Volume, spec: Door) -> Volume | None:
-        """See `Organ.adapt_stored`."""
+        """See `StoredOrgan.adapt_stored`."""
         image = _image_of(spec)
         if image.spacing_mm is not None or image.axes is not None:
             raise InputError(
@@ -189,7 +182,7 @@ class Breast:
         }
 
     def check(self, case: BreastCase, body: Volume, mesh_facts: Mapping[str, Any]) -> None:
-        """See `Organ.check`."""
+        """See `CheckingOrgan.check`."""
         if case.model.skin == "layer":
             check_skin_layer(body, mesh_facts["element_size_mm"])
 
@@ -200,10 +193,6 @@ class Breast:
     def landmarks(self, body: Volume, case: BreastCase) -> Extent:
         """Return where the body begins and ends along the axis of compression, in mm."""
         return extent_of(body, case.load.oblique_deg)
-
-    def landmarks_depend_on(self, case: BreastCase) -> str:
-        """See `Organ.landmarks_depend_on`."""
-        return f"{case.load.oblique_deg:g}"
 
     def problem(
         self,
@@ -221,24 +210,22 @@ class Breast:
         """See `Organ.solve`."""
         return solve(model, problem)
 
-    no_derivatives = ""
-
     def nuisances(self, case: BreastCase, imaged: bool) -> Sequence[Nuisance]:
-        """See `Organ.nuisances`."""
+        """See `DifferentiableOrgan.nuisances`."""
         return nuisances(case.load, imaged)
 
     def coarse(self, body: Volume, spacing_mm: float) -> Volume:
-        """See `Organ.coarse`."""
+        """See `VoxelOrgan.coarse`."""
         return in_coarser_voxels(body, spacing_mm)
 
     def coarse_case(self, case: BreastCase, nodes: int) -> BreastCase:
-        """See `Organ.coarse_case`."""
+        """See `DifferentiableOrgan.coarse_case`."""
         return case.model_copy(update={"mesh": MeshSpec(nodes=nodes)})
 
     def observation(
         self, body: Volume, mesh: Hierarchy, target: Volume, imaged: bool
     ) -> BreastObservation:
-        """See `Organ.observation`."""
+        """See `DifferentiableOrgan.observation`."""
         return observe_target(body, mesh, target, imaged)
 
     def fit(
@@ -251,7 +238,7 @@ class Breast:
         target_landmarks: Extent | None,
         observation: BreastObservation,
     ) -> FittedBreast:
-        """See `Organ.fit`."""
+        """See `DifferentiableOrgan.fit`."""
 
         def problem_of(values: Mapping[str, float]) -> Problem:
             return self.problem(model, case, values, landmarks, target_landmarks)
@@ -273,7 +260,7 @@ class Breast:
         return Scorer(target, labels=spec.tissues, surface=spec.surface)
 
     def pressed(self, case: BreastCase) -> Pressed:
-        """Return how the plates press; see `workers.organs.registry.pressed_of`."""
+        """Return how the plates press; see `PressedOrgan.pressed`."""
         return pressed_by(case.load)
 
     def picture(self, body: Volume) -> Volume:
@@ -283,7 +270,7 @@ class Breast:
     def scores_by_part(
         self, target: Volume, candidate: Volume, spec: BreastScore
     ) -> dict[str, Scores]:
-        """See `Organ.scores_by_part`: each tissue of the target, and the whole `OUTLINE`."""
+        """See `PartedOrgan.scores_by_part`: each tissue of the target, and the whole `OUTLINE`."""
         return score_by_tissue(target, candidate, spec.surface)
 
 

@@ -107,6 +107,30 @@ class StudySource:
         self.noise = noise or self._usual_noise()
 
     @classmethod
+    def from_study(cls, study: FinishedStudy) -> "StudySource":
+        """Return a study that has run as the source of a diagnosis.
+
+        Raises
+        ------
+        InputError
+            If its case or target makes no sense.
+        """
+        case = validated(BreastCase, study.case, "The study's case")
+        target = validated(BreastTarget, study.target, "The study's target")
+        pieces = StudyPieces(
+            name=study.name,
+            case=case,
+            bounds=case.parameters.bounds_from_door(study.parameters),
+            best=case.parameters.from_door(study.best),
+            reference=in_air(study.reference),
+            target=in_air(study.deformed),
+            target_mesh=None if target.constants is None else target.mesh or case.mesh,
+            caveats=study.caveats,
+            align=target.align,
+        )
+        return cls(pieces)
+
+    @classmethod
     def from_content(cls, content: SourceContent) -> "StudySource":
         """Make it again from what the store holds."""
         record, volumes = content.record, content.volumes
@@ -298,33 +322,6 @@ class StudySource:
     def _usual_noise(self) -> SegmentationNoise:
         pieces = self.pieces
         return study_noise(pieces.reference, pieces.target, imaged=pieces.target_mesh is None)
-
-
-def from_study(study: FinishedStudy) -> StudySource:
-    """Return a study that has run as the source of a diagnosis.
-
-    Raises
-    ------
-    InputError
-        If its case or target makes no sense.
-    """
-    case = validated(BreastCase, study.case, "The study's case")
-    target = validated(BreastTarget, study.target, "The study's target")
-    pieces = StudyPieces(
-        name=study.name,
-        case=case,
-        bounds=case.parameters.bounds_from_door(study.parameters),
-        best=case.parameters.from_door(study.best),
-        reference=in_air(study.reference),
-        target=in_air(study.deformed),
-        target_mesh=None if target.constants is None else target.mesh or case.mesh,
-        caveats=study.caveats,
-        align=target.align,
-    )
-    return StudySource(pieces)
-
-
-SOURCES = {StudySource.kind: StudySource.from_content}
 
 
 def _free(name: str, bounds: Bounds) -> FreeConstant | None:

@@ -2,13 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from palpate.storage.records.tasks import FreeParameter
 from palpate.storage.values import FloatArray, Volume
-from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.organs.cornea.comparison.section_scorer import SectionScorer
 from palpate.workers.organs.cornea.comparison.surface_fit import (
     FittedCornea,
@@ -41,7 +39,7 @@ from palpate.workers.organs.cornea.spec import (
     MeshSpec,
 )
 from palpate.workers.organs.nuisances import Nuisance
-from palpate.workers.organs.organ import Arrays, Facts, Scores
+from palpate.workers.organs.organ import Arrays, Facts
 from palpate.workers.spec import Door
 
 # Of a mesh on which constants are fitted first.
@@ -56,6 +54,12 @@ EYE_MOTION = (
 _MESH_ARRAYS = ("nodes_mm", "triangles", "anterior", "posterior", "left", "right")
 
 
+NOT_SIMULATED = (
+    ("fibres", "the law of the thesis is isotropic"),
+    ("viscosity", "one image under the jet does not show how fast the cornea gives way"),
+)
+
+
 class Cornea:
     """See `workers.organs.organ.Organ`; a body is a `Section`."""
 
@@ -64,13 +68,7 @@ class Cornea:
     target_spec = CorneaTarget
     score_spec = CorneaScore
     parameters = CORNEA
-    effects: Sequence[Effect] = ()
-    not_simulated = (
-        ("fibres", "the law of the thesis is isotropic"),
-        ("viscosity", "one image under the jet does not show how fast the cornea gives way"),
-    )
     picture_labels: Mapping[int, str] = {CORNEA_LABEL: "cornea"}
-    load_direction = "The air jet presses against y, into the eye."
 
     def body_files(self, spec: Door) -> Sequence[Path]:
         """See `Organ.body_files`."""
@@ -97,14 +95,6 @@ class Cornea:
             peripheral_thickness_mm=section.peripheral_mm,
             asphericity=section.asphericity,
         )
-
-    def stored_name(self, spec: Door) -> str | None:
-        """See `Organ.stored_name`: sections are made, never named."""
-        return None
-
-    def adapt_stored(self, body: Section, spec: Door) -> Section | None:
-        """See `Organ.adapt_stored`."""
-        return None
 
     def body_to_arrays(self, body: Section) -> Arrays:
         """See `Organ.body_to_arrays`."""
@@ -154,9 +144,6 @@ class Cornea:
             "smallest_jacobian": quality.smallest_jacobian,
         }
 
-    def check(self, case: CorneaCase, body: Section, mesh_facts: Mapping[str, Any]) -> None:
-        """Refuse nothing: `make_body` and `make_mesh` have refused what cannot be modelled."""
-
     def prepare(self, mesh: T6Mesh) -> MeshForModels:
         """See `Organ.prepare`."""
         return MeshForModels(mesh)
@@ -164,10 +151,6 @@ class Cornea:
     def landmarks(self, body: Section, case: CorneaCase) -> float:
         """Return the x of the middle of the section, in mm."""
         return middle_of(body)
-
-    def landmarks_depend_on(self, case: CorneaCase) -> str:
-        """See `Organ.landmarks_depend_on`."""
-        return ""
 
     def problem(
         self,
@@ -184,25 +167,19 @@ class Cornea:
         """See `Organ.solve`."""
         return CorneaOutcome(solve_prepared(problem.prepared, problem.constants, problem.load))
 
-    no_derivatives = ""
-
     def nuisances(self, case: CorneaCase, imaged: bool) -> Sequence[Nuisance]:
-        """See `Organ.nuisances`: between two frames the whole eye may move."""
+        """See `DifferentiableOrgan.nuisances`: between two frames the whole eye may move."""
         return EYE_MOTION if imaged else ()
 
-    def coarse(self, body: Section, spacing_mm: float) -> Section:
-        """See `Organ.coarse`: a section has no voxels."""
-        return body
-
     def coarse_case(self, case: CorneaCase, nodes: int) -> CorneaCase:
-        """See `Organ.coarse_case`: an element brings two nodes, about."""
+        """See `DifferentiableOrgan.coarse_case`: an element brings two nodes, about."""
         mesh = MeshSpec(elements=max(FEWEST_ELEMENTS, nodes // 2))
         return case.model_copy(update={"mesh": mesh})
 
     def observation(
         self, body: Section, mesh: T6Mesh, target: Section, imaged: bool
     ) -> SurfaceObservation:
-        """See `Organ.observation`."""
+        """See `DifferentiableOrgan.observation`."""
         return observe_surfaces(mesh, target, imaged)
 
     def fit(
@@ -215,7 +192,7 @@ class Cornea:
         target_landmarks: float | None,
         observation: SurfaceObservation,
     ) -> FittedCornea:
-        """See `Organ.fit`."""
+        """See `DifferentiableOrgan.fit`."""
 
         def candidate_at(values: Mapping[str, float]) -> Candidate:
             return candidate_of(model, case, values, landmarks)
@@ -239,12 +216,6 @@ class Cornea:
     def picture(self, body: Section) -> Volume:
         """See `Organ.picture`."""
         return section_image(body)
-
-    def scores_by_part(
-        self, target: Section, candidate: Section, spec: CorneaScore
-    ) -> dict[str, Scores]:
-        """See `Organ.scores_by_part`: a cornea is one part."""
-        return {"cornea": SectionScorer(target, spec).score(candidate).as_dict()}
 
 
 ORGAN = Cornea()

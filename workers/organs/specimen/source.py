@@ -367,9 +367,6 @@ class SpecimenSource:
         return replace(problem, covariance=problem.covariance + added)
 
 
-SOURCES = {SpecimenSource.kind: SpecimenSource.from_content}
-
-
 def components(points_mm: FloatArray, measured: BoolArray) -> InterfacePoints:
     """Return each point once for every component that is compared; each axis is an interface.
 

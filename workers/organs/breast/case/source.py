@@ -183,12 +183,6 @@ class PlannedCaseSource:
         return acquisition_of(self.case)
 
 
-SOURCES = {
-    ScannedCaseSource.kind: ScannedCaseSource.from_content,
-    PlannedCaseSource.kind: PlannedCaseSource.from_content,
-}
-
-
 def _content(kind: str, case: ScannedCase) -> SourceContent:
     volumes = {REFERENCE: case.reference}
     if case.repeat is not None:

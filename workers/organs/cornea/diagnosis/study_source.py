@@ -39,7 +39,7 @@ from palpate.workers.organs.cornea.diagnosis.drawn_geometry import geometry_cova
 from palpate.workers.organs.cornea.diagnosis.effect_catalogue import CORNEA_EFFECTS, SEARCHED_AS
 from palpate.workers.organs.cornea.diagnosis.region_rows import SURFACES, region_rows
 from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
-from palpate.workers.organs.cornea.organ import ORGAN
+from palpate.workers.organs.cornea.organ import NOT_SIMULATED, ORGAN
 from palpate.workers.organs.cornea.problem import candidate_of
 from palpate.workers.organs.cornea.section.outline import Section
 from palpate.workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget
@@ -104,6 +104,33 @@ class CorneaStudySource:
 
     def __init__(self, study: CorneaStudy) -> None:
         self.study = study
+
+    @classmethod
+    def from_study(cls, study: FinishedStudy) -> "CorneaStudySource":
+        """Return a study that has run as the source of a diagnosis.
+
+        Raises
+        ------
+        InputError
+            If its case or target makes no sense.
+        """
+        case = validated(CorneaCase, study.case, "The study's case")
+        target = validated(CorneaTarget, study.target, "The study's target")
+        score = validated(CorneaScore, study.score, "The study's score")
+        return cls(
+            CorneaStudy(
+                name=study.name,
+                case=case,
+                window_mm=score.window_mm,
+                bounds=case.parameters.bounds_from_door(study.parameters),
+                best=case.parameters.from_door(study.best),
+                reference=study.reference,
+                target=study.deformed,
+                noise=SIMULATED if target.frame is None else SEGMENTED,
+                caveats=study.caveats,
+                frames=(case, target),
+            )
+        )
 
     @classmethod
     def from_content(cls, content: SourceContent) -> "CorneaStudySource":
@@ -241,7 +268,7 @@ class CorneaStudySource:
             where=tuple(region_rows(diagnosis)),
             surfaces=SURFACES,
             compared="the outer and the inner surface of the cornea",
-            not_simulated=ORGAN.not_simulated,
+            not_simulated=NOT_SIMULATED,
         )
         return {}, named
 
@@ -272,36 +299,6 @@ class CorneaStudySource:
     @cached_property
     def _mesh(self) -> T6Mesh:
         return ORGAN.make_mesh(self.study.reference, self.study.case)
-
-
-def from_study(study: FinishedStudy) -> CorneaStudySource:
-    """Return a study that has run as the source of a diagnosis.
-
-    Raises
-    ------
-    InputError
-        If its case or target makes no sense.
-    """
-    case = validated(CorneaCase, study.case, "The study's case")
-    target = validated(CorneaTarget, study.target, "The study's target")
-    score = validated(CorneaScore, study.score, "The study's score")
-    return CorneaStudySource(
-        CorneaStudy(
-            name=study.name,
-            case=case,
-            window_mm=score.window_mm,
-            bounds=case.parameters.bounds_from_door(study.parameters),
-            best=case.parameters.from_door(study.best),
-            reference=study.reference,
-            target=study.deformed,
-            noise=SIMULATED if target.frame is None else SEGMENTED,
-            caveats=study.caveats,
-            frames=(case, target),
-        )
-    )
-
-
-SOURCES = {CorneaStudySource.kind: CorneaStudySource.from_content}
 
 
 def surface_points(

@@ -13,7 +13,6 @@ from palpate.workers.diagnosis.outcome.source import FinishedStudy
 from palpate.workers.organs.cornea.diagnosis.study_source import (
     SEGMENTED,
     CorneaStudySource,
-    from_study,
 )
 from palpate.workers.organs.cornea.organ import ORGAN
 from palpate.workers.organs.cornea.spec import CorneaCase
@@ -47,7 +46,7 @@ def study(searched: dict[str, Any] = SEARCHED, **hidden: float) -> FinishedStudy
 
 
 def test_a_source_survives_the_store() -> None:
-    source = from_study(study())
+    source = CorneaStudySource.from_study(study())
     content = source.content
     plain = json.loads(json.dumps(to_plain(content.record)))
     again = source_of(type(content)(content.kind, plain, content.volumes, content.arrays))
@@ -59,7 +58,7 @@ def test_a_source_survives_the_store() -> None:
 
 
 def test_points_lie_on_both_surfaces_inside_the_window() -> None:
-    points = from_study(study()).inverse_problem(0, 0.0).points
+    points = CorneaStudySource.from_study(study()).inverse_problem(0, 0.0).points
     assert set(points.interface) == {0, 1}
     assert np.abs(points.points[:, 0]).max() < 5
     assert (points.points[:, 2] == 0).all()
@@ -70,10 +69,12 @@ def test_points_lie_on_both_surfaces_inside_the_window() -> None:
 
 
 def test_what_was_searched_is_no_suspect() -> None:
-    names = [e.name for e in from_study(study()).effects]
+    names = [e.name for e in CorneaStudySource.from_study(study()).effects]
     assert "whole_eye_motion" in names
     searched = SEARCHED | {"eye_tilt_deg": [-3, 3]}
-    assert "whole_eye_motion" not in [e.name for e in from_study(study(searched)).effects]
+    assert "whole_eye_motion" not in [
+        e.name for e in CorneaStudySource.from_study(study(searched)).effects
+    ]
 
 
 def test_a_study_that_searched_no_constant_is_refused() -> None:
@@ -96,7 +97,7 @@ def test_a_study_that_searched_no_constant_is_refused() -> None:
 def test_a_hidden_effect_of_its_own_form_is_named(
     hidden: dict[str, float], name: str | None
 ) -> None:
-    source = from_study(study(**hidden))
+    source = CorneaStudySource.from_study(study(**hidden))
     source.study = replace(source.study, noise=SEGMENTED)
     reached = diagnosed(source).verdict
     assert reached.primary == (() if name is None else (name,))

@@ -1,0 +1,11 @@
+"""Scans of a breast under known loads as a plug-in."""
+
+from palpate.workers.organs.plugin import SourcePlugin
+
+SCANS_PLUGIN = SourcePlugin(
+    kinds={
+        "scanned case": "palpate.workers.organs.breast.case.source:ScannedCaseSource",
+        "planned case": "palpate.workers.organs.breast.case.source:PlannedCaseSource",
+    },
+    reader="palpate.workers.organs.breast.case.files:READER",
+)

@@ -1,0 +1,135 @@
+"""Everything Palpate finds by name: organs, effects, laws, scores, searches, sources, exporters.
+
+Each is an entry point of an installed distribution, Palpate's own among them::
+
+    [project.entry-points."palpate.effects"]
+    swelling = "my_lab.swelling:SWELLING"
+
+A plug-in is imported when it is first asked for.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any, Literal, get_args
+
+from palpate.storage.errors import InputError
+from palpate.workers.mechanics.parameters import unknown_name
+
+Group = Literal["organs", "effects", "laws", "scores", "searches", "sources", "exporters"]
+OWN = "palpate"
+
+
+@dataclass(frozen=True, slots=True)
+class Plugin:
+    """An object that a distribution offers by name.
+
+    Parameters
+    ----------
+    group : Group
+    name : str
+    module, attribute : str
+        Where the object is.
+    distribution, version : str
+        Who offers it.
+    """
+
+    group: Group
+    name: str
+    module: str
+    attribute: str
+    distribution: str
+    version: str
+
+    @property
+    def is_own(self) -> bool:
+        """Whether Palpate itself offers it."""
+        return self.distribution == OWN
+
+    def load(self) -> Any:
+        """Import the object.
+
+        Raises
+        ------
+        InputError
+            If its module cannot be imported or lacks the object.
+        """
+        try:
+            return getattr(import_module(self.module), self.attribute)
+        except (ImportError, AttributeError) as error:
+            raise InputError(
+                f"The plug-in {self.name!r} ({self.group}) of {self.distribution} {self.version} "
+                f"cannot be imported: {error}. Install a version that fits, or remove it."
+            ) from error
+
+
+@cache
+def plugins(group: Group) -> dict[str, Plugin]:
+    """Return the plug-ins of a group by name: Palpate's own first, then by name.
+
+    Raises
+    ------
+    InputError
+        If two distributions offer the same name.
+    """
+    found: dict[str, Plugin] = {}
+    for plugin in sorted(_installed(group), key=lambda p: (not p.is_own, p.name)):
+        other = found.get(plugin.name)
+        if other is not None and other != plugin:
+            raise InputError(
+                f"The name {plugin.name!r} ({group}) is offered by {other.distribution} and by "
+                f"{plugin.distribution}. Remove one of them."
+            )
+        found[plugin.name] = plugin
+    return found
+
+
+def plugin(group: Group, name: str) -> Plugin:
+    """Return one plug-in.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; close names are suggested.
+    """
+    known = plugins(group)
+    if name not in known:
+        raise InputError(unknown_name(_SINGULAR[group], name, known))
+    return known[name]
+
+
+@cache
+def load(group: Group, name: str) -> Any:
+    """Return the object of a plug-in; see `plugin` and `Plugin.load`."""
+    return plugin(group, name).load()
+
+
+def foreign_plugins() -> tuple[Plugin, ...]:
+    """Return the plug-ins that other distributions offer, of all groups."""
+    return tuple(p for g in get_args(Group) for p in plugins(g).values() if not p.is_own)
+
+
+def _installed(group: Group) -> Iterator[Plugin]:
+    for point in entry_points(group=f"palpate.{group}"):
+        offered = point.dist
+        yield Plugin(
+            group,
+            point.name,
+            point.module,
+            point.attr,
+            "" if offered is None else offered.name,
+            "" if offered is None else offered.version,
+        )
+
+
+_SINGULAR: dict[Group, str] = {
+    "organs": "organ",
+    "effects": "effect",
+    "laws": "law",
+    "scores": "score",
+    "searches": "search strategy",
+    "sources": "kind of source",
+    "exporters": "file type",
+}

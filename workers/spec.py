@@ -10,7 +10,17 @@ from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from palpate.storage.errors import InputError
 from palpate.workers.mechanics.parameters import Vocabulary, unknown_name
@@ -23,6 +33,7 @@ from palpate.workers.missing_keys import (
     missing_text,
     without_empty_keys,
 )
+from palpate.workers.plugins import Group, plugin
 
 
 def checked(check: Callable[[Any], object]) -> AfterValidator:
@@ -38,6 +49,15 @@ def checked(check: Callable[[Any], object]) -> AfterValidator:
     return AfterValidator(validate)
 
 
+def checked_name(group: Group, name: str) -> str:
+    """Return the name of a plug-in that is known; a validator's error else."""
+    try:
+        return plugin(group, name).name
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
+DEFAULT_OBJECTIVE = "gsf"
 Identifiable = Literal["absolute", "ratio"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -180,7 +200,25 @@ class TargetSpec(Door):
 
 
 class ScoreSpec(Door):
-    """What is compared: the base of every organ's score."""
+    """What is compared, and the number that the search optimises: the base of every organ's score.
+
+    ``objective`` names a score of `workers.comparison.similarity.objective`.
+    """
+
+    objective: Annotated[str, Field(description="the score that the search optimises")] = (
+        DEFAULT_OBJECTIVE
+    )
+
+    @field_validator("objective")
+    @classmethod
+    def _is_a_score(cls, name: str) -> str:
+        return checked_name("scores", name)
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what older studies do not have, or their digests would change."""
+        values: dict[str, Any] = handler(self)
+        return {k: v for k, v in values.items() if (k, v) != ("objective", DEFAULT_OBJECTIVE)}
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -56,8 +56,8 @@ class StudyRow:
         Who runs it.
     state : str
         In words.
-    best_gsf : float
-        GSF of the best candidate so far; infinite while there is none.
+    best_score : float
+        Score of the best candidate so far, lower is better; infinite while there is none.
     endings : Counter of str
         Evaluations by their ending.
     stages : Counter of str
@@ -74,7 +74,7 @@ class StudyRow:
     most: int
     client: str
     state: str = "preparing"
-    best_gsf: float = math.inf
+    best_score: float = math.inf
     endings: Counter[str] = field(default_factory=Counter)
     stages: Counter[str] = field(default_factory=Counter)
     generations: deque[tuple[int, float]] = field(
@@ -90,7 +90,7 @@ class StudyRow:
             self.endings[record["status"]] += 1
             self.computed |= record["computed"]
             self.stages.update(record["seconds"])
-            self.best_gsf = math.inf if record["best_gsf"] is None else record["best_gsf"]
+            self.best_score = math.inf if record["best_score"] is None else record["best_score"]
         elif what == "generation begun":
             self.state = f"generation {record['number'] + 1}"
             self.begun, self.computed = idle.so_far(), False

@@ -187,7 +187,7 @@ def columns(tab: PalpateTab) -> dict[str, dict[str, list[Any]]]:
             "diverged": [s.endings["diverged"] for s in studies],
             "crashed": [s.endings["crashed"] for s in studies],
             "lost": [s.endings["lost"] for s in studies],
-            "best": [f"{s.best_gsf:.4g}" if s.endings["done"] else "" for s in studies],
+            "best": [f"{s.best_score:.4g}" if s.endings["done"] else "" for s in studies],
             "idle": [_mean_percent(s) for s in studies],
         },
         "diagnoses": {
@@ -217,7 +217,7 @@ def _table(source: Any) -> Any:
 
 def _rows(data: Mapping[str, Any]) -> str:
     """Write a table as HTML: bokeh's own does not redraw rows whose number stays."""
-    titles = {"most": "at most", "best": "best GSF", "idle": "mean idle"}
+    titles = {"most": "at most", "best": "best score", "idle": "mean idle"}
     lines = [[titles.get(name, name) for name in data], *zip(*data.values(), strict=True)]
     cell = '<td style="padding: 2px 14px 2px 4px">{}</td>'
     rows = ("".join(cell.format(escape(str(value))) for value in line) for line in lines)

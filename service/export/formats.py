@@ -1,6 +1,11 @@
-"""Every format that a solved body can be written in, by suffix."""
+"""File formats of a solved body, by suffix.
 
-from collections.abc import Iterable
+A distribution offers an `Exporter` as an entry point of the group ``palpate.exporters``, under the
+suffix without its dot.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from palpate.service.export.calculix import export_calculix
@@ -9,9 +14,26 @@ from palpate.service.export.mesh_file import export_solved_mesh
 from palpate.service.export.solved_body import SolvedBody
 from palpate.service.export.solver_model import comparable, solver_model
 from palpate.service.export.stored import TISSUE_NAMES, export_volume
-from palpate.service.export.suffixes import SOLVER_SUFFIXES, SURFACE_SUFFIXES, VOLUME_SUFFIXES
 from palpate.service.export.surface_file import export_surface
 from palpate.workers.body.mesh.boundary import boundary_triangles
+from palpate.workers.plugins import load
+
+
+@dataclass(frozen=True, slots=True)
+class Exporter:
+    """A file format of a solved body.
+
+    Parameters
+    ----------
+    write : callable
+        Writes to a path the solution that is shown, and the body as it was solved first. The two
+        differ where the shown solution is the simplified one.
+    simplified : bool
+        Whether the format needs the simplified model that other solvers can represent.
+    """
+
+    write: Callable[[Path, SolvedBody, SolvedBody], None]
+    simplified: bool = False
 
 
 def export_solved(paths: Iterable[Path], body: SolvedBody, *, as_told: bool = False) -> SolvedBody:
@@ -22,7 +44,7 @@ def export_solved(paths: Iterable[Path], body: SolvedBody, *, as_told: bool = Fa
     paths : iterable of Path
     body : SolvedBody
     as_told : bool
-        Show in all files the `comparable` solution, which other solvers are told.
+        Show the `comparable` solution, which other solvers can represent, in all files.
 
     Returns
     -------
@@ -36,20 +58,49 @@ def export_solved(paths: Iterable[Path], body: SolvedBody, *, as_told: bool = Fa
     StoreError
         If the file system refuses.
     """
-    paths = list(paths)
-    other = any(path.suffix.lower() in SOLVER_SUFFIXES for path in paths)
-    told = body.under(comparable(body.solved.problem)) if other or as_told else body
+    exporters = [(path, exporter_of(path)) for path in paths]
+    simplified = as_told or any(exporter.simplified for _, exporter in exporters)
+    told = body.under(comparable(body.solved.problem)) if simplified else body
     shown = told if as_told else body
-    for path in paths:
-        suffix = path.suffix.lower()
-        if suffix in SOLVER_SUFFIXES:
-            write = export_calculix if suffix == ".inp" else export_febio
-            write(path, solver_model(body, told))
-        elif suffix in SURFACE_SUFFIXES:
-            triangles = boundary_triangles(shown.level.model.elements.tets)
-            export_surface(path, shown.positions_mm, triangles)
-        elif suffix in VOLUME_SUFFIXES:
-            export_volume(path, shown.deformed_labels(), TISSUE_NAMES)
-        else:
-            export_solved_mesh(path, shown)
+    for path, exporter in exporters:
+        exporter.write(path, told if exporter.simplified else shown, body)
     return shown
+
+
+def exporter_of(path: Path) -> Exporter:
+    """Return the format of a file's suffix.
+
+    Raises
+    ------
+    InputError
+        If it is not known.
+    """
+    found: Exporter = load("exporters", path.suffix.lower().lstrip("."))
+    return found
+
+
+def _mesh(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
+    export_solved_mesh(path, shown)
+
+
+def _surface(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
+    export_surface(path, shown.positions_mm, boundary_triangles(shown.level.model.elements.tets))
+
+
+def _labels(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
+    export_volume(path, shown.deformed_labels(), TISSUE_NAMES)
+
+
+def _calculix(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
+    export_calculix(path, solver_model(body, shown))
+
+
+def _febio(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
+    export_febio(path, solver_model(body, shown))
+
+
+MESH = Exporter(_mesh)
+SURFACE = Exporter(_surface)
+LABELS = Exporter(_labels)
+CALCULIX = Exporter(_calculix, simplified=True)
+FEBIO = Exporter(_febio, simplified=True)

@@ -3,12 +3,15 @@
 from pathlib import Path
 
 from palpate.storage.errors import InputError
+from palpate.workers.plugins import plugins
 
 VOLUME_SUFFIXES = (".nrrd",)
 MESH_SUFFIXES = (".vtu", ".vtk", ".msh")
-SURFACE_SUFFIXES = (".stl",)
-SOLVER_SUFFIXES = (".inp", ".feb")
-SOLVED_SUFFIXES = MESH_SUFFIXES + SURFACE_SUFFIXES + VOLUME_SUFFIXES + SOLVER_SUFFIXES
+
+
+def solved_suffixes() -> tuple[str, ...]:
+    """Return the suffixes of the files that a solved body can be written to."""
+    return tuple(f".{name}" for name in plugins("exporters"))
 
 
 def check_suffix(path: Path | None, known: tuple[str, ...], option: str = "--out ") -> None:

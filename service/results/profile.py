@@ -20,7 +20,7 @@ from palpate.service.study.log import StudyLog
 from palpate.service.study.requests import StudyWork, Tasks
 from palpate.service.study.spec import StudySpec
 from palpate.storage.errors import InputError
-from palpate.storage.records.best_candidate import best_of
+from palpate.storage.records.best_candidate import best_of, minimised
 from palpate.storage.records.tasks import EvaluationResult, FitJson
 from palpate.storage.stores.store import open_store
 from palpate.workers.mechanics.parameters import unknown_name
@@ -47,14 +47,14 @@ class ProfilePoint:
         simulation failed.
     genes : mapping of str to float
         All constants, refitted, at the door.
-    gsf : float or None
-        Score of that candidate.
+    score : float or None
+        Minimised score of that candidate.
     """
 
     value: float
     rise: float | None
     genes: Mapping[str, float]
-    gsf: float | None
+    score: float | None
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class _Held:
     trial: FloatArray
     at: FloatArray
     here: SquaredSum | None = None
-    gsf: float | None = None
+    score: float | None = None
     done: bool = False
 
 
@@ -190,7 +190,7 @@ class _Profiler:
             return
         score = result.get("score")
         one.at, one.here = one.trial, there
-        one.gsf = None if score is None else float(score["gsf"])
+        one.score = None if score is None else minimised(score)
         one.done = not self.others
         if one.done:
             return
@@ -209,7 +209,7 @@ class _Profiler:
         genes = self.logs.genes(one.at)
         rise = None if one.here is None else (one.here.value - least) / self.here.noise
         names = self.space.as_dict(genes)
-        return ProfilePoint(float(genes[self.index]), rise, names, one.gsf)
+        return ProfilePoint(float(genes[self.index]), rise, names, one.score)
 
     def _squares(self, fit: FitJson) -> SquaredSum:
         order = [fit["parameters"].index(name) for name in self.names.inside]

@@ -218,7 +218,7 @@ def _identification(
     note = "the study ran before there were tangents" if found is None else found.reason
     alike, here = (
         [spec.constants_of(spec.case.canonical(record.genes)) for record in records]
-        for records in (equally_good(log.endings, best), [best])
+        for records in (equally_good(log.endings, best, spec.objective.equally_good), [best])
     )
     return identification_from_scatter(searched, best.candidate, here[0], alike, note)
 

@@ -3,15 +3,24 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from palpate.service.search.cma_search import CMA_STALL_GENERATIONS, CmaSettings
 from palpate.service.search.genetic import GeneticSettings
 from palpate.service.search.operators import INITIAL, MUTATIONS
 from palpate.service.search.space import Space
 from palpate.service.search.stall import Stall
+from palpate.service.search.strategies import strategy_named
 from palpate.workers.mechanics.parameters import Bounds
-from palpate.workers.spec import Door, Positive
+from palpate.workers.spec import Door, Positive, checked_name
+
+StrategyName = Annotated[str, AfterValidator(lambda name: checked_name("searches", name))]
 
 
 class StallSpec(Door):
@@ -43,7 +52,9 @@ class SearchSpec(Door):
     parameters: Annotated[dict[str, Bounds], Field(min_length=1)] = Field(
         description="lower and upper bound of each searched constant, such as [5, 20]"
     )
-    strategy: Literal["genetic", "least-squares", "genetic+least-squares", "cma"] = "genetic"
+    strategy: Annotated[str, AfterValidator(lambda name: checked_name("searches", name))] = (
+        "genetic"
+    )
     starts: Annotated[int, Field(ge=1, le=100)] = 3
     levels: tuple[LevelSpec, ...] | None = None
     fit_evaluations: Annotated[int, Field(ge=2)] = 20
@@ -98,7 +109,7 @@ class SearchSpec(Door):
     @property
     def by_derivatives(self) -> bool:
         """Return whether the strategy needs derivatives."""
-        return "least-squares" in self.strategy
+        return strategy_named(self.strategy).by_derivatives
 
     @property
     def cma_settings(self) -> CmaSettings:

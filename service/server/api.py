@@ -97,12 +97,15 @@ class Evaluations(BaseModel):
 class Best(BaseModel):
     """The best candidate so far; genes in their units at the door.
 
+    ``objective`` is the label of the score that the search optimises, ``value`` its value.
     ``note`` says why it has not the lowest GSF, where that is so.
     """
 
     candidate: int
     genes: dict[str, float]
     score: dict[str, float | str | None]
+    objective: str = "GSF"
+    value: float | str | None = None
     note: str = ""
 
 
@@ -211,9 +214,13 @@ class SearchedParameterView(BaseModel):
 
 
 class StudyView(BaseModel):
-    """What a study asks: its parameters, and its file with all defaults."""
+    """What a study asks: its parameters, and its file with all defaults.
+
+    ``score``: the label of the minimised score, for an axis.
+    """
 
     parameters: list[SearchedParameterView]
+    score: str
     file: str
 
 

@@ -10,6 +10,8 @@ from palpate.service.server.service import Service
 from palpate.service.study.count import left_s
 from palpate.storage.errors import PalpateError, StoreError
 from palpate.storage.plain import to_plain
+from palpate.workers.comparison.similarity.objective import objective_named
+from palpate.workers.spec import DEFAULT_OBJECTIVE
 
 ENDED = ("finished", "failed", "cancelled")
 FILES = {
@@ -48,19 +50,26 @@ def job_view(service: Service, job: Job) -> JobView:
         view.per_minute = progress.per_minute
         if view.per_minute is not None:
             view.left_s = left_s(progress.endings, at_most, view.per_minute)
-        view.best = _best(progress)
+        view.best = _best(job, progress)
     elif progress.phase is not None:
         view.phase = Phase.model_validate(progress.phase)
     return view
 
 
-def _best(progress: JobProgress) -> Best | None:
+def _best(job: Job, progress: JobProgress) -> Best | None:
     best = progress.best
     if best is None:
         return None
+    asked = job.request["spec"].get("score") or {}
+    objective = objective_named(asked.get("objective", DEFAULT_OBJECTIVE))
     score = to_plain(best.score or {})
     return Best(
-        candidate=best.candidate, genes=dict(best.genes), score=score, note=progress.ranked.note
+        candidate=best.candidate,
+        genes=dict(best.genes),
+        score=score,
+        objective=objective.label,
+        value=score.get(objective.name),
+        note=progress.ranked.note,
     )
 
 

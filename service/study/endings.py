@@ -7,6 +7,7 @@ from functools import partial
 from palpate.service.cluster.dispatch import Ending
 from palpate.service.errors import ClusterError, GenerationCrashError
 from palpate.service.study.replay import PendingGeneration
+from palpate.storage.records.best_candidate import minimised
 from palpate.storage.records.record import EvaluationRecord
 from palpate.storage.records.status import Status
 from palpate.storage.records.tasks import EvaluationResult
@@ -67,6 +68,6 @@ def evaluation_record(
         fit=result.get("fit"),
     )
     score = result.get("score")
-    if result["status"] == "done" and score is not None and score["gsf"] < math.inf:
+    if result["status"] == "done" and score is not None and minimised(score) < math.inf:
         return record(status=Status.DONE, score=score)
     return record(status=Status.DIVERGED, reason=result.get("reason") or NO_SHARED_TISSUE)

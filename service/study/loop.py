@@ -216,6 +216,7 @@ class _Run:
             generations=self.spec.most_generations,
             workers=self.dispatcher.threads,
             dashboard=dashboard,
+            objective=self.spec.objective,
         )
         self.hooks.started(facts)
 

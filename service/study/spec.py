@@ -20,19 +20,14 @@ from pydantic import (
 )
 
 from palpate.service.search.base import Search
-from palpate.service.search.cma_search import CmaSearch
-from palpate.service.search.genetic import GeneticSearch
-from palpate.service.search.least_squares import (
-    FittedNames,
-    LeastSquaresSearch,
-    LeastSquaresSettings,
-)
-from palpate.service.search.polished import PolishedSearch
+from palpate.service.search.least_squares import FittedNames
 from palpate.service.search.spec import COARSE_LEVELS, LevelSpec, SearchSpec
 from palpate.service.search.steady import SteadyGenetic
+from palpate.service.search.strategies import SearchRequest, Strategy, strategy_named
 from palpate.storage.digest import digest
 from palpate.storage.errors import InputError
 from palpate.storage.records.tasks import FreeParameter
+from palpate.workers.comparison.similarity.objective import Objective, objective_named
 from palpate.workers.documents import parse_yaml
 from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.missing_keys import missing
@@ -129,14 +124,7 @@ class StudySpec(Door):
     @property
     def search_strategy(self) -> Search:
         """Return the search, ready to propose."""
-        space, strategy = self.search.space, self.search.strategy
-        if strategy == "cma":
-            return CmaSearch(space, self.search.cma_settings, self.seed)
-        genetic = GeneticSearch(space, self.search.settings, self.seed)
-        if strategy == "genetic":
-            return genetic
-        fit = LeastSquaresSearch(space, self.fitted_names, self._fit_settings, self.seed)
-        return fit if strategy == "least-squares" else PolishedSearch(genetic, fit)
+        return self._strategy.make(self._asked)
 
     @property
     def steady_search(self) -> SteadyGenetic:
@@ -150,23 +138,12 @@ class StudySpec(Door):
         """Return the number of evaluations if the search never stops early."""
         if self.search.steady:
             return self.search.population * self.search.generations
-        fit = self._fit_settings.most_evaluations
-        genetic = self.search.settings.most_evaluations
-        return {
-            "genetic": genetic,
-            "least-squares": fit,
-            "genetic+least-squares": genetic + fit,
-            "cma": self.search.cma_settings.most_evaluations,
-        }[self.search.strategy]
+        return self._strategy.most_evaluations(self._asked)
 
     @property
     def most_generations(self) -> int:
         """Return the number of generations if the search never stops early."""
-        fit = self.search.fit_evaluations * (1 + len(self.levels))
-        generations = self.search.generations
-        if not self.search.by_derivatives:
-            return generations
-        return fit if self.search.strategy == "least-squares" else generations + fit
+        return self._strategy.most_generations(self._asked)
 
     @property
     def levels(self) -> tuple[LevelSpec, ...]:
@@ -178,7 +155,7 @@ class StudySpec(Door):
         if self.search.levels is not None:
             return self.search.levels
         nodes = self.case.mesh_nodes
-        if self.search.strategy != "least-squares" or nodes is None:
+        if not self._strategy.coarse_first or nodes is None:
             return ()
         return tuple(level for level in COARSE_LEVELS if 2 * level.nodes <= nodes)
 
@@ -195,9 +172,12 @@ class StudySpec(Door):
         return FittedNames(tuple(p.name for p in genes), tuple(p.unit.to_door(1.0) for p in genes))
 
     @property
-    def _fit_settings(self) -> LeastSquaresSettings:
-        search = self.search
-        return LeastSquaresSettings(search.starts, len(self.levels), search.fit_evaluations)
+    def _strategy(self) -> Strategy:
+        return strategy_named(self.search.strategy)
+
+    @property
+    def _asked(self) -> SearchRequest:
+        return SearchRequest(self.search, self.fitted_names, len(self.levels), self.seed)
 
     @property
     def common_scale(self) -> tuple[str, ...]:
@@ -225,6 +205,11 @@ class StudySpec(Door):
         if values["target"].get("align") is None:
             values["target"].pop("align", None)
         return values
+
+    @property
+    def objective(self) -> Objective:
+        """Return the score that the search optimises."""
+        return objective_named(self.score.objective)
 
     @property
     def digest(self) -> str:

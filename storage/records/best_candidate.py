@@ -2,8 +2,8 @@
 
 Candidates are compared in the study's own resolution; a study that was stopped before it reached
 that has only coarser ones, of which the finest count. Where a strategy minimises the sum of
-squares, the candidate with the least sum is best, elsewhere the one with the lowest GSF; of equal
-candidates the first.
+squares, the candidate with the least sum is best, elsewhere the one with the lowest score; of
+equal candidates the first. The score is GSF unless the study states another objective.
 """
 
 import math
@@ -15,25 +15,26 @@ from palpate.storage.plain import to_number
 from palpate.storage.records.record import EvaluationRecord
 from palpate.storage.records.status import Status
 
-# Candidates whose (1 - JC) MHD is at most a tenth above the best one's are equally good.
-EQUALLY_GOOD = math.log(1.1)
-
 Endings = Mapping[int, EvaluationRecord]
 Rank = tuple[float, ...]
 
 
+def minimised(score: Mapping[str, Any]) -> float:
+    """Return what a search minimises of a candidate's scores: its objective, or else GSF."""
+    return float(to_number(score.get("objective", score["gsf"])))
+
+
 def score_of(record: EvaluationRecord) -> float:
-    """Return the score that the search minimises: GSF, or +inf for a candidate without one."""
+    """Return the score that the search minimises, or +inf for a candidate without one."""
     if record.status is not Status.DONE or record.score is None:
         return math.inf
-    return float(record.score["gsf"])
+    return minimised(record.score)
 
 
 def rank_of(record: EvaluationRecord) -> Rank | None:
     """Return the rank of a candidate, lower for better ones; None if it has no score."""
-    gsf = score_of(record)
     cost = None if record.fit is None else float(record.fit["cost"])
-    return _rank(record.candidate, gsf, record.level, cost)
+    return _rank(record.candidate, score_of(record), record.level, cost)
 
 
 def rank_of_line(line: Mapping[str, Any]) -> Rank | None:
@@ -42,15 +43,14 @@ def rank_of_line(line: Mapping[str, Any]) -> Rank | None:
     if not score or line.get("status") != Status.DONE:
         return None
     cost = float(to_number(fit["cost"])) if fit else None
-    gsf = float(to_number(score["gsf"]))
-    return _rank(int(line["candidate"]), gsf, line.get("level"), cost)
+    return _rank(int(line["candidate"]), minimised(score), line.get("level"), cost)
 
 
-def _rank(candidate: int, gsf: float, level: int | None, cost: float | None) -> Rank | None:
-    if gsf == math.inf:
+def _rank(candidate: int, score: float, level: int | None, cost: float | None) -> Rank | None:
+    if score == math.inf:
         return None
     resolution = (0, 0) if level is None else (1, -level)
-    by = (1, gsf) if cost is None else (0, cost)
+    by = (1, score) if cost is None else (0, cost)
     return (*resolution, *by, candidate)
 
 
@@ -64,9 +64,9 @@ def best_searched(endings: Endings) -> EvaluationRecord | None:
     return best_of({c: r for c, r in endings.items() if r.fit is None and r.level is None})
 
 
-def equally_good(endings: Endings, best: EvaluationRecord) -> list[EvaluationRecord]:
-    """Return the candidates that score as well as the best one, itself included."""
-    limit = score_of(best) + EQUALLY_GOOD
+def equally_good(endings: Endings, best: EvaluationRecord, within: float) -> list[EvaluationRecord]:
+    """Return the candidates whose scores are `within` that of the best one, itself included."""
+    limit = score_of(best) + within
     own = (endings[c] for c in sorted(endings) if endings[c].level == best.level)
     return [record for record in own if score_of(record) <= limit]
 
@@ -99,14 +99,13 @@ class BestSoFar:
         """
         rank = rank_of_line(line)
         if rank is not None:
-            gsf = float(to_number(line["score"]["gsf"]))
             made = partial(EvaluationRecord.from_json, line)
-            self._add(rank, gsf, line.get("level"), made)
+            self._add(rank, minimised(line["score"]), line.get("level"), made)
 
     def _add(
         self,
         rank: Rank | None,
-        gsf: float,
+        score: float,
         level: int | None,
         record: Callable[[], EvaluationRecord],
     ) -> None:
@@ -115,12 +114,12 @@ class BestSoFar:
         if self._rank is None or rank < self._rank:
             self.record, self._rank = record(), rank
         lowest = self._lowest.get(level)
-        if lowest is None or (gsf, rank[-1]) < (score_of(lowest), lowest.candidate):
+        if lowest is None or (score, rank[-1]) < (score_of(lowest), lowest.candidate):
             self._lowest[level] = record()
 
     @property
     def lowest_gsf(self) -> EvaluationRecord | None:
-        """Return the candidate with the lowest GSF where that is not the best one, else None."""
+        """Return the candidate with the lowest score where that is not the best one, else None."""
         if self.record is None:
             return None
         lowest = self._lowest[self.record.level]
@@ -128,7 +127,7 @@ class BestSoFar:
 
     @property
     def note(self) -> str:
-        """Return why the best candidate has not the lowest GSF; empty if it has."""
+        """Return why the best candidate has not the lowest score; empty if it has."""
         best, lowest = self.record, self.lowest_gsf
         if best is None or lowest is None or best.fit is None:
             return ""
@@ -137,10 +136,11 @@ class BestSoFar:
             if lowest.fit is not None
             else "no sum of squares, since it was evaluated without derivatives"
         )
+        name = "score" if "objective" in (best.score or {}) else "GSF"
         return (
             f"Candidate {best.candidate} is best because this strategy minimises the sum of "
-            f"squared distances ({best.fit['cost']:.6g}; GSF {score_of(best):.5g}); candidate "
-            f"{lowest.candidate} has the lowest GSF ({score_of(lowest):.5g}) but {other}."
+            f"squared distances ({best.fit['cost']:.6g}; {name} {score_of(best):.5g}); candidate "
+            f"{lowest.candidate} has the lowest {name} ({score_of(lowest):.5g}) but {other}."
         )
 
 

@@ -239,5 +239,5 @@ def test_the_dashboard_shows_its_score(folder: Path, expected: EvaluationRecord)
     for sent_record in sent[1:]:
         row.add(sent_record, IdleTime())
     assert expected.score is not None
-    assert row.best_gsf == expected.score["gsf"]
+    assert row.best_score == expected.score["gsf"]
     assert row.state == "generation 1"

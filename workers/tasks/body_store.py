@@ -23,6 +23,7 @@ from palpate.storage.stores.volumes import (
     volume_meta,
 )
 from palpate.storage.values import Volume
+from palpate.workers.comparison.similarity.objective import objective_named
 from palpate.workers.organs.organ import (
     AligningOrgan,
     Facts,
@@ -208,7 +209,18 @@ class BodyStore:
             target_landmarks=self.landmarks(target, case) if target and imaged else None,
             scorer=None if target is None or score is None else self.scorer(target, score),
             observation=self.observation(body, mesh, target) if target and observed else None,
+            **({} if target is None or score is None else self._objective(target, score)),
         )
+
+    def _objective(self, target: str, score: ScoreSpec) -> dict[str, Any]:
+        """Return the objective of a study, and what it asks of a deformed body."""
+        objective = objective_named(score.objective)
+        make = objective.measure
+        if make is None:
+            return {"objective": objective}
+        what = f"objective {objective.name} {threading.get_ident()}"
+        measure = self._cached(what, target, lambda: make(self.body(target)))
+        return {"objective": objective, "measure": measure}
 
     def _stored(self, organ: StoredOrgan, given: str, spec: Door) -> str:
         name = self._find(given)

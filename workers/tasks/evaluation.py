@@ -43,6 +43,7 @@ from palpate.workers.organs.organ import (
     scores_by_part,
 )
 from palpate.workers.organs.registry import DEFAULT, organ_module, organ_named
+from palpate.workers.plugins import plugin
 from palpate.workers.resources import worker_name
 from palpate.workers.spec import CaseSpec, ScoreSpec, validated
 from palpate.workers.tasks import pipeline
@@ -245,7 +246,7 @@ def evaluation_digest(
     """Return the name of an evaluation: all that its result depends on, the code included."""
     spec = case_of(case)
     how = validated(case_organ(case).score_spec, score or {}, "The score")
-    parts = _dependencies(spec, prepared, spec.complete(constants))
+    parts = _dependencies(spec, prepared, spec.complete(constants), how)
     more = [list(free)] if free else []
     return digest("evaluation", *parts, target, how.model_dump(mode="json"), *more)
 
@@ -294,10 +295,16 @@ def score_bodies(
     return scores_by_part(organ, bodies.body(target), bodies.body(candidate), how)
 
 
-def _dependencies(spec: CaseSpec, prepared: PreparedBody, values: Mapping[str, float]) -> list[Any]:
+def _dependencies(
+    spec: CaseSpec,
+    prepared: PreparedBody,
+    values: Mapping[str, float],
+    score: ScoreSpec | None = None,
+) -> list[Any]:
     """Return all that a simulation depends on: bodies by content, the case, constants, code."""
     settings = spec.model_dump(mode="json", exclude={"reference", "mesh", "constants"})
-    code = code_version(__name__, organ_module(spec.organ))
+    others = [] if score is None else [plugin("scores", score.objective).module]
+    code = code_version(__name__, organ_module(spec.organ), *others)
     return [prepared["volume"], prepared["mesh"], settings, dict(values), code]
 
 

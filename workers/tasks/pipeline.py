@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from palpate.storage.records.tasks import FitJson, FreeParameter
+from palpate.workers.comparison.similarity.objective import GSF, Measure, Objective
 from palpate.workers.organs.organ import (
     Organ,
     Residuals,
@@ -45,6 +46,10 @@ class Setup:
         Compares deformed bodies with the target.
     observation
         What residuals need of body and target; None where they are not asked for.
+    objective : Objective
+        By which candidates are ranked.
+    measure : callable or None
+        What the objective asks of a deformed body beside the organ's own score.
     """
 
     organ: Organ[Any, Any, Any]
@@ -57,6 +62,8 @@ class Setup:
     target_landmarks: Any | None
     scorer: Scorer[Any] | None
     observation: Any | None = None
+    objective: Objective = GSF
+    measure: Measure | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +76,8 @@ class Evaluation:
     deformed
         The deformed body; None if the simulation diverged.
     scores : dict or None
-        ``jc``, ``mhd_mm``, ``mhd_voxels``, ``gsf``; None if it diverged or is not compared.
+        ``jc``, ``mhd_mm``, ``mhd_voxels``, ``gsf`` and the objective; None if it diverged or is
+        not compared.
     fit : dict or None
         Its least-squares problem; None if it diverged or is not asked for.
     """
@@ -143,7 +151,8 @@ def evaluate(
     if setup.scorer is None:
         return Evaluation(solution, deformed, None, fit)
     with watch.stage("score"):
-        scores = setup.scorer.score(deformed).as_dict()
+        own = None if setup.measure is None else setup.measure(deformed)
+        scores = setup.objective.complete(setup.scorer.score(deformed).as_dict(), own)
     return Evaluation(solution, deformed, scores, fit)
 
 

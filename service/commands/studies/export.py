@@ -57,10 +57,10 @@ def export(
     Its solution in the other solver can be compared node by node with a .vtu file written with
     --comparable.
     """
-    from palpate.service.export.suffixes import SOLVED_SUFFIXES, check_suffix
+    from palpate.service.export.suffixes import check_suffix, solved_suffixes
 
     for path in files:
-        check_suffix(path, SOLVED_SUFFIXES, "")
+        check_suffix(path, solved_suffixes(), "")
     spec = load_spec(study)
     stated, whose = _constants(study, spec, candidate, constants or [])
 

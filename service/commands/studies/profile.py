@@ -64,12 +64,12 @@ def _print(found: "Profile") -> None:
         (
             number(p.value),
             "failed" if p.rise is None else f"{p.rise:.2f}",
-            "-" if p.gsf is None else f"{p.gsf:.3f}",
+            "-" if p.score is None else f"{p.score:.3f}",
             *(number(p.genes[gene]) for gene in others),
         )
         for p in found.points
     ]
-    headings = (found.gene, "rise", "GSF", *others)
+    headings = (found.gene, "rise", "score", *others)
     print_table(console, headings, rows, right=tuple(range(len(headings))))
     ends = ["beyond" if v is None else number(v) for v in (found.lower, found.upper)]
     console.print(f"90 % interval of {found.gene} (rise below 2.71): {ends[0]} to {ends[1]}")

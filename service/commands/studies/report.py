@@ -54,7 +54,8 @@ def print_report(results: "StudyResults", console: "Console") -> None:
     for text in _how_well(results):
         console.print(text)
     if results.best is not None and results.best.score is not None:
-        console.print(f"candidate {results.best.candidate}: {score_text(results.best.score)}")
+        text = score_text(results.best.score, results.spec.objective)
+        console.print(f"candidate {results.best.candidate}: {text}")
     if results.best_note:
         console.print(results.best_note, soft_wrap=True)
     for label, score in results.best_scores.items():
@@ -62,7 +63,7 @@ def print_report(results: "StudyResults", console: "Console") -> None:
         start = (
             f" (undeformed: JC {before['jc']:.4f}, MHD {before['mhd_mm']:.4g} mm)" if before else ""
         )
-        console.print(f"  {label}: {score_text(score)}{start}")
+        console.print(f"  {label}: {score_text(score, results.spec.objective)}{start}")
     console.print(f"evaluations: {counts_text(results)}")
     console.print(results.state + (f": {results.stop_reason}" if results.stop_reason else ""))
     total_s = sum(time.total_s for time in results.stages.values())

@@ -47,7 +47,7 @@ def simulate(
     Constants that are not set keep the values of the case. Only constants that are stated or differ
     from their neutral values are printed.
     """
-    from palpate.service.export.suffixes import SOLVED_SUFFIXES, VOLUME_SUFFIXES, check_suffix
+    from palpate.service.export.suffixes import VOLUME_SUFFIXES, check_suffix, solved_suffixes
     from palpate.service.quantities import not_neutral, quantities_inside, quantities_json
     from palpate.storage.stores.store import open_store
     from palpate.workers.organs.registry import organ_named
@@ -55,7 +55,7 @@ def simulate(
     from palpate.workers.tasks.evaluation import simulate_once
     from palpate.workers.tasks.study_checks import check_case
 
-    check_suffix(out, SOLVED_SUFFIXES)
+    check_suffix(out, solved_suffixes())
     spec = load_spec(study)
     place = store_place(store)
     findings = check_case(spec.case, str(place), anyway=anyway)

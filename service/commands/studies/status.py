@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from palpate.service.results.record import StudyResults
     from palpate.storage.records.tasks import Scores
+    from palpate.workers.comparison.similarity.objective import Objective
 
 
 def status(
@@ -46,7 +47,7 @@ def _rows(results: "StudyResults") -> list[tuple[str, str]]:
     ]
     if results.best is not None and results.best.score is not None:
         candidate, score = results.best.candidate, results.best.score
-        rows.append(("best", f"candidate {candidate}: {score_text(score)}"))
+        rows.append(("best", f"candidate {candidate}: {score_text(score, results.spec.objective)}"))
         genes = quantities_at_door(results.spec.case.parameters, results.best.genes)
         if results.best_note:
             rows.append(("", results.best_note))
@@ -87,9 +88,9 @@ def counts_text(results: "StudyResults") -> str:
     return f"{text}, {counts['reused']:,} from the store" if counts["reused"] else text
 
 
-def score_text(score: "Scores") -> str:
+def score_text(score: "Scores", objective: "Objective") -> str:
     """Write a score for a reader."""
-    return f"GSF {score['gsf']:.5g}, JC {score['jc']:.4f}, MHD {score['mhd_mm']:.4g} mm"
+    return f"{objective.text(score)}, JC {score['jc']:.4f}, MHD {score['mhd_mm']:.4g} mm"
 
 
 def _print_failures(console: "Console", results: "StudyResults", most: int) -> None:

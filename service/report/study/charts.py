@@ -20,7 +20,6 @@ from palpate.service.report.drawing.svg import (
     vertical_axis,
 )
 
-GSF_AXIS = "GSF, lower is better"
 SHADES = 5  # of dots in a scatter, from the first generation to the last
 STAGES = 6  # colours of stages in the style sheet
 NARROW = 600.0
@@ -28,11 +27,11 @@ NARROW = 600.0
 
 @dataclass(frozen=True)
 class EvaluationPoint:
-    """One evaluation: its generation from 0, parameters at the door, and GSF (+inf: failed)."""
+    """One evaluation: generation from 0, parameters at the door, minimised score (+inf: failed)."""
 
     generation: int
     genes: Mapping[str, float]
-    gsf: float
+    score: float
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,11 @@ class SearchedParameter:
 
 
 def convergence(
-    points: Sequence[EvaluationPoint], best: Sequence[float], mean: Sequence[float], width: float
+    points: Sequence[EvaluationPoint],
+    best: Sequence[float],
+    mean: Sequence[float],
+    width: float,
+    axis: str = "GSF",
 ) -> Svg:
     """Draw the best and mean score of each generation over all evaluations.
 
@@ -73,7 +76,7 @@ def convergence(
     svg = Svg(width, 330.0)
     last = max(len(best), *(p.generation + 1 for p in points))
     marks: list[tuple[Mark, str, str]] = [("dot", "dot evaluation", "evaluation")]
-    infinite = {value for p in points if math.isinf(value := p.gsf)}
+    infinite = {value for p in points if math.isinf(value := p.score)}
     if -math.inf in infinite:
         marks.append(("triangle", "identical", "identical to the target (−∞)"))
     if math.inf in infinite:
@@ -81,17 +84,17 @@ def convergence(
     marks += [("dashed", "mean", "mean of the generation"), ("line", "best", "lowest so far")]
     top = 10 + legend(svg, marks, 54, 12, width) + 6
     across = Scale(0.5, last + 0.5, 54, width - 10)
-    low, high = _limits([s for s in (*(p.gsf for p in points), *best, *mean) if math.isfinite(s)])
+    low, high = _limits([s for s in (*(p.score for p in points), *best, *mean) if math.isfinite(s)])
     up = Scale(low, high, 286, top)
-    vertical_axis(svg, up, 54, GSF_AXIS, width - 10)
+    vertical_axis(svg, up, 54, f"{axis}, lower is better", width - 10)
     horizontal_axis(svg, across, 286, "generation", min(12, last, round(width / 45)))
     places = _beside(points, across)
     groups: dict[str, list[int]] = {"evaluation": [], "identical": [], "failed": []}
     for index, p in enumerate(points):
-        kind = {-math.inf: "identical", math.inf: "failed"}.get(p.gsf, "evaluation")
+        kind = {-math.inf: "identical", math.inf: "failed"}.get(p.score, "evaluation")
         groups[kind].append(index)
     dots = groups["evaluation"]
-    svg.dots([(places[i], up.at(points[i].gsf)) for i in dots], "evaluation", dots)
+    svg.dots([(places[i], up.at(points[i].score)) for i in dots], "evaluation", dots)
     for kind, mark, y in (("identical", "triangle", 283.0), ("failed", "cross", top)):
         for index in groups[kind]:
             svg.mark(mark, places[index], y, kind, 3.5)  # type: ignore[arg-type]
@@ -148,28 +151,29 @@ def scatter(
     points: Sequence[EvaluationPoint],
     generations: int,
     width: float = 470.0,
+    axis: str = "GSF",
 ) -> Svg:
     """Draw scores over one parameter: a narrow valley means that the images fix it."""
     svg = Svg(width, 270.0)
     room = 0.02 * (parameter.upper - parameter.lower)
     across = Scale(parameter.lower - room, parameter.upper + room, 54, width - 10)
-    finite = [p.gsf for p in points if math.isfinite(p.gsf)]
+    finite = [p.score for p in points if math.isfinite(p.score)]
     low, high = _limits(finite)
     up = Scale(low, high, 226, 12)
-    vertical_axis(svg, up, 54, "GSF", width - 10, 5)
+    vertical_axis(svg, up, 54, axis, width - 10, 5)
     horizontal_axis(svg, across, 226, parameter.label, 6, 12)
     for shade in range(SHADES):
         own = [
             i
             for i, p in enumerate(points)
-            if math.isfinite(p.gsf) and _shade(p.generation, generations) == shade
+            if math.isfinite(p.score) and _shade(p.generation, generations) == shade
         ]
-        places = [(across.at(points[i].genes[parameter.name]), up.at(points[i].gsf)) for i in own]
+        places = [(across.at(points[i].genes[parameter.name]), up.at(points[i].score)) for i in own]
         svg.dots(places, f"age{shade}", own)
     if parameter.target is not None:
         x = across.at(parameter.target)
         svg.add("path", d=f"M{x:.1f} 12V226", class_="target-line")
-    identical = [p.genes[parameter.name] for p in points if p.gsf == -math.inf]
+    identical = [p.genes[parameter.name] for p in points if p.score == -math.inf]
     for value in identical:
         svg.mark("triangle", across.at(value), 223, "identical", 4)
     if parameter.estimate is not None:

@@ -97,6 +97,10 @@ def _head(data: StudyData) -> dict[str, Any]:
             ("Modified Hausdorff", number(score["mhd_mm"], 3), "mm"),
             ("GSF", number(score["gsf"]), ""),
         ]
+        objective = results.spec.objective
+        if objective.measure is not None:
+            own = number(score[objective.name])
+            tiles.insert(0, (objective.label, own, objective.unit))
     tiles.append(("Evaluations", count(len(data.endings)), ""))
     tiles.append(("Wall time", duration(results.wall_s), ""))
     return {
@@ -186,6 +190,7 @@ def _parameters(data: StudyData) -> dict[str, Any]:
     parameters = searched_parameters(estimates, data.results.identification)
     known = any(e.target is not None for e in estimates.values())
     points = evaluated_points(data.endings)
+    axis = data.results.spec.objective.axis
     about = (
         "The target was simulated, so its constants are known and the search did not see them."
         if known
@@ -197,7 +202,7 @@ def _parameters(data: StudyData) -> dict[str, Any]:
         "directions": [d.words for d in _directions(data)],
         "ranges": range_picture(parameters, best_tenth(points)) if data.results.best else None,
         "parameters": study_tables.parameters(estimates, data.results.identification),
-        "scatters": scatter_pictures(parameters, points),
+        "scatters": scatter_pictures(parameters, points, axis),
         "targets_known": known,
     }
 
@@ -249,6 +254,7 @@ def _search(data: StudyData) -> dict[str, Any]:
         (index + 1, number(scores.best, 5), number(scores.mean, 5))
         for index, scores in enumerate(generations)
     ]
+    axis = data.results.spec.objective.axis
     units = {e.gene: e.unit for e in data.results.estimates.values()}
     failed = study_tables.failures(data.endings, units)
     share = f"{len(failed)} of {count(len(data.endings))} evaluations have no score"
@@ -260,8 +266,9 @@ def _search(data: StudyData) -> dict[str, Any]:
         else "None: nothing was evaluated yet."
     )
     return {
-        "convergence": convergence_picture(evaluated_points(data.endings), generations),
-        "evaluation_data": evaluation_data(data.endings, units),
+        "convergence": convergence_picture(evaluated_points(data.endings), generations, axis),
+        "score_axis": axis,
+        "evaluation_data": evaluation_data(data.endings, units, axis),
         "about_search": _about_search(data, len(generations)),
         "generations": rows,
         "failures": failed,

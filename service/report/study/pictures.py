@@ -19,8 +19,8 @@ from palpate.service.report.viewers.body import BodyScan, BodySurface, body_view
 from palpate.service.report.viewers.slices import SlicePanel, SliceSet, slice_viewer
 from palpate.service.results.identification import Identification
 from palpate.service.results.record import GenerationScores, ParameterEstimate
+from palpate.storage.records.best_candidate import minimised, score_of
 from palpate.storage.records.record import EvaluationRecord
-from palpate.storage.records.status import Status
 from palpate.storage.values import Tissue
 from palpate.workers.mechanics.pressed import Pressed
 from palpate.workers.organs.registry import pressed_of
@@ -46,13 +46,15 @@ def evaluated_points(endings: Iterable[EvaluationRecord]) -> list[EvaluationPoin
         EvaluationPoint(
             r.generation,
             r.genes,
-            float(r.score["gsf"]) if r.status is Status.DONE and r.score else math.inf,
+            score_of(r),
         )
         for r in sorted(endings, key=lambda r: r.candidate)
     ]
 
 
-def evaluation_data(endings: Iterable[EvaluationRecord], units: Mapping[str, str]) -> Markup:
+def evaluation_data(
+    endings: Iterable[EvaluationRecord], units: Mapping[str, str], axis: str = "GSF"
+) -> Markup:
     """Return what the charts say of an evaluation under the pointer, as an element of the page."""
     ordered = sorted(endings, key=lambda r: r.candidate)
     genes = list(ordered[0].genes) if ordered else []
@@ -61,18 +63,18 @@ def evaluation_data(endings: Iterable[EvaluationRecord], units: Mapping[str, str
         [
             r.candidate,
             r.generation + 1,
-            number(float(r.score["gsf"])) if r.score else r.status.value,
+            number(minimised(r.score)) if r.score else r.status.value,
             *(number(r.genes[g]) for g in genes),
         ]
         for r in ordered
     ]
-    return script(EVALUATIONS, {"names": names, "rows": rows})
+    return script(EVALUATIONS, {"names": names, "score": axis, "rows": rows})
 
 
 def best_tenth(points: Sequence[EvaluationPoint]) -> dict[str, list[float]]:
     """Return the parameters of the best tenth of the different candidates, at least two."""
-    different = {tuple(p.genes.values()): p for p in points if p.gsf < math.inf}
-    ranked = sorted(different.values(), key=lambda p: p.gsf)
+    different = {tuple(p.genes.values()): p for p in points if p.score < math.inf}
+    ranked = sorted(different.values(), key=lambda p: p.score)
     good = ranked[: max(2, math.ceil(len(ranked) / 10))]
     return {name: [p.genes[name] for p in good] for name in (good[0].genes if good else ())}
 
@@ -94,16 +96,16 @@ def searched_parameters(
 
 
 def convergence_picture(
-    points: Sequence[EvaluationPoint], generations: Sequence[GenerationScores]
+    points: Sequence[EvaluationPoint], generations: Sequence[GenerationScores], axis: str = "GSF"
 ) -> Picture | None:
     """Draw how the scores fell; None if there are none."""
-    if not any(p.gsf < math.inf for p in points):
+    if not any(p.score < math.inf for p in points):
         return None
     best = [g.best for g in generations]
     mean = [math.nan if g.mean is None else g.mean for g in generations]
     last = f", the last of which reached {number(best[-1])}" if best else ""
     return chart(
-        lambda width: study_charts.convergence(points, best, mean, width),
+        lambda width: study_charts.convergence(points, best, mean, width, axis),
         f"Scores of {len(points)} evaluations in {len(best)} complete generations{last}.",
         "Point at a dot to see its candidate in all charts; with the keyboard, the arrow keys go "
         "from one to the next.",
@@ -128,16 +130,16 @@ def range_picture(
 
 
 def scatter_pictures(
-    parameters: Sequence[SearchedParameter], points: Sequence[EvaluationPoint]
+    parameters: Sequence[SearchedParameter], points: Sequence[EvaluationPoint], axis: str = "GSF"
 ) -> list[Picture]:
     """Draw the scores over each parameter; nothing if nothing has a score."""
-    if not any(math.isfinite(p.gsf) for p in points):
+    if not any(math.isfinite(p.score) for p in points):
         return []
     generations = 1 + max(p.generation for p in points)
     return [
         small_chart(
-            study_charts.scatter(p, points, generations),
-            f"GSF of all evaluations over {p.label}.",
+            study_charts.scatter(p, points, generations, axis=axis),
+            f"{axis} of all evaluations over {p.label}.",
             chart=EVALUATIONS,
         )
         for p in parameters

@@ -1,6 +1,6 @@
 """Reduces records of a journal to what charts and counters need.
 
-An evaluation becomes ``[candidate, generation, status, gsf, [genes], reason]``; which one is best
+An evaluation becomes ``[candidate, generation, status, score, [genes], reason]``; which one is best
 the view of the job says. A record of 1 kB shrinks to 80 bytes,
 and many travel in one event, so that a page that is opened on 20,000 evaluations has them in a
 second or two.
@@ -37,12 +37,12 @@ def points(records: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _row(record: Mapping[str, Any], genes: list[Any]) -> list[Any]:
     reason = str(record.get("reason") or "").partition("\n")[0][:REASON_CHARACTERS]
-    gsf = (record.get("score") or {}).get("gsf")
+    score = record.get("score") or {}
     return [
         record.get("candidate"),
         record.get("generation"),
         record.get("status"),
-        gsf,
+        score.get("objective", score.get("gsf")),
         genes,
         reason,
     ]

@@ -25,5 +25,6 @@ def study_view(job: Job) -> StudyView:
             )
             for name, one in estimates_of(spec, None, None).items()
         ],
+        score=spec.objective.axis,
         file=yaml.safe_dump(spec.as_dict(), sort_keys=False, allow_unicode=True),
     )

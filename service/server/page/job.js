@@ -116,7 +116,7 @@ const tilesOf = (job) => {
   if (!job.evaluations) return [];
   const { done, diverged, crashed, lost, reused } = job.evaluations;
   const tiles = [["Done", count(done)], ["Diverged", count(diverged)], ["Crashed", count(crashed)], ["Lost", count(lost)], ["Reused", count(reused)]];
-  if (job.best) tiles.push(["Best GSF", number(job.best.score.gsf)], ["Jaccard", number(job.best.score.jc, 3)], ["MHD", number(job.best.score.mhd_mm, 3), "mm"]);
+  if (job.best) tiles.push([`Best ${job.best.objective}`, number(job.best.value)], ["Jaccard", number(job.best.score.jc, 3)], ["MHD", number(job.best.score.mhd_mm, 3), "mm"]);
   return tiles;
 };
 
@@ -131,12 +131,13 @@ const studyOf = async (page, id) => {
   let charts = [];
   const redraw = () => charts.forEach((chart) => chart.redraw());
   const view = {
+    score: asked.score,
     pointed: null,
     point: (candidate) => {
       if (candidate === view.pointed) return;
       view.pointed = candidate;
       const p = candidate === null ? null : points.at(candidate);
-      readout.textContent = p ? [`candidate ${p.candidate}, generation ${p.generation + 1}`, p.status === "done" ? `GSF ${number(p.gsf)}` : `${p.status}: ${p.reason}`, ...asked.parameters.map((q, k) => `${q.label}: ${number(p.genes[k])}`)].join("; ") : hint;
+      readout.textContent = p ? [`candidate ${p.candidate}, generation ${p.generation + 1}`, p.status === "done" ? `${asked.score} ${number(p.score)}` : `${p.status}: ${p.reason}`, ...asked.parameters.map((q, k) => `${q.label}: ${number(p.genes[k])}`)].join("; ") : hint;
       redraw();
     },
     open: (candidate) => openCandidate(id, candidate),

@@ -44,7 +44,7 @@ const rowOf = (job) => {
     cell("State", badge(job.state)),
     cell("Evaluations", bar, make("span", { class: "beside" }, progress.text)),
     cell("Failed", job.evaluations ? count(failed) : "\u2013"),
-    cell("Best GSF", job.best ? number(job.best.score.gsf) : "\u2013"),
+    cell("Best score", job.best ? `${job.best.objective} ${number(job.best.value)}` : "\u2013"),
     cell("Time left, at most", leftOf(job) || "\u2013"),
     cell("Owner", job.owner),
     cell("Submitted", moment(job.submitted)));
@@ -52,7 +52,7 @@ const rowOf = (job) => {
 
 export const showJobs = async (page) => {
   const body = make("tbody");
-  const heads = ["Job", "State", "Evaluations", "Failed", "Best GSF", "Time left, at most", "Owner", "Submitted"];
+  const heads = ["Job", "State", "Evaluations", "Failed", "Best score", "Time left, at most", "Owner", "Submitted"];
   const table = make("table", { class: "cards jobs" },
     make("thead", {}, make("tr", {}, ...heads.map((head) => make("th", {}, head)))), body);
   const none = make("p", { class: "note" }, "Nothing has been submitted yet.");

@@ -29,7 +29,7 @@ export const convergence = (root, points, view) => {
     const all = points.ordered;
     const last = Math.max(1, all.length ? all[all.length - 1].candidate : 1);
     const across = scale(0, last, LEFT + 4, chart.width - RIGHT);
-    const [low, high] = limits(all.map((p) => p.gsf));
+    const [low, high] = limits(all.map((p) => p.score));
     const up = scale(low, high, chart.height - BOTTOM, TOP);
     for (const value of ticks(low, high, 6)) {
       chart.line([[LEFT, up(value)], [chart.width - RIGHT, up(value)]], "rule", 0.8);
@@ -40,7 +40,7 @@ export const convergence = (root, points, view) => {
     chart.text("candidate, in order of proposal", (LEFT + chart.width - RIGHT) / 2, chart.height - 6, { align: "center" });
     const items = [["dot", "grey", "evaluation"], ["line", "blue", "lowest so far"]];
     legend(chart, points.failures.length ? [...items, ["cross", "vermilion", "failed"]] : items);
-    chart.text("GSF", LEFT - 8, 18, { align: "right" });
+    chart.text(view.score, LEFT - 8, 18, { align: "right" });
     places = new Map();
     const size = all.length > 4000 ? 2 : all.length > 300 ? 3.5 : 6;
     let best = Infinity;
@@ -48,15 +48,15 @@ export const convergence = (root, points, view) => {
     chart.context.globalAlpha = all.length > 4000 ? 0.45 : 0.65;
     for (const p of all) {
       const x = across(p.candidate);
-      const y = p.gsf === Infinity ? TOP : p.gsf === -Infinity ? chart.height - BOTTOM : up(p.gsf);
+      const y = p.score === Infinity ? TOP : p.score === -Infinity ? chart.height - BOTTOM : up(p.score);
       places.set(p.candidate, [x, y]);
-      if (p.gsf === Infinity) continue;
+      if (p.score === Infinity) continue;
       chart.context.fillStyle = chart.colour("grey");
       chart.context.fillRect(x - size / 2, y - size / 2, size, size);
-      if (p.gsf < best) {
+      if (p.score < best) {
         if (steps.length) steps.push([x, steps[steps.length - 1][1]]);
         steps.push([x, y]);
-        best = p.gsf;
+        best = p.score;
       }
     }
     chart.context.globalAlpha = 1;
@@ -84,7 +84,7 @@ export const convergence = (root, points, view) => {
 export const ranges = (root, points, parameters, view) => {
   const draw = (chart) => {
     const narrow = chart.width < 600;
-    const scored = [...points.scored].sort((a, b) => a.gsf - b.gsf);
+    const scored = [...points.scored].sort((a, b) => a.score - b.score);
     const good = scored.slice(0, Math.max(2, Math.ceil(scored.length / 10)));
     const labels = parameters.map((p) => { chart.text("", 0, 0, { size: 14 }); return chart.context.measureText(p.label).width; });
     const left = narrow ? 8 : 24 + Math.max(...labels);
@@ -125,23 +125,23 @@ export const ranges = (root, points, parameters, view) => {
 // One line for each candidate through all parameters and the score: the best and the newest.
 export const parallel = (root, points, parameters, view) => {
   const draw = (chart) => {
-    const axes = [...parameters.map((p) => p.label), "GSF"];
+    const axes = [...parameters.map((p) => p.label), view.score];
     const scored = points.scored;
-    const ranked = [...scored].sort((a, b) => b.gsf - a.gsf);
+    const ranked = [...scored].sort((a, b) => b.score - a.score);
     const chosen = new Set(ranked.slice(-BEST_LINES));
     for (const p of scored.slice(-NEWEST_LINES)) chosen.add(p);
-    const [low, high] = limits([...chosen].map((p) => p.gsf));
+    const [low, high] = limits([...chosen].map((p) => p.score));
     const [top, bottom] = [46, chart.height - 26];
     const x = scale(0, axes.length - 1, 40, chart.width - 40);
     const ups = [...parameters.map((p) => scale(p.lower, p.upper, bottom, top)), scale(low, high, bottom, top)];
-    const path = (p) => [...p.genes, Math.max(p.gsf, low)].map((value, k) => [x(k), ups[k](value)]);
+    const path = (p) => [...p.genes, Math.max(p.score, low)].map((value, k) => [x(k), ups[k](value)]);
     const shown = ranked.filter((p) => chosen.has(p)); // the best are drawn last
     chart.context.globalAlpha = shown.length > 60 ? 0.5 : 0.8;
     shown.forEach((p, k) => chart.line(path(p), `age${Math.floor((SHADES * k) / shown.length)}`, 1.1));
     chart.context.globalAlpha = 1;
     if (points.best) chart.line(path(points.best), "blue", 2.6);
     const pointed = view.pointed === null ? null : points.at(view.pointed);
-    if (pointed && pointed.gsf < Infinity) chart.line(path(pointed), "vermilion", 2.6);
+    if (pointed && pointed.score < Infinity) chart.line(path(pointed), "vermilion", 2.6);
     axes.forEach((label, k) => {
       const align = k === 0 ? "left" : k === axes.length - 1 ? "right" : "center";
       const at = k === 0 ? 4 : k === axes.length - 1 ? chart.width - 4 : x(k);

@@ -1,6 +1,6 @@
 // The evaluations of a study as they come: each once, in order of candidates where asked.
 
-const scoreOf = (gsf) => (gsf === null ? Infinity : gsf === "-inf" ? -Infinity : gsf === "inf" ? Infinity : gsf);
+const scoreOf = (told) => (told === null ? Infinity : told === "-inf" ? -Infinity : told === "inf" ? Infinity : told);
 
 export class Points {
   constructor() {
@@ -12,10 +12,10 @@ export class Points {
   add(brief) {
     if (brief.genes.length) this.genes = brief.genes;
     this.sessions += brief.sessions;
-    for (const [candidate, generation, status, gsf, genes, reason] of brief.evaluations) {
+    for (const [candidate, generation, status, score, genes, reason] of brief.evaluations) {
       if (this.known.has(candidate)) continue; // told again after the connection broke
       this.known.add(candidate);
-      const point = { candidate, generation, status, gsf: scoreOf(gsf), genes, reason };
+      const point = { candidate, generation, status, score: scoreOf(score), genes, reason };
       if (this.all.length && this.all[this.all.length - 1].candidate > candidate) this.sorted = false;
       this.all.push(point);
       if (status !== "done") this.failures.push(point);
@@ -34,7 +34,7 @@ export class Points {
   }
 
   get scored() {
-    return this.ordered.filter((point) => point.gsf < Infinity);
+    return this.ordered.filter((point) => point.score < Infinity);
   }
 
   at(candidate) {

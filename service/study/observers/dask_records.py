@@ -99,7 +99,7 @@ class DaskRecords(Observer):
         self._add(
             "ended",
             status=record.status.value,
-            best_gsf=None if best is None else score_of(best),
+            best_score=None if best is None else score_of(best),
             computed=computed,
             seconds=dict(record.seconds) if computed else {},
         )

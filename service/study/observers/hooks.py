@@ -22,6 +22,7 @@ from typing import Any, Literal
 from palpate.service.search.base import Generation
 from palpate.storage.records.record import EvaluationRecord
 from palpate.storage.records.tasks import PreparedBody, PreparedTarget
+from palpate.workers.comparison.similarity.objective import GSF, Objective
 
 _log = logging.getLogger(__name__)
 
@@ -44,6 +45,8 @@ class StudyFacts:
         Threads that evaluate, at the start.
     dashboard : str
         Address of Dask's page; empty if there is none.
+    objective : Objective
+        The score that the search optimises.
     """
 
     name: str
@@ -52,6 +55,7 @@ class StudyFacts:
     generations: int
     workers: int
     dashboard: str
+    objective: Objective = GSF
 
 
 class Observer:

@@ -19,6 +19,7 @@ from palpate.storage.backends.layout import StudyLayout
 from palpate.storage.records.best_candidate import BestSoFar
 from palpate.storage.records.record import EvaluationRecord
 from palpate.storage.records.tasks import PreparedBody, PreparedTarget
+from palpate.workers.comparison.similarity.objective import GSF
 
 LINE_EVERY_S = 10.0
 
@@ -123,7 +124,8 @@ class Progress(Observer):
         rows.append(("generations", generations))
         if self.best is not None and self.best.score is not None:
             score = self.best.score
-            scores = f"GSF {score['gsf']:.4g}   JC {score['jc']:.4f}   MHD {score['mhd_mm']:.4g} mm"
+            own = facts.objective.text(score, 4)
+            scores = f"{own}   JC {score['jc']:.4f}   MHD {score['mhd_mm']:.4g} mm"
             rows.append(("best so far", f"{scores}   (candidate {self.best.candidate})"))
             if self.ranked.note:
                 rows.append(("", self.ranked.note))
@@ -189,8 +191,9 @@ class PlainProgress(Progress):
     def generation_ended(self, number: int, generation: Generation) -> None:
         super().generation_ended(number, generation)
         best = self.best.score if self.best is not None else None
+        objective = GSF if self.facts is None else self.facts.objective
         text = (
-            f"best GSF {best['gsf']:.6g}, JC {best['jc']:.4f}, MHD {best['mhd_mm']:.4g} mm"
+            f"best {objective.text(best, 6)}, JC {best['jc']:.4f}, MHD {best['mhd_mm']:.4g} mm"
             if best
             else "no candidate has a score yet"
         )

@@ -14,6 +14,7 @@ from palpate.storage.records.best_candidate import BestSoFar, score_of
 from palpate.storage.records.record import EvaluationRecord
 from palpate.storage.records.status import Status
 from palpate.storage.records.tasks import PreparedBody, PreparedTarget
+from palpate.workers.comparison.similarity.objective import GSF
 
 _log = logging.getLogger(__name__)
 
@@ -95,9 +96,11 @@ class RunLog(Observer):
 
     def __init__(self) -> None:
         self._ranked = BestSoFar()
+        self._objective = GSF
 
     def started(self, facts: StudyFacts) -> None:
         """Log what begins, and where."""
+        self._objective = facts.objective
         _log.info("%s runs on %d workers %s", facts.name, facts.workers, facts.dashboard)
 
     def prepared(
@@ -121,8 +124,8 @@ class RunLog(Observer):
     def generation_ended(self, number: int, generation: Generation) -> None:
         """Log the best candidate so far."""
         best = self._ranked.record
-        gsf = math.inf if best is None else score_of(best)
-        _log.info("generation %d done: best GSF %.6g", number + 1, gsf)
+        score = math.inf if best is None else score_of(best)
+        _log.info("generation %d done: best %s %.6g", number + 1, self._objective.axis, score)
 
     def stopped(self, reason: str) -> None:
         """Log why the search has stopped."""

@@ -108,7 +108,7 @@ def test_a_plan_needs_the_scan_at_rest_only(tmp_path: Path) -> None:
 
 def test_a_kind_that_this_version_does_not_know_is_named(tmp_path: Path) -> None:
     with pytest.raises(
-        StoreError, match="the kind 'ultrasound', this version knows .*scanned case"
+        StoreError, match=r"the kind 'ultrasound', this version knows .*scanned case"
     ):
         source_of(SourceContent("ultrasound", {}, {}, {}))
 

@@ -21,8 +21,8 @@ const showCharts = () => {
   });
 
   const words = (i) => {
-    const [candidate, generation, gsf, ...genes] = told.rows[i];
-    const lines = [`candidate ${candidate}, generation ${generation}`, `GSF ${gsf}`];
+    const [candidate, generation, score, ...genes] = told.rows[i];
+    const lines = [`candidate ${candidate}, generation ${generation}`, `${told.score} ${score}`];
     told.names.forEach((name, k) => lines.push(`${name} ${genes[k]}`));
     return lines;
   };

@@ -1,0 +1,131 @@
+"""Search strategies by name: what each is made of, and what it costs at most.
+
+A distribution offers a `Strategy` as an entry point of the group ``palpate.searches``; a study
+chooses it with ``search.strategy``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from palpate.service.search.base import Search
+from palpate.service.search.cma_search import CmaSearch
+from palpate.service.search.genetic import GeneticSearch
+from palpate.service.search.least_squares import (
+    FittedNames,
+    LeastSquaresSearch,
+    LeastSquaresSettings,
+)
+from palpate.service.search.polished import PolishedSearch
+from palpate.workers.plugins import load
+
+if TYPE_CHECKING:
+    from palpate.service.search.spec import SearchSpec
+
+
+@dataclass(frozen=True, slots=True)
+class SearchRequest:
+    """What a study asks of its strategy.
+
+    Parameters
+    ----------
+    search : SearchSpec
+        The keys under ``search``.
+    names : FittedNames
+        How the searched constants are named in an evaluation's least-squares problem.
+    levels : int
+        How many coarser resolutions are fitted first.
+    seed : int
+    """
+
+    search: "SearchSpec"
+    names: FittedNames
+    levels: int
+    seed: int
+
+    @property
+    def fit(self) -> LeastSquaresSettings:
+        """The settings of a fit by derivatives."""
+        search = self.search
+        return LeastSquaresSettings(search.starts, self.levels, search.fit_evaluations)
+
+
+@dataclass(frozen=True, slots=True)
+class Strategy:
+    """A way to search.
+
+    Parameters
+    ----------
+    name : str
+        What a study states under ``search.strategy``.
+    make : callable
+        From a `SearchRequest` to a `Search`, a pure function of the generations so far.
+    most_evaluations, most_generations : callable
+        From a `SearchRequest` to the numbers if the search never stops early.
+    by_derivatives : bool
+        Whether it needs the derivatives of each candidate.
+    coarse_first : bool
+        Whether it starts in coarser resolutions when the study names none.
+    """
+
+    name: str
+    make: Callable[[SearchRequest], Search]
+    most_evaluations: Callable[[SearchRequest], int]
+    most_generations: Callable[[SearchRequest], int]
+    by_derivatives: bool = False
+    coarse_first: bool = False
+
+
+def strategy_named(name: str) -> Strategy:
+    """Return a strategy.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name; close names are suggested.
+    """
+    found: Strategy = load("searches", name)
+    return found
+
+
+def _genetic(asked: SearchRequest) -> GeneticSearch:
+    return GeneticSearch(asked.search.space, asked.search.settings, asked.seed)
+
+
+def _least_squares(asked: SearchRequest) -> LeastSquaresSearch:
+    return LeastSquaresSearch(asked.search.space, asked.names, asked.fit, asked.seed)
+
+
+def _fit_generations(asked: SearchRequest) -> int:
+    return asked.search.fit_evaluations * (1 + asked.levels)
+
+
+GENETIC = Strategy(
+    "genetic",
+    make=_genetic,
+    most_evaluations=lambda asked: asked.search.settings.most_evaluations,
+    most_generations=lambda asked: asked.search.generations,
+)
+CMA = Strategy(
+    "cma",
+    make=lambda asked: CmaSearch(asked.search.space, asked.search.cma_settings, asked.seed),
+    most_evaluations=lambda asked: asked.search.cma_settings.most_evaluations,
+    most_generations=lambda asked: asked.search.generations,
+)
+LEAST_SQUARES = Strategy(
+    "least-squares",
+    make=_least_squares,
+    most_evaluations=lambda asked: asked.fit.most_evaluations,
+    most_generations=_fit_generations,
+    by_derivatives=True,
+    coarse_first=True,
+)
+POLISHED = Strategy(
+    "genetic+least-squares",
+    make=lambda asked: PolishedSearch(_genetic(asked), _least_squares(asked)),
+    most_evaluations=lambda asked: (
+        asked.search.settings.most_evaluations + asked.fit.most_evaluations
+    ),
+    most_generations=lambda asked: asked.search.generations + _fit_generations(asked),
+    by_derivatives=True,
+)

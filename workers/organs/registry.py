@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from palpate.storage.errors import InputError
 from palpate.storage.records.tasks import FreeParameter
+from palpate.workers.mechanics.effects.catalogue import Catalogue
 from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.mechanics.pressed import Pressed
 from palpate.workers.organs.organ import Organ
@@ -23,6 +24,11 @@ MODULES = {
     "cornea": "palpate.workers.organs.cornea.organ",
 }
 DEFAULT = "breast"
+# The module of each organ's effects; it holds the object CATALOGUE.
+CATALOGUES = {
+    "breast": "palpate.workers.organs.breast.effects",
+    "cornea": "palpate.workers.organs.cornea.effects",
+}
 # What is said of a fitted body beside its constants, where an organ has something to say.
 FINDINGS = {"cornea": "palpate.workers.organs.cornea.findings.study"}
 
@@ -50,6 +56,20 @@ class Findings(Protocol):
         self, spec: Any, bodies: Sequence[Any], findings: Mapping[str, Any]
     ) -> Iterable[tuple["Figure", str]]:
         """Return figures of a study, each with its caption; of bodies some may be None."""
+
+
+def catalogue_of(organ: str) -> Catalogue:
+    """Return the effects that a diagnosis of an organ may suspect.
+
+    Raises
+    ------
+    InputError
+        If there is no such organ, or it has no effects; close names are suggested.
+    """
+    if organ not in CATALOGUES:
+        raise InputError(unknown_name("organ with effects", organ, CATALOGUES))
+    catalogue: Catalogue = import_module(CATALOGUES[organ]).CATALOGUE
+    return catalogue
 
 
 def findings_of(organ: str) -> Findings | None:

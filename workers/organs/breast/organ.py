@@ -25,17 +25,13 @@ from palpate.workers.body.mesh.whole_body import mesh_whole_body
 from palpate.workers.body.phantom.breast import generate_breast
 from palpate.workers.comparison.similarity.score import Scorer, Surface, score_labels
 from palpate.workers.comparison.warp.warp_volume import warp_labels
-from palpate.workers.mechanics.effects.breast_catalogue import (
-    BREAST_EFFECTS,
-    BREAST_MODEL,
-    NOT_SIMULATED,
-)
 from palpate.workers.mechanics.fem.elements.model import Model, prepare
 from palpate.workers.mechanics.fem.equilibrium.solve import solve
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import frame_of
 from palpate.workers.mechanics.fem.problem.outcome import Solution
 from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.organs.breast.effects import BREAST_MODEL, CATALOGUE
 from palpate.workers.organs.breast.interface_fit import (
     BreastObservation,
     FittedBreast,
@@ -76,8 +72,8 @@ class Breast:
     target_spec = BreastTarget
     score_spec = BreastScore
     parameters = BREAST_MODEL
-    effects = BREAST_EFFECTS
-    not_simulated = NOT_SIMULATED
+    effects = CATALOGUE.effects
+    not_simulated = CATALOGUE.not_simulated
     picture_labels: Mapping[int, str] = {int(t): t.name.lower() for t in Tissue if t}
     load_direction = "The plates press along y."
 

@@ -1,4 +1,4 @@
-"""List the effects that are suspected when a simulated specimen differs from a measured one."""
+"""The effects that are suspected when a simulated specimen differs from a measured one."""
 
 from dataclasses import replace
 

@@ -25,12 +25,11 @@ from palpate.service.cluster.dispatch import Dispatcher
 from palpate.service.cluster.open import open_cluster
 from palpate.service.errors import TaskError
 from palpate.storage.stores.store import open_store
-from palpate.workers.mechanics.effects.breast_catalogue import effect
 from palpate.workers.mechanics.fem.elements.model import prepare
 from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium
 from palpate.workers.mechanics.fem.problem.fields import frame_of
-from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.registry import catalogue_of, organ_named
 from palpate.workers.spec import validated
 from palpate.workers.tasks.body_store import BodyStore
 
@@ -256,7 +255,8 @@ class Bench:
         values, body = self.case.complete(TRUE_MPA), self.bodies.landmarks(self.body, self.case)
         problem = BREAST.problem(model, self.case, values, body)
         at = equilibrium(model, problem)
-        changes = [c for name in TEN_OF for c in effect(name).changes(problem, frame)][:count]
+        effects = map(catalogue_of(BREAST.name).named, TEN_OF)
+        changes = [c for effect in effects for c in effect.changes(problem, frame)][:count]
         assert len(changes) == count
         return lambda: tangents(at, changes)
 

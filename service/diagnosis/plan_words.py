@@ -11,6 +11,7 @@ from palpate.workers.diagnosis.schema.plan import (
     PlannedEffect,
     PlanSummary,
 )
+from palpate.workers.organs.registry import DEFAULT, catalogue_of
 
 DIGITS = 2
 WHY = {
@@ -56,10 +57,12 @@ def drift(plan: PlanSummary) -> str:
     """Return effects whose numbers mean nothing, and what to do; empty if there are none."""
     if not plan.loose:
         return ""
+    effects = catalogue_of(DEFAULT).effects
+    holding = [p.door_name for e in effects if e.holds_body for p in e.parameters]
     return (
         f"Nothing holds the body sideways: {together(plan.loose)} would push it away, and their "
         "numbers mean little. Let the chest wall hold it: springs kx and ky in case.json, or "
-        "wall_hold_x_kpa_per_mm and wall_hold_y_kpa_per_mm under case.constants of a study."
+        f"{listed(holding)} under case.constants of a study."
     )
 
 

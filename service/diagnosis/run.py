@@ -17,9 +17,6 @@ from palpate.storage.stores.arrays import Arrays
 from palpate.workers.diagnosis.outcome.source import Source
 from palpate.workers.diagnosis.schema.summary import Summary
 from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.boundary import FRICTION, LOCAL_ATTACHMENT
-from palpate.workers.mechanics.effects.local_stiffness import INCLUSION
-from palpate.workers.mechanics.effects.plates import PLATE_EDGE
 from palpate.workers.tasks.diagnosis import (
     analyse_effect,
     calibrate_nominal,
@@ -38,9 +35,6 @@ from palpate.workers.tasks.diagnosis_store import (
 )
 from palpate.workers.tasks.sources import add_source, check_nodes, open_source
 from palpate.workers.tasks.task_store import TaskStore
-
-# What takes longest comes first, so that nobody waits for it at the end.
-LONG = {PLATE_EDGE.name, FRICTION.name, INCLUSION.name, LOCAL_ATTACHMENT.name}
 
 R = TypeVar("R")
 
@@ -185,19 +179,21 @@ def run(
     Interrupted
         If the dispatcher is told to stop.
     """
-    phases = _Phases(request, workers, observe)
     store = DiagnosisStore(request)
+    slow = frozenset(effect.name for effect in store.effects if effect.is_slow)
+    phases = _Phases(request, workers, observe, slow)
     if workers.threads > 1 and not store.calibration.is_finished:
         phases.run("preparation", prepare_scan, [(name,) for name in store.preparations])
     (calibration,) = phases.run("calibration", calibrate_nominal, [()], by_scans=True)
-    effects = sorted(request.effects, key=lambda name: name not in LONG)
+    # The longest tasks come first, so that nobody waits for them at the end.
+    effects = sorted(request.effects, key=lambda name: name not in slow)
     numbers = range(calibration.scans)
     phases.run("effects", analyse_effect, [(e, number) for e in effects for number in numbers])
     while (left := phases.run("weighing", weigh_hypotheses, [()], by_scans=True)[0]).is_open:
         if left.unread:
             phases.run("reading", read_noise_again, [(left.read_at,)], by_scans=True)
             continue
-        longest_first = sorted(left.wanted, key=LONG.isdisjoint)
+        longest_first = sorted(left.wanted, key=slow.isdisjoint)
         fits = [(names, left.read_at) for names in longest_first]
         phases.run("refits", fit_effects, fits, by_scans=True)
     diagnosis = finished(request)
@@ -212,8 +208,14 @@ def run(
 class _Phases:
     """Sends the tasks of one diagnosis, phase after phase."""
 
-    def __init__(self, request: DiagnosisRequest, workers: Workers, observe: Observer) -> None:
-        self.request, self.workers, self.observe = request, workers, observe
+    def __init__(
+        self,
+        request: DiagnosisRequest,
+        workers: Workers,
+        observe: Observer,
+        slow: frozenset[str],
+    ) -> None:
+        self.request, self.workers, self.observe, self.slow = request, workers, observe, slow
 
     def run(
         self,
@@ -228,10 +230,10 @@ class _Phases:
         """
         of, threads = len(arguments), self.workers.threads
         self.observe(Step(phase, 0, of))
-        calls: TaskCalls = [
-            (_about(one), (self.request, *one, *([_spare(threads, of, one)] if by_scans else [])))
-            for one in arguments
-        ]
+        calls: list[tuple[str, tuple[Any, ...]]] = []
+        for one in arguments:
+            spare = [_spare(threads, of, self._is_slow(one))] if by_scans else []
+            calls.append((_about(one), (self.request, *one, *spare)))
         records: list[R] = []
         for ending in self.workers.run(task, calls):
             record: R = value_of(ending, f"{phase} {ending.key}".strip())
@@ -239,16 +241,19 @@ class _Phases:
             self.observe(Step(phase, len(records), of, ending.key, record))
         return records
 
+    def _is_slow(self, arguments: tuple[Any, ...]) -> bool:
+        """Return whether a task is about an effect that takes long."""
+        return bool(arguments) and not self.slow.isdisjoint(arguments[0])
 
-def _spare(threads: int, tasks: int, arguments: tuple[Any, ...]) -> int:
+
+def _spare(threads: int, tasks: int, is_slow: bool) -> int:
     """Return how many threads one of some tasks may have.
 
     An even share; and where soon there are fewer tasks than threads, one that takes long begins
     with two, so that nobody waits for it at the end.
     """
     even = max(1, threads // tasks)
-    names = arguments[0] if arguments else ()
-    waited_for = tasks < 2 * threads and not LONG.isdisjoint(names)
+    waited_for = tasks < 2 * threads and is_slow
     return max(even, min(2, threads)) if waited_for else even
 
 

@@ -18,11 +18,11 @@ from palpate.storage.records.typed_json import from_json, to_json
 from palpate.workers.diagnosis.schema.plan import ParameterPlan
 from palpate.workers.diagnosis.schema.summary import ParameterEstimate, Summary
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS, BREAST_MODEL
-from palpate.workers.mechanics.effects.specimen_catalogue import specimen_effects
 from palpate.workers.mechanics.parameters import Parameter
 from palpate.workers.mechanics.readings import ShownMagnitude, shown, shown_change
-from palpate.workers.organs.cornea.diagnosis.effect_catalogue import CORNEA_EFFECTS
+from palpate.workers.organs.breast.effects import BREAST_EFFECTS, BREAST_MODEL
+from palpate.workers.organs.cornea.effects import CORNEA_EFFECTS
+from palpate.workers.organs.specimen.effects import specimen_effects
 from tests.service.report.diagnosis_at_hand import effect, parameter, summary
 
 DOWN = (0.0, -1.0, 0.0)

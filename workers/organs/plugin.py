@@ -50,9 +50,7 @@ class OrganPlugin:
     study_source : str
         From a finished study to its source; None if its studies cannot be diagnosed.
     effects : str
-        What may be missing from the model, as a sequence of `workers.mechanics.effects.base.Effect`
-    not_simulated : str
-        What no effect stands for, as pairs of a name and the reason.
+        The `workers.mechanics.effects.catalogue.Catalogue` of what its model may lack.
     load_direction : str
         How the load acts in a picture, as a sentence.
     facts : tuple of Fact
@@ -68,7 +66,6 @@ class OrganPlugin:
     study_kind: str = ""
     study_source: str = ""
     effects: str = ""
-    not_simulated: str = ""
     load_direction: str = ""
     facts: tuple[Fact, ...] = ()
     templates: Mapping[str, str] = field(default_factory=dict)

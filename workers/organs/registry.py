@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from palpate.storage.records.tasks import FreeParameter
 from palpate.workers import plugins
-from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.catalogue import Catalogue
 from palpate.workers.mechanics.pressed import Pressed
 from palpate.workers.organs.organ import Organ, PressedOrgan
 from palpate.workers.organs.plugin import OrganPlugin, module_of, resolve
@@ -80,16 +80,17 @@ def findings_of(organ: str) -> Findings | None:
     return found
 
 
-def effects_of(organ: str) -> Sequence[Effect]:
-    """Return the effects that the model of an organ may lack; maybe none."""
+def catalogue_of(organ: str) -> Catalogue:
+    """Return the effects that the model of an organ may lack.
+
+    Raises
+    ------
+    InputError
+        If there is no such organ.
+    """
     name = organ_plugin(organ).effects
-    return resolve(name) if name else ()
-
-
-def not_simulated_by(organ: str) -> Sequence[tuple[str, str]]:
-    """Return what no effect of an organ stands for: names and reasons."""
-    name = organ_plugin(organ).not_simulated
-    return resolve(name) if name else ()
+    catalogue: Catalogue = resolve(name) if name else Catalogue(())
+    return catalogue
 
 
 def pressed_of(case: CaseSpec) -> Pressed | None:

@@ -41,6 +41,7 @@ from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
 from palpate.workers.organs.source_registry import source_module
+from palpate.workers.plugins import foreign_plugins
 from palpate.workers.tasks.code_version import code_version
 from palpate.workers.tasks.learnt_noise import with_stored_noise
 from palpate.workers.tasks.sources import SourceName, stored_source
@@ -140,7 +141,12 @@ def named(request: DiagnosisRequest) -> DiagnosisRequest:
 
 def diagnosis_code(kind: str) -> str:
     """Return a digest of all source code that a diagnosis of a kind of source depends on."""
-    return code_version("palpate.workers.tasks.diagnosis", source_module(kind))
+    return code_version("palpate.workers.tasks.diagnosis", source_module(kind), *plugged_modules())
+
+
+def plugged_modules() -> list[str]:
+    """Return the modules of all effects of other distributions, which a diagnosis may suspect."""
+    return [plugin.module for plugin in foreign_plugins() if plugin.group == "effects"]
 
 
 class DiagnosisStore:

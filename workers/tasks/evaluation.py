@@ -35,6 +35,7 @@ from palpate.storage.records.tasks import (
 )
 from palpate.storage.stores.fields import load_field, save_field
 from palpate.storage.stores.store import Store, open_store
+from palpate.workers.mechanics.effects.plugged import acting_plugins, without_idle_plugins
 from palpate.workers.organs.organ import (
     CheckingOrgan,
     Organ,
@@ -303,9 +304,11 @@ def _dependencies(
 ) -> list[Any]:
     """Return all that a simulation depends on: bodies by content, the case, constants, code."""
     settings = spec.model_dump(mode="json", exclude={"reference", "mesh", "constants"})
-    others = [] if score is None else [plugin("scores", score.objective).module]
+    others = [acting.module for acting in acting_plugins(values)]
+    if score is not None:
+        others.append(plugin("scores", score.objective).module)
     code = code_version(__name__, organ_module(spec.organ), *others)
-    return [prepared["volume"], prepared["mesh"], settings, dict(values), code]
+    return [prepared["volume"], prepared["mesh"], settings, without_idle_plugins(values), code]
 
 
 def _digests(prepared: PreparedBody) -> dict[str, str]:

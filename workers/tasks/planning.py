@@ -23,6 +23,7 @@ from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
 from palpate.workers.diagnosis.schema.plan import PlanSummary
 from palpate.workers.organs.source_registry import source_module
 from palpate.workers.tasks.code_version import code_version
+from palpate.workers.tasks.diagnosis_store import plugged_modules
 from palpate.workers.tasks.sources import SourceName, stored_planned
 from palpate.workers.tasks.task_store import Part, TaskStore
 
@@ -79,7 +80,7 @@ def named(request: PlanRequest) -> PlanRequest:
 
 
 def _code(kind: str) -> str:
-    return code_version("palpate.workers.tasks.planning", source_module(kind))
+    return code_version("palpate.workers.tasks.planning", source_module(kind), *plugged_modules())
 
 
 def list_loads(request: PlanRequest) -> LoadsRecord:

@@ -5,14 +5,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from palpate.service.blind.scoring.magnitudes import SCALES
-from palpate.storage.values import FloatArray, IntArray, Triple
-from palpate.workers.mechanics.effects.observation import RIGID_MOTION, rigid_columns
-
-# Labels that are drawn too large, by the interface that they move.
-OFFSETS_MM = ("segmentation_fat_mm", "segmentation_glandular_mm")
-# How tissue has moved between the scans, in mm and degrees: the interface lies where it has gone.
-MOTIONS = tuple(p.door_name for p in RIGID_MOTION.parameters)
+from palpate.service.blind.sealed.truth import CATALOGUE
+from palpate.storage.values import FloatArray, IntArray, Tissue, Triple
+from palpate.workers.mechanics.fem.problem.fields import Frame
 
 
 def drawn_mm(
@@ -31,15 +26,21 @@ def drawn_mm(
     interface : ndarray of int, shape (k,)
         0 for the outline, 1 for the boundary of the glandular tissue.
     centre_mm : tuple of float or None
-        About which scans are too large or turned; without it scales and motions are left out.
+        About which scans are scaled, sheared or turned; without it such effects are left out.
     sizes : mapping of str to float
         Parameters of the catalogue under their door names; 0 for those that are not named.
     """
-    offsets = np.array([sizes.get(name, 0.0) for name in OFFSETS_MM])[interface]
-    out = np.broadcast_to(offsets, points.shape[:2])
-    if centre_mm is None:
-        return out
-    scales = np.array([sizes.get(name, 0.0) for name in SCALES])
-    motion = np.array([sizes.get(name, 0.0) for name in MOTIONS])
-    moved = [rigid_columns(p, n, centre_mm) @ motion for p, n in zip(points, normals, strict=True)]
-    return np.asarray(out + ((points - np.asarray(centre_mm)) * normals) @ scales + moved)
+    tissues = np.where(interface == 0, Tissue.FAT, Tissue.GLANDULAR)
+    frame = Frame() if centre_mm is None else Frame(centre_mm)
+    out = np.zeros(points.shape[:2])
+    for effect in CATALOGUE.on_observation:
+        if centre_mm is None and effect.about_centre:
+            continue
+        values = {
+            p.name: p.unit.to_inside(sizes[p.door_name])
+            for p in effect.parameters
+            if p.door_name in sizes
+        }
+        for scan, (at, normal) in enumerate(zip(points, normals, strict=True)):
+            out[scan] += effect.shift(at, normal, tissues, values, frame)
+    return out

@@ -22,8 +22,8 @@ from palpate.service.blind.scoring.calibration import (
 )
 from palpate.service.blind.scoring.statistics import Estimate, correlation, mean, median, share
 from palpate.service.blind.sealed.records import CaseRecord
+from palpate.service.blind.sealed.truth import MAPPED
 from palpate.workers.diagnosis.verdict.verdict import NO_GAP, NONE_OF_THESE
-from palpate.workers.mechanics.effects.local_stiffness import INCLUSION
 
 Unit = Literal["share", "mm", "number"]
 VISIBLE = 1.5
@@ -262,7 +262,7 @@ def _shrinkage(
 
 
 def _sizes(records: Records) -> Iterable[Metric]:
-    lumps = [(r.lump_apart_mm, INCLUSION.name in r.primary) for r in records]
+    lumps = [(r.lump_apart_mm, MAPPED.name in r.primary) for r in records]
     named = mean([mm for mm, accused in lumps if accused and mm is not None])
     unnamed = mean([mm for mm, accused in lumps if not accused and mm is not None])
     title = "A lump is named: its found centre to the true one"

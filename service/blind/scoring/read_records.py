@@ -18,23 +18,15 @@ from palpate.service.blind.scoring.true_gap import TrueGap, true_gap
 from palpate.service.blind.sealed.records import FAILED, CaseRecord
 from palpate.service.blind.sealed.seal import read_json
 from palpate.service.blind.sealed.sets import BlindSet, Directions, Truths
-from palpate.service.blind.sealed.truth import Moved, Truth, read_moved, read_truth
+from palpate.service.blind.sealed.truth import CATALOGUE, Moved, Truth, read_moved, read_truth
 from palpate.storage.errors import InputError
 from palpate.storage.records.typed_json import from_json
 from palpate.storage.values import FloatArray, Triple
 from palpate.workers.diagnosis.schema.summary import ShareEstimate, Summary
 from palpate.workers.diagnosis.verdict.verdict import NO_GAP, NONE_OF_THESE
-from palpate.workers.mechanics.effects.observation import (
-    IMAGE_SCALE,
-    IMAGE_SHEAR,
-    RIGID_MOTION,
-    SEGMENTATION_OFFSET,
-)
 
 Arrays = Mapping[str, FloatArray]
 Y_AXIS = [0, 1, 0]
-# Effects that move interfaces in the images and no tissue.
-OF_IMAGES = (SEGMENTATION_OFFSET, IMAGE_SCALE, IMAGE_SHEAR, RIGID_MOTION)
 
 
 def read_records(
@@ -175,7 +167,7 @@ def _true_gap(
 
 def _said_of_images(summary: Summary) -> dict[str, float]:
     """Return what is said of labels and scans that are too large or lie elsewhere, if accused."""
-    accused = {e.name for e in OF_IMAGES}.intersection(summary.primary)
+    accused = {e.name for e in CATALOGUE.on_observation}.intersection(summary.primary)
     return {p.parameter: p.magnitude for n in accused for p in summary.effect(n).parameters}
 
 

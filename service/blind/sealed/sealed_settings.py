@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from palpate import workers
+from palpate.service.blind.sealed.truth import CATALOGUE
 from palpate.service.versions import palpate_version
 from palpate.storage.digest import digest
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from palpate.workers.tasks.diagnosis_store import diagnosis_code
 
 # The kind of source that a blind case is.
@@ -52,7 +52,7 @@ def frozen(nodes: int = SETTINGS.mesh.nodes) -> FrozenDiagnosis:
         Of the working mesh.
     """
     meshed = replace(SETTINGS, mesh=replace(SETTINGS.mesh, nodes=nodes))
-    settings = asdict(meshed) | {"effects": [_effect(e) for e in BREAST_EFFECTS]}
+    settings = asdict(meshed) | {"effects": [_effect(e) for e in CATALOGUE.effects]}
     return FrozenDiagnosis(
         palpate_version(), _commit(), diagnosis_code(SCANNED_CASE), settings, digest(settings)
     )
@@ -83,6 +83,7 @@ def _effect(effect: Effect) -> dict[str, object]:
         "family": effect.family,
         "odds": effect.odds,
         "prior_sd": dict(zip(effect.names, effect.prior_sd, strict=True)),
+        "held_sd": list(effect.held_sd),
     }
 
 

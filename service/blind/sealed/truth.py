@@ -10,8 +10,14 @@ from pydantic import BaseModel, ConfigDict
 from palpate.service.blind.sealed.seal import read_json
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray
-from palpate.workers.mechanics.effects.loading import PLATE_FORCE
+from palpate.workers.organs.registry import catalogue_of
 from palpate.workers.spec import validated
+
+# A blind case is a breast.
+CATALOGUE = catalogue_of("breast")
+# The effect whose place is scored.
+MAPPED = next(e for e in CATALOGUE.effects if e.is_mapped)
+CONFOUNDED = {e.name for e in CATALOGUE.effects if e.is_confounded}
 
 Group = Literal["control", "absorbed", "single", "pair", "triple", "unlike", "relative"]
 """What a case asks of a diagnosis: to keep still (``control``, ``absorbed``), to name one
@@ -77,7 +83,7 @@ class Truth(_Record):
             return "control"
         if len(self.effects) < len(self.causes):
             return "relative" if self.families else "unlike"
-        if self.effects == (PLATE_FORCE.name,):
+        if CONFOUNDED.issuperset(self.effects):
             return "absorbed"
         together: tuple[Group, ...] = ("single", "pair", "triple")
         return together[len(self.causes) - 1]

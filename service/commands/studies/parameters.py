@@ -17,24 +17,26 @@ def parameters(
     as_json: JsonOption = False,
 ) -> None:
     """List an organ's constants and effects for study files."""
-    from palpate.workers.organs.registry import effects_of, not_simulated_by, organ_named
+    from palpate.workers.organs.registry import catalogue_of, organ_named
 
-    known, not_simulated = effects_of(organ), not_simulated_by(organ)
-    of_effects = {name for e in known for name in e.names}
-    named = [p for p in organ_named(organ).parameters if p.name not in of_effects]
+    known = catalogue_of(organ)
+    of_effects = {name for e in known.effects for name in e.names}
+    vocabulary = organ_named(organ).parameters
+    in_studies = {p.name for p in vocabulary}
+    named = [p for p in vocabulary if p.name not in of_effects]
     constants = [] if effects else [_parameter(p) for p in named]
     causes: list[dict[str, Any]] = [
         {
             "effect": e.name,
             "family": e.family,
             "summary": e.summary,
-            "in_studies": e.observation is None,
+            "in_studies": in_studies.issuperset(e.names),
             "parameters": [_parameter(p) for p in e.parameters],
             "references": list(e.references),
         }
-        for e in known
+        for e in known.effects
     ]
-    missing = [{"effect": name, "why": why} for name, why in not_simulated]
+    missing = [{"effect": name, "why": why} for name, why in known.not_simulated]
     if as_json:
         print_json({"constants": constants, "effects": causes, "not_simulated": missing})
         return

@@ -41,7 +41,7 @@ from palpate.service.report.study.provenance import diagnosis_provenance
 from palpate.service.versions import palpate_version, versions
 from palpate.storage.plain import to_plain
 from palpate.workers.diagnosis.schema.summary import Summary
-from palpate.workers.mechanics.effects.breast_catalogue import NOT_SIMULATED
+from palpate.workers.organs.registry import DEFAULT, catalogue_of
 
 # Causes in the chart besides those of the 90 % set.
 CAUSES = 8
@@ -138,10 +138,17 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "overlap": tables.overlap(summary.overlap or ()),
         "percentiles": any(region.p95_mm is not None for region in summary.where),
         "regions": tables.regions(summary.where),
-        "not_simulated": NOT_SIMULATED if summary.not_simulated is None else summary.not_simulated,
+        "not_simulated": _not_simulated(summary),
         "json": json.dumps(to_plain(summary_json(summary)), indent=2, ensure_ascii=False),
         "closing": f"Made by Palpate {palpate_version()}.",
     }
+
+
+def _not_simulated(summary: Summary) -> tuple[tuple[str, str], ...]:
+    """Return the causes without an effect; a summary states those of other organs."""
+    if summary.not_simulated is None:
+        return catalogue_of(DEFAULT).not_simulated
+    return summary.not_simulated
 
 
 def _loaded(summary: Summary) -> str:

@@ -12,7 +12,7 @@ from palpate.service.report.diagnosis.arrows import misfits_of
 from palpate.storage.errors import InputError
 from palpate.workers.diagnosis.fits.calibration import calibrate
 from palpate.workers.diagnosis.problem.inverse_problem import unknowns
-from palpate.workers.mechanics.effects.specimen_catalogue import NOT_SIMULATED
+from palpate.workers.organs.specimen.effects import NOT_SIMULATED
 from palpate.workers.organs.specimen.experiment_files import read_experiment
 from palpate.workers.organs.specimen.force_balance import support_force_n, supported
 from palpate.workers.organs.specimen.plausibility import outside_intervals

@@ -6,7 +6,7 @@ import pytest
 
 from palpate.service.bench.diagnosis import PhaseTimes, measure_diagnosis, projected
 from palpate.service.cli import main
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
+from palpate.workers.organs.breast.effects import BREAST_EFFECTS
 from tests.service.diagnosis.compressed_breast import write_case
 
 

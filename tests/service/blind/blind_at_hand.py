@@ -20,11 +20,11 @@ from palpate.workers.comparison.observation.point_interpolation import interpola
 from palpate.workers.comparison.warp.warp_volume import warp_labels
 from palpate.workers.diagnosis.problem.acquisition import INTERFACES
 from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.breast_catalogue import with_effects
 from palpate.workers.mechanics.fem.elements.model import prepare
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
 from palpate.workers.mechanics.fem.problem.fields import frame_of
 from palpate.workers.organs.breast.case.files import read_case
+from palpate.workers.organs.breast.effects import CATALOGUE
 from tests.service.diagnosis.compressed_breast import (
     CROSSWISE,
     PHANTOM,
@@ -75,7 +75,7 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
     effects = {"tilt_depth": TILT_DEG} if kind == "tilt" else {}
     went = []
     for number, load in enumerate(loads):
-        problem = with_effects(imaged.problem(number, frame)(TRUE_MPA), effects, frame)
+        problem = CATALOGUE.apply(imaged.problem(number, frame)(TRUE_MPA), effects, frame)
         at = equilibrium(model, problem)
         u = at.solution.displacement_mm
         write_scan(case / load["file"], _flattened(warp_labels(imaged.reference, mesh, u), at))

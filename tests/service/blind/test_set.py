@@ -33,7 +33,7 @@ from palpate.storage.digest import digest
 from palpate.storage.errors import InputError
 from palpate.storage.records.typed_json import to_json
 from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
+from palpate.workers.organs.breast.effects import BREAST_EFFECTS
 from tests.service.blind.blind_at_hand import Inline, make_set
 
 SHARES = {"control": 2.0, "tilt": 1.0, "friction": 1.0}

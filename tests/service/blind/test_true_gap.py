@@ -169,6 +169,10 @@ def test_scans_and_labels_too_large_draw_interfaces_outside_of_the_body() -> Non
     motion = {"motion_x_mm": 0.5, "motion_turn_z_deg": 1.0}
     elsewhere = drawn_mm(points, normals, interface, centre, motion)
     assert elsewhere == pytest.approx(np.array([[0.5, 0.0, 0.0, -0.1745]]), abs=1e-4)
+    # 0.01 mm along x for each mm of y, on a face along x that is 5 mm above the middle.
+    raised = points + np.array([0.0, 5.0, 0.0])
+    sheared = drawn_mm(raised, normals, interface, centre, {"shear_xy": 0.01})
+    assert sheared[0, 0] == pytest.approx(0.05)
     without = drawn_mm(points, normals, interface, None, scales | labels | motion)
     assert without == pytest.approx(np.array([[0.3, 0.3, -0.1, -0.1]]))
 

@@ -12,11 +12,11 @@ from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.mesh.hierarchy import build_hierarchy
 from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
 from palpate.workers.comparison.warp.warp_volume import warp_labels
-from palpate.workers.mechanics.effects.breast_catalogue import with_effects
 from palpate.workers.mechanics.fem.elements.model import prepare
 from palpate.workers.mechanics.fem.equilibrium.solve import solve
 from palpate.workers.mechanics.fem.problem.fields import frame_of
 from palpate.workers.organs.breast.case.files import read_case
+from palpate.workers.organs.breast.effects import CATALOGUE
 
 TRUE_MPA = {"E_fat": 0.010, "E_gl": 0.032}
 FORCES_N = (8.0, 20.0)
@@ -78,7 +78,7 @@ def write_case(
     model = prepare(hierarchy)
     frame = frame_of(model.finest.nodes)
     for number, one in enumerate(pressed):
-        problem = with_effects(case.problem(number, frame)(TRUE_MPA), effects or {}, frame)
+        problem = CATALOGUE.apply(case.problem(number, frame)(TRUE_MPA), effects or {}, frame)
         solution = solve(model, problem)
         assert solution.outcome.converged, solution.outcome.reason
         scan = warp_labels(case.reference, hierarchy.finest.mesh, solution.displacement_mm)

@@ -23,9 +23,9 @@ from palpate.workers.diagnosis.outcome.summarise import summarise
 from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.diagnosis.verdict.diagnosis import diagnose_here, weigh
-from palpate.workers.mechanics.effects.breast_catalogue import effect
 from palpate.workers.organs.breast.case.files import read_case
 from palpate.workers.organs.breast.case.source import ScannedCaseSource
+from palpate.workers.organs.breast.effects import CATALOGUE
 from palpate.workers.resources import CACHE
 from palpate.workers.tasks import diagnosis_store
 from palpate.workers.tasks.diagnosis import analyse_effect, calibrate_nominal, kept_of, prepare_scan
@@ -37,6 +37,7 @@ from palpate.workers.tasks.diagnosis_store import (
 from tests.service.blind.blind_at_hand import Inline
 from tests.service.diagnosis.compressed_breast import SCANS, TRUE_MPA, loads_exchanged, write_case
 
+effect = CATALOGUE.named
 NODES, SPACING_MM = 1600, 8.0
 SUSPECTS = ["gravity_change", "plate_tilt", "stiffness_gradient", "segmentation_offset"]
 TILT_DEG = 8.0

@@ -11,7 +11,7 @@ from palpate.service.cli import main
 from palpate.service.quantities import not_neutral, quantities_inside
 from palpate.service.results.read import candidate_results
 from palpate.storage.digest import digest
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_MODEL
+from palpate.workers.organs.breast.effects import BREAST_MODEL
 from palpate.workers.tasks import evaluation
 from tests.recovery.stand_ins import SPEC, Inline, run, small_spec
 

@@ -25,6 +25,10 @@ class EffectSensitivity:
         On which scale each parameter is plausible, > 0.
     one_sided : ndarray of bool, shape (q,)
         Whether a parameter is zero or positive; its prior is half-normal.
+    held_sd : tuple of float
+        See `Effect.held_sd`.
+    resembles_roughness : bool
+        See `Effect.resembles_roughness`.
 
     Raises
     ------
@@ -37,6 +41,8 @@ class EffectSensitivity:
     columns: FloatArray
     prior_sd: FloatArray
     one_sided: BoolArray
+    held_sd: tuple[float, ...] = ()
+    resembles_roughness: bool = False
 
     def __post_init__(self) -> None:
         q = len(self.prior_sd)

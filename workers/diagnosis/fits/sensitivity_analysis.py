@@ -87,7 +87,13 @@ def joined_sensitivity(
     sided = np.array([one_sided(p) for p in effect.parameters])
     q = stacked.shape[-1]
     return EffectSensitivity(
-        effect.name, effect.family, stacked, np.array(effect.prior_sd[:q]), sided[:q]
+        effect.name,
+        effect.family,
+        stacked,
+        np.array(effect.prior_sd[:q]),
+        sided[:q],
+        effect.held_sd[:q],
+        effect.resembles_roughness,
     )
 
 
@@ -95,11 +101,11 @@ def _columns(
     inverse: InverseProblem, problem: Problem, prediction: PredictedScan, effect: Effect
 ) -> FloatArray | None:
     """Return (k, q), or (g, k, q) for what is tried at several places or magnitudes."""
-    if effect.observation is not None:
+    if not effect.acts_on_body:
         return observed_columns(inverse, effect, prediction)
     if effect.place is not None:
         return _at_places(inverse, prediction, effect, effect.place)
-    if any(one_sided(p) for p in effect.parameters):
+    if effect.is_one_sided:
         return _secants(inverse, prediction, effect, problem)
     changes = list(effect.changes(problem, inverse.frame))
     return columns_of(inverse, prediction, changes, tolerance=SETTINGS.sensitivities.tangent_error)

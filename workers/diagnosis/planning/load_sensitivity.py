@@ -181,7 +181,7 @@ def _columns(inverse: InverseProblem, fit: SolvedFit, effect: Effect) -> FloatAr
     if found.idle:
         return np.zeros((len(inverse.points), len(effect.names)))
     columns = found.columns
-    if columns is not None and effect.observation is not None:
+    if columns is not None and not effect.acts_on_body:
         columns = columns.copy()
         columns[..., -1, :] = 0.0  # the plates' distance is not read off the images
     return columns

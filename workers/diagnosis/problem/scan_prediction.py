@@ -14,12 +14,7 @@ from palpate.workers.diagnosis.problem.inverse_problem import (
 )
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.boundary import FRICTION
-from palpate.workers.mechanics.effects.observation import (
-    RIGID_MOTION,
-    rigid_columns,
-    rigidly_moved,
-)
+from palpate.workers.mechanics.effects.observation import rigid_columns, rigidly_moved
 from palpate.workers.mechanics.fem.equilibrium.sensitivity import RELATIVE_ERROR, Change
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
@@ -75,7 +70,7 @@ def problem_of(
 ) -> Problem:
     """Return the problem of a scan with all effects of a hypothesis but one."""
     problem = scan.problem(unknowns.constants(z))
-    if FRICTION in unknowns.effects:
+    if any(effect.follows_path for effect in unknowns.effects):
         steps = min(problem.friction_steps, SETTINGS.fit.friction_steps)
         problem = replace(problem, friction_steps=steps)
     for effect in unknowns.effects:
@@ -124,7 +119,7 @@ def compare_with_scan(
         r = r + rigid_columns(points, normals, inverse.frame.centre_mm) @ pose
     tissues = tissues_of(inverse)
     for effect in unknowns.effects:
-        if effect.observation is not None and effect is not RIGID_MOTION:
+        if not (effect.acts_on_body or effect.moves_scan):
             values = unknowns.of_effect(effect, z)
             places = _seen_by(effect, inverse, followed, at)
             shift = effect.shift(places, normals, tissues, values, inverse.frame)
@@ -141,9 +136,10 @@ def compared_points(
 ) -> FloatArray:
     """Return where points that the model has moved are compared with a scan, shape (k, 3)."""
     centre_mm = inverse.frame.centre_mm
-    if RIGID_MOTION in unknowns.effects:
-        motion = np.array(list(unknowns.of_effect(RIGID_MOTION, z).values()))
-        points = rigidly_moved(points, motion, centre_mm)
+    for effect in unknowns.effects:
+        if effect.moves_scan:
+            motion = np.array(list(unknowns.of_effect(effect, z).values()))
+            points = rigidly_moved(points, motion, centre_mm)
     return points if pose is None else rigidly_moved(points, -pose, centre_mm)
 
 
@@ -171,24 +167,24 @@ def derivatives(
 ) -> ScanJacobian:
     """Return derivatives of the residual by every parameter.
 
-    With friction the path of the load counts, of which tangents know the last step only:
-    good enough for other parameters, but that of friction comes from another simulation,
-    unless `before` was taken at about the same friction.
+    Tangents describe the last step of the load only. Of an effect that follows the path of the
+    load, such as friction, the derivative comes from another simulation, unless `before` was
+    taken at about the same value; for other parameters the tangents are good enough.
     """
-    moved = _moved_nodes(inverse, scan, unknowns, z, prediction)
+    moved, fresh = _moved_nodes(inverse, scan, unknowns, z, prediction), True
     found = _columns_of_all(inverse, unknowns, z, prediction, moved)
-    if FRICTION in unknowns.effects:
-        at = unknowns.names.index(FRICTION.names[0])
-        if (
-            before is not None
-            and abs(z[at] - before.z[at]) < SETTINGS.fit.friction_near * unknowns.sd[at]
-        ):
+    taken_at = z.copy()
+    for name in (n for effect in unknowns.effects if effect.follows_path for n in effect.names):
+        at = unknowns.names.index(name)
+        near = SETTINGS.fit.friction_near * unknowns.sd[at]
+        if before is not None and abs(z[at] - before.z[at]) < near:
             # The place where that column was taken stays: it must not drift.
             found[:, at] = before.columns[:, at]
-            z = np.where(np.arange(len(z)) == at, before.z, z)
-            return ScanJacobian(z, found, moved, fresh=False)
-        found[:, at] = _by_solving(inverse, scan, unknowns, z, prediction, at)
-    return ScanJacobian(z, found, moved)
+            taken_at[at] = before.z[at]
+            fresh = False
+        else:
+            found[:, at] = _by_solving(inverse, scan, unknowns, z, prediction, at)
+    return ScanJacobian(taken_at, found, moved, fresh)
 
 
 def _moved_nodes(
@@ -198,11 +194,11 @@ def _moved_nodes(
     z: FloatArray,
     prediction: PredictedScan,
 ) -> FloatArray:
-    """Return what all parameters do to the nodes, (p, n, 3); nothing for friction."""
+    """Return what all parameters do to the nodes, (p, n, 3); zero where the path counts."""
     changes = [_log_change(inverse, scan, unknowns, z, i) for i in range(len(unknowns.free))]
     moving = list(range(len(unknowns.free)))
     for effect in unknowns.effects:
-        if effect.observation is None and effect is not FRICTION:
+        if effect.acts_on_body and not effect.follows_path:
             base = problem_of(scan, unknowns, z, inverse.frame, leave_out=effect)
             changes.extend(effect.changes(base, inverse.frame, unknowns.of_effect(effect, z)))
             moving.extend(unknowns.names.index(name) for name in effect.names)
@@ -220,9 +216,7 @@ def _columns_of_all(
     moved: FloatArray,
 ) -> FloatArray:
     """Return derivatives of the residual by all parameters, which move the nodes so."""
-    observed = [
-        (e, unknowns.of_effect(e, z)) for e in unknowns.effects if e.observation is not None
-    ]
+    observed = [(e, unknowns.of_effect(e, z)) for e in unknowns.effects if not e.acts_on_body]
     columns = _along_motions(inverse, prediction, moved, observed)
     for effect, _ in observed:
         first = unknowns.names.index(effect.names[0])

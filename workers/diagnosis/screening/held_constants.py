@@ -5,27 +5,23 @@ digits: what 0.002 more or less do to the residuals belongs to the noise of all 
 effect of the catalogue that changes it is far larger.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
 from palpate.storage.values import FloatArray
 from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.material import COMPRESSIBILITY
 
 
-def held_columns(sensitivities: Mapping[str, EffectSensitivity], residuals: int) -> FloatArray:
-    """Return what one standard deviation of the held constant does, shape (m, q), in mm.
+def held_columns(sensitivities: Iterable[EffectSensitivity], residuals: int) -> FloatArray:
+    """Return the change by one standard deviation of each held constant, shape (m, q), in mm.
 
     Parameters
     ----------
-    sensitivities : mapping of str to EffectSensitivity
-        By the name of the effect. What is not among them is not held, or cannot be simulated.
+    sensitivities : iterable of EffectSensitivity
+        Those without a `held_sd` are left out.
     residuals : int
         Their number m.
     """
-    found = sensitivities.get(COMPRESSIBILITY.name)
-    if found is None:
-        return np.zeros((residuals, 0))
-    return np.asarray(found.places[0] * SETTINGS.noise.held_log_compressibility)
+    held = [one.places[0] * np.array(one.held_sd) for one in sensitivities if one.held_sd]
+    return np.hstack([np.zeros((residuals, 0)), *held])

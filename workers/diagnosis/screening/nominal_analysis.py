@@ -24,7 +24,6 @@ from palpate.workers.diagnosis.screening.rough_surface import RoughSurface
 from palpate.workers.diagnosis.screening.screening import ScreeningResult, screen
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.material import SKIN_ADDED
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +95,12 @@ class NominalAnalysis:
     def _held(self) -> FloatArray:
         """None where markers are measured: there, constants that are not known are fitted."""
         m = len(self.inverse.bias)
-        return held_columns(self.sensitivity_by_name if self.inverse.is_segmented else {}, m)
+        return held_columns(self.sensitivities if self.inverse.is_segmented else (), m)
 
     @cached_property
     def _rough(self) -> RoughSurface | None:
-        """None where no effect is a skin, or interfaces were measured or drawn without error."""
-        skin = self.sensitivity_by_name.get(SKIN_ADDED.name)
+        """None where no effect looks so, or interfaces were measured or drawn without error."""
+        skin = next((one for one in self.sensitivities if one.resembles_roughness), None)
         drawn_sd_mm, learnt = self.inverse.noise.reference_sd_mm, self.inverse.learnt
         if skin is None or learnt is None or not (self.inverse.is_segmented and drawn_sd_mm):
             return None

@@ -34,9 +34,6 @@ class NoiseSettings:
     # [numerics] Variance that may be missing of what voxels hide of flat faces, in mm^2; see
     # `workers.diagnosis.problem.voxel_steps`.
     voxel_variance_mm2: float = 0.002
-    # [prior] How well a stated Poisson's ratio of 0.49 is known, +-0.002, as the logarithm of
-    # 1 - 2 nu.
-    held_log_compressibility: float = 0.115
     # [prior] The true deviation of a segmentation over the stated one, its logarithm: a factor of
     # 2 either way costs a nat and a half. And how far that of one interface lies from the others'.
     scale_log_sd: float = 0.405

@@ -1,1 +1,1 @@
-"""Define what a model may lack: one file an effect."""
+"""The effects that a model may lack: one file for each family."""

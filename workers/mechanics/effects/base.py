@@ -7,9 +7,9 @@ by which the out-of-balance force is differentiated.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -36,6 +36,7 @@ Family = Literal[
 Values = Mapping[str, float]
 Transform = Callable[[Problem, Values, Frame], Problem]
 Columns = Callable[[FloatArray, FloatArray, IntArray, Frame], FloatArray]
+Truth = Callable[[Mapping[str, Any]], dict[str, float]]
 
 ANY = (-math.inf, math.inf)
 
@@ -58,6 +59,11 @@ class Place:
     names: tuple[str, ...]
     on: Literal["inside", "boundary"]
     radii_mm: tuple[float, ...] = ()
+
+    @property
+    def offsets(self) -> tuple[str, ...]:
+        """The names of the offsets from the middle of the body along x, y and z."""
+        return self.names[:3]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +107,52 @@ class Effect:
         sizes; where they are neutral, the others change nothing, so the place is looked for on a
         grid first.
     odds : float
-        How much more probable than others of its catalogue it is before data, > 0.
+        How much more probable than others of its catalogue it is before data, > 0. Default 1:
+        as probable as they are.
+    is_slow : bool
+        Whether its tasks take several times as long as those of other effects, so that they
+        are sent first. Default False.
+    follows_path : bool
+        Whether it depends on the path of the load, as friction does. It is then solved in load
+        steps, and its derivative comes from a second simulation. Default False: the final
+        state is enough, and its derivative is a tangent.
+    moves_scan : bool
+        Whether its parameters are 3 shifts in mm and 3 turns in degrees of the whole scan.
+        Points are then moved before they are compared with the scan. Default False: the
+        residuals change by `shift`.
+    about_centre : bool
+        Whether an effect on the observation turns, scales or shears about the middle of the
+        body. Default False: it does not depend on where that is.
+    held_sd : tuple of float
+        Standard deviation of each parameter where a case states it, inside units: an
+        uncertainty that every hypothesis has. Default empty: a stated value is exact.
+    resembles_roughness : bool
+        Whether the roughness with which the body at rest was drawn looks like this effect, whose
+        first parameter is a stiffness per width in N/mm. Default False.
+    is_mapped : bool
+        Whether a report shows a map of the places where it would explain the residuals. It
+        needs a `place` inside the body. Default False.
+    holds_body : bool
+        Whether it keeps a body from drifting sideways between frictionless plates, so that a
+        plan recommends it for a body that nothing else holds. Default False.
+    is_confounded : bool
+        Whether free stiffnesses explain it completely, so that a diagnosis cannot find it.
+        Default False.
+    searched_as : tuple of str
+        Parameters of a study that describe the same thing under other names; an effect of
+        which a study searches a parameter is not suspected. Default empty: only its own names.
+    organs : tuple of str
+        To which organs it is added when another distribution offers it as an entry point of the
+        group ``palpate.effects``: ``"breast"``, ``"cornea"``, ``"specimen"``.
+    truth : callable, optional
+        From the parameters of a blind case to those of this effect that mean the same, under
+        their names at the door. Default None: a blind case has nothing to compare with.
 
     Raises
     ------
     InputError
-        If a parameter has no neutral value, or a scale, a step or the odds are missing or
-        not positive.
+        If a parameter has no neutral value, a scale, a step or the odds are missing or
+        not positive, or a map has no place.
     """
 
     name: str
@@ -123,11 +168,28 @@ class Effect:
     sees: Literal["points", "moves", "arms"] = "points"
     place: Place | None = None
     odds: float = 1.0
+    is_slow: bool = False
+    follows_path: bool = False
+    moves_scan: bool = False
+    about_centre: bool = False
+    held_sd: tuple[float, ...] = ()
+    resembles_roughness: bool = False
+    is_mapped: bool = False
+    holds_body: bool = False
+    is_confounded: bool = False
+    searched_as: tuple[str, ...] = ()
+    organs: tuple[str, ...] = ()
+    truth: Truth | None = None
 
     def __post_init__(self) -> None:
         if not self.odds > 0:
             raise InputError(f"The effect {self.name} needs odds > 0, found {self.odds}.")
-        for what, numbers in (("prior_sd", self.prior_sd), ("steps", self.steps)):
+        if self.is_mapped and (self.place is None or self.place.on != "inside"):
+            raise InputError(f"The effect {self.name} needs a place inside the body for a map.")
+        scales = {"prior_sd": self.prior_sd, "steps": self.steps}
+        if self.held_sd:
+            scales["held_sd"] = self.held_sd
+        for what, numbers in scales.items():
             if len(numbers) != len(self.parameters) or not all(n > 0 for n in numbers):
                 raise InputError(
                     f"The effect {self.name} needs {what} > 0 for each of its "
@@ -143,6 +205,31 @@ class Effect:
     def names(self) -> tuple[str, ...]:
         """Return the inside names of the parameters, in order."""
         return tuple(p.name for p in self.parameters)
+
+    @property
+    def acts_on_body(self) -> bool:
+        """Whether it changes the problem, so that a study can hold or search it."""
+        return self.observation is None
+
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether some parameter begins at its neutral value.
+
+        Such an effect is steepest there and then saturates.
+        """
+        return any(one_sided(p) for p in self.parameters)
+
+    @property
+    def is_proportional(self) -> bool:
+        """Whether what it does grows in proportion to its parameters.
+
+        Effects at one place, or that begin at their neutral value, do not.
+        """
+        return self.place is None and not self.is_one_sided
+
+    def is_searched(self, names: Container[str]) -> bool:
+        """Return whether a study that searches these parameters searches the effect."""
+        return any(name in names for name in (*self.names, *self.searched_as))
 
     @property
     def size_count(self) -> int:
@@ -295,6 +382,17 @@ def two_sided(
     return Parameter(
         name, unit, lower, upper, neutral, description, admissible=ANY, reading=reading
     )
+
+
+def renamed(**names: str) -> Truth:
+    """Return a `truth` whose parameters only have other names in a blind case.
+
+    Parameters
+    ----------
+    **names : str
+        From the name at the door of a parameter of the effect to its name in the case.
+    """
+    return lambda given: {own: float(given[other]) for own, other in names.items()}
 
 
 def from_zero(

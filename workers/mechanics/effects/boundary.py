@@ -1,10 +1,19 @@
 """Effects of how a body is held and touched."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from palpate.storage.values import FloatArray, IntArray, Triple
-from palpate.workers.mechanics.effects.base import Effect, Place, Values, from_zero, two_sided
+from palpate.workers.mechanics.effects.base import (
+    Effect,
+    Place,
+    Values,
+    from_zero,
+    renamed,
+    two_sided,
+)
 from palpate.workers.mechanics.effects.observation import rigid_columns
 from palpate.workers.mechanics.effects.problem_changes import plus, unchanged, with_device
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
@@ -48,6 +57,9 @@ FRICTION = Effect(
         "T.-C. Shih et al., Phys. Med. Biol. 55 (2010) 4153",
         "C. M. L. Hsu et al., Med. Phys. 38 (2011) 5756",
     ),
+    is_slow=True,
+    follows_path=True,
+    truth=renamed(friction="coefficient"),
 )
 
 
@@ -87,6 +99,7 @@ WALL_COMPLIANCE = Effect(
     steps=(MM_PER_KPA.to_inside(1e-4),),
     transform=_wall_compliance,
     references=("C. Tanner et al., Med. Phys. 33 (2006) 1758",),
+    truth=renamed(wall_compliance_mm_per_kpa="compliance_mm_per_kpa"),
 )
 
 
@@ -127,6 +140,7 @@ WALL_HOLD = Effect(
     steps=(KPA_PER_MM.to_inside(1e-3),) * 2,
     transform=_wall_hold,
     references=("M. A. Lago, PhD thesis, 2014, section 4.6",),
+    holds_body=True,
 )
 
 
@@ -145,6 +159,19 @@ def _local_attachment(problem: Problem, values: Values, frame: Frame) -> Problem
     kx, ky, kz = (values[name] for name in STIFFNESS)
     patch = Attachment((kx, ky, kz), plus(frame.centre_mm, (x, y, z)), values[RADIUS])
     return replace(problem, attachments=(*problem.attachments, patch)) if kx + ky + kz else problem
+
+
+def _true_attachment(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return the springs along all axes of a tether, along the chest wall of a scar.
+
+    Springs are per area; a disc of radius R, which a scar has, is as stiff in total as a bell of
+    radius R / sqrt(2).
+    """
+    is_scar = "radius_mm" in given
+    grip, axes = float(given["grip_kpa_per_mm"]), "xy" if is_scar else "xyz"
+    springs = {f"attachment_stiffness_{axis}_kpa_per_mm": grip for axis in axes}
+    bell = {"attachment_radius_mm": given["radius_mm"] / math.sqrt(2)} if is_scar else {}
+    return springs | bell
 
 
 # 1 kPa/mm on a patch of 12 mm radius is 0.9 N/mm: nearly as firm as if the skin were glued. A
@@ -181,6 +208,8 @@ LOCAL_ATTACHMENT = Effect(
         "J. H. Hipwell et al., Phys. Med. Biol. 61 (2016) R1",
     ),
     place=Place((*PLACE, RADIUS), "boundary", (12.0, 30.0)),
+    is_slow=True,
+    truth=_true_attachment,
 )
 
 

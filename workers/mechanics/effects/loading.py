@@ -1,10 +1,19 @@
 """Effects of the load: forces, weight, posture."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from palpate.storage.values import Triple
-from palpate.workers.mechanics.effects.base import ANY, Effect, Values, from_zero, two_sided
+from palpate.workers.mechanics.effects.base import (
+    ANY,
+    Effect,
+    Values,
+    from_zero,
+    renamed,
+    two_sided,
+)
 from palpate.workers.mechanics.effects.problem_changes import plus
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import GRAVITY_MM_PER_S2, Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame
@@ -50,6 +59,7 @@ GRAVITY_CHANGE = Effect(
         "V. Rajagopal et al., Acad. Radiol. 15 (2008) 1425",
         "A. Mira et al., Clin. Biomech. 60 (2018) 191",
     ),
+    truth=renamed(gravity_x_g="x_g", gravity_y_g="y_g", gravity_z_g="z_g"),
 )
 
 
@@ -110,6 +120,11 @@ def _plate_force(problem: Problem, values: Values, frame: Frame) -> Problem:
     )
 
 
+def _true_plate_force(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return ln of the force that the body carries over the stated one."""
+    return {PLATE_FORCE_NAME: math.log(given["factor"])}
+
+
 # Between the least share measured with rigid plates and a sensor that reads 15 % low.
 PLATE_FORCE = Effect(
     name="plate_force",
@@ -134,6 +149,7 @@ PLATE_FORCE = Effect(
         "M. Dustler et al., Acta Radiol. 62 (2021) 1583: rigid plates put 22 % (CC) and "
         "14 % (MLO) of their force on the breast",
     ),
+    truth=_true_plate_force,
 )
 
 

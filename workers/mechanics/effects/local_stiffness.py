@@ -1,10 +1,12 @@
 """Effects of stiffness that varies inside a body."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.effects.base import Effect, Place, Values, two_sided
+from palpate.workers.mechanics.effects.base import Effect, Place, Values, renamed, two_sided
 from palpate.workers.mechanics.effects.problem_changes import plus
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame, Gradient, Inclusion
@@ -46,6 +48,8 @@ STIFFNESS_GRADIENT = Effect(
         "M. A. Lago, PhD thesis, 2014, section 4.5.7",
         "N. G. Ramião et al., Biomech. Model. Mechanobiol. 15 (2016) 1307",
     ),
+    # A blind case gives ln of the stiffness at the faces of the body: of a tanh, not of a line.
+    truth=renamed(ln_gradient_x="ln_x", ln_gradient_y="ln_y", ln_gradient_z="ln_z"),
 )
 
 
@@ -63,6 +67,14 @@ def _inclusion(problem: Problem, values: Values, frame: Frame) -> Problem:
     centre = plus(frame.centre_mm, (x, y, z))
     ball = Inclusion(values[RATIO], centre, values[RADIUS])
     return replace(problem, variations=(*problem.variations, ball)) if values[RATIO] else problem
+
+
+def _true_inclusion(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return ln of the ratio, and the radius of the ball of equal volume."""
+    return {
+        "inclusion_ln_ratio": math.log(given["ratio"]),
+        "inclusion_radius_mm": given["radius_mm"],
+    }
 
 
 INCLUSION = Effect(
@@ -91,6 +103,9 @@ INCLUSION = Effect(
         "T. A. Krouskop et al., Ultrason. Imaging 20 (1998) 260",
     ),
     place=Place(PLACE, "inside"),
+    is_slow=True,
+    is_mapped=True,
+    truth=_true_inclusion,
 )
 
 
@@ -109,6 +124,11 @@ def _growth(problem: Problem, values: Values, frame: Frame) -> Problem:
         return replace(c, growth=c.growth * math.exp(values[name])) if name else c
 
     return replace(problem, constants={t: grown(t, c) for t, c in problem.constants.items()})
+
+
+def _true_growth(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return ln of the volume of the gland; fat has not grown."""
+    return {"ln_growth_fat": 0.0, "ln_growth_glandular": math.log1p(given["volume_fraction"])}
 
 
 # The volume of a breast changes by some 10 % over a menstrual cycle, but scans to be compared are
@@ -136,4 +156,5 @@ GROWTH = Effect(
         "E. K. Rodriguez, A. Hoger, A. D. McCulloch, J. Biomech. 27 (1994) 455",
     ),
     odds=0.2,
+    truth=_true_growth,
 )

@@ -1,10 +1,19 @@
 """Effects of the tissue's law, the same everywhere or by tissue."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from palpate.storage.values import FloatArray, Tissue, Triple
-from palpate.workers.mechanics.effects.base import ANY, Effect, Values, from_zero, two_sided
+from palpate.workers.mechanics.effects.base import (
+    ANY,
+    Effect,
+    Values,
+    from_zero,
+    renamed,
+    two_sided,
+)
 from palpate.workers.mechanics.effects.problem_changes import with_constants
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
     Constants,
@@ -22,6 +31,8 @@ from palpate.workers.units import DEGREE, KPA, N_PER_M, NUMBER
 
 
 COMPRESSIBILITY_NAME = "ln_compressibility"
+# How well a stated Poisson's ratio of 0.49 is known: +-0.002, as the logarithm of 1 - 2 nu.
+HELD_LOG_SD = 0.115
 
 
 def _compressibility(problem: Problem, values: Values, frame: Frame) -> Problem:
@@ -59,6 +70,7 @@ COMPRESSIBILITY = Effect(
     steps=(1e-4,),
     transform=_compressibility,
     references=("C. Tanner et al., Med. Phys. 33 (2006) 1758",),
+    held_sd=(HELD_LOG_SD,),
 )
 
 
@@ -208,6 +220,11 @@ def _fibre_contrast(problem: Problem, values: Values, frame: Frame) -> Problem:
     return replace(problem, constants={**problem.constants, Tissue.GLANDULAR: changed})
 
 
+def _true_fibre_contrast(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return ln of the ratio in the middle of the body."""
+    return {FIBRE_CONTRAST_NAME: math.log(given["ratio"])}
+
+
 FIBRE_CONTRAST = Effect(
     name="fibre_contrast",
     family="global material",
@@ -225,6 +242,7 @@ FIBRE_CONTRAST = Effect(
     steps=(1e-4,),
     transform=_fibre_contrast,
     references=("M. A. Lago, PhD thesis, 2014, section 4.5.1",),
+    truth=_true_fibre_contrast,
 )
 
 
@@ -284,6 +302,15 @@ def _fibre_rotation(problem: Problem, values: Values, frame: Frame) -> Problem:
     return replace(problem, fibres=replace(problem.fibres, turn_deg=turned))
 
 
+def _true_fibre_rotation(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return an angle and its direction as turns towards x and y, in degrees."""
+    turn, azimuth = given["turn_deg"], math.radians(given["azimuth_deg"])
+    return {
+        "fibre_turn_x_deg": turn * math.cos(azimuth),
+        "fibre_turn_y_deg": turn * math.sin(azimuth),
+    }
+
+
 FIBRE_ROTATION = Effect(
     name="fibre_rotation",
     family="global material",
@@ -299,6 +326,7 @@ FIBRE_ROTATION = Effect(
         "M. A. Lago, PhD thesis, 2014, section 4.5.7",
         "C. Tanner et al., Med. Phys. 38 (2011) 682",
     ),
+    truth=_true_fibre_rotation,
 )
 
 
@@ -398,6 +426,8 @@ SKIN_ADDED = Effect(
     steps=(N_PER_M.to_inside(10.0),),
     transform=add,
     references=REFERENCES,
+    resembles_roughness=True,
+    truth=renamed(skin_added_n_per_m="stiffness_n_per_m"),
 )
 
 SKIN_SCALED = Effect(
@@ -436,6 +466,14 @@ def _strain_stiffening(problem: Problem, values: Values, frame: Frame) -> Proble
     return with_constants(problem, changed)
 
 
+def _true_stiffening(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return c2 / mu = b / 4.
+
+    Fung's law mu / (2 b) (exp(b (I1 - 3)) - 1) has the second term mu b / 4 (I1 - 3)^2.
+    """
+    return {STRAIN_STIFFENING_NAME: given["exponent"] / 4}
+
+
 STIFFENING = Effect(
     name="strain_stiffening",
     family="global material",
@@ -456,4 +494,5 @@ STIFFENING = Effect(
         "A. Mira et al., Clin. Biomech. 60 (2018) 191",
         "P. S. Wellman, PhD thesis, Harvard University, 1999",
     ),
+    truth=_true_stiffening,
 )

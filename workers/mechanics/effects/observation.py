@@ -1,9 +1,12 @@
 """Effects of how a body was imaged or measured."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from palpate.storage.values import FloatArray, IntArray, Tissue, Triple
-from palpate.workers.mechanics.effects.base import Effect, from_zero, two_sided
+from palpate.workers.mechanics.effects.base import Effect, from_zero, renamed, two_sided
 from palpate.workers.mechanics.effects.problem_changes import unchanged
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.readings import Reading, percent
@@ -63,6 +66,8 @@ RIGID_MOTION = Effect(
     references=("J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE TMI 17 (1998) 694",),
     observation=_rigid_motion_columns,
     odds=0.1,
+    moves_scan=True,
+    about_centre=True,
 )
 
 
@@ -116,6 +121,11 @@ def _image_scale_columns(
     return np.asarray((points - np.asarray(frame.centre_mm)) * normals)
 
 
+def _true_image_scale(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return the scale along each axis."""
+    return dict(zip(IMAGE_SCALE_NAMES, given["scale"], strict=True))
+
+
 # Distortions of MR images that are left after correction: 1 % is much, and scans of one scanner
 # share them. Voxels alone can look like a scale that is off by a tenth of that.
 IMAGE_SCALE = Effect(
@@ -138,6 +148,8 @@ IMAGE_SCALE = Effect(
     references=("D. Wang et al., Magn. Reson. Imaging 22 (2004) 1211",),
     observation=_image_scale_columns,
     odds=0.1,
+    about_centre=True,
+    truth=_true_image_scale,
 )
 
 
@@ -183,6 +195,7 @@ IMAGE_SHEAR = Effect(
     references=("D. Wang et al., Magn. Reson. Imaging 22 (2004) 1211",),
     observation=_image_shear_columns,
     odds=0.1,
+    about_centre=True,
 )
 
 
@@ -218,6 +231,7 @@ SEGMENTATION_OFFSET = Effect(
     transform=unchanged,
     references=("M. A. Lago, PhD thesis, 2014, section 4.5.7",),
     observation=_segmentation_offset_columns,
+    truth=renamed(segmentation_fat_mm="outline_mm", segmentation_glandular_mm="glandular_mm"),
 )
 
 

@@ -33,14 +33,13 @@ from palpate.workers.comparison.warp.warp_volume import warp_labels
 from palpate.workers.diagnosis.algebra.linearisation import factored
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.boundary import FRICTION
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change, tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import frame_of
 from palpate.workers.mechanics.fem.problem.outcome import Solution
+from palpate.workers.organs.breast.effects import CATALOGUE
 from palpate.workers.organs.breast.study_noise import NUGGET_VOXELS, study_noise
 from palpate.workers.organs.normal_equations import normal_equations
 from palpate.workers.organs.organ import Residuals, logarithmic
@@ -59,10 +58,12 @@ OWN_BAND_MM = 4.0
 MOVED_VOXELS = 0.14
 # Standard deviation of the place of a plane that lies anywhere within a voxel: 1 / sqrt(12).
 PLATE_VOXELS = 0.29
-# The same of friction, which sets in with full force and then tires.
-FRICTION_STEP = 0.02
+# The same of an effect that follows the path: friction is steepest at zero and then saturates.
+PATH_STEP = 0.02
 # Parameters of effects on the observation, which move points and change no problem.
-OBSERVED = {name: e for e in BREAST_EFFECTS if e.observation is not None for name in e.names}
+OBSERVED = {name: e for e in CATALOGUE.on_observation for name in e.names}
+# Parameters of effects that depend on the path of the load, of which tangents know the last step.
+STEPPED = {name for e in CATALOGUE.effects if e.follows_path for name in e.names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,7 @@ def fit_interfaces(
     seen = [i for i, p in enumerate(free) if p["name"] in OBSERVED]
     for i in seen:
         columns[:, i] = _observed(free[i]["name"], moved, normals, observation, model)
-    stepped = {i for i, p in enumerate(free) if p["name"] in FRICTION.names}
+    stepped = {i for i, p in enumerate(free) if p["name"] in STEPPED}
     smooth = [i for i in range(len(free)) if i not in stepped.union(seen)]
     changes = [_change(at, problem_of, constants, free[i]) for i in smooth]
     for i, nodal in zip(smooth, tangents(at, changes), strict=True):
@@ -253,7 +254,7 @@ def _by_solving(
     observation: BreastObservation,
 ) -> FloatArray:
     """Return the derivative by a parameter that changes the path of the load."""
-    h = FRICTION_STEP * (p["upper"] - p["lower"])
+    h = PATH_STEP * (p["upper"] - p["lower"])
     value = constants[p["name"]]
     ahead = equilibrium(model, problem_of({**constants, p["name"]: value + h}), at)
     if not ahead.solution.outcome.converged:

@@ -25,13 +25,13 @@ from palpate.workers.body.mesh.whole_body import mesh_whole_body
 from palpate.workers.body.phantom.breast import generate_breast
 from palpate.workers.comparison.similarity.score import Scorer, Surface, score_labels
 from palpate.workers.comparison.warp.warp_volume import warp_labels
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_MODEL
 from palpate.workers.mechanics.fem.elements.model import Model, prepare
 from palpate.workers.mechanics.fem.equilibrium.solve import solve
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import frame_of
 from palpate.workers.mechanics.fem.problem.outcome import Solution
 from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.organs.breast.effects import BREAST_MODEL
 from palpate.workers.organs.breast.interface_fit import (
     BreastObservation,
     FittedBreast,

@@ -8,8 +8,7 @@ BREAST_PLUGIN = OrganPlugin(
     checks="palpate.workers.organs.breast.study_checks:CHECKS",
     study_kind="breast study",
     study_source="palpate.workers.organs.breast.study_source:StudySource",
-    effects="palpate.workers.mechanics.effects.breast_catalogue:BREAST_EFFECTS",
-    not_simulated="palpate.workers.mechanics.effects.breast_catalogue:NOT_SIMULATED",
+    effects="palpate.workers.organs.breast.effects:CATALOGUE",
     load_direction="The plates press along y.",
     facts=(
         Fact("Volume of the body", "volume_ml", "ml"),

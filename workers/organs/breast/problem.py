@@ -14,7 +14,6 @@ import numpy as np
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Triple, Volume
 from palpate.workers.body.mesh.skin_thickness import skin_thickness_mm
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_MODEL, with_effects
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
     Constants,
     Membrane,
@@ -24,6 +23,7 @@ from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.fem.problem.loads import Device, DistanceControl, ForceControl, Load
 from palpate.workers.mechanics.parameters import BREAST
 from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.organs.breast.effects import BREAST_MODEL, CATALOGUE
 from palpate.workers.organs.breast.spec import LoadSpec, ModelSpec
 
 Extent = tuple[float, float]
@@ -90,7 +90,7 @@ def problem_of(
         literal_fibre=model.fibres == "literal",
         isochoric_fibre=model.fibre_invariant == "isochoric",
     )
-    return with_effects(problem, effects, frame)
+    return CATALOGUE.apply(problem, effects, frame)
 
 
 def plates_of(

@@ -11,10 +11,10 @@ from palpate.workers.body.images.label_map import label_map
 from palpate.workers.body.images.labels import tissue_named
 from palpate.workers.body.images.orient import parse_axes
 from palpate.workers.body.phantom.settings import BreastPhantom
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_MODEL
 from palpate.workers.mechanics.parameters import BREAST, Vocabulary
 from palpate.workers.missing_keys import Pairs
 from palpate.workers.organs.breast import default_physics as physics
+from palpate.workers.organs.breast.effects import BREAST_MODEL
 from palpate.workers.organs.breast.physics_words import law_text, wall_text
 from palpate.workers.spec import (
     CaseSpec,

@@ -10,8 +10,8 @@ import numpy as np
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.mesh.node_count import check_node_count, check_node_count_of
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_MODEL
 from palpate.workers.mechanics.parameters import BREAST, Bounds
+from palpate.workers.organs.breast.effects import BREAST_MODEL
 from palpate.workers.organs.breast.plausibility.alignment import study_load
 from palpate.workers.organs.breast.plausibility.body import (
     check_empty_slices,

@@ -36,12 +36,12 @@ from palpate.workers.diagnosis.problem.preparation import Prepared, ReadPrepared
 from palpate.workers.diagnosis.schema.summary import Summary
 from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.parameters import Bounds
 from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.organs.breast.effects import CATALOGUE
 from palpate.workers.organs.breast.problem import extent_of, materials_of, pressed_by, problem_of
 from palpate.workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
 from palpate.workers.organs.breast.study_checks import BreastChecks
@@ -195,7 +195,7 @@ class StudySource:
     def effects(self) -> Sequence[Effect]:
         """What may be missing from the model of a breast, less what was searched."""
         free = {f.name for f in self.free}
-        return [e for e in BREAST_EFFECTS if not free & set(e.names)]
+        return [e for e in CATALOGUE.effects if not e.is_searched(free)]
 
     @cached_property
     def free(self) -> list[FreeConstant]:
@@ -263,6 +263,7 @@ class StudySource:
         pieces = self.pieces
         return pictures_of_scans(
             diagnosis,
+            self.effects,
             displacements,
             summary,
             pieces.reference,

@@ -54,12 +54,6 @@ EYE_MOTION = (
 _MESH_ARRAYS = ("nodes_mm", "triangles", "anterior", "posterior", "left", "right")
 
 
-NOT_SIMULATED = (
-    ("fibres", "the law of the thesis is isotropic"),
-    ("viscosity", "one image under the jet does not show how fast the cornea gives way"),
-)
-
-
 class Cornea:
     """See `workers.organs.organ.Organ`; a body is a `Section`."""
 

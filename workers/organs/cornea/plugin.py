@@ -9,7 +9,7 @@ CORNEA_PLUGIN = OrganPlugin(
     findings="palpate.workers.organs.cornea.findings.study",
     study_kind="cornea study",
     study_source="palpate.workers.organs.cornea.diagnosis.study_source:CorneaStudySource",
-    not_simulated="palpate.workers.organs.cornea.organ:NOT_SIMULATED",
+    effects="palpate.workers.organs.cornea.effects:CATALOGUE",
     load_direction="The air jet presses against y, into the eye.",
     facts=(
         Fact("Chord of the cornea", "chord_mm", "mm"),

@@ -25,7 +25,6 @@ from palpate.workers.diagnosis.schema.experiment_summary import PredictedState
 from palpate.workers.diagnosis.schema.summary import Summary
 from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.specimen_catalogue import NOT_SIMULATED, specimen_effects
 from palpate.workers.mechanics.fem.elements.model import Model, prepare
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import frame_of
@@ -33,6 +32,7 @@ from palpate.workers.mechanics.fem.problem.loads import DisplacementField
 from palpate.workers.organs.specimen.body import FARTHEST_MM, Body, arms
 from palpate.workers.organs.specimen.boundary_noise import boundary_covariance
 from palpate.workers.organs.specimen.confounded_effects import confounded_effects
+from palpate.workers.organs.specimen.effects import NOT_SIMULATED, specimen_effects
 from palpate.workers.organs.specimen.force_balance import supported
 from palpate.workers.organs.specimen.load_cell_forces import TetrahedraWithCells
 from palpate.workers.organs.specimen.load_cells import (

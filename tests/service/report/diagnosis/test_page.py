@@ -26,7 +26,7 @@ from palpate.service.report.diagnosis.page import render
 from palpate.service.report.drawing.colour_scale import SIGNED, ColourScale
 from palpate.service.report.drawing.svg import Svg
 from palpate.service.report.study.provenance import Made
-from palpate.workers.mechanics.effects.breast_catalogue import NOT_SIMULATED
+from palpate.workers.organs.breast.effects import CATALOGUE
 from tests.service.report.diagnosis_at_hand import VERDICTS, found, gap, nothing, summary, typed
 from tests.service.report.pages import Page
 
@@ -200,7 +200,7 @@ def test_regions_without_a_significant_gap_are_grey(source: str, page: Page) -> 
 
 
 def test_all_that_is_not_in_the_catalogue_is_listed(page: Page) -> None:
-    for what, why in NOT_SIMULATED:
+    for what, why in CATALOGUE.not_simulated:
         assert page.row(what)[1] == why
 
 

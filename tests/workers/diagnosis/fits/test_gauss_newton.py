@@ -25,14 +25,15 @@ from palpate.workers.diagnosis.problem.scan_prediction import derivatives, predi
 from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
 from palpate.workers.diagnosis.verdict.joint_fit import fit_jointly
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.breast_catalogue import effect
 from palpate.workers.mechanics.fem.elements.model import prepare
 from palpate.workers.mechanics.fem.equilibrium.solve import solve
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
 from palpate.workers.mechanics.fem.problem.fields import frame_of
 from palpate.workers.mechanics.fem.problem.loads import Wall
+from palpate.workers.organs.breast.effects import CATALOGUE
 from tests.workers.mechanics.effects.lopsided import plain, volume
 
+effect = CATALOGUE.named
 TRUTH = {"E_fat": 0.011, "E_gl": 0.034}
 FREE = [FreeConstant("E_fat", 0.007, 0.014), FreeConstant("E_gl", 0.020, 0.050)]
 TILT, FRICTION = effect("plate_tilt"), effect("plate_friction")

@@ -31,11 +31,11 @@ from palpate.workers.diagnosis.planning.plan import designs, make_plan
 from palpate.workers.diagnosis.problem.acquisition import inverse_problem_of
 from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
 from palpate.workers.diagnosis.screening.detectability import NONCENTRALITY
-from palpate.workers.mechanics.effects.breast_catalogue import effect
 from palpate.workers.mechanics.fem.equilibrium.solve import solve
 from palpate.workers.mechanics.fem.problem.loads import DistanceControl, ForceControl, Wall
 from palpate.workers.organs.breast.case.acquisition import acquisition_of
 from palpate.workers.organs.breast.case.files import read_case
+from palpate.workers.organs.breast.effects import CATALOGUE
 from tests.workers.diagnosis.planning.meant_case import (
     NODES,
     SPACING_MM,
@@ -44,6 +44,7 @@ from tests.workers.diagnosis.planning.meant_case import (
     write_meant,
 )
 
+effect = CATALOGUE.named
 SUSPECTS = [
     effect(name)
     for name in (

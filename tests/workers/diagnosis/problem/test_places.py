@@ -9,10 +9,11 @@ from palpate.workers.diagnosis.problem.inverse_problem import unknowns
 from palpate.workers.diagnosis.problem.places import places_of
 from palpate.workers.diagnosis.problem.scan_prediction import predict_scan
 from palpate.workers.diagnosis.verdict.joint_fit import fit_jointly
-from palpate.workers.mechanics.effects.breast_catalogue import effect
 from palpate.workers.mechanics.fem.elements.external_forces import stated_springs
+from palpate.workers.organs.breast.effects import CATALOGUE
 from tests.workers.diagnosis.fits.test_gauss_newton import FREE, analysed, problem_between_plates
 
+effect = CATALOGUE.named
 ATTACHED, LUMP, GROWN = effect("local_attachment"), effect("inclusion"), effect("growth")
 
 

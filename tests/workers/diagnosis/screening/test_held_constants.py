@@ -1,4 +1,4 @@
-"""What the model holds is uncertain in every hypothesis, by as much as the settings say."""
+"""What the model holds is uncertain in every hypothesis, by as much as its effect states."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,10 @@ import pytest
 from palpate.workers.diagnosis.fits.gauss_newton import fit
 from palpate.workers.diagnosis.problem.inverse_problem import unknowns
 from palpate.workers.diagnosis.screening.held_constants import held_columns
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.breast_catalogue import effect
+from palpate.workers.organs.breast.effects import CATALOGUE
 from tests.workers.diagnosis.fits.test_gauss_newton import FREE, analysed, problem_between_plates
 
+effect = CATALOGUE.named
 COMPRESSIBILITY = effect("compressibility")
 
 
@@ -22,24 +22,24 @@ def analysis():
 
 
 def test_columns_are_those_of_the_effect_times_how_well_it_is_known(analysis):
-    known, m = analysis.sensitivity_by_name, len(analysis.inverse.bias)
-    found = held_columns(known, m)
+    m = len(analysis.inverse.bias)
+    found = held_columns(analysis.sensitivities, m)
     assert found.shape == (m, 1)
-    of_nu = known["compressibility"].places[0][:, 0]
-    np.testing.assert_allclose(found[:, 0], of_nu * SETTINGS.noise.held_log_compressibility)
+    of_nu = analysis.sensitivity_by_name["compressibility"].places[0][:, 0]
+    np.testing.assert_allclose(found[:, 0], of_nu * COMPRESSIBILITY.held_sd[0])
     # 1 - 2 nu of a stated 0.49 that is off by 0.002 either way, evenly.
     off = np.log((1 - 2 * (0.49 + np.linspace(-0.002, 0.002, 2001))) / 0.02)
-    assert off.std() == pytest.approx(SETTINGS.noise.held_log_compressibility, rel=0.02)
+    assert off.std() == pytest.approx(COMPRESSIBILITY.held_sd[0], rel=0.02)
 
 
 def test_every_hypothesis_has_them(analysis):
     own = analysis.nominal.hypothesis(analysis.inverse)
     found = analysis.hypothesis(analysis.nominal)
-    held = held_columns(analysis.sensitivity_by_name, len(analysis.inverse.bias))
+    held = held_columns(analysis.sensitivities, len(analysis.inverse.bias))
     np.testing.assert_array_equal(found.columns, np.hstack([own.columns, held]))
     assert not found.is_pose[-1]
     assert not found.one_sided[-1]
 
 
 def test_what_is_not_listed_is_not_held():
-    assert held_columns({}, 12).shape == (12, 0)
+    assert held_columns([], 12).shape == (12, 0)

@@ -9,9 +9,10 @@ from palpate.workers.diagnosis.problem.places import starting_places
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.diagnosis.verdict.diagnosis import base_of
 from palpate.workers.diagnosis.verdict.joint_fit import fit_jointly
-from palpate.workers.mechanics.effects.breast_catalogue import effect
+from palpate.workers.organs.breast.effects import CATALOGUE
 from tests.workers.diagnosis.fits.test_gauss_newton import FREE, analysed, problem_between_plates
 
+effect = CATALOGUE.named
 ATTACHED, LUMP, TILT = effect("local_attachment"), effect("inclusion"), effect("plate_tilt")
 EDGE = effect("plate_edge")
 

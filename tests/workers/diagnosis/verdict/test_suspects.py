@@ -11,8 +11,9 @@ from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
 from palpate.workers.diagnosis.screening.screening import ScreeningResult
 from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis, advance, diagnose, unfitted
 from palpate.workers.diagnosis.verdict.suspects import pairs, suspects
-from palpate.workers.mechanics.effects.breast_catalogue import effect
+from palpate.workers.organs.breast.effects import CATALOGUE
 
+effect = CATALOGUE.named
 EDGE_SD_MM = 5.0
 RNG = np.random.default_rng(3)
 PATTERN = RNG.standard_normal(30)

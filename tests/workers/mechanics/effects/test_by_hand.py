@@ -8,14 +8,15 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.effects.breast_catalogue import effect
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Membrane
 from palpate.workers.mechanics.fem.problem.fields import FibreField, Frame, Gradient, Inclusion
 from palpate.workers.mechanics.fem.problem.loads import Attachment, DistanceControl, NoPlates, Wall
 from palpate.workers.mechanics.materials.yeoh import Yeoh
+from palpate.workers.organs.breast.effects import CATALOGUE
 from palpate.workers.units import KPA_PER_MM, MM_PER_KPA, N_PER_M
 from tests.workers.mechanics.effects.lopsided import HALF_MM, busy, plain
 
+effect = CATALOGUE.named
 FRAME = Frame((1.0, -2.0, 20.0), tuple(HALF_MM))
 
 

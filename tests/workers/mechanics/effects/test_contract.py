@@ -12,19 +12,14 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
 from palpate.workers.mechanics.effects.base import Effect, one_sided
 from palpate.workers.mechanics.effects.boundary import CLAMP_COMPLIANCE, base_motion
-from palpate.workers.mechanics.effects.breast_catalogue import (
-    BREAST_EFFECTS,
-    NOT_SIMULATED,
-    effect,
-    effect_parameters,
-    with_effects,
-)
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.fem.problem.loads import NoPlates, Wall
 from palpate.workers.mechanics.parameters import BREAST, Parameter
+from palpate.workers.organs.breast.effects import BREAST_EFFECTS, CATALOGUE
 from palpate.workers.units import KPA_PER_MM, MM, MM_PER_KPA, N_PER_M
 from tests.workers.mechanics.effects.lopsided import HALF_MM, busy, plain, problem
 
+effect = CATALOGUE.named
 FRAME = Frame((1.0, -2.0, 20.0), tuple(HALF_MM))
 PROBLEMS = (plain(), busy())
 # Those of the body and of its load.
@@ -97,7 +92,7 @@ def test_parameters_are_whole(e):
 
 
 def test_names_are_one_vocabulary():
-    vocabulary = BREAST.extended_by(effect_parameters())
+    vocabulary = BREAST.extended_by(CATALOGUE.parameters)
     assert len(set(vocabulary.door_names)) == len(vocabulary)
     assert len({e.name for e in BREAST_EFFECTS}) == len(BREAST_EFFECTS)
     stated = vocabulary.from_door(
@@ -131,13 +126,13 @@ def test_families_commute(first, second, base):
 
 def test_the_catalogue_applies_what_is_named():
     values = {"tilt_depth": 2.0, "creep": 0.2, "stiffening": 1.0}
-    made = with_effects(plain(), values, FRAME)
+    made = CATALOGUE.apply(plain(), values, FRAME)
     expected = effect("plate_tilt").apply(plain(), {"tilt_depth": 2.0}, FRAME)
     expected = effect("strain_stiffening").apply(expected, {"stiffening": 1.0}, FRAME)
     assert made == effect("creep").apply(expected, {"creep": 0.2}, FRAME)
-    assert with_effects(plain(), {}, FRAME) == plain()
+    assert CATALOGUE.apply(plain(), {}, FRAME) == plain()
     with pytest.raises(InputError, match="did you mean 'tilt_depth'"):
-        with_effects(plain(), {"tild_depth": 1.0}, FRAME)
+        CATALOGUE.apply(plain(), {"tild_depth": 1.0}, FRAME)
 
 
 def test_unknown_effect_and_value():
@@ -147,7 +142,7 @@ def test_unknown_effect_and_value():
         effect("plate_friction").apply(plain(), {"friction": -0.1}, FRAME)
     with pytest.raises(InputError, match="unknown parameter 'tilt'"):
         effect("plate_friction").apply(plain(), {"tilt": 0.1}, FRAME)
-    assert not {name for name, _ in NOT_SIMULATED} & {e.name for e in BREAST_EFFECTS}
+    assert not {name for name, _ in CATALOGUE.not_simulated} & {e.name for e in BREAST_EFFECTS}
 
 
 def test_an_effect_must_be_whole():

@@ -12,15 +12,16 @@ import pytest
 
 from palpate.workers.body.mesh.hierarchy import build_hierarchy
 from palpate.workers.mechanics.effects.base import Effect, one_sided
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS, effect
 from palpate.workers.mechanics.fem.elements.model import Model, prepare
 from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Membrane, Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame, frame_of
 from palpate.workers.mechanics.fem.problem.loads import Wall
+from palpate.workers.organs.breast.effects import BREAST_EFFECTS, CATALOGUE
 from tests.workers.mechanics.effects.lopsided import plain, volume
 
+effect = CATALOGUE.named
 PRESTRESS = effect("gravity_prestress")
 ON_BODY = [e for e in BREAST_EFFECTS if e.observation is None]
 # Away from neutral, where a place and a size matter.

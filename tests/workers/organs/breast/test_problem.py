@@ -5,8 +5,8 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_MODEL
 from palpate.workers.mechanics.fem.problem.loads import DistanceControl, ForceControl
+from palpate.workers.organs.breast.effects import BREAST_MODEL
 from palpate.workers.organs.breast.problem import (
     check_skin_layer,
     extent_of,

@@ -10,11 +10,11 @@ from palpate.workers.mechanics.effects.base import one_sided
 from palpate.workers.mechanics.effects.boundary import CLAMP_COMPLIANCE
 from palpate.workers.mechanics.effects.loading import GRAM, LOAD_SCALE
 from palpate.workers.mechanics.effects.observation import FRAME_TURN, MARKER_STANDOFF
-from palpate.workers.mechanics.effects.specimen_catalogue import specimen_effects
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.fem.problem.loads import DeadForce, NoPlates, Wall
 from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.organs.specimen.effects import specimen_effects
 from palpate.workers.units import MM_PER_KPA
 
 FRAME = Frame((5.0, 5.0, 20.0), (5.0, 5.0, 20.0))

@@ -19,7 +19,7 @@ from palpate.workers.diagnosis.outcome.pictures.overlap import predict
 from palpate.workers.diagnosis.problem.preparation import SHAPES, ReadPrepared
 from palpate.workers.diagnosis.schema.summary import CauseMapSummary, Summary
 from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
-from palpate.workers.mechanics.effects.local_stiffness import INCLUSION
+from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.scan_threads import Each
 
 Displacements = Mapping[str, Sequence[FloatArray]]
@@ -29,6 +29,7 @@ effects accused, if there are any."""
 
 def pictures_of_scans(
     diagnosis: Diagnosis,
+    effects: Sequence[Effect],
     displacements: Displacements,
     summary: Summary,
     reference: Volume,
@@ -41,6 +42,8 @@ def pictures_of_scans(
     Parameters
     ----------
     diagnosis : Diagnosis
+    effects : sequence of Effect
+        The catalogue; the first one that is mapped is drawn.
     displacements : mapping of str to sequence of ndarray
     summary : Summary
         Of the diagnosis.
@@ -56,7 +59,7 @@ def pictures_of_scans(
     arrays : dict of str to ndarray
         See `workers.diagnosis.outcome.pictures.drawings`.
     summary : Summary
-        With ``overlap``, and with ``cause_map`` where a lump was looked for.
+        With ``overlap``, and with ``cause_map`` where such an effect was looked for.
     """
     analysis = diagnosis.analysis
     finest = analysis.inverse.model.finest
@@ -79,10 +82,11 @@ def pictures_of_scans(
         names, areas_mm2, observed, predicted, residuals, noise, points.interface, each
     )
     summary = replace(summary, overlap=tuple(overlap))
-    lump = analysis.sensitivity_by_name.get(INCLUSION.name)
-    if lump is not None:
-        centres = analysis.places(INCLUSION) + np.asarray(analysis.inverse.frame.centre_mm)
-        maps = {when: cause_map(fit, lump, centres) for when, fit in fits.items()}
+    mapped = next((e for e in effects if e.is_mapped), None)
+    sensitivity = None if mapped is None else analysis.sensitivity_by_name.get(mapped.name)
+    if mapped is not None and sensitivity is not None:
+        centres = analysis.places(mapped) + np.asarray(analysis.inverse.frame.centre_mm)
+        maps = {when: cause_map(fit, sensitivity, centres) for when, fit in fits.items()}
         arrays |= causes(maps, reference)
         loudest = {when: loudest_place(one) for when, one in maps.items()}
         causes_found = CauseMapSummary(loudest["before"], loudest.get("after"))

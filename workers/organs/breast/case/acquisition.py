@@ -5,8 +5,8 @@ from palpate.workers.body.mesh.hierarchy import Hierarchy
 from palpate.workers.body.mesh.whole_body import mesh_whole_body
 from palpate.workers.comparison.observation.smooth_outline import smooth_outline
 from palpate.workers.diagnosis.problem.acquisition import Acquisition
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from palpate.workers.organs.breast.case.scanned_case import ScannedCase
+from palpate.workers.organs.breast.effects import CATALOGUE
 
 
 def acquisition_of(case: ScannedCase) -> Acquisition:
@@ -26,7 +26,7 @@ def acquisition_of(case: ScannedCase) -> Acquisition:
         free=case.free,
         loads=case.names,
         problem=case.problem,
-        effects=BREAST_EFFECTS,
+        effects=CATALOGUE.effects,
         pose_sd=case.pose_sd,
     )
 

@@ -22,13 +22,13 @@ from palpate.workers.diagnosis.problem.preparation import Prepared, ReadPrepared
 from palpate.workers.diagnosis.schema.summary import Summary
 from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.breast_catalogue import BREAST_EFFECTS
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.pressed import Pressed
 from palpate.workers.organs.breast.case.acquisition import acquisition_of
 from palpate.workers.organs.breast.case.checks import case_findings, check_case
 from palpate.workers.organs.breast.case.scanned_case import ScannedCase
 from palpate.workers.organs.breast.case.spec import CaseFile
+from palpate.workers.organs.breast.effects import CATALOGUE
 from palpate.workers.organs.study_checks import Finding
 from palpate.workers.scan_threads import Each
 from palpate.workers.spec import validated
@@ -73,7 +73,7 @@ class ScannedCaseSource:
     @property
     def effects(self) -> Sequence[Effect]:
         """What may be missing from the model of a breast."""
-        return BREAST_EFFECTS
+        return CATALOGUE.effects
 
     @property
     def pressed(self) -> Mapping[str, Pressed]:
@@ -135,6 +135,7 @@ class ScannedCaseSource:
         case = self.case
         return pictures_of_scans(
             diagnosis,
+            self.effects,
             displacements,
             summary,
             case.reference,

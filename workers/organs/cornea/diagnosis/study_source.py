@@ -36,10 +36,10 @@ from palpate.workers.organs.cornea.comparison.surface_residual import (
 )
 from palpate.workers.organs.cornea.diagnosis.diagnosed_problem import CorneaForward, CorneaProblem
 from palpate.workers.organs.cornea.diagnosis.drawn_geometry import geometry_covariance
-from palpate.workers.organs.cornea.diagnosis.effect_catalogue import CORNEA_EFFECTS, SEARCHED_AS
 from palpate.workers.organs.cornea.diagnosis.region_rows import SURFACES, region_rows
+from palpate.workers.organs.cornea.effects import CATALOGUE
 from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
-from palpate.workers.organs.cornea.organ import NOT_SIMULATED, ORGAN
+from palpate.workers.organs.cornea.organ import ORGAN
 from palpate.workers.organs.cornea.problem import candidate_of
 from palpate.workers.organs.cornea.section.outline import Section
 from palpate.workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget
@@ -186,8 +186,7 @@ class CorneaStudySource:
     @property
     def effects(self) -> Sequence[Effect]:
         """What may be missing from the model of a cornea, less what was searched."""
-        searched = set(self.study.bounds)
-        return [e for e in CORNEA_EFFECTS if not searched & set(SEARCHED_AS.get(e.name, ()))]
+        return [e for e in CATALOGUE.effects if not e.is_searched(self.study.bounds)]
 
     @cached_property
     def free(self) -> list[FreeConstant]:
@@ -268,7 +267,7 @@ class CorneaStudySource:
             where=tuple(region_rows(diagnosis)),
             surfaces=SURFACES,
             compared="the outer and the inner surface of the cornea",
-            not_simulated=NOT_SIMULATED,
+            not_simulated=CATALOGUE.not_simulated,
         )
         return {}, named
 

@@ -1,4 +1,4 @@
-"""List the effects that are suspected when a simulated specimen differs from a measured one."""
+"""The effects that are suspected when a simulated specimen differs from a measured one."""
 
 from dataclasses import replace
 
@@ -9,6 +9,7 @@ from palpate.workers.mechanics.effects.loading import LOAD_SCALE, added_mass, se
 from palpate.workers.mechanics.effects.local_stiffness import STIFFNESS_GRADIENT
 from palpate.workers.mechanics.effects.material import COMPRESSIBILITY, CREEP, STIFFENING
 from palpate.workers.mechanics.effects.observation import FRAME_TURN, MARKER_STANDOFF
+from palpate.workers.mechanics.effects.plugged import plugged_effects
 from palpate.workers.mechanics.fem.problem.regions import Region
 
 GRADIENT = replace(
@@ -65,4 +66,4 @@ def specimen_effects(
     effects += [GRADIENT, *([COMPRESSIBILITY] if known_nu else []), STIFFENING, RELAXED]
     if markers:
         effects += [MARKER_STANDOFF]
-    return (*effects, base_motion(base_mm), FRAME_TURN)
+    return (*effects, base_motion(base_mm), FRAME_TURN, *plugged_effects("specimen"))

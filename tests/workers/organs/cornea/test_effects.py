@@ -7,12 +7,11 @@ import pytest
 
 from palpate.workers.mechanics.effects.base import Effect, one_sided
 from palpate.workers.organs.cornea.diagnosis.diagnosed_problem import CorneaForward, CorneaProblem
-from palpate.workers.organs.cornea.diagnosis.effect_catalogue import (
+from palpate.workers.organs.cornea.diagnosis.study_source import frame_of_section
+from palpate.workers.organs.cornea.effects import (
     CORNEA_EFFECTS,
-    SEARCHED_AS,
     peaked,
 )
-from palpate.workers.organs.cornea.diagnosis.study_source import frame_of_section
 from palpate.workers.organs.cornea.material.load import CorneaLoad
 from palpate.workers.organs.cornea.organ import ORGAN
 from palpate.workers.organs.cornea.parameters import CORNEA
@@ -42,9 +41,18 @@ def problem() -> CorneaProblem:
 def test_names_are_once_and_searched_ones_are_known() -> None:
     names = [name for e in CORNEA_EFFECTS for name in (e.name, *e.names)]
     assert len(names) == len(set(names)) + 1  # the rise of the pressure is called as its effect is
-    assert set(SEARCHED_AS) < {e.name for e in CORNEA_EFFECTS}
-    for parameters in SEARCHED_AS.values():
-        assert all(name in CORNEA for name in parameters)
+    assert all(name in CORNEA for e in CORNEA_EFFECTS for name in e.searched_as)
+    searched = {e.name for e in CORNEA_EFFECTS if e.is_searched(CORNEA)}
+    assert searched == {
+        "jet_off_centre",
+        "jet_pressure_error",
+        "jet_width_error",
+        "iop_error",
+        "iop_rise",
+        "whole_eye_motion",
+        "limbus_compliance",
+        "stiffness_gradient",
+    }
 
 
 @pytest.mark.parametrize("effect", ON_BODY, ids=named)

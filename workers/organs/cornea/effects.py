@@ -8,6 +8,8 @@ import numpy as np
 
 from palpate.storage.values import FloatArray, IntArray, Tissue
 from palpate.workers.mechanics.effects.base import Effect, Family, Values, from_zero, two_sided
+from palpate.workers.mechanics.effects.catalogue import Catalogue
+from palpate.workers.mechanics.effects.plugged import plugged_effects
 from palpate.workers.mechanics.effects.problem_changes import unchanged
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.parameters import Parameter
@@ -46,6 +48,7 @@ def _effect(
     observation: Any = None,
     step: float = 1e-4,
     reference: str = THESIS,
+    searched_as: tuple[str, ...] = (),
 ) -> Effect:
     """Return an effect whose steps are a part of what is plausible."""
     steps = tuple(step * sd for sd in prior_sd)
@@ -59,6 +62,7 @@ def _effect(
         transform,
         (reference,),
         observation=observation,
+        searched_as=searched_as,
     )
 
 
@@ -138,6 +142,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         (two_sided("jet_offset", MM, 0.6, "place of the jet, from where it is said to be"),),
         (0.2,),
         _of_load(lambda load, v: replace(load, jet_centre_mm=load.jet_centre_mm + v["jet_offset"])),
+        searched_as=("jet_centre",),
     ),
     _effect(
         "jet_pressure_error",
@@ -158,6 +163,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
                 load, jet_pressure_mpa=load.jet_pressure_mpa * np.exp(v["jet_pressure_part"])
             )
         ),
+        searched_as=("jet_pressure",),
     ),
     _effect(
         "jet_width_error",
@@ -178,6 +184,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
                 load, jet_width_factor=load.jet_width_factor * np.exp(v["jet_width_part"])
             )
         ),
+        searched_as=("jet_width",),
     ),
     _effect(
         "jet_profile",
@@ -204,6 +211,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         _of_load(
             lambda load, v: replace(load, iop_mpa=max(0.0, load.iop_mpa + v["iop_difference"]))
         ),
+        searched_as=("iop",),
     ),
     _effect(
         "iop_rise",
@@ -232,6 +240,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         (from_zero("limbus_yield", MM_PER_KPA, 2 * _LIMBUS_YIELD, "yielding of the limbus"),),
         (_LIMBUS_YIELD,),
         _of_candidate(_limbus),
+        searched_as=("limbus_compliance",),
     ),
     _effect(
         "stiffness_gradient",
@@ -255,6 +264,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         ),
         (0.4, 0.4),
         _of_candidate(_graded),
+        searched_as=("depth_gradient", "side_gradient"),
     ),
     _effect(
         "thickness_error",
@@ -324,14 +334,9 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     ),
 )
 
-# What makes an effect no suspect where a study has searched it.
-SEARCHED_AS = {
-    "jet_off_centre": ("jet_centre",),
-    "jet_pressure_error": ("jet_pressure",),
-    "jet_width_error": ("jet_width",),
-    "iop_error": ("iop",),
-    "iop_rise": ("iop_rise",),
-    "whole_eye_motion": ("eye_shift_x", "eye_shift_y", "eye_tilt"),
-    "limbus_compliance": ("limbus_compliance",),
-    "stiffness_gradient": ("depth_gradient", "side_gradient"),
-}
+NOT_SIMULATED = (
+    ("fibres", "the law of the thesis is isotropic"),
+    ("viscosity", "one image under the jet does not show how fast the cornea gives way"),
+)
+
+CATALOGUE = Catalogue((*CORNEA_EFFECTS, *plugged_effects("cornea")), NOT_SIMULATED)

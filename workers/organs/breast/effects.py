@@ -1,15 +1,15 @@
-"""List the effects that are suspected when a simulated breast differs from an imaged one."""
+"""The effects that are suspected when a simulated breast differs from an imaged one."""
 
-from collections.abc import Iterable
+from dataclasses import replace
 
-from palpate.storage.errors import InputError
-from palpate.workers.mechanics.effects.base import Effect, Values
+from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.effects.boundary import (
     FRICTION,
     LOCAL_ATTACHMENT,
     WALL_COMPLIANCE,
     WALL_HOLD,
 )
+from palpate.workers.mechanics.effects.catalogue import Catalogue
 from palpate.workers.mechanics.effects.loading import GRAVITY_CHANGE, PLATE_FORCE, PRESTRESS
 from palpate.workers.mechanics.effects.local_stiffness import GROWTH, INCLUSION, STIFFNESS_GRADIENT
 from palpate.workers.mechanics.effects.material import (
@@ -31,15 +31,18 @@ from palpate.workers.mechanics.effects.observation import (
     SEGMENTATION_OFFSET,
 )
 from palpate.workers.mechanics.effects.plates import PLATE_EDGE, PLATE_FLEX, PLATE_TILT
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
-from palpate.workers.mechanics.fem.problem.fields import Frame
-from palpate.workers.mechanics.parameters import BREAST, Parameter, unknown_name
+from palpate.workers.mechanics.effects.plugged import plugged_effects
+from palpate.workers.mechanics.parameters import BREAST
+from palpate.workers.organs.nuisances import NuisanceEffect
+
+# Under a force, free stiffnesses take up a wrong one: only ratios of both can be measured.
+CONFOUNDED_FORCE = replace(PLATE_FORCE, is_confounded=True)
 
 # Creep scales what the others have made, so it comes last among the materials.
 BREAST_EFFECTS: tuple[Effect, ...] = (
     GRAVITY_CHANGE,
     PRESTRESS,
-    PLATE_FORCE,
+    CONFOUNDED_FORCE,
     PLATE_TILT,
     PLATE_FLEX,
     PLATE_EDGE,
@@ -66,8 +69,8 @@ BREAST_EFFECTS: tuple[Effect, ...] = (
     IMAGE_SHEAR,
 )
 
-# What is known to matter, or may, and cannot be named as a cause: it, or its nearest
-# relative in the catalogue, will be found in its place.
+# Known or possible causes that have no effect here; a diagnosis will report "none of these" or
+# the closest listed effect.
 NOT_SIMULATED: tuple[tuple[str, str], ...] = (
     (
         "tissue interface sliding",
@@ -112,52 +115,27 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
 )
 
 
-# The whole forward model: a study may hold or search any of it.
-BREAST_MODEL = BREAST.extended_by(
-    p for e in BREAST_EFFECTS if e.observation is None for p in e.parameters
+# Nuisance parameters of a study: an interval allows for what it does not search.
+LAW, VARIATION = "the law of the tissue", "the evenness of the stiffness"
+NUISANCES: tuple[NuisanceEffect, ...] = (
+    NuisanceEffect(COMPRESSIBILITY, LAW),
+    NuisanceEffect(STIFFENING, LAW),
+    NuisanceEffect(FIBRE_CONTRAST, LAW),
+    NuisanceEffect(SECOND_FIBRES, LAW),
+    NuisanceEffect(STIFFNESS_GRADIENT, VARIATION),
+    # Skin on a plate slides with a coefficient of a few tenths. Friction saturates: it is
+    # differentiated by a step of its own size, a fiftieth of this interval.
+    NuisanceEffect(FRICTION, "the friction of the plates", sd=0.3, interval=(0.0, 15.0)),
+    NuisanceEffect(RIGID_MOTION, "the place of the scan", of="image"),
+    # Of each side of a scan: a wrong voxel size is off by per cents, distortion by less.
+    NuisanceEffect(IMAGE_SCALE, "the scale of the scan", sd=0.015, of="image"),
+    # Of a force that a device shows: four in five are right within a tenth.
+    NuisanceEffect(
+        CONFOUNDED_FORCE, "the force", sd=0.08, interval=(-1.0, 1.0), of="force", always=True
+    ),
 )
 
+CATALOGUE = Catalogue((*BREAST_EFFECTS, *plugged_effects("breast")), NOT_SIMULATED)
 
-def effect(name: str) -> Effect:
-    """Return the effect of this name.
-
-    Raises
-    ------
-    InputError
-        If there is none; close names are suggested.
-    """
-    for candidate in BREAST_EFFECTS:
-        if candidate.name == name:
-            return candidate
-    raise InputError(unknown_name("effect", name, (e.name for e in BREAST_EFFECTS)))
-
-
-def effect_parameters(effects: Iterable[Effect] = BREAST_EFFECTS) -> tuple[Parameter, ...]:
-    """Return the parameters of all effects, in order, to extend a vocabulary by."""
-    return tuple(p for e in effects for p in e.parameters)
-
-
-def with_effects(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Return `problem` with every effect of the catalogue, one after the other.
-
-    Parameters
-    ----------
-    problem : Problem
-        Without effects.
-    values : mapping of str to float
-        Inside names and units; effects whose parameters are not named are left out.
-    frame : Frame
-        Of the undeformed body.
-
-    Raises
-    ------
-    InputError
-        If no effect has a parameter of that name, or a value is not admissible.
-    """
-    known = [p.name for p in effect_parameters()]
-    for name in values:
-        if name not in known:
-            raise InputError(unknown_name("parameter of an effect", name, known))
-    for each in BREAST_EFFECTS:
-        problem = each.apply(problem, {n: values[n] for n in each.names if n in values}, frame)
-    return problem
+# The whole forward model: a study may hold or search any of it.
+BREAST_MODEL = BREAST.extended_by(p for e in CATALOGUE.on_body for p in e.parameters)

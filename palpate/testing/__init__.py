@@ -1,0 +1,17 @@
+"""Checks for authors of plug-ins: each raises an `AssertionError` that names what is wrong.
+
+Call them from a test of the plug-in's own distribution::
+
+    from palpate.testing import check_effect
+
+    def test_swelling():
+        check_effect(SWELLING)
+"""
+
+from palpate.testing.effects import check_effect
+from palpate.testing.laws import check_law
+from palpate.testing.organs import check_organ
+from palpate.testing.scores import check_score
+from palpate.testing.searches import check_search
+
+__all__ = ["check_effect", "check_law", "check_organ", "check_score", "check_search"]

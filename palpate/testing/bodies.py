@@ -1,0 +1,52 @@
+"""A small breast without any symmetry, on which plug-ins are tried."""
+
+import numpy as np
+
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
+    Constants,
+    Membrane,
+    Problem,
+)
+from palpate.workers.mechanics.fem.problem.loads import Device, ForceControl, Plate, Wall
+
+HALF_MM = np.array([38.0, 32.0, 40.0])
+NU = 0.49
+
+
+def small_breast(spacing_mm: float = 2.0) -> Volume:
+    """Return half an ellipsoid on the chest wall z = 0, bent to one side, gland off its middle."""
+    along = np.arange(-44.0, 44.1, spacing_mm)
+    x, y, z = np.meshgrid(along, along, np.arange(spacing_mm / 2, 44.0, spacing_mm), indexing="ij")
+    place = np.stack([x - 0.10 * z, y + 0.06 * z, z], axis=-1)
+    body = ((place / HALF_MM) ** 2).sum(axis=-1) < 1
+    gland = (((place - [7.0, 4.0, 14.0]) / [17.0, 13.0, 13.0]) ** 2).sum(axis=-1) < 1
+    labels = np.where(body, np.where(gland, Tissue.GLANDULAR, Tissue.FAT), Tissue.AIR)
+    origin = (-44.0, -44.0, spacing_mm / 2)
+    return Volume(labels.astype(np.uint8).transpose(2, 1, 0), (spacing_mm,) * 3, origin)
+
+
+def plain_problem() -> Problem:
+    """Return two flat plates and a wall that holds the breast loosely."""
+    return Problem(
+        constants={
+            Tissue.FAT: Constants(0.010, NU, 0.02),
+            Tissue.GLANDULAR: Constants(0.030, NU, 0.03),
+        },
+        load=ForceControl(20.0, -33.0, 33.0),
+        wall=Wall((False, False, True), (2e-4, 1e-4, 0.0)),
+    )
+
+
+def busy_problem() -> Problem:
+    """Return a problem with nearly every field away from its default."""
+    tilted = Plate(tilt_deg=(1.0, -2.0), bow_per_mm=(1e-3, 2e-3))
+    plain = plain_problem()
+    return Problem(
+        constants=plain.constants,
+        load=ForceControl(20.0, -33.0, 33.0, Device(upper=tilted, friction=0.1, lower_share=0.3)),
+        membrane=Membrane(0.5, 1.5),
+        wall=Wall((False, False, False), (1e-4, 2e-4, 3e-3)),
+        gravity_g=(0.1, 0.2, 0.3),
+        imaged_gravity_g=(0.0, 0.1, 0.2),
+    )

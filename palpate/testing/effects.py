@@ -1,0 +1,213 @@
+"""Checks of an effect."""
+
+from copy import deepcopy
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray, IntArray, Tissue
+from palpate.testing.bodies import HALF_MM, busy_problem, plain_problem, small_breast
+from palpate.testing.claims import check_pickles, claim
+from palpate.workers.body.mesh.hierarchy import build_hierarchy
+from palpate.workers.mechanics.effects.base import Effect, one_sided
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.fields import Frame, frame_of
+from palpate.workers.organs.registry import catalogue_of, organ_named, organ_names
+
+FRAME = Frame((1.0, -2.0, 20.0), (float(HALF_MM[0]), float(HALF_MM[1]), float(HALF_MM[2])))
+NODES = 500
+# Of the largest slope: differences over a fiftieth of a standard deviation are not exact.
+SLOPE_ERROR = 0.02
+STEP = 0.02
+LEAST_MM = 1e-4
+
+
+def check_effect(effect: Effect, problem: Problem | None = None) -> None:
+    """Check what every effect promises.
+
+    It can be pickled; its names are unique, and its units part of them; at its neutral values it
+    changes nothing; at plausible values it changes something; nothing is changed in place; and the
+    derivative by its parameters agrees with differences of full solutions.
+
+    Parameters
+    ----------
+    effect : Effect
+    problem : Problem, optional
+        On which it acts; by default a small breast between plates.
+
+    Raises
+    ------
+    AssertionError
+        Naming the first promise that is broken.
+    """
+    check_pickles(effect, f"The effect {effect.name}")
+    _check_names(effect)
+    for parameter in effect.parameters:
+        _check_parameter(effect, parameter.name)
+    base = problem or plain_problem()
+    for one in (base, *([] if problem else [busy_problem()])):
+        _check_neutral(effect, one)
+    if effect.observation is not None:
+        _check_observation(effect, base)
+    else:
+        _check_body(effect, base)
+
+
+def _check_names(effect: Effect) -> None:
+    claim(effect.summary.endswith("."), f"The summary of {effect.name} is no sentence.")
+    claim(effect.references, f"{effect.name} names no reference.")
+    names = effect.names
+    claim(len(set(names)) == len(names), f"{effect.name} has a parameter twice: {names}.")
+    for organ in organ_names():
+        others = [e for e in catalogue_of(organ).effects if e.name != effect.name]
+        taken = {name for e in others for name in e.names}
+        constants = {p.name for p in organ_named(organ).parameters} - set(names)
+        both = (taken | constants) & set(names)
+        claim(not both, f"{effect.name} has parameters of {organ} in use: {sorted(both)}.")
+
+
+def _check_parameter(effect: Effect, name: str) -> None:
+    k = effect.names.index(name)
+    parameter, sd, step = effect.parameters[k], effect.prior_sd[k], effect.steps[k]
+    neutral = effect.neutral[name]
+    where = f"{effect.name}: {name}"
+    claim(parameter.description, f"{where} has no description.")
+    claim(
+        parameter.lower <= neutral <= parameter.upper,
+        f"{where} is neutral at {neutral:g}, outside {parameter.lower:g} to {parameter.upper:g}.",
+    )
+    span = parameter.upper - parameter.lower
+    claim(
+        step < sd <= 2 * span,
+        f"{where} needs step < prior_sd <= twice its interval, found {step:g}, {sd:g}, {span:g}.",
+    )
+    try:
+        parameter.check(neutral)
+        effect.complete({name: effect.plausible[name]})
+    except InputError as error:
+        raise AssertionError(f"{where}: {error}") from None
+    if parameter.unit.symbol:
+        claim(parameter.door_name != name, f"{where} has a unit that its name does not state.")
+
+
+def _check_neutral(effect: Effect, problem: Problem) -> None:
+    claim(effect.apply(problem, {}, FRAME) is problem, f"{effect.name} changes a neutral problem.")
+    before = deepcopy(problem)
+    neutral = effect.transform(problem, effect.neutral, FRAME)
+    claim(
+        _same(replace(neutral, variations=problem.variations, fibres=problem.fibres), problem),
+        f"{effect.name} changes the problem at its neutral values.",
+    )
+    points = np.random.default_rng(0).uniform(-40, 40, (20, 3))
+    uneven = any(v.log_factor(points).any() for v in neutral.variations)
+    turned = neutral.fibres.directions(points) - problem.fibres.directions(points)
+    claim(not uneven, f"{effect.name} varies the stiffness at its neutral values.")
+    claim(not turned.any(), f"{effect.name} turns the fibres at its neutral values.")
+    effect.apply(problem, effect.plausible, FRAME)
+    claim(problem == before, f"{effect.name} changes a problem in place.")
+
+
+def _check_observation(effect: Effect, problem: Problem) -> None:
+    points, normals, tissues = _interface()
+    body = (points, normals, tissues)
+    claim(
+        effect.apply(problem, effect.plausible, FRAME) == problem,
+        f"{effect.name} acts on the observation and yet changes the body.",
+    )
+    assert effect.observation is not None
+    columns = effect.observation(*body, FRAME)
+    claim(
+        columns.shape == (len(points), len(effect.parameters)),
+        f"{effect.name} must return one row a point and one column a parameter, "
+        f"{(len(points), len(effect.parameters))}, found {columns.shape}.",
+    )
+    claim(np.isfinite(columns).all(), f"{effect.name} moves points by numbers that are not finite.")
+    claim(columns.any(axis=0).all(), f"{effect.name} has a parameter that moves no point.")
+
+
+def _check_body(effect: Effect, problem: Problem) -> None:
+    model = _model()
+    frame = frame_of(model.finest.nodes)
+    claim(
+        effect.acts_on(problem, frame),
+        f"{effect.name} changes nothing at plausible values; give a problem that it acts on.",
+    )
+    base = replace(problem, tolerance_mm=1e-9)
+    at = effect.neutral if effect.place is None else _halfway(effect)
+    here = _solved(effect, effect.apply(base, at, frame))
+    if effect.follows_path:
+        return
+    slopes = tangents(here, effect.changes(base, frame, at))
+    for k, parameter in enumerate(effect.parameters):
+        step = STEP * effect.prior_sd[k]
+        ahead = _moved(effect, base, {**at, parameter.name: at[parameter.name] + step}, here)
+        behind = here.solution.displacement_mm
+        if not one_sided(parameter) or effect.place is not None:
+            behind = _moved(effect, base, {**at, parameter.name: at[parameter.name] - step}, here)
+            step *= 2
+        expected = (ahead - behind) / step
+        largest = np.abs(expected).max() * effect.prior_sd[k]
+        if effect.place is None:
+            claim(largest > LEAST_MM, f"{effect.name}: {parameter.name} moves no node.")
+        error = np.abs(slopes[k] - expected).max() * effect.prior_sd[k]
+        allowed = SLOPE_ERROR * max(largest, LEAST_MM) * (5 if one_sided(parameter) else 1)
+        claim(
+            error < allowed,
+            f"{effect.name}: the derivative by {parameter.name} is off by "
+            f"{error / max(largest, LEAST_MM):.1%} of the largest displacement; `steps` may be too "
+            "long, or the effect depends on the path of the load (`follows_path`).",
+        )
+
+
+def _halfway(effect: Effect) -> dict[str, float]:
+    return {n: (v + effect.neutral[n]) / 2 for n, v in effect.plausible.items()}
+
+
+def _moved(
+    effect: Effect, base: Problem, values: dict[str, float], start: Equilibrium
+) -> FloatArray:
+    frame = frame_of(_model().finest.nodes)
+    moved: FloatArray = _solved(
+        effect, effect.apply(base, values, frame), start
+    ).solution.displacement_mm
+    return moved
+
+
+def _solved(effect: Effect, problem: Problem, start: Equilibrium | None = None) -> Equilibrium:
+    found = equilibrium(_model(), problem, start)
+    reason = found.solution.outcome.reason
+    claim(not reason, f"{effect.name}: the body finds no equilibrium: {reason}.")
+    return found
+
+
+@cache
+def _model() -> Model:
+    return prepare(build_hierarchy(small_breast(), nodes=NODES))
+
+
+def _interface() -> tuple[FloatArray, FloatArray, IntArray]:
+    rng = np.random.default_rng(7)
+    normals = rng.standard_normal((60, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    points = np.asarray(FRAME.centre_mm) + normals * HALF_MM
+    tissues = rng.choice([Tissue.FAT, Tissue.GLANDULAR, Tissue.LIGAMENT], 60)
+    return points, normals, tissues.astype(np.int32)
+
+
+def _same(a: object, b: object) -> bool:
+    """Return whether two problems are equal to rounding, number by number."""
+    if isinstance(a, float) and isinstance(b, float):
+        return a == b or abs(a - b) <= 1e-13 * max(abs(a), abs(b)) + 1e-15
+    fields = getattr(a, "__dataclass_fields__", None)
+    if fields is not None:
+        return type(a) is type(b) and all(_same(getattr(a, f), getattr(b, f)) for f in fields)
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(_same(a[k], b[k]) for k in a)
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(_same(p, q) for p, q in zip(a, b, strict=True))
+    return bool(a == b)

@@ -1,0 +1,159 @@
+"""Checks of an organ."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from palpate.storage.digest import digest
+from palpate.storage.plain import to_plain
+from palpate.storage.records.tasks import FreeParameter
+from palpate.storage.values import Volume
+from palpate.testing.claims import claim
+from palpate.workers.organs.organ import CheckingOrgan, DifferentiableOrgan, Organ
+from palpate.workers.organs.plugin import OrganPlugin, resolve
+from palpate.workers.spec import CaseSpec, validated
+
+REFERENCES = ("checks", "findings", "study_source", "effects")
+# Relative; residuals are compared with differences over a ten-thousandth of a constant.
+SLOPE_ERROR = 0.02
+STEP = 1e-3
+
+
+def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str] = ()) -> None:
+    """Check what every organ promises, on one case.
+
+    All that the plug-in names can be imported; parameters are unique; body and mesh survive the
+    store; facts are plain values; the same case is solved to the same displacement, to the last
+    bit; the deformed body resembles itself better than the undeformed one; a fit finds the same
+    displacement as a plain solution, and its gradient agrees with differences.
+
+    Parameters
+    ----------
+    plugin : OrganPlugin
+    case : mapping
+        As under ``case`` of a study file, small enough to be solved in seconds.
+    free : sequence of str
+        Names inside of the constants by which the fit is differentiated; none: no fit.
+
+    Raises
+    ------
+    AssertionError
+        Naming the first promise that is broken.
+    """
+    _check_references(plugin)
+    organ: Organ[Any, Any, Any] = resolve(plugin.organ)
+    name = plugin.name
+    claim(organ.name == name, f"The organ calls itself {organ.name!r}, its plug-in {name!r}.")
+    spec = validated(organ.case_spec, {"organ": name, **case}, "The case")
+    claim(spec.organ == name, f"A case of {name} says that its organ is {spec.organ!r}.")
+    doors = [p.door_name for p in organ.parameters]
+    claim(len(set(doors)) == len(doors), f"{name} has a parameter twice.")
+    body = organ.make_body(spec.reference)
+    mesh = organ.make_mesh(body, spec)
+    _check_store(organ, body, mesh)
+    facts = organ.facts(body, mesh)
+    digest(to_plain(dict(facts)))
+    if isinstance(organ, CheckingOrgan):
+        organ.check(spec, body, facts)
+    claim(isinstance(organ.picture(body), Volume), f"{name} has no picture of its body.")
+    _check_solution(organ, spec, body, mesh)
+    if free:
+        _check_fit(organ, spec, body, mesh, free)
+
+
+def _check_references(plugin: OrganPlugin) -> None:
+    for what in REFERENCES:
+        reference = getattr(plugin, what)
+        try:
+            found = resolve(reference) if reference else True
+        except (ImportError, AttributeError) as error:
+            raise AssertionError(f"{plugin.name}.{what}: {error}") from error
+        claim(found is not None, f"{plugin.name}.{what} is None.")
+    claim(
+        bool(plugin.study_kind) == bool(plugin.study_source),
+        f"{plugin.name} needs both study_kind and study_source, or neither.",
+    )
+
+
+def _check_store(organ: Organ[Any, Any, Any], body: Any, mesh: Any) -> None:
+    arrays = organ.body_to_arrays(body)
+    again = organ.body_to_arrays(organ.body_from_arrays(arrays))
+    claim(_equal(arrays, again), f"A body of {organ.name} changes in the store.")
+    kept = organ.mesh_to_arrays(mesh)
+    claim(
+        _equal(kept, organ.mesh_to_arrays(organ.mesh_from_arrays(kept))),
+        f"A mesh of {organ.name} changes in the store.",
+    )
+
+
+def _check_solution(organ: Organ[Any, Any, Any], spec: CaseSpec, body: Any, mesh: Any) -> None:
+    name = organ.name
+    constants, where = spec.complete(), organ.landmarks(body, spec)
+
+    def solve() -> Any:
+        model = organ.prepare(mesh)
+        return organ.solve(model, organ.problem(model, spec, constants, where))
+
+    first, second = solve(), solve()
+    reason = first.outcome.reason
+    claim(first.outcome.converged, f"The case of {name} finds no equilibrium: {reason}.")
+    claim(
+        np.array_equal(first.displacement_mm, second.displacement_mm),
+        f"{name} solves the same case to another displacement the second time.",
+    )
+    claim(np.abs(first.displacement_mm).max() > 0, f"The load of the case moves no node of {name}.")
+    deformed = organ.deform(body, mesh, first.displacement_mm)
+    scorer = organ.scorer(deformed, organ.score_spec())
+    own, before = (scorer.score(one).as_dict()["gsf"] for one in (deformed, body))
+    claim(
+        own < before,
+        f"The deformed {name} resembles itself (GSF {own:g}) no better than the undeformed one "
+        f"does ({before:g}).",
+    )
+
+
+def _check_fit(
+    organ: Organ[Any, Any, Any], spec: CaseSpec, body: Any, mesh: Any, free: Sequence[str]
+) -> None:
+    claim(isinstance(organ, DifferentiableOrgan), f"{organ.name} has no derivatives.")
+    assert isinstance(organ, DifferentiableOrgan)
+    model, where = organ.prepare(mesh), organ.landmarks(body, spec)
+    constants = spec.complete()
+    away = {**constants, **{name: 1.3 * constants[name] for name in free}}
+    moved = organ.solve(model, organ.problem(model, spec, away, where)).displacement_mm
+    target = organ.deform(body, mesh, moved)
+    seen = organ.observation(body, mesh, target, False)
+    asked: list[FreeParameter] = [
+        {"name": n, "lower": 0.2 * constants[n], "upper": 5 * constants[n]} for n in free
+    ]
+
+    def fitted(values: Mapping[str, float]) -> Any:
+        return organ.fit(model, spec, values, asked, where, None, seen)
+
+    here = fitted(constants)
+    plain = organ.solve(model, organ.problem(model, spec, constants, where)).displacement_mm
+    claim(
+        np.allclose(here.solution.displacement_mm, plain, atol=1e-6),
+        f"A fit of {organ.name} finds another displacement than a plain solution.",
+    )
+    claim(here.residuals is not None, f"A fit of {organ.name} has no residuals.")
+    slopes = 2 * here.residuals.equations.gradient  # by the logarithms
+    scale = float(np.abs(slopes).max())
+    for k, name in enumerate(free):
+        ahead, behind = (
+            fitted({**constants, name: constants[name] * np.exp(h)}).residuals.equations.cost
+            for h in (STEP, -STEP)
+        )
+        expected = (ahead - behind) / (2 * STEP)
+        error = abs(slopes[k] - expected) / scale
+        claim(
+            error < SLOPE_ERROR,
+            f"{organ.name}: the gradient by {name} is off by {error:.1%}.",
+        )
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if isinstance(a, Volume):
+        return bool(np.array_equal(a.values, b.values)) and a.spacing_mm == b.spacing_mm
+    return a.keys() == b.keys() and all(np.array_equal(a[key], b[key]) for key in a)

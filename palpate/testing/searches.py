@@ -1,0 +1,118 @@
+"""Checks of a search strategy."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from palpate.service.search.base import Generation, Proposal, Search
+from palpate.service.search.least_squares import FittedNames
+from palpate.service.search.spec import SearchSpec
+from palpate.service.search.strategies import SearchRequest, Strategy
+from palpate.storage.records.tasks import FitJson
+from palpate.storage.values import FloatArray
+from palpate.testing.claims import check_pickles, claim
+
+BOUNDS = {"E_kpa": (5.0, 80.0), "eta_kpa": (50.0, 200.0)}
+# One unit inside is 1000 at the door.
+NAMES = FittedNames(("E", "eta"), (1000.0, 1000.0))
+TRUTH = np.array([33.0, 120.0])
+STRETCHES = np.linspace(0.1, 1.0, 12)
+NOISE = 0.05
+
+
+def check_search(strategy: Strategy, search: SearchSpec | None = None, seed: int = 5) -> None:
+    """Check what every strategy promises, on a spring whose two stiffnesses are to be found.
+
+    It is a pure function of the generations before: asked again, or resumed from any of them, it
+    proposes the same to the last bit, in whatever order scores arrive. Candidates are within
+    their bounds; one that fails does not stop the search; it ends, within the number of
+    evaluations that it states; and its best candidate is better than the first ones.
+
+    Parameters
+    ----------
+    strategy : Strategy
+    search : SearchSpec, optional
+        Settings, for a strategy that needs others than a population of 12 and 5 generations.
+    seed : int
+
+    Raises
+    ------
+    AssertionError
+        Naming the first promise that is broken.
+    """
+    name = strategy.name
+    settings = search or SearchSpec(parameters=BOUNDS, population=12, generations=5, elite=1)
+    claim(set(settings.parameters) == set(BOUNDS), f"The spring has the parameters {list(BOUNDS)}.")
+    asked = SearchRequest(settings, NAMES, 0, seed)
+    check_pickles(strategy.make(asked), f"The search of {name}")
+    history, proposals = _followed(strategy.make(asked), strategy, asked, fails=())
+    _check_fold(strategy, asked, history, proposals)
+    first, last = history[0].scores.min(), min(g.scores.min() for g in history)
+    claim(last < first, f"{name} has found nothing better than in its first generation.")
+    _followed(strategy.make(asked), strategy, asked, fails=(1, 3))
+
+
+def _check_fold(
+    strategy: Strategy,
+    asked: SearchRequest,
+    history: Sequence[Generation],
+    proposals: Sequence[Proposal],
+) -> None:
+    space = asked.search.space
+    low, high = np.array(space.lower), np.array(space.upper)
+    for k, proposal in enumerate(proposals):
+        genes = proposal.genes
+        inside = bool(((genes >= low) & (genes <= high)).all())
+        claim(inside, f"{strategy.name} proposes candidates outside the bounds in generation {k}.")
+        claim(
+            proposal.derivatives <= strategy.by_derivatives,
+            f"{strategy.name} asks for derivatives but does not state by_derivatives.",
+        )
+        again = strategy.make(asked).propose(history[:k])
+        same = isinstance(again, Proposal) and np.array_equal(again.genes, genes)
+        claim(same, f"{strategy.name} resumed before generation {k} proposes something else.")
+
+
+def _followed(
+    search: Search, strategy: Strategy, asked: SearchRequest, fails: Sequence[int]
+) -> tuple[list[Generation], list[Proposal]]:
+    """Run a search to its end; evaluations in `fails`, by their number, have no score."""
+    most = strategy.most_evaluations(asked)
+    history: list[Generation] = []
+    proposals: list[Proposal] = []
+    count = 0
+    while isinstance(proposal := search.propose(history), Proposal):
+        claim(proposal.to_evaluate, f"{strategy.name} proposes nobody new and does not stop.")
+        scores, fits = {}, {}
+        for i in proposal.to_evaluate:
+            fit = None if count in fails else _fit(proposal.genes[i])
+            scores[i] = np.inf if fit is None else float(np.log(fit["cost"] + 1e-12))
+            fits[i] = fit if proposal.derivatives else None
+            count += 1
+        backwards = dict(reversed(scores.items()))
+        history.append(proposal.complete(backwards, history, fits))
+        proposals.append(proposal)
+        claim(count <= most, f"{strategy.name} has evaluated more than {most} candidates.")
+    claim(proposal.reason, f"{strategy.name} does not say why it stops.")
+    return history, proposals
+
+
+def _forces(genes: FloatArray) -> FloatArray:
+    return np.asarray(genes[0] * STRETCHES + genes[1] * STRETCHES**3)
+
+
+def _fit(genes: FloatArray) -> FitJson:
+    residuals = (_forces(genes) - _forces(TRUTH)) / NOISE
+    # By logarithms; written in the order (eta, E), which a search must not mistake.
+    jacobian = np.stack([genes[1] * STRETCHES**3, genes[0] * STRETCHES], axis=1) / NOISE
+    return {
+        "parameters": ["eta", "E"],
+        "logarithmic": [True, True],
+        "values": [float(genes[1]) / 1000, float(genes[0]) / 1000],
+        "residuals": len(residuals),
+        "rms_mm": 0.0,
+        "cost": float(residuals @ residuals),
+        "gradient": (jacobian.T @ residuals).tolist(),
+        "hessian": (jacobian.T @ jacobian).tolist(),
+        "noise": "",
+    }

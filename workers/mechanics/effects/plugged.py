@@ -1,0 +1,51 @@
+"""Effects that other distributions add to the catalogue of an organ."""
+
+from collections.abc import Mapping
+
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.plugins import Plugin, plugins
+
+
+def plugged_effects(organ: str) -> tuple[Effect, ...]:
+    """Return the effects that plug-ins add to an organ, by name.
+
+    Raises
+    ------
+    InputError
+        If a plug-in cannot be imported.
+    """
+    loaded: list[Effect] = [p.load() for p in plugins("effects").values() if not p.is_own]
+    return tuple(effect for effect in loaded if organ in effect.organs)
+
+
+def acting_plugins(values: Mapping[str, float]) -> tuple[Plugin, ...]:
+    """Return the plug-ins whose effects change something at these values.
+
+    Parameters
+    ----------
+    values : mapping of str to float
+        Inside names and units.
+    """
+    return tuple(
+        plugin
+        for plugin, effect in _foreign()
+        if any(values.get(name, neutral) != neutral for name, neutral in effect.neutral.items())
+    )
+
+
+def without_idle_plugins(values: Mapping[str, float]) -> dict[str, float]:
+    """Return values without those of plugged effects that change nothing.
+
+    What an evaluation is named after thus does not depend on plug-ins that it does not use.
+    """
+    idle = {
+        name
+        for _, effect in _foreign()
+        if all(values.get(n, neutral) == neutral for n, neutral in effect.neutral.items())
+        for name in effect.names
+    }
+    return {name: value for name, value in values.items() if name not in idle}
+
+
+def _foreign() -> list[tuple[Plugin, Effect]]:
+    return [(p, p.load()) for p in plugins("effects").values() if not p.is_own]

@@ -8,7 +8,7 @@ Each is an entry point of an installed distribution, Palpate's own among them::
 A plug-in is imported when it is first asked for.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -48,6 +48,11 @@ class Plugin:
         """Whether Palpate itself offers it."""
         return self.distribution == OWN
 
+    @property
+    def words(self) -> str:
+        """Its name and origin, for a message."""
+        return f"{self.name} ({self.group}) of {self.distribution} {self.version}"
+
     def load(self) -> Any:
         """Import the object.
 
@@ -60,8 +65,8 @@ class Plugin:
             return getattr(import_module(self.module), self.attribute)
         except (ImportError, AttributeError) as error:
             raise InputError(
-                f"The plug-in {self.name!r} ({self.group}) of {self.distribution} {self.version} "
-                f"cannot be imported: {error}. Install a version that fits, or remove it."
+                f"The plug-in {self.words} cannot be imported: {error}. Install a version that "
+                "fits, or remove it."
             ) from error
 
 
@@ -109,6 +114,21 @@ def load(group: Group, name: str) -> Any:
 def foreign_plugins() -> tuple[Plugin, ...]:
     """Return the plug-ins that other distributions offer, of all groups."""
     return tuple(p for g in get_args(Group) for p in plugins(g).values() if not p.is_own)
+
+
+def lacking_plugins(wanted: Iterable[Plugin]) -> list[str]:
+    """Return what this process lacks of some plug-ins, as texts; sent to workers.
+
+    Another version counts as lacking, because its results may differ.
+    """
+    lacking = []
+    for plugin in wanted:
+        here = plugins(plugin.group).get(plugin.name)
+        if here is None:
+            lacking.append(f"lacks the plug-in {plugin.words}")
+        elif here.version != plugin.version:
+            lacking.append(f"has version {here.version} of the plug-in {plugin.words}")
+    return lacking
 
 
 def _installed(group: Group) -> Iterator[Plugin]:

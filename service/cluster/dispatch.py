@@ -168,6 +168,11 @@ class Dispatcher:
         """
         return [value_of(ending, task.__name__) for ending in self.run(task, calls)]
 
+    def everywhere(self, task: Callable[..., Returned], *arguments: Any) -> dict[str, Returned]:
+        """Run one task on each worker that is there now and return its records by address."""
+        found: dict[str, Returned] = self.client.run(task, *arguments)
+        return found
+
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Send tasks, yield their endings as they arrive.
 

@@ -17,6 +17,7 @@ from palpate.service.versions import code_digest, versions
 from palpate.storage.digest import source_digest
 from palpate.storage.errors import PalpateError
 from palpate.storage.stores.probe import probe_store
+from palpate.workers.plugins import foreign_plugins
 
 GIB = 1024**3
 SCARCE_BYTES = 2 * GIB
@@ -27,7 +28,7 @@ class ProcessFacts(TypedDict):
     """What one process imports, from where, and what it may use.
 
     ``packages`` are the folders of ours by name, ``source`` is the digest of all their code,
-    ``code`` of what results depend on.
+    ``code`` of what results depend on; ``plugins`` are those of other distributions.
     """
 
     host: str
@@ -37,6 +38,7 @@ class ProcessFacts(TypedDict):
     source: str
     code: str
     versions: dict[str, str]
+    plugins: list[str]
     cores: int
     memory_bytes: int
     platform: str
@@ -108,6 +110,7 @@ def describe_process() -> ProcessFacts:
         "source": source_digest(sorted(packages.values())),
         "code": code_digest(),
         "versions": versions(),
+        "plugins": [plugin.words for plugin in foreign_plugins()],
         "cores": usable_cores(),
         "memory_bytes": int(MEMORY_LIMIT or 0),
         "platform": platform.platform(),
@@ -213,6 +216,8 @@ def _mixed(processes: Mapping[str, ProcessFacts]) -> list[str]:
         for name, version in facts["versions"].items():
             if name != "code" and version != here["versions"][name]:
                 problems.append(f"{role} has {name} {version}, the client {here['versions'][name]}")
+        lacking = [words for words in here["plugins"] if words not in facts["plugins"]]
+        problems += [f"{role} lacks the plug-in {words}" for words in lacking]
     return problems
 
 

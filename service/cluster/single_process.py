@@ -24,6 +24,10 @@ class SingleProcess:
         """Run tasks that must not fail."""
         return [task(*arguments) for _, arguments in ready(calls)]
 
+    def everywhere(self, task: Callable[..., Returned], *arguments: object) -> dict[str, Returned]:
+        """Run one task here, which is everywhere."""
+        return {"this process": task(*arguments)}
+
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Run tasks that may fail: an exception is a crash, but for those of the store."""
         for key, arguments in ready(calls):

@@ -12,11 +12,13 @@ from typing import Any, Protocol, TypeVar
 
 from palpate.service.cluster.dispatch import Ending, Task, TaskCalls, value_of
 from palpate.service.errors import TaskError
+from palpate.service.study.plugin_use import require_plugins
 from palpate.storage.backends.places import Location
 from palpate.storage.stores.arrays import Arrays
 from palpate.workers.diagnosis.outcome.source import Source
 from palpate.workers.diagnosis.schema.summary import Summary
 from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.plugins import Plugin, foreign_plugins
 from palpate.workers.tasks.diagnosis import (
     analyse_effect,
     calibrate_nominal,
@@ -73,6 +75,9 @@ class Workers(Protocol):
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Run a task for each key and its arguments."""
+
+    def everywhere(self, task: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
+        """Run a task on each worker that is there now."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +184,7 @@ def run(
     Interrupted
         If the dispatcher is told to stop.
     """
+    require_plugins(workers, plugged_effects_of(request))
     store = DiagnosisStore(request)
     slow = frozenset(effect.name for effect in store.effects if effect.is_slow)
     phases = _Phases(request, workers, observe, slow)
@@ -203,6 +209,11 @@ def run(
             "that workers and driver share."
         )
     return diagnosis
+
+
+def plugged_effects_of(request: DiagnosisRequest) -> list[Plugin]:
+    """Return the effects of other distributions that a diagnosis suspects."""
+    return [p for p in foreign_plugins() if p.group == "effects" and p.name in request.effects]
 
 
 class _Phases:

@@ -20,6 +20,7 @@ from palpate.service.study.evaluations import EvaluationRun
 from palpate.service.study.folder import StudyFolder
 from palpate.service.study.log import StudyLog
 from palpate.service.study.observers.hooks import Hooks, Observer, StudyFacts
+from palpate.service.study.plugin_use import require_plugins, used_plugins
 from palpate.service.study.replay import PendingGeneration, SearchReplay
 from palpate.service.study.requests import StudyWork, Tasks
 from palpate.service.study.spec import StudySpec
@@ -223,6 +224,7 @@ class _Run:
     def _prepare(self) -> StudyWork:
         """Bring case and target into the store, which is quick when they are there."""
         store, workers = str(self.store.root), self.dispatcher.threads
+        require_plugins(self.dispatcher, used_plugins(self.spec))
         body = self.dispatcher.call(self.tasks.prepare, self.case, store)
         self.hooks.prepared("case", body)
         target_spec = self.spec.target.model_dump(mode="json")

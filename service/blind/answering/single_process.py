@@ -1,7 +1,8 @@
 """The task that diagnoses a whole case in one process."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from palpate.service.cluster.dispatch import Ending, Task, TaskCalls
 from palpate.service.cluster.submission import ready
@@ -24,6 +25,10 @@ class InThisProcess:
     """A dispatcher for one who is a worker himself."""
 
     threads = 1
+
+    def everywhere(self, task: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
+        """Run one task here, which is everywhere."""
+        return {"this process": task(*arguments)}
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Run tasks one after the other; what they raise goes up unchanged."""

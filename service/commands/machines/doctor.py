@@ -62,6 +62,8 @@ def _print(examination: "Examination") -> None:
         if role == "client":
             for name, folder in facts["packages"].items():
                 typer.echo(f"  {name:<10}{folder}")
+        for words in facts["plugins"]:
+            typer.echo(f"  plug-in   {words}")
     if examination.store is not None:
         typer.echo(f"store: {_store_words(examination.store)}")
     if examination.dashboard:

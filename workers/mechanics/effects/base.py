@@ -9,6 +9,7 @@ by which the out-of-balance force is differentiated.
 import math
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -392,7 +393,11 @@ def renamed(**names: str) -> Truth:
     **names : str
         From the name at the door of a parameter of the effect to its name in the case.
     """
-    return lambda given: {own: float(given[other]) for own, other in names.items()}
+    return partial(_taken, names)
+
+
+def _taken(names: Mapping[str, str], given: Mapping[str, Any]) -> dict[str, float]:
+    return {own: float(given[other]) for own, other in names.items()}
 
 
 def from_zero(

@@ -1,6 +1,6 @@
 """Effects that other distributions add to the catalogue of an organ."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 
 from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.plugins import Plugin, plugins
@@ -31,6 +31,11 @@ def acting_plugins(values: Mapping[str, float]) -> tuple[Plugin, ...]:
         for plugin, effect in _foreign()
         if any(values.get(name, neutral) != neutral for name, neutral in effect.neutral.items())
     )
+
+
+def plugins_of_parameters(names: Container[str]) -> tuple[Plugin, ...]:
+    """Return the plug-ins whose effects have some of these parameters, inside names."""
+    return tuple(plugin for plugin, e in _foreign() if any(name in names for name in e.names))
 
 
 def without_idle_plugins(values: Mapping[str, float]) -> dict[str, float]:

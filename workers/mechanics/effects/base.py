@@ -131,8 +131,9 @@ class Effect:
         Whether the roughness with which the body at rest was drawn looks like this effect, whose
         first parameter is a stiffness per width in N/mm. Default False.
     is_mapped : bool
-        Whether a report shows a map of the places where it would explain the residuals. It
-        needs a `place` inside the body. Default False.
+        Whether a report shows a map of the places where stiffer or softer tissue would explain
+        the residuals. Its first parameter is that stiffness, and its `place` is inside the body.
+        Default False.
     holds_body : bool
         Whether it keeps a body from drifting sideways between frictionless plates, so that a
         plan recommends it for a body that nothing else holds. Default False.
@@ -393,11 +394,7 @@ def renamed(**names: str) -> Truth:
     **names : str
         From the name at the door of a parameter of the effect to its name in the case.
     """
-    return partial(_taken, names)
-
-
-def _taken(names: Mapping[str, str], given: Mapping[str, Any]) -> dict[str, float]:
-    return {own: float(given[other]) for own, other in names.items()}
+    return partial(_read_renamed, names)
 
 
 def from_zero(
@@ -420,6 +417,10 @@ def from_zero(
         open_lower=False,
         reading=reading,
     )
+
+
+def _read_renamed(names: Mapping[str, str], given: Mapping[str, Any]) -> dict[str, float]:
+    return {own: float(given[other]) for own, other in names.items()}
 
 
 def _admissible(parameter: Parameter, value: float) -> bool:

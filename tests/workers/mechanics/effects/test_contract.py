@@ -1,6 +1,7 @@
 """What every effect promises, whatever the solver."""
 
 import math
+import pickle
 from copy import deepcopy
 from dataclasses import replace
 from itertools import combinations
@@ -10,8 +11,9 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.effects.base import Effect, one_sided
+from palpate.workers.mechanics.effects.base import Effect, one_sided, renamed
 from palpate.workers.mechanics.effects.boundary import CLAMP_COMPLIANCE, base_motion
+from palpate.workers.mechanics.effects.observation import rigidly_moved
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.fem.problem.loads import NoPlates, Wall
 from palpate.workers.mechanics.parameters import BREAST, Parameter
@@ -156,6 +158,47 @@ def test_an_effect_must_be_whole():
     loose = Parameter("E_x", MM, 1.0, 2.0, None, "follows", follows="E_fat")
     with pytest.raises(InputError, match="a neutral value for E_x"):
         replace(friction, parameters=(loose,))
+
+
+def test_special_treatment_is_a_field_that_must_make_sense():
+    friction, creep = effect("plate_friction"), effect("creep")
+    with pytest.raises(InputError, match="held_sd > 0 for each of its 1"):
+        replace(creep, held_sd=(0.1, 0.2))
+    with pytest.raises(InputError, match="a place inside the body for a map"):
+        replace(creep, is_mapped=True)
+    with pytest.raises(InputError, match="a place inside the body for a map"):
+        replace(effect("local_attachment"), is_mapped=True)
+    assert friction.is_searched({"E_fat", "friction"})
+    assert not friction.is_searched({"E_fat"})
+    assert replace(friction, searched_as=("rubbing",)).is_searched({"rubbing"})
+
+
+def test_size_grows_in_proportion_unless_it_has_a_place_or_begins_at_neutral():
+    proportional = {e.name for e in BREAST_EFFECTS if e.is_proportional}
+    assert {"plate_tilt", "gravity_change", "growth"} < proportional
+    assert not proportional & {"plate_friction", "inclusion", "local_attachment", "plate_edge"}
+
+
+@on_image
+def test_what_turns_about_the_middle_depends_on_where_that_is(e):
+    elsewhere = replace(FRAME, centre_mm=(20.0, -10.0, 5.0))
+    here, there = (e.observation(*interface(), frame) for frame in (FRAME, elsewhere))
+    assert e.about_centre == (not np.array_equal(here, there))
+
+
+@pytest.mark.parametrize("e", [e for e in ON_IMAGE if e.moves_scan], ids=lambda e: e.name)
+def test_a_scan_is_moved_by_three_shifts_and_three_turns(e):
+    points, normals, tissues = interface()
+    moved = rigidly_moved(points, np.array(e.prior_sd), FRAME.centre_mm) - points
+    shift = e.shift(points, normals, tissues, e.plausible, FRAME)
+    assert shift == pytest.approx((moved * normals).sum(axis=1))
+
+
+def test_renamed_parameters_are_read_from_a_blind_case():
+    truth = renamed(tilt_depth_deg="depth_deg")
+    assert pickle.loads(pickle.dumps(truth))({"depth_deg": 2, "other": 1}) == {
+        "tilt_depth_deg": 2.0
+    }
 
 
 @on_problem

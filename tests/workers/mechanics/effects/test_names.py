@@ -1,0 +1,54 @@
+"""An effect is named in its family and in the catalogues of organs, and nowhere else."""
+
+import ast
+from importlib import import_module
+from pathlib import Path
+
+from palpate import workers
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.organs.registry import catalogue_of, organ_names
+
+ROOT = Path(str(workers.__file__)).resolve().parents[1]
+FAMILIES = "palpate.workers.mechanics.effects"
+# Names that also mean something else: a constant of a study, the other solver's causes, and the
+# tangents that a benchmark times.
+OTHERWISE = {
+    "service/bench/stages.py",
+    "service/formatting.py",
+    "workers/organs/cornea/parameters.py",
+    "workers/organs/cornea/problem.py",
+    "workers/organs/specimen/problem.py",
+}
+
+
+def modules():
+    for folder in ("service", "workers", "storage"):
+        for file in sorted((ROOT / folder).rglob("*.py")):
+            path = file.relative_to(ROOT).as_posix()
+            own = path.startswith(("workers/mechanics/effects/", "workers/blind/"))
+            if not own and not (path.startswith("workers/organs/") and file.name == "effects.py"):
+                yield path, ast.parse(file.read_text())
+
+
+def test_no_module_imports_a_single_effect():
+    found = [
+        (path, alias.name)
+        for path, tree in modules()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith(FAMILIES)
+        for alias in node.names
+        if isinstance(getattr(import_module(str(node.module)), alias.name), Effect)
+    ]
+    assert found == []
+
+
+def test_no_module_compares_with_the_name_of_an_effect():
+    names = {e.name for organ in organ_names() for e in catalogue_of(organ).effects}
+    found = [
+        (path, node.value)
+        for path, tree in modules()
+        if path not in OTHERWISE
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and node.value in names
+    ]
+    assert found == []

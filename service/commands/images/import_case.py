@@ -7,7 +7,9 @@ from typing import Annotated
 import typer
 
 from palpate.service.commands.echo import print_understood
+from palpate.storage.backends.atomic import explained, write_file
 from palpate.storage.errors import InputError
+from palpate.workers.tasks.sources import structured
 
 
 def import_case(
@@ -25,9 +27,6 @@ def import_case(
 
     A case written in prose is rejected if a phrase is not understood; the error quotes the phrase.
     """
-    from palpate.storage.backends.atomic import explained, write_file
-    from palpate.workers.tasks.sources import structured
-
     folder = case if case.is_dir() else case.parent
     path = out or folder / "case.yaml"
     if path.exists():

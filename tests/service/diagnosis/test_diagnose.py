@@ -407,7 +407,9 @@ def test_a_stored_diagnosis_needs_no_cluster(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("palpate.service.diagnosis.run.request_for", lambda *_: diagnosed[0])
+    monkeypatch.setattr(
+        "palpate.service.commands.diagnoses.diagnosing.request_for", lambda *_: diagnosed[0]
+    )
     assert main(["diagnose", str(tilted), "--json", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
     shown = json.loads(said.out)

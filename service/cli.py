@@ -61,9 +61,6 @@ COMMANDS = {
     "import": LazyCommand(
         "images.import_:import_image", "Import a labelled image and show how it was read."
     ),
-    "import-case": LazyCommand(
-        "images.import_case:import_case", "Convert a case to case.yaml, with the unit in every key."
-    ),
     "phantom": LazyCommand(
         "images.phantom:phantom", "Generate a virtual breast and save it in the store."
     ),

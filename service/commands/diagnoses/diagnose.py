@@ -22,7 +22,7 @@ def diagnose(
         Path,
         typer.Argument(
             metavar="SOURCE",
-            help="A case (case.yaml, case.json or the folder containing it), a study that has been "
+            help="A case (case.yaml or the folder containing it), a study that has been "
             "run, or a bench experiment file.",
         ),
     ],

@@ -22,8 +22,7 @@ def plan(
         Path,
         typer.Argument(
             metavar="CASE_OR_STUDY",
-            help="A case (case.yaml, case.json or the folder containing it), or a study that has "
-            "been run.",
+            help="A case (case.yaml or the folder containing it), or a study that has been run.",
         ),
     ],
     out: Annotated[

@@ -327,7 +327,7 @@ def test_the_name_follows_the_scans_and_what_is_asked(tilted: Path, tmp_path: Pa
     shutil.copytree(tilted, folder)
     store = tmp_path / "store"
     first = asked(folder, store)
-    (folder / "truth.json").write_text("{}")  # case.json does not name it
+    (folder / "truth.json").write_text("{}")  # case.yaml does not name it
     assert asked(folder, store).name == first.name
     assert request_for(folder, store, NODES + 1, SPACING_MM, SUSPECTS).name != first.name
     assert request_for(folder, store, NODES, SPACING_MM, SUSPECTS[1:]).name != first.name
@@ -374,7 +374,7 @@ def test_the_command_refuses_before_it_opens_a_cluster(
     assert "The body is " in said.err
     assert (said.err.count("\n"), said.out) == (3, "")  # what, why, and how to insist
     assert main(["diagnose", str(copied.parent)]) == 2
-    assert "cannot be diagnosed: expected a folder with case.json" in capsys.readouterr().err
+    assert "cannot be diagnosed: expected a folder with case.yaml" in capsys.readouterr().err
 
 
 def test_the_command_writes_page_and_record(

@@ -1,6 +1,6 @@
 """The reference of the commands: what each `--help` prints."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 WIDTH = 96
@@ -14,21 +14,22 @@ you can correct, explained in one message; 130 interrupted.
 
 def commands_page() -> str:
     """Return the help of every command as Markdown."""
-    import typer
-
-    from palpate.service.cli import app
+    from palpate.service.cli import COMMANDS
 
     lines = [HEAD]
-    for path, command in _commands(typer.main.get_command(app), ()):
+    commands = {name: command.load(name) for name, command in COMMANDS.items()}
+    for path, command in _commands(commands, ()):
         lines += [f"## {' '.join(path)}", "", "```", _help(path, command), "```", ""]
     return "\n".join(lines)
 
 
-def _commands(group: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    for name, command in group.commands.items():
+def _commands(
+    commands: Mapping[str, Any], path: tuple[str, ...]
+) -> Iterator[tuple[tuple[str, ...], Any]]:
+    for name, command in commands.items():
         here = (*path, name)
         if hasattr(command, "commands"):
-            yield from _commands(command, here)
+            yield from _commands(command.commands, here)
         else:
             yield here, command
 

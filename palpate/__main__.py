@@ -7,10 +7,11 @@ from collections.abc import Sequence
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
     try:
+        # Inside of the handler: Ctrl-C may come while modules are being loaded.
         from palpate.service.cli import main as run
 
         return run(arguments)
-    except KeyboardInterrupt:  # while modules are still being loaded
+    except KeyboardInterrupt:
         sys.stderr.write("Interrupted.\n")
         return 130
 

@@ -14,24 +14,8 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.commands import open_
-from palpate.service.commands.diagnoses import diagnose, plan
-from palpate.service.commands.images import import_, import_case, mammogram, mesh, phantom
-from palpate.service.commands.machines import certs, doctor, serve, slurm, store, token
+from palpate.service.commands.lazy_group import LazyCommand, lazy_group, list_commands
 from palpate.service.commands.settings import remember_command
-from palpate.service.commands.studies import (
-    export,
-    new,
-    parameters,
-    profile,
-    report,
-    run,
-    show,
-    simulate,
-    status,
-    strategies,
-)
-from palpate.service.commands.validation import bench, blind, thesis
 from palpate.storage.errors import PalpateError
 
 USERS_FAULT = 2
@@ -51,8 +35,76 @@ REFUSALS = {
     errno.EIO: "the disk reports an error",
 }
 
+# The module of a command is imported when it is run; tests compare the summaries with its help.
+COMMANDS = {
+    "new": LazyCommand(
+        "studies.new:new", "Write a commented file for a study, diagnosis or experiment."
+    ),
+    "run": LazyCommand("studies.run:run", "Run a study, or continue one where it stopped."),
+    "status": LazyCommand(
+        "studies.status:status", "Show a study's progress, even while it is running."
+    ),
+    "show": LazyCommand("studies.show:show", "Show a candidate's parameters, score and outcome."),
+    "report": LazyCommand(
+        "studies.report:report", "Print a study's results and write report.html to its folder."
+    ),
+    "profile": LazyCommand(
+        "studies.profile:profile", "Show how well the image is fitted as one constant varies."
+    ),
+    "open": LazyCommand("open_:open_", "Open a study's page in the browser and print its path."),
+    "diagnose": LazyCommand(
+        "diagnoses.diagnose:diagnose", "Find where and why a simulation differs from the real body."
+    ),
+    "plan": LazyCommand(
+        "diagnoses.plan:plan", "Predict which causes of a gap the scans could reveal."
+    ),
+    "import": LazyCommand(
+        "images.import_:import_image", "Import a labelled image and show how it was read."
+    ),
+    "phantom": LazyCommand(
+        "images.phantom:phantom", "Generate a virtual breast and save it in the store."
+    ),
+    "mesh": LazyCommand(
+        "images.mesh:mesh", "Mesh the body of a study and print the mesh properties."
+    ),
+    "parameters": LazyCommand(
+        "studies.parameters:parameters", "List an organ's constants and effects for study files."
+    ),
+    "simulate": LazyCommand("studies.simulate:simulate", "Compress the body of a study once."),
+    "export": LazyCommand(
+        "studies.export:export", "Export a deformed body to ParaView, CAD or another solver."
+    ),
+    "serve": LazyCommand("machines.serve:serve", "Serve studies and diagnoses over HTTP."),
+    "slurm": LazyCommand(
+        "machines.slurm:slurm", "Start a scheduler here and workers as SLURM jobs."
+    ),
+    "certs": LazyCommand("machines.certs:certs", "Create TLS certificates for a Dask cluster."),
+    "thesis": LazyCommand(
+        "validation.thesis:thesis", "Run the thesis' experiments and check its published values."
+    ),
+    "mammogram": LazyCommand(
+        "images.mammogram:mammogram", "Simulate CC and MLO mammograms of a study's fitted body."
+    ),
+    "doctor": LazyCommand("machines.doctor:doctor", "Check that everything is ready for a run."),
+    "bench": LazyCommand(
+        "validation.bench:bench", "Measure the time and memory of each stage of a simulation."
+    ),
+    "strategies": LazyCommand(
+        "studies.strategies:strategies",
+        "Compare the cost of search strategies on the same targets.",
+    ),
+    "blind": LazyCommand(
+        "validation.blind:app", "Test the diagnosis on cases whose true causes are sealed."
+    ),
+    "token": LazyCommand("machines.token:app", "Manage the access tokens of a service."),
+    "store": LazyCommand(
+        "machines.store:app", "Maintain a store: check it, free space, move studies."
+    ),
+}
+
 app = typer.Typer(
     name="palpate",
+    cls=lazy_group(COMMANDS),
     help="Estimate the stiffness of living tissue from images, by finite elements and search.",
     no_args_is_help=True,
     add_completion=True,
@@ -63,6 +115,7 @@ app = typer.Typer(
 
 def _print_version(requested: bool) -> None:
     if requested:
+        # Loads numpy, which `palpate --help` does without.
         from palpate.service.versions import palpate_version
 
         typer.echo(f"palpate {palpate_version()}")
@@ -81,33 +134,7 @@ def _options(
     pass
 
 
-app.command("new")(new.new)
-app.command("run")(run.run)
-app.command("status")(status.status)
-app.command("show")(show.show)
-app.command("report")(report.report)
-app.command("profile")(profile.profile)
-app.command("open")(open_.open_)
-app.command("diagnose")(diagnose.diagnose)
-app.command("plan")(plan.plan)
-app.add_typer(blind.app, name="blind")
-app.command("import")(import_.import_image)
-app.command("import-case")(import_case.import_case)
-app.command("phantom")(phantom.phantom)
-app.command("mesh")(mesh.mesh)
-app.command("parameters")(parameters.parameters)
-app.command("simulate")(simulate.simulate)
-app.command("export")(export.export)
-app.command("serve")(serve.serve)
-app.command("slurm")(slurm.slurm)
-app.add_typer(token.app, name="token")
-app.add_typer(store.app, name="store")
-app.command("certs")(certs.certs)
-app.command("thesis")(thesis.thesis)
-app.command("mammogram")(mammogram.mammogram)
-app.command("doctor")(doctor.doctor)
-app.command("bench")(bench.bench)
-app.command("strategies")(strategies.strategies)
+list_commands(app, COMMANDS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

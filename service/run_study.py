@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from palpate.service.errors import GenerationCrashError, Interrupted
+from palpate.service.report.study.page import write_report
 from palpate.service.study.loop import Conclusion, Study
 from palpate.service.study.observers.run_log import logging_to
 from palpate.service.study.preflight import preflight, preflight_task
@@ -23,8 +24,6 @@ _log = logging.getLogger(__name__)
 
 def write_page(folder: Path, quick: bool) -> None:
     """Write the page of a study; a failure is logged and is no failure of the study."""
-    from palpate.service.report.study.page import write_report
-
     try:
         write_report(folder, quick=quick)
     except PalpateError as error:

@@ -22,11 +22,16 @@ from distributed import LocalCluster
 
 from palpate.service.bench.sleeping import TASKS, Durations, text_of
 from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
+from palpate.service.interrupts import stop_requests
 from palpate.service.remote.client import Client
+from palpate.service.server.http.serve import listen, serve, url_of
 from palpate.service.server.jobs.tokens import ENVIRONMENT
+from palpate.service.server.service import open_service
 from palpate.service.study.log import StudyLog
 from palpate.service.study.loop import Study
 from palpate.service.study.spec import parse_spec
+from palpate.storage.backends.atomic import write_file
 from palpate.storage.backends.layout import StudyLayout
 from palpate.storage.errors import InputError
 from palpate.workers import WORKER_ENVIRONMENT
@@ -239,12 +244,6 @@ def _rss_mb(process: subprocess.Popen[bytes]) -> float:
 
 def main(home: str, scheduler: str) -> None:
     """Serve sleeping tasks from a folder."""
-    from palpate.service.cluster.open import open_cluster
-    from palpate.service.interrupts import stop_requests
-    from palpate.service.server.http.serve import listen, serve, url_of
-    from palpate.service.server.service import open_service
-    from palpate.storage.backends.atomic import write_file
-
     with (
         stop_requests() as requests,
         listen("127.0.0.1", 0) as listening,

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar
 
-from palpate import storage, workers
+from palpate import service, storage, workers
 from palpate.service.cluster.dispatch import Dispatcher
 from palpate.service.cluster.open import Cluster, usable_cores
 from palpate.service.errors import ClusterError
@@ -95,8 +95,6 @@ class Examination:
 def describe_process() -> ProcessFacts:
     """Describe this process; sent to workers and scheduler as it is, to describe theirs."""
     from distributed.system import MEMORY_LIMIT
-
-    from palpate import service
 
     packages = {
         p.__name__.removeprefix("palpate."): str(Path(str(p.__file__)).parent)

@@ -1,12 +1,12 @@
 """What a case or an experiment was understood to say, before anything runs."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from rich.console import Console
 
-    from palpate.service.study.spec import StudySpec
+from palpate.service.commands.tables import make_console, print_table
+from palpate.service.study.spec import StudySpec
+from palpate.workers.tasks.sources import understood
 
 
 def print_understood(source: Path) -> None:
@@ -17,19 +17,14 @@ def print_understood(source: Path) -> None:
     InputError
         If the file does not make sense.
     """
-    from palpate.service.commands.tables import make_console, print_table
-    from palpate.workers.tasks.sources import understood
-
     rows = understood(source)
     if not rows:
         return
     print_table(make_console(stderr=True), None, rows, title="Understood:")
 
 
-def print_understood_study(spec: "StudySpec", console: "Console") -> None:
+def print_understood_study(spec: StudySpec, console: Console) -> None:
     """Print the physics that a study rests on, its defaults included."""
-    from palpate.service.commands.tables import print_table
-
     rows = spec.case.understood([parameter["name"] for parameter in spec.free_parameters])
     if rows:
         print_table(console, None, rows, title="Understood:")

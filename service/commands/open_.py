@@ -1,11 +1,16 @@
 """`palpate open` shows the page of a study in a browser."""
 
+import os
+import sys
 import webbrowser
 from pathlib import Path
 
 import typer
 
-from palpate.service.commands.common import StudyArgument, find_study
+from palpate.service.commands.common import StudyArgument
+from palpate.service.commands.named_study import find_study
+from palpate.service.report.study.page import write_report
+from palpate.storage.backends.layout import StudyLayout
 
 
 def open_(study: StudyArgument = None) -> None:
@@ -22,16 +27,12 @@ def open_(study: StudyArgument = None) -> None:
 
 def _page(folder: Path) -> Path:
     """Return the page in a folder, newer than what it tells of."""
-    from palpate.storage.backends.layout import StudyLayout
-
     layout = StudyLayout(folder.absolute())
     for other in ("diagnosis.html", "plan.html"):
         if not layout.journal.is_file() and (layout.root / other).is_file():
             return layout.root / other
     if _is_newer(layout.report, layout.journal):
         return layout.report
-    from palpate.service.report.study.page import write_report
-
     return write_report(layout.root)
 
 
@@ -44,9 +45,6 @@ def _is_newer(page: Path, journal: Path) -> bool:
 
 def _shown(page: Path) -> bool:
     """Hand the page to a browser; False if there is none."""
-    import os
-    import sys
-
     headless = sys.platform.startswith("linux") and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or os.environ.get("BROWSER")
     )

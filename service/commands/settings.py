@@ -14,13 +14,11 @@ import shlex
 from collections.abc import Sequence
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from palpate.service.cluster.scheduler_address import host_and_port
+from palpate.service.cluster.worker_range import Workers, read_workers
 from palpate.storage.backends.places import Place, place_of
 from palpate.storage.errors import InputError
-
-if TYPE_CHECKING:
-    from palpate.service.cluster.worker_range import Workers
 
 STORE, SCHEDULER, WORKERS = "PALPATE_STORE", "PALPATE_SCHEDULER", "PALPATE_WORKERS"
 RUNS = Path("runs")
@@ -63,7 +61,7 @@ def store_place(option: str | None) -> Place:
 
 def cluster_options(
     scheduler: str | None, workers: str | None
-) -> tuple[str | None, "Workers | None"]:
+) -> tuple[str | None, Workers | None]:
     """Return the scheduler or the number of workers that is used; neither by default.
 
     Raises
@@ -73,9 +71,6 @@ def cluster_options(
     ClusterError
         If the scheduler's address is none.
     """
-    from palpate.service.cluster.scheduler_address import host_and_port
-    from palpate.service.cluster.worker_range import read_workers
-
     option = "--workers "
     if scheduler is None and workers is None:
         scheduler = os.environ.get(SCHEDULER) or None

@@ -2,10 +2,8 @@
 
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from rich.console import Console
 
 Row = Sequence[str]
 
@@ -14,15 +12,13 @@ GAP = 2
 NARROWEST_TEXT = 24
 
 
-def make_console(*, stderr: bool = False) -> "Console":
+def make_console(*, stderr: bool = False) -> Console:
     """Return a console that breaks no line by itself: terminals do, and pipes must not."""
-    from rich.console import Console
-
     return Console(stderr=stderr, highlight=False, markup=False, emoji=False, soft_wrap=True)
 
 
 def print_table(
-    console: "Console",
+    console: Console,
     headings: Row | None,
     rows: Sequence[Row],
     *,

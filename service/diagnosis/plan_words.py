@@ -61,7 +61,7 @@ def drift(plan: PlanSummary) -> str:
     holding = [p.door_name for e in effects if e.holds_body for p in e.parameters]
     return (
         f"Nothing holds the body sideways: {together(plan.loose)} would push it away, and their "
-        "numbers mean little. Let the chest wall hold it: springs kx and ky in case.json, or "
+        "numbers mean little. Let the chest wall hold it: springs kx and ky in case.yaml, or "
         f"{listed(holding)} under case.constants of a study."
     )
 

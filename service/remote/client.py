@@ -27,6 +27,7 @@ from palpate.service.server.api import (
     UploadView,
 )
 from palpate.service.server.jobs.tokens import ENVIRONMENT
+from palpate.storage.backends.atomic import explained, replacing
 from palpate.storage.errors import InputError, StoreError
 
 Record = TypeVar("Record", bound=BaseModel)
@@ -221,8 +222,6 @@ class Client:
         InputError
             If the job has no such file.
         """
-        from palpate.storage.backends.atomic import explained, replacing
-
         with (
             explained(to),
             self._http.stream("GET", f"/jobs/{identifier}/files/{name}") as answer,

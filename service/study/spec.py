@@ -14,7 +14,6 @@ from pydantic import (
     Field,
     ModelWrapValidatorHandler,
     SerializeAsAny,
-    StringConstraints,
     create_model,
     model_validator,
 )
@@ -37,13 +36,12 @@ from palpate.workers.spec import (
     CaseSpec,
     Door,
     Identifiable,
+    Name,
     Positive,
     ScoreSpec,
     TargetSpec,
     validated,
 )
-
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 
 
 class StudySpec(Door):

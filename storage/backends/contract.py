@@ -13,17 +13,18 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar, cast
-
-import zarr
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar, cast
 
 from palpate.storage.backends.places import Place
+
+if TYPE_CHECKING:
+    import zarr
 
 P = TypeVar("P")
 DESCRIPTION = "zarr.json"
 ARRAYS_IN = "arrays_in"
 
-FillGroup = Callable[[zarr.Group], None]
+FillGroup: TypeAlias = "Callable[[zarr.Group], None]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +139,7 @@ def backend_of(place: Place) -> Backend[Any]:
     StoreError
         If the place is in a bucket and obstore is not installed.
     """
+    # Both modules import this one; the second needs obstore, which is optional.
     if isinstance(place, Path):
         from palpate.storage.backends import local as local_backend
 

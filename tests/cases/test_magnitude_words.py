@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from palpate.service.commands.diagnoses.diagnose import print_verdict
+from palpate.service.commands.diagnoses.diagnosing import print_verdict
 from palpate.service.diagnosis.plan_words import amounts
 from palpate.service.diagnosis.words import ADD_UP, bayes_factor, headline, magnitude
 from palpate.service.formatting import number, share

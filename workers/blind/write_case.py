@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from palpate.storage.values import Volume
 from palpate.workers.blind.body_shape import reshaped
@@ -46,7 +47,7 @@ def write_case(
     ----------
     truth : Truth
     case_folder : Path
-        Gets ``case.json`` and the segmented scans; its name is the case's id.
+        Gets ``case.yaml`` and the segmented scans; its name is the case's id.
     truth_folder : Path
         Gets ``truth.json`` and ``truth.npz``: ``points`` (k, 3) on the true interfaces,
         ``interface`` (k,), 0 for the outline and 1 for the boundary of the glandular
@@ -70,7 +71,8 @@ def write_case(
     truth_folder.mkdir(parents=True, exist_ok=True)
     for name, labels in scans.items():
         _write_volume(case_folder / name, labels)
-    _write_json(case_folder / "case.json", _case(truth, case_folder.name))
+    case = yaml.safe_dump(_case(truth, case_folder.name), sort_keys=False)
+    (case_folder / "case.yaml").write_text(case, encoding="utf-8")
     _write_truth(truth, body, solutions, truth_folder)
     for path in (*case_folder.iterdir(), *truth_folder.iterdir(), case_folder, truth_folder):
         os.utime(path, (TIME_S, TIME_S))
@@ -108,54 +110,46 @@ def _scans(truth: Truth, body: Body, solutions: list[Solution]) -> dict[str, Vol
 
 
 def _case(truth: Truth, name: str) -> dict[str, Any]:
-    body = truth.anatomy
-    spring = f"{WALL_SPRING_KPA_PER_MM:g} kPa/mm"
-    low, high = plate_starts(body, "y")
+    low, high = plate_starts(truth.anatomy, "y")
     return {
-        "id": name,
-        "units": "mm, N, kPa",
-        "axes": {
-            "x": "cranio-caudal",
-            "y": "medio-lateral",
-            "z": f"chest wall z=0 -> nipple z={body.depth_mm:g}",
-        },
-        "labels": {"0": "background", "1": "fat", "2": "glandular"},
-        "nominal": {
-            "energy": "W = mu/2 (I1bar-3) + 1/d (J-1)^2 + eta/2 (I4bar-1)^2, fibre in tension "
-            "only; mu=E/(2(1+nu)), d=2/K, K=E/(3(1-2nu))",
+        "organ": "breast",
+        "name": name,
+        "model": {
+            "law": "fibre-neo-hookean",
             "nu": NU,
+            "fibres": "tension-only",
+            "fibre_invariant": "isochoric",
             "fibre_direction": [0, 0, 1],
-            "eta": "one value for fat and glandular",
-            "unknown_constants": ["E_fat", "E_gl", "eta"],
-            "plausible_kPa": {"E_fat": [7, 14], "E_gl": [20, 50], "eta": [50, 120]},
-            "chest_wall": f"all nodes at z=0: uz=0; tangential distributed springs kx={spring} "
-            f"and ky={spring} (force per area per mm), otherwise free",
-            "plates": "two rigid flat plates normal to the compression axis of each scan, "
-            "frictionless, unilateral; the lower stands still, the upper only translates along "
-            f"the axis, force controlled; along y lower at y={low:g}, upper at y={high:g}",
-            "gravity": "none (reference and deformed scans in the same posture, reference taken "
-            "as stress free)",
-            "skin": "none",
         },
-        "segmentation": "each scan segmented independently; signed-distance noise sd "
-        f"{truth.noise_sd_mm:g} mm, correlation length about 4 mm, on body outline and glandular "
-        "boundary, reference scan included",
+        "wall": {
+            "z_mm": 0,
+            "kx_kpa_per_mm": WALL_SPRING_KPA_PER_MM,
+            "ky_kpa_per_mm": WALL_SPRING_KPA_PER_MM,
+        },
+        "plates": {"lower_mm": low, "upper_mm": high},
+        "constants": {
+            "E_fat_kpa": [7, 14],
+            "E_glandular_kpa": [20, 50],
+            "eta_kpa": [50, 120],
+        },
+        "noise": {"sd_mm": truth.noise_sd_mm, "correlation_mm": 4},
         "scans": {
             "reference": "reference.nrrd",
-            "deformed": [
-                _scan_entry(truth, load, file)
+            "labels": {0: "air", 1: "fat", 2: "glandular"},
+            "loads": [
+                _load(truth, load, file)
                 for load, file in zip(truth.loads, scan_names(truth.loads), strict=True)
             ],
         },
     }
 
 
-def _scan_entry(truth: Truth, load: Load, file: str) -> dict[str, Any]:
+def _load(truth: Truth, load: Load, file: str) -> dict[str, Any]:
     lower, upper = plate_starts(truth.anatomy, load.axis)
     return {
         "file": file,
-        "plate_force_N": load.force_n,
-        "compression_axis": [1, 0, 0] if load.axis == "x" else [0, 1, 0],
+        "force_n": load.force_n,
+        "axis": load.axis,
         "lower_mm": lower,
         "upper_mm": upper,
     }

@@ -53,9 +53,6 @@ class Reader(Protocol):
     def understood(self, path: Path) -> list[tuple[str, str]]:
         """Return what the file was understood to say: names and texts for a reader."""
 
-    def structured(self, path: Path) -> str | None:
-        """Return the same as a structured YAML text; None if this kind has no other form."""
-
 
 def source_kinds() -> dict[str, str]:
     """Return what makes a source again from its content, ``"module:class"``, by kind."""

@@ -88,7 +88,7 @@ def open_source(path: Path, store: Location | None = None) -> Source:
         return reader.read(path, volumes_of(store))
     missing = "" if path.exists() else "there is nothing at that path; "
     raise InputError(
-        f"{path} cannot be diagnosed: {missing}expected a folder with case.json or case.yaml and "
+        f"{path} cannot be diagnosed: {missing}expected a folder with case.yaml and "
         "its scans, the file of a bench experiment, or the folder of a study that `palpate run` "
         "has made. `palpate new diagnosis NAME` writes a case, `palpate new experiment NAME` an "
         "experiment."
@@ -159,21 +159,6 @@ def is_plannable(path: Path) -> bool:
     return is_study(path) or (reader is not None and reader.plans)
 
 
-def structured(path: Path) -> str:
-    """Return a case as the YAML file that a user would have written.
-
-    Raises
-    ------
-    InputError
-        If there is no case, or it says something that is not understood.
-    """
-    reader = None if is_study(path) else _reader_of(path)
-    text = None if reader is None else reader.structured(path)
-    if text is None:
-        raise InputError(f"{path} is no case: expected a case.json or the folder that it lies in.")
-    return text
-
-
 def refuse_study_file(path: Path) -> None:
     """Say that a study file has to run before it can be diagnosed or planned.
 
@@ -213,7 +198,7 @@ def open_planned(path: Path, store: Location | None = None) -> PlannedSource:
     if planned is not None:
         return planned
     raise InputError(
-        f"{path} cannot be planned: expected a folder with case.json or case.yaml and its "
+        f"{path} cannot be planned: expected a folder with case.yaml and its "
         "reference scan, or the folder of a study that has run."
     )
 

@@ -4,14 +4,17 @@ The diagnosis is told the folder of a case and nothing else. Where fewer cases a
 than half of the workers, the rest is done one case after the other by all of them.
 """
 
-import json
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import yaml
+
 from palpate.service.blind.answering.answers import seal_answers, write_answer, write_failure
 from palpate.service.blind.answering.single_process import diagnose_alone
+from palpate.service.blind.sealed.case_file import NAME as CASE_FILE
+from palpate.service.blind.sealed.case_file import is_along_y, read_case_settings
 from palpate.service.blind.sealed.seal import file_hash, read_json
 from palpate.service.blind.sealed.sealed_settings import differences, frozen
 from palpate.service.blind.sealed.sets import BlindSet, Directions, check_cases, read_manifest
@@ -25,7 +28,6 @@ from palpate.storage.stores.store import open_store
 from palpate.workers.tasks.diagnosis_store import DiagnosisRequest
 
 Tell = Callable[[str], object]
-Y_AXIS = [0, 1, 0]
 
 
 @dataclass(frozen=True)
@@ -164,17 +166,17 @@ def along_y(case: Path, copy: Path) -> Path:
     StoreError
         If it cannot be written.
     """
-    said = read_json(case / "case.json")
+    said = read_case_settings(case)
     scans = said["scans"]
-    kept = [d for d in scans["deformed"] if d.get("compression_axis", Y_AXIS) == Y_AXIS]
+    kept = [load for load in scans["loads"] if is_along_y(load)]
     if not kept:
         raise InputError(f"{case} has no scan pressed along y: answer it with --directions all.")
-    said["scans"] = scans | {"deformed": kept}
+    said["scans"] = scans | {"loads": kept}
     with explained(copy):
         copy.mkdir(parents=True, exist_ok=True)
-        for file in [scans["reference"], *(d["file"] for d in kept)]:
+        for file in [scans["reference"], *(load["file"] for load in kept)]:
             shutil.copy2(case / file, copy / file)
-        (copy / "case.json").write_text(json.dumps(said, indent=1), encoding="utf-8")
+        (copy / CASE_FILE).write_text(yaml.safe_dump(said, sort_keys=False), encoding="utf-8")
     return copy
 
 

@@ -15,6 +15,7 @@ from palpate.service.blind.scoring.magnitudes import (
     true_values,
 )
 from palpate.service.blind.scoring.true_gap import TrueGap, true_gap
+from palpate.service.blind.sealed.case_file import is_along_y, read_case_settings
 from palpate.service.blind.sealed.records import FAILED, CaseRecord
 from palpate.service.blind.sealed.seal import read_json
 from palpate.service.blind.sealed.sets import BlindSet, Directions, Truths
@@ -26,7 +27,6 @@ from palpate.workers.diagnosis.schema.summary import ShareEstimate, Summary
 from palpate.workers.diagnosis.verdict.verdict import NO_GAP, NONE_OF_THESE
 
 Arrays = Mapping[str, FloatArray]
-Y_AXIS = [0, 1, 0]
 
 
 def read_records(
@@ -137,8 +137,8 @@ def _diagnosed(moved: Moved, case: Path, directions: Directions) -> Moved:
     """Return the scans that were diagnosed."""
     if directions == "all":
         return moved
-    loaded = read_json(case / "case.json")["scans"]["deformed"]
-    chosen = [n for n, d in enumerate(loaded) if d.get("compression_axis", Y_AXIS) == Y_AXIS]
+    loads = read_case_settings(case)["scans"]["loads"]
+    chosen = [n for n, load in enumerate(loads) if is_along_y(load)]
     return Moved(moved.points, moved.interface, moved.displacement[chosen])
 
 

@@ -1,33 +1,20 @@
 """`palpate diagnose`: why a simulated body differs from the real one."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from palpate.service.cluster.fork_server import forked_workers
 from palpate.service.commands.common import (
     AnywayOption,
     JsonOption,
     SchedulerOption,
     StoreOption,
     WorkersOption,
-    print_findings,
-    print_json,
 )
-from palpate.service.commands.echo import folder_name, print_understood
 from palpate.service.commands.interrupts import interruptible
-from palpate.service.commands.settings import RUNS, cluster_options, store_place
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from palpate.service.cluster.worker_range import Workers
-    from palpate.service.diagnosis.run import FinishedDiagnosis
-    from palpate.workers.diagnosis.schema.summary import Summary
-    from palpate.workers.tasks.diagnosis_store import DiagnosisRequest
-
-# Effects in the table: the most probable ones.
-SHOWN = 6
+from palpate.service.commands.settings import cluster_options
 
 
 def diagnose(
@@ -35,7 +22,7 @@ def diagnose(
         Path,
         typer.Argument(
             metavar="SOURCE",
-            help="A case (case.yaml, case.json or the folder containing it), a study that has been "
+            help="A case (case.yaml or the folder containing it), a study that has been "
             "run, or a bench experiment file.",
         ),
     ],
@@ -68,145 +55,10 @@ def diagnose(
 
     Press Ctrl-C to stop at any time; the same command continues the diagnosis.
     """
-    import time
-    from datetime import UTC, datetime
-
-    from palpate.service.cluster.fork_server import forked_workers
-
     scheduler, processes = cluster_options(scheduler, workers)
-    with (
-        interruptible(),  # from the first line that is printed on
-        forked_workers(
-            scheduler, "palpate.service.diagnosis.worker_imports"
-        ),  # while we import, too
-    ):
-        from palpate.service.diagnosis.run import finished, request_for, with_caveats
-        from palpate.storage.errors import InputError
-        from palpate.workers.tasks.sources import (
-            check_source,
-            is_plannable,
-            open_source,
-            source_caveats,
-        )
+    with interruptible(), forked_workers(scheduler, "palpate.service.diagnosis.worker_imports"):
+        # Both processes import at the same time: this one and the one that workers are forked from.
+        from palpate.service.commands.diagnoses.diagnosing import Wanted, diagnose_source
 
-        if plan and source.is_file() and not is_plannable(source):
-            raise InputError(
-                f"{source} is a bench experiment, and --plan knows further scans only. "
-                "Leave it out."
-            )
-        opened = open_source(source, store_place(store))
-        findings = check_source(opened, anyway=anyway)
-        print_findings(findings)
-        print_understood(source)
-        request = request_for(opened, store_place(store), nodes)
-        began, when = time.monotonic(), datetime.now(UTC).isoformat()
-        stored = finished(request) is not None
-        diagnosis = _diagnosed(request, source, processes, scheduler)
-        if _to_be_planned(diagnosis.summary, source, plan):
-            diagnosis = _with_plan(diagnosis, source, request, processes, scheduler)
-    diagnosis = with_caveats(diagnosis, source_caveats(opened, findings))
-    from palpate.service.diagnosis.quotability import summary_json
-    from palpate.service.report.diagnosis.files import write_diagnosis
-    from palpate.service.report.diagnosis.made import origin_of
-
-    spent = None if stored else time.monotonic() - began
-    origin = origin_of(opened, request, when, f"palpate diagnose {source}", spent)
-    page = write_diagnosis(diagnosis, out or RUNS / folder_name(source), origin)
-    if as_json:
-        print_json(summary_json(diagnosis.summary))
-        return
-    from palpate.service.commands.tables import make_console
-
-    print_verdict(diagnosis.summary, make_console())
-    typer.echo(f"page: {page}")
-
-
-def _diagnosed(
-    request: "DiagnosisRequest",
-    source: Path,
-    workers: "Workers | None",
-    scheduler: str | None,
-) -> "FinishedDiagnosis":
-    """Return the diagnosis, from the store if it is there."""
-    from rich.console import Console
-
-    from palpate.service.diagnosis.dask_observer import run_and_tell
-    from palpate.service.diagnosis.progress import DiagnosisProgress
-    from palpate.service.diagnosis.run import finished
-    from palpate.service.study.session import session
-
-    stored = finished(request)
-    if stored is not None:
-        typer.echo("The store holds this diagnosis: nothing to compute.", err=True)
-        return stored
-    with (
-        session(scheduler, workers) as opened,
-        DiagnosisProgress(Console(stderr=True, highlight=False)) as progress,
-    ):
-        return run_and_tell(request, opened.dispatcher, source, progress)
-
-
-def _to_be_planned(summary: "Summary", source: Path, wanted: bool | None) -> bool:
-    """Return whether more measurements are to be tried; a bench experiment has none."""
-    from palpate.service.diagnosis.advice import undecided
-    from palpate.workers.tasks.sources import is_plannable
-
-    return (undecided(summary) and is_plannable(source)) if wanted is None else wanted
-
-
-def _with_plan(
-    diagnosis: "FinishedDiagnosis",
-    source: Path,
-    request: "DiagnosisRequest",
-    workers: "Workers | None",
-    scheduler: str | None,
-) -> "FinishedDiagnosis":
-    """Add what else could be measured."""
-    from dataclasses import replace
-
-    from palpate.service.commands.diagnoses.planning import planned
-    from palpate.service.diagnosis.advice import next_acquisitions
-    from palpate.service.diagnosis.planning import NODES, request_plan
-    from palpate.storage.errors import PalpateError
-
-    nodes = min(NODES, request.nodes)
-    try:
-        asked = request_plan(source, request.store, nodes, anyway=True)
-        plan = planned(asked, workers, scheduler)
-    except PalpateError as error:
-        typer.echo(f"No further measurement could be tried. {error}", err=True)
-        return diagnosis
-    options = next_acquisitions(diagnosis.summary, plan)
-    return replace(diagnosis, summary=replace(diagnosis.summary, next_acquisitions=options))
-
-
-def print_verdict(summary: "Summary", console: "Console") -> None:
-    """Print a sentence, and the most probable causes."""
-    from palpate.service.commands.tables import print_table
-    from palpate.service.diagnosis.advice import worth
-    from palpate.service.diagnosis.experiment import experiment_lines
-    from palpate.service.diagnosis.quotability import constant_lines
-    from palpate.service.diagnosis.words import ADD_UP, likely, magnitude, sentence, spoken
-
-    for text in summary.caveats or ():
-        console.print(text, soft_wrap=True)
-    console.print(sentence(summary), soft_wrap=True)
-    rows = [
-        (spoken("no-gap"), likely(summary.no_gap_probability), "", ""),
-        (spoken("none-of-these"), likely(summary.none_of_these_probability), "", ""),
-    ]
-    ranked = sorted(summary.effects, key=lambda e: -e.probability)
-    for e in [e for e in ranked if e.name not in summary.absorbed][:SHOWN]:
-        share = f"{100 * e.absorbed_share:.0f} %"
-        rows.append((spoken(e.name), likely(e.probability), magnitude(e), share))
-    print_table(console, ("cause", "probability", "magnitude", "absorbed"), rows, right=(1, 3))
-    console.print(ADD_UP, soft_wrap=True)
-    if summary.absorbed:
-        names = ", ".join(spoken(name) for name in summary.absorbed)
-        console.print(
-            f"Hidden in the constants, neither accused nor acquitted: {names}.", soft_wrap=True
-        )
-    for option in summary.next_acquisitions or ():
-        console.print(f"Next, {option.name}: {worth(option)}.", soft_wrap=True)
-    for line in (*constant_lines(summary), *experiment_lines(summary)):
-        console.print(line, soft_wrap=True)
+        wanted = Wanted(out, nodes, plan, anyway, store, as_json)
+        diagnose_source(source, wanted, processes, scheduler)

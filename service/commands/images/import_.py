@@ -1,9 +1,10 @@
 """`palpate import` reads an image into the store, under a name."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.console import Console
 
 from palpate.service.commands.common import (
     AnywayOption,
@@ -12,12 +13,24 @@ from palpate.service.commands.common import (
     print_findings,
     print_json,
 )
+from palpate.service.commands.images.preview import doubt, facts, terminal_lines, write_png
 from palpate.service.commands.settings import RUNS, store_place
+from palpate.service.commands.tables import echo_table
+from palpate.service.export.suffixes import check_suffix
+from palpate.storage.backends.atomic import explained
+from palpate.storage.digest import array_digest, digest
 from palpate.storage.errors import InputError
-
-if TYPE_CHECKING:
-    from palpate.storage.stores.store import Store
-    from palpate.storage.values import Volume
+from palpate.storage.stores.store import Store, open_store
+from palpate.storage.stores.volumes import save_volume, volume_meta, volumes_named
+from palpate.storage.values import Volume
+from palpate.workers.body.images.labels import summarise
+from palpate.workers.body.images.named_labels import read_tissues
+from palpate.workers.body.images.orient import anatomical_directions
+from palpate.workers.body.images.tiff_stack import slices_read
+from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.study_checks import caveats_of
+from palpate.workers.spec import Door, Name, validated
+from palpate.workers.tasks.study_checks import imported_findings
 
 
 def import_image(
@@ -71,18 +84,6 @@ def import_image(
     The image is saved in the store. Check the printed size, axes, labels and volumes: all later
     results depend on them.
     """
-    from palpate.service.commands.images.preview import doubt
-    from palpate.service.export.suffixes import check_suffix
-    from palpate.service.study.spec import Name
-    from palpate.storage.stores.store import open_store
-    from palpate.workers.body.images.labels import summarise
-    from palpate.workers.body.images.named_labels import read_tissues
-    from palpate.workers.body.images.orient import anatomical_directions
-    from palpate.workers.body.images.tiff_stack import slices_read
-    from palpate.workers.organs.registry import organ_named
-    from palpate.workers.organs.study_checks import caveats_of
-    from palpate.workers.spec import Door, validated
-    from palpate.workers.tasks.study_checks import imported_findings
 
     class Wanted(Door):
         name: Name
@@ -133,23 +134,15 @@ def import_image(
     typer.echo(f"{name} is in {opened} as {digest_of_image}. In a study: volume: {name}")
 
 
-def _draw(path: Path, volume: "Volume", name: str, letters: tuple[str, str, str] | None) -> Path:
-    from palpate.service.commands.images.preview import write_png
-    from palpate.storage.backends.atomic import explained
-
+def _draw(path: Path, volume: Volume, name: str, letters: tuple[str, str, str] | None) -> Path:
     with explained(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_png(path, volume, name, letters)
     return path
 
 
-def _print(volume: "Volume", record: dict[str, Any]) -> None:
+def _print(volume: Volume, record: dict[str, Any]) -> None:
     """Print facts and slices; the slices with letters where there are no colours."""
-    from rich.console import Console
-
-    from palpate.service.commands.images.preview import facts, terminal_lines
-    from palpate.service.commands.tables import echo_table
-
     echo_table(None, facts(record, record["axes"]))
     console = Console(highlight=False, markup=False)
     coloured = console.is_terminal and not console.no_color
@@ -159,7 +152,7 @@ def _print(volume: "Volume", record: dict[str, Any]) -> None:
         typer.echo(f"Check: {record['doubt']}", err=True)
 
 
-def _keep(store: "Store", name: str, volume: "Volume", file: str, *, replace: bool) -> str:
+def _keep(store: Store, name: str, volume: Volume, file: str, *, replace: bool) -> str:
     """Store a volume under a name and return its digest.
 
     Raises
@@ -167,9 +160,6 @@ def _keep(store: "Store", name: str, volume: "Volume", file: str, *, replace: bo
     InputError
         If the name means another volume, which is not to be replaced.
     """
-    from palpate.storage.digest import array_digest, digest
-    from palpate.storage.stores.volumes import save_volume, volume_meta, volumes_named
-
     place = [list(volume.spacing_mm), list(volume.origin_mm), *volume.frame_facts]
     content = digest("import", name, array_digest(volume.values), *place)
     named = {v: volume_meta(store, v) for v in volumes_named(store, name)}

@@ -1,20 +1,20 @@
 """`palpate mammogram` takes mammograms of the body of a study."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import (
-    JsonOption,
-    StoreOption,
-    StudyArgument,
-    find_study,
-    print_json,
-)
-
-if TYPE_CHECKING:
-    from palpate.workers.tasks.mammogram import TakenView
+from palpate.service.commands.common import JsonOption, StoreOption, StudyArgument, print_json
+from palpate.service.commands.named_study import find_study
+from palpate.service.commands.settings import store_place
+from palpate.service.results.read import study_results
+from palpate.service.thesis.write import png_bytes
+from palpate.storage.backends.atomic import explained, write_file
+from palpate.storage.errors import InputError
+from palpate.workers.comparison.mammogram.dicom_image import dicom_bytes, mammogram_dataset
+from palpate.workers.comparison.mammogram.picture import difference_picture, grey_picture
+from palpate.workers.tasks.mammogram import OBLIQUE_DEG, TakenView, take_view
 
 
 def mammogram(
@@ -43,10 +43,6 @@ def mammogram(
     the study's own force or plates, rotated by 45 degrees for MLO. If the target's constants are
     known, the target is imaged too, together with the signed difference.
     """
-    from palpate.service.results.read import study_results
-    from palpate.storage.errors import InputError
-    from palpate.workers.tasks.mammogram import OBLIQUE_DEG, take_view
-
     folder = find_study(study)
     results = study_results(folder)
     views: list[Any] = [v.upper() for v in view or OBLIQUE_DEG]
@@ -57,8 +53,6 @@ def mammogram(
         raise InputError(f"The study {folder} has no candidate with a score yet: let it run.")
     spec = results.spec
     target = spec.target.constants
-    from palpate.service.commands.settings import store_place
-
     place = store_place(store or results.store)
     home = out or folder / "mammograms"
     written = []
@@ -80,12 +74,7 @@ def mammogram(
         typer.echo(str(file))
 
 
-def _write(taken: "TakenView", folder: Path, name: str) -> list[Path]:
-    from palpate.service.thesis.write import png_bytes
-    from palpate.storage.backends.atomic import explained, write_file
-    from palpate.workers.comparison.mammogram.dicom_image import dicom_bytes, mammogram_dataset
-    from palpate.workers.comparison.mammogram.picture import difference_picture, grey_picture
-
+def _write(taken: TakenView, folder: Path, name: str) -> list[Path]:
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
     contents: dict[str, bytes] = {}

@@ -9,11 +9,19 @@ from palpate.service.commands.common import (
     AnywayOption,
     JsonOption,
     StoreOption,
-    load_spec,
     print_findings,
     print_json,
 )
+from palpate.service.commands.named_study import load_spec
 from palpate.service.commands.settings import store_place
+from palpate.service.export import MESH_SUFFIXES, check_suffix, export_stored_mesh
+from palpate.storage.stores.meshes import load_mesh
+from palpate.storage.stores.store import open_store
+from palpate.workers.body.mesh.hierarchy import from_arrays
+from palpate.workers.body.mesh.quality import summarise
+from palpate.workers.organs.study_checks import caveats_of
+from palpate.workers.tasks.evaluation import case_of, prepare_case
+from palpate.workers.tasks.study_checks import check_case
 
 
 def mesh(
@@ -33,15 +41,6 @@ def mesh(
     as_json: JsonOption = False,
 ) -> None:
     """Mesh the body of a study and print the mesh properties."""
-    from palpate.service.export import MESH_SUFFIXES, check_suffix, export_stored_mesh
-    from palpate.storage.stores.meshes import load_mesh
-    from palpate.storage.stores.store import open_store
-    from palpate.workers.body.mesh.hierarchy import from_arrays
-    from palpate.workers.body.mesh.quality import summarise
-    from palpate.workers.organs.study_checks import caveats_of
-    from palpate.workers.tasks.evaluation import case_of, prepare_case
-    from palpate.workers.tasks.study_checks import check_case
-
     check_suffix(out, MESH_SUFFIXES)
     case = load_spec(study).case.model_dump(mode="json")
     if nodes is not None or element_size_mm is not None:

@@ -7,6 +7,12 @@ import typer
 
 from palpate.service.commands.common import JsonOption, StoreOption, print_json
 from palpate.service.commands.settings import store_place
+from palpate.service.export import TISSUE_NAMES, VOLUME_SUFFIXES, check_suffix, export_volume
+from palpate.storage.stores.store import open_store
+from palpate.workers.body.images.labels import summarise
+from palpate.workers.organs.registry import organ_named
+from palpate.workers.spec import validated
+from palpate.workers.tasks.body_store import BodyStore
 
 
 def phantom(
@@ -29,13 +35,6 @@ def phantom(
     as_json: JsonOption = False,
 ) -> None:
     """Generate a virtual breast and save it in the store."""
-    from palpate.service.export import TISSUE_NAMES, VOLUME_SUFFIXES, check_suffix, export_volume
-    from palpate.storage.stores.store import open_store
-    from palpate.workers.body.images.labels import summarise
-    from palpate.workers.organs.registry import organ_named
-    from palpate.workers.spec import validated
-    from palpate.workers.tasks.body_store import BodyStore
-
     check_suffix(out, VOLUME_SUFFIXES)
     options = {
         "preset": preset,

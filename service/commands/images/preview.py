@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from palpate.service.report.drawing.palette import INK, TISSUES
 from palpate.service.report.drawing.slices import AXES, VIEWS, Section, View, middle_mm, section
+from palpate.storage.backends.atomic import explained, replacing
 from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.images.orient import opposite, world_axes
 
@@ -147,8 +148,6 @@ def write_png(
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
-
-    from palpate.storage.backends.atomic import explained, replacing
 
     drawn = Figure(figsize=(11, 4.2), layout="constrained", facecolor="white")
     FigureCanvasAgg(drawn)

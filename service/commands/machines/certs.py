@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from palpate.service.cluster.certificates import make_certificates
 from palpate.service.commands.common import JsonOption, print_json
 
 
@@ -23,8 +24,6 @@ def certs(
     before every `dask scheduler --protocol tls`, `dask worker tls://HOST:8786` and
     `palpate run --scheduler tls://HOST:8786`.
     """
-    from palpate.service.cluster.certificates import make_certificates
-
     made = make_certificates(folder, days)
     environment = made.environment()
     if as_json:

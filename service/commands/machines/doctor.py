@@ -1,14 +1,13 @@
 """`palpate doctor` says whether everything is ready."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from palpate.service.cluster.doctor import Examination, StoreFacts, examine
+from palpate.service.cluster.open import open_cluster
 from palpate.service.commands.common import JsonOption, StoreOption, print_json
 from palpate.service.commands.settings import cluster_options, store_place
-
-if TYPE_CHECKING:
-    from palpate.service.cluster.doctor import Examination, StoreFacts
 
 
 def doctor(
@@ -28,9 +27,6 @@ def doctor(
 
     Checks versions, workers, store and kernels. The exit code is 2 if there is a problem.
     """
-    from palpate.service.cluster.doctor import examine
-    from palpate.service.cluster.open import open_cluster
-
     scheduler, _ = cluster_options(scheduler, None)
     place = str(store_place(store))
     with open_cluster(scheduler, None if scheduler else 1) as cluster:
@@ -43,7 +39,7 @@ def doctor(
         raise typer.Exit(2)
 
 
-def _store_words(facts: "StoreFacts") -> str:
+def _store_words(facts: StoreFacts) -> str:
     tried = "written, read and listed"
     if facts["free_bytes"] is not None:
         return f"{facts['root']}, {tried}, {facts['free_bytes'] / 1024**3:.0f} GiB free"
@@ -51,7 +47,7 @@ def _store_words(facts: "StoreFacts") -> str:
     return f"{facts['root']}, {tried}; conditional put (If-None-Match) {honoured}"
 
 
-def _print(examination: "Examination") -> None:
+def _print(examination: Examination) -> None:
     for role, facts in examination.processes.items():
         memory = facts["memory_bytes"] / 1024**3
         typer.echo(

@@ -5,9 +5,15 @@ from typing import Annotated
 
 import typer
 
+from palpate.service.cluster.open import open_cluster
 from palpate.service.commands.common import SchedulerOption, WorkersOption
 from palpate.service.commands.interrupts import stop_requests
 from palpate.service.commands.settings import RUNS, cluster_options
+from palpate.service.server.http.guard import is_loopback
+from palpate.service.server.http.serve import listen, url_of
+from palpate.service.server.http.serve import serve as listen_and_serve
+from palpate.service.server.jobs.limits import MIB, Limits
+from palpate.service.server.service import open_service
 
 
 def serve(
@@ -56,13 +62,6 @@ def serve(
     """
     with stop_requests() as requests:
         address, processes = cluster_options(scheduler, workers)
-        from palpate.service.cluster.open import open_cluster
-        from palpate.service.server.http.guard import is_loopback
-        from palpate.service.server.http.serve import listen, url_of
-        from palpate.service.server.http.serve import serve as listen_and_serve
-        from palpate.service.server.jobs.limits import MIB, Limits
-        from palpate.service.server.service import open_service
-
         listening = listen(host, port)
         with (
             listening,

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from palpate.service.cluster.slurm import SlurmRequest, open_slurm
+from palpate.service.cluster.worker_range import read_workers
 from palpate.service.commands.interrupts import stop_requests
 
 SAY_EVERY_S = 1.0
@@ -49,9 +51,6 @@ def slurm(
 
     The job script is shown before it is submitted. Press Ctrl-C to cancel the jobs.
     """
-    from palpate.service.cluster.slurm import SlurmRequest, open_slurm
-    from palpate.service.cluster.worker_range import read_workers
-
     request = SlurmRequest(
         workers=read_workers(workers),
         memory=memory,

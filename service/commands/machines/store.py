@@ -1,24 +1,30 @@
 """`palpate store` looks after a store: check, rm, gc, migrate, export and import."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import (
-    JsonOption,
-    StoreOption,
-    StudyArgument,
-    find_study,
-    print_json,
-)
+from palpate.service.commands.common import JsonOption, StoreOption, StudyArgument, print_json
+from palpate.service.commands.named_study import find_study
 from palpate.service.commands.settings import RUNS, stated_store, store_place
-
-if TYPE_CHECKING:
-    from palpate.service.results.record_check import RecordCheck
-    from palpate.storage.backends.places import Place
-    from palpate.storage.stores.store import Store
-    from palpate.storage.upkeep.check import StoreCheck
+from palpate.service.results.record_check import RecordCheck, check_records
+from palpate.service.study.archive import archived_name, export_study, import_study
+from palpate.service.study.store_use import (
+    find_garbage,
+    find_named,
+    refuse_if_needed,
+    remove,
+    studies_in,
+    study_use,
+)
+from palpate.storage.backends.places import Place
+from palpate.storage.errors import InputError
+from palpate.storage.stores.lock import maintaining
+from palpate.storage.stores.store import Store, open_store
+from palpate.storage.stores.volumes import remove_volume
+from palpate.storage.upkeep.check import StoreCheck, check_store, set_aside
+from palpate.storage.upkeep.migration import migrate as migrate_store
 
 app = typer.Typer(
     no_args_is_help=True, help="Maintain a store: check it, free space, move studies."
@@ -50,12 +56,6 @@ def check(
 
     Every entry is read. The exit code is 2 if any is damaged.
     """
-    from palpate.service.results.record_check import check_records
-    from palpate.service.study.store_use import studies_in
-    from palpate.storage.stores.lock import maintaining
-    from palpate.storage.stores.store import open_store
-    from palpate.storage.upkeep.check import check_store, set_aside
-
     opened = open_store(store_place(store), create=False)
     found, records = check_store(opened), check_records(studies_in(studies or [RUNS]))
     aside = None
@@ -71,7 +71,7 @@ def check(
 
 
 def _check_json(
-    store: "Store", found: "StoreCheck", records: "RecordCheck", aside: "Place | None"
+    store: Store, found: StoreCheck, records: RecordCheck, aside: Place | None
 ) -> dict[str, Any]:
     damages = [*found.damages, *records.damages]
     return {
@@ -86,7 +86,7 @@ def _check_json(
 
 
 def _print_check(
-    store: "Store", found: "StoreCheck", records: "RecordCheck", aside: "Place | None"
+    store: Store, found: StoreCheck, records: RecordCheck, aside: Place | None
 ) -> None:
     counts = ", ".join(f"{number} {name}" for name, number in found.counts.items())
     typer.echo(f"{store}: {counts}; {len(found.leftovers)} half written; {records.studies} studies")
@@ -119,11 +119,6 @@ def rm(
 
     Nothing is removed if a study needs one of them, unless --force is given.
     """
-    from palpate.service.study.store_use import find_named, refuse_if_needed, studies_in
-    from palpate.storage.stores.lock import maintaining
-    from palpate.storage.stores.store import open_store
-    from palpate.storage.stores.volumes import remove_volume
-
     opened = open_store(store_place(store), create=False)
     found = find_named(opened, names, studies_in(studies or [RUNS]))
     if not force:
@@ -149,8 +144,6 @@ def migrate(store: StoreOption = None, as_json: JsonOption = False) -> None:
 
     Nothing else may use the store meanwhile.
     """
-    from palpate.storage.upkeep.migration import migrate as migrate_store
-
     place = store_place(store)
     before, after = migrate_store(place)
     if as_json:
@@ -183,11 +176,6 @@ def gc(
 
     This covers parts of diagnoses, and volumes and evaluations of removed studies.
     """
-    from palpate.service.study.store_use import find_garbage, remove, studies_in, study_use
-    from palpate.storage.errors import InputError
-    from palpate.storage.stores.lock import maintaining
-    from palpate.storage.stores.store import open_store
-
     opened = open_store(store_place(store), create=False)
     kept = studies_in(studies or [RUNS])
     if studies and not kept:
@@ -227,8 +215,6 @@ def export(
     as_json: JsonOption = False,
 ) -> None:
     """Write a study and the data it needs to one file."""
-    from palpate.service.study.archive import export_study
-
     folder = find_study(study)
     archive = out or Path(f"{folder.resolve().name}.palpate.tar")
     made = export_study(folder, archive)
@@ -256,8 +242,6 @@ def import_(
 
     Import only archives that you trust.
     """
-    from palpate.service.study.archive import archived_name, import_study
-
     home = folder or RUNS / archived_name(archive)
     made = import_study(archive, home, stated_store(store) or home.parent / "store")
     if as_json:

@@ -1,15 +1,14 @@
 """`palpate token` makes and removes the tokens of a service."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from palpate.service.commands.common import JsonOption, print_json
 from palpate.service.commands.settings import RUNS
-
-if TYPE_CHECKING:
-    from palpate.service.server.jobs.tokens import Tokens
+from palpate.service.server.jobs.home import ServiceHome
+from palpate.service.server.jobs.tokens import Tokens
 
 app = typer.Typer(no_args_is_help=True, help="Manage the access tokens of a service.")
 
@@ -46,10 +45,7 @@ def remove(name: NameArgument, home: HomeOption = RUNS) -> None:
     _tokens(home).remove(name)
 
 
-def _tokens(home: Path, *, make: bool = False) -> "Tokens":
-    from palpate.service.server.jobs.home import ServiceHome
-    from palpate.service.server.jobs.tokens import Tokens
-
+def _tokens(home: Path, *, make: bool = False) -> Tokens:
     root = home.expanduser().absolute()
     service = ServiceHome(root, root / "store")
     if make:

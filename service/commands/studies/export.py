@@ -1,23 +1,20 @@
 """`palpate export` writes a deformed body for other programs."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import (
-    JsonOption,
-    StoreOption,
-    constants_option,
-    load_spec,
-    print_json,
-)
+from palpate.service.commands.common import JsonOption, StoreOption, print_json
+from palpate.service.commands.named_study import constants_option, load_spec
 from palpate.service.commands.settings import store_place
+from palpate.service.export.formats import export_solved
+from palpate.service.export.solved_body import SolvedBody, solve_body
+from palpate.service.export.suffixes import check_suffix, solved_suffixes
+from palpate.service.results.read import candidate_results
+from palpate.service.study.spec import StudySpec
 from palpate.storage.errors import InputError
-
-if TYPE_CHECKING:
-    from palpate.service.export.solved_body import SolvedBody
-    from palpate.service.study.spec import StudySpec
+from palpate.workers.tasks.study_checks import check_case
 
 
 def export(
@@ -57,16 +54,10 @@ def export(
     Its solution in the other solver can be compared node by node with a .vtu file written with
     --comparable.
     """
-    from palpate.service.export.suffixes import check_suffix, solved_suffixes
-
     for path in files:
         check_suffix(path, solved_suffixes(), "")
     spec = load_spec(study)
     stated, whose = _constants(study, spec, candidate, constants or [])
-
-    from palpate.service.export.formats import export_solved
-    from palpate.service.export.solved_body import solve_body
-    from palpate.workers.tasks.study_checks import check_case
 
     check_case(spec.case)
     case = spec.case.model_dump(mode="json")
@@ -84,7 +75,7 @@ def export(
 
 
 def _constants(
-    study: Path, spec: "StudySpec", candidate: str | None, given: list[str]
+    study: Path, spec: StudySpec, candidate: str | None, given: list[str]
 ) -> tuple[dict[str, float], str]:
     """Return constants by their inside names, and whose they are in words."""
     if candidate is None:
@@ -97,13 +88,11 @@ def _constants(
         raise InputError(f"{study} is a study file: --candidate needs the folder of a study.")
     if candidate != "best" and not candidate.isdecimal():
         raise InputError(f"--candidate {candidate}: expected a number, or best.")
-    from palpate.service.results.read import candidate_results
-
     found = candidate_results(study, None if candidate == "best" else int(candidate))
     return spec.constants_of(found.genes), f"candidate {found.candidate}"
 
 
-def _record(body: "SolvedBody", whose: str, files: list[Path]) -> dict[str, Any]:
+def _record(body: SolvedBody, whose: str, files: list[Path]) -> dict[str, Any]:
     model = body.level.model
     return {
         "title": body.title,

@@ -7,7 +7,10 @@ from typing import Annotated
 
 import typer
 
+from palpate.service.templates import template
+from palpate.storage.backends.atomic import write_file
 from palpate.storage.errors import InputError
+from palpate.workers.spec import Door, Name, validated
 
 
 class Kind(StrEnum):
@@ -40,10 +43,6 @@ def new(
     out: Annotated[Path | None, typer.Option(help="File to write instead of NAME.yaml.")] = None,
 ) -> None:
     """Write a commented file for a study, diagnosis or experiment."""
-    from palpate.service.study.spec import Name
-    from palpate.service.templates import template
-    from palpate.storage.backends.atomic import write_file
-    from palpate.workers.spec import Door, validated
 
     class Wanted(Door):
         name: Name

@@ -5,6 +5,8 @@ from typing import Annotated, Any
 import typer
 
 from palpate.service.commands.common import JsonOption, print_json
+from palpate.service.commands.tables import echo_table
+from palpate.workers.organs.registry import catalogue_of, organ_named
 
 HEADINGS = ("name", "known interval", "neutral", "description")
 
@@ -17,8 +19,6 @@ def parameters(
     as_json: JsonOption = False,
 ) -> None:
     """List an organ's constants and effects for study files."""
-    from palpate.workers.organs.registry import catalogue_of, organ_named
-
     known = catalogue_of(organ)
     of_effects = {name for e in known.effects for name in e.names}
     vocabulary = organ_named(organ).parameters
@@ -40,8 +40,6 @@ def parameters(
     if as_json:
         print_json({"constants": constants, "effects": causes, "not_simulated": missing})
         return
-    from palpate.service.commands.tables import echo_table
-
     if constants:
         typer.echo("Constants, under case.constants or search.parameters:")
         echo_table(HEADINGS, [_row(p) for p in constants])

@@ -1,23 +1,23 @@
 """`palpate profile` holds one constant at several values and fits the others again."""
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from palpate.service.commands.common import (
-    JsonOption,
-    SchedulerOption,
-    WorkersOption,
-    find_study,
-    print_json,
-)
+from palpate.service.commands.common import JsonOption, SchedulerOption, WorkersOption, print_json
 from palpate.service.commands.interrupts import interruptible
+from palpate.service.commands.named_study import find_study
 from palpate.service.commands.settings import cluster_options
+from palpate.service.commands.tables import make_console, print_table
 from palpate.service.formatting import number
-
-if TYPE_CHECKING:
-    from palpate.service.results.profile import Profile
+from palpate.service.results.profile import Profile, profile_of
+from palpate.service.study.log import read_study
+from palpate.service.study.requests import Tasks
+from palpate.service.study.session import session
+from palpate.service.study.spec import StudySpec
+from palpate.workers.spec import validated
 
 
 def profile(
@@ -33,16 +33,7 @@ def profile(
     The constant is held at several values, and the others are refitted at each. Press Ctrl-C to
     stop at any time; the same command continues from the evaluations in the store.
     """
-    from dataclasses import asdict
-
     with interruptible():  # before the imports, which take a while
-        from palpate.service.results.profile import profile_of
-        from palpate.service.study.log import read_study
-        from palpate.service.study.requests import Tasks
-        from palpate.service.study.session import session
-        from palpate.service.study.spec import StudySpec
-        from palpate.workers.spec import validated
-
         scheduler, processes = cluster_options(scheduler, workers)
         folder = find_study(study)
         record, log = read_study(folder)
@@ -55,9 +46,7 @@ def profile(
         _print(found)
 
 
-def _print(found: "Profile") -> None:
-    from palpate.service.commands.tables import make_console, print_table
-
+def _print(found: Profile) -> None:
     console = make_console()
     others = [gene for gene in found.points[0].genes if gene != found.gene]
     rows = [

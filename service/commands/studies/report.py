@@ -1,18 +1,21 @@
 """`palpate report` prints what a study has found, and writes its page."""
 
-from typing import TYPE_CHECKING
-
 import typer
+from rich.console import Console
 
-from palpate.service.commands.common import JsonOption, StudyArgument, find_study, print_json
+from palpate.service.commands.common import JsonOption, StudyArgument, print_json
+from palpate.service.commands.named_study import find_study
+from palpate.service.commands.studies.status import counts_text, score_text
+from palpate.service.commands.tables import make_console, print_table
 from palpate.service.formatting import number, share
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from palpate.service.results.quotability import DerivedEstimate
-    from palpate.service.results.ratios import RatioEstimate
-    from palpate.service.results.record import ParameterEstimate, StudyResults
+from palpate.service.report.study.page import write_report
+from palpate.service.results.as_json import study_json
+from palpate.service.results.error_budget import in_words
+from palpate.service.results.quotability import DerivedEstimate, derived_estimates, ratio_answer
+from palpate.service.results.ratios import RatioEstimate
+from palpate.service.results.read import study_results
+from palpate.service.results.record import ParameterEstimate, StudyResults
+from palpate.service.study.observers.progress import clock
 
 ONLY_RATIOS = (
     "Only ratios of the stiffnesses were found: the plates are at a known distance, and no force "
@@ -22,27 +25,17 @@ ONLY_RATIOS = (
 
 def report(study: StudyArgument = None, as_json: JsonOption = False) -> None:
     """Print a study's results and write report.html to its folder."""
-    from palpate.service.results.as_json import study_json
-    from palpate.service.results.read import study_results
-
     folder = find_study(study)
     results = study_results(folder)
     if as_json:
         print_json(study_json(results))
         return
-    from palpate.service.commands.tables import make_console
-    from palpate.service.report.study.page import write_report
-
     print_report(results, make_console())
     typer.echo(f"page: {write_report(folder)}")
 
 
-def print_report(results: "StudyResults", console: "Console") -> None:
+def print_report(results: StudyResults, console: Console) -> None:
     """Print estimates, scores and what was spent on a console."""
-    from palpate.service.commands.studies.status import counts_text, score_text
-    from palpate.service.commands.tables import print_table
-    from palpate.service.study.observers.progress import clock
-
     for text in results.caveats:
         console.print(text, soft_wrap=True)
     if results.identifiable == "ratio":
@@ -71,10 +64,7 @@ def print_report(results: "StudyResults", console: "Console") -> None:
     console.print(f"{clock(results.wall_s)} in all; workers {clock(total_s)}: {stages or 'none'}")
 
 
-def _print_ratios(results: "StudyResults", console: "Console") -> None:
-    from palpate.service.commands.tables import print_table
-    from palpate.service.results.quotability import ratio_answer
-
+def _print_ratios(results: StudyResults, console: Console) -> None:
     rows, reasons = [], []
     for ratio in results.ratios:
         interval, answer = ratio_answer(results, ratio)
@@ -89,7 +79,7 @@ def _print_ratios(results: "StudyResults", console: "Console") -> None:
         console.print(text)
 
 
-def _estimates(results: "StudyResults") -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+def _estimates(results: StudyResults) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Return headings and rows; columns of which nothing is known are left out."""
     known = results.identification
     polished = any(e.before_polish is not None for e in results.estimates.values())
@@ -109,20 +99,15 @@ def _estimates(results: "StudyResults") -> tuple[tuple[str, ...], list[tuple[str
 
 
 def _between(lower: float, upper: float) -> str:
-    from palpate.service.formatting import number
-
     return f"{number(lower)} to {number(upper)}"
 
 
-def _yes_no(e: "ParameterEstimate") -> str:
+def _yes_no(e: ParameterEstimate) -> str:
     return "yes" if e.quotable else "no"
 
 
-def _how_well(results: "StudyResults") -> list[str]:
+def _how_well(results: StudyResults) -> list[str]:
     """Return sentences on what may not be quoted, and on how well the image determines the rest."""
-    from palpate.service.results.error_budget import in_words
-    from palpate.service.results.quotability import derived_estimates
-
     texts = [
         f"Not quotable: {name}: {reason}."
         for name, e in results.estimates.items()
@@ -142,13 +127,13 @@ def _how_well(results: "StudyResults") -> list[str]:
     return texts
 
 
-def derived_text(one: "DerivedEstimate") -> str:
+def derived_text(one: DerivedEstimate) -> str:
     """Return a derived value with its interval, and whether it may be quoted."""
     interval = "" if one.interval is None else f" ({_between(*one.interval)}, 90 %)"
     return f"{one.name}: {one.value:.4g} {one.unit}{interval}. {one.answer.sentence}."
 
 
-def _numbers(e: "ParameterEstimate | RatioEstimate", unit: str) -> tuple[str, str, str]:
+def _numbers(e: ParameterEstimate | RatioEstimate, unit: str) -> tuple[str, str, str]:
     """Return estimate, target and error as texts."""
     error = e.relative_error
     return (

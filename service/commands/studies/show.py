@@ -5,13 +5,12 @@ from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import (
-    AllOption,
-    JsonOption,
-    StudyArgument,
-    find_study,
-    print_json,
-)
+from palpate.service.commands.common import AllOption, JsonOption, StudyArgument, print_json
+from palpate.service.commands.named_study import find_study
+from palpate.service.commands.tables import echo_table
+from palpate.service.quantities import Quantity, named_quantity
+from palpate.service.results.as_json import candidate_json
+from palpate.service.results.read import candidate_results
 from palpate.storage.errors import InputError
 
 
@@ -25,10 +24,6 @@ def show(
 
     For a failed candidate, show the reason.
     """
-    from palpate.service.commands.tables import echo_table
-    from palpate.service.results.as_json import candidate_json
-    from palpate.service.results.read import candidate_results
-
     if candidate != "best" and not candidate.isdecimal():
         raise InputError(f"{candidate!r} is no candidate: give its number, or best.")
     number = None if candidate == "best" else int(candidate)
@@ -44,8 +39,6 @@ def show(
 
 def _rows(record: Mapping[str, Any], indent: str = "") -> Iterator[tuple[str, str]]:
     """Yield names and texts; records within are indented below their name."""
-    from palpate.service.quantities import Quantity, named_quantity
-
     for name, value in record.items():
         if isinstance(value, Mapping) and set(value) == {"value", "unit"}:
             yield f"{indent}{name}", str(Quantity(value["value"], value["unit"]))

@@ -1,7 +1,7 @@
 """`palpate simulate` computes one compression, outside of any search."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -10,16 +10,34 @@ from palpate.service.commands.common import (
     AnywayOption,
     JsonOption,
     StoreOption,
-    constants_option,
-    load_spec,
     print_findings,
     print_json,
 )
+from palpate.service.commands.named_study import constants_option, load_spec
 from palpate.service.commands.settings import store_place
-
-if TYPE_CHECKING:
-    from palpate.service.quantities import Quantity
-    from palpate.storage.records.tasks import EvaluationResult
+from palpate.service.commands.tables import echo_table
+from palpate.service.export.formats import export_solved
+from palpate.service.export.solved_body import solve_body
+from palpate.service.export.stored import TISSUE_NAMES, export_volume
+from palpate.service.export.suffixes import (
+    VOLUME_SUFFIXES,
+    check_suffix,
+    solved_suffixes,
+)
+from palpate.service.quantities import (
+    Quantity,
+    named_quantity,
+    not_neutral,
+    quantities_inside,
+    quantities_json,
+)
+from palpate.storage.records.tasks import EvaluationResult
+from palpate.storage.stores.store import open_store
+from palpate.storage.stores.volumes import load_volume
+from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.study_checks import caveats_of
+from palpate.workers.tasks.evaluation import simulate_once
+from palpate.workers.tasks.study_checks import check_case
 
 
 def simulate(
@@ -47,14 +65,6 @@ def simulate(
     Constants that are not set keep the values of the case. Only constants that are stated or differ
     from their neutral values are printed.
     """
-    from palpate.service.export.suffixes import VOLUME_SUFFIXES, check_suffix, solved_suffixes
-    from palpate.service.quantities import not_neutral, quantities_inside, quantities_json
-    from palpate.storage.stores.store import open_store
-    from palpate.workers.organs.registry import organ_named
-    from palpate.workers.organs.study_checks import caveats_of
-    from palpate.workers.tasks.evaluation import simulate_once
-    from palpate.workers.tasks.study_checks import check_case
-
     check_suffix(out, solved_suffixes())
     spec = load_spec(study)
     place = store_place(store)
@@ -67,14 +77,8 @@ def simulate(
     volume = result.get("volume")
     if out is not None and volume is not None:
         if out.suffix.lower() in VOLUME_SUFFIXES:
-            from palpate.service.export.stored import TISSUE_NAMES, export_volume
-            from palpate.storage.stores.volumes import load_volume
-
             export_volume(out, load_volume(opened, volume), TISSUE_NAMES)
         else:
-            from palpate.service.export.formats import export_solved
-            from palpate.service.export.solved_body import solve_body
-
             export_solved([out], solve_body(case, stated, str(opened), spec.name))
     vocabulary = organ_named(spec.case.organ).parameters
     held = spec.case.parameters.from_door(spec.case.constants)
@@ -87,10 +91,7 @@ def simulate(
         _print(result, shown, len(result["constants"]) - len(shown))
 
 
-def _print(result: "EvaluationResult", constants: "dict[str, Quantity]", neutral: int) -> None:
-    from palpate.service.commands.tables import echo_table
-    from palpate.service.quantities import named_quantity
-
+def _print(result: EvaluationResult, constants: dict[str, Quantity], neutral: int) -> None:
     typer.echo(result["status"] + (f": {result['reason']}" if result["reason"] else ""))
     typer.echo("constants")
     echo_table(None, [(f"  {name}", str(quantity)) for name, quantity in constants.items()])

@@ -1,18 +1,24 @@
 """`palpate status` says how far a study is, and what failed."""
 
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import asdict
+from shlex import join
+from typing import Annotated
 
 import typer
+from rich.console import Console
 
-from palpate.service.commands.common import JsonOption, StudyArgument, find_study, print_json
+from palpate.service.commands.common import JsonOption, StudyArgument, print_json
+from palpate.service.commands.named_study import find_study
+from palpate.service.commands.tables import make_console, print_table
 from palpate.service.formatting import number
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from palpate.service.results.record import StudyResults
-    from palpate.storage.records.tasks import Scores
-    from palpate.workers.comparison.similarity.objective import Objective
+from palpate.service.quantities import quantities_at_door
+from palpate.service.results.as_json import study_json
+from palpate.service.results.read import study_results
+from palpate.service.results.record import StudyResults
+from palpate.service.study.count import evaluations_text, generations_text
+from palpate.service.study.observers.progress import clock
+from palpate.storage.records.tasks import Scores
+from palpate.workers.comparison.similarity.objective import Objective
 
 
 def status(
@@ -21,24 +27,16 @@ def status(
     as_json: JsonOption = False,
 ) -> None:
     """Show a study's progress, even while it is running."""
-    from palpate.service.results.as_json import study_json
-    from palpate.service.results.read import study_results
-
     results = study_results(find_study(study))
     if as_json:
         print_json(study_json(results))
         return
-    from palpate.service.commands.tables import make_console, print_table
-
     console = make_console()
     print_table(console, None, _rows(results), title=f"{results.name} ({results.folder})")
     _print_failures(console, results, failures)
 
 
-def _rows(results: "StudyResults") -> list[tuple[str, str]]:
-    from palpate.service.quantities import quantities_at_door
-    from palpate.service.study.observers.progress import clock
-
+def _rows(results: StudyResults) -> list[tuple[str, str]]:
     state = results.state + (f": {results.stop_reason}" if results.stop_reason else "")
     rows = [
         ("state", state),
@@ -66,9 +64,7 @@ def unverified_text(records: int) -> str:
     return f"{records} without a checksum, written by an earlier version: they cannot be verified"
 
 
-def _generations_text(results: "StudyResults") -> str:
-    from palpate.service.study.count import generations_text
-
+def _generations_text(results: StudyResults) -> str:
     complete = len(results.complete_generations)
     text = generations_text(complete, results.spec.most_generations)
     last = results.generations[-1] if results.generations else None
@@ -77,12 +73,8 @@ def _generations_text(results: "StudyResults") -> str:
     return text
 
 
-def counts_text(results: "StudyResults") -> str:
+def counts_text(results: StudyResults) -> str:
     """Write how many evaluations ended in which way, and how many the store had already."""
-    from dataclasses import asdict
-
-    from palpate.service.study.count import evaluations_text
-
     counts = asdict(results.counts)
     text = evaluations_text(counts, results.spec.most_evaluations)
     return f"{text}, {counts['reused']:,} from the store" if counts["reused"] else text
@@ -93,11 +85,7 @@ def score_text(score: "Scores", objective: "Objective") -> str:
     return f"{objective.text(score)}, JC {score['jc']:.4f}, MHD {score['mhd_mm']:.4g} mm"
 
 
-def _print_failures(console: "Console", results: "StudyResults", most: int) -> None:
-    from shlex import join
-
-    from palpate.service.commands.tables import print_table
-
+def _print_failures(console: Console, results: StudyResults, most: int) -> None:
     failures = results.failures
     if not failures or most <= 0:
         return

@@ -1,17 +1,18 @@
 """`palpate strategies` measures how fast each search strategy finds the same targets."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
 
+from palpate.service.bench.strategies import STRATEGIES, Bench, Reached, measure
+from palpate.service.bench.strategy_chart import write_chart
 from palpate.service.commands.common import JsonOption, print_json
 from palpate.service.formatting import share
 from palpate.storage.errors import InputError
-
-if TYPE_CHECKING:
-    from palpate.service.bench.strategies import Reached
 
 
 def strategies(
@@ -42,11 +43,6 @@ def strategies(
     are reused; interrupted ones continue. FOLDER/strategies.svg plots score and errors against
     evaluations and seconds.
     """
-    from dataclasses import asdict
-
-    from palpate.service.bench.strategies import STRATEGIES, Bench, measure
-    from palpate.service.bench.strategy_chart import write_chart
-
     chosen = only.split(",")
     if unknown := sorted(set(chosen) - set(STRATEGIES)):
         raise InputError(f"--only {unknown[0]}: expected some of {', '.join(STRATEGIES)}.")
@@ -65,7 +61,7 @@ def strategies(
     typer.echo(f"chart: {chart}")
 
 
-def line(row: "Reached") -> str:
+def line(row: Reached) -> str:
     """Write one study."""
     near = "never" if row.until_near is None else f"{row.until_near:4d} evaluations"
     errors = ", ".join(f"{gene} {100 * e:+.2f} %" for gene, e in row.errors.items())
@@ -75,10 +71,8 @@ def line(row: "Reached") -> str:
     )
 
 
-def summary(rows: "Sequence[Reached]") -> list[str]:
+def summary(rows: Sequence[Reached]) -> list[str]:
     """Write a Markdown table with a line for each strategy."""
-    import numpy as np
-
     head = (
         "| strategy | targets | evaluations to both moduli within 2 % (median, most) | "
         "core-s to there (median) | evaluations in all (median) | GSF (median) | "

@@ -2,15 +2,16 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import Annotated, TypeVar
 
 import typer
 
+from palpate.service.bench.diagnosis import WORKERS, PhaseTimes, measure_diagnosis, projected
+from palpate.service.bench.service import all_rows
+from palpate.service.bench.stages import Row, measure
 from palpate.service.commands.common import JsonOption, print_json
 from palpate.storage.errors import InputError
-
-if TYPE_CHECKING:
-    from palpate.service.bench.stages import Row
+from palpate.workers.diagnosis.settings.values import SETTINGS
 
 Number = TypeVar("Number", int, float)
 
@@ -56,8 +57,6 @@ def bench(
         bench_diagnosis(diagnosis, as_json=as_json)
         return
 
-    from palpate.service.bench.stages import measure
-
     counts = numbers(nodes, "--nodes", int)
     sizes = numbers(spacing, "--spacing", float)
     rows = []
@@ -72,8 +71,6 @@ def bench(
 
 def bench_service(evaluations: int, *, as_json: bool) -> None:
     """Measure what is not simulation, and print each figure when it is known."""
-    from palpate.service.bench.service import all_rows
-
     rows = []
     for row in all_rows(evaluations):
         rows.append(row)
@@ -86,9 +83,6 @@ def bench_service(evaluations: int, *, as_json: bool) -> None:
 def bench_diagnosis(source: Path, *, as_json: bool) -> None:
     """Measure the tasks of a diagnosis, and print each phase when it has ended."""
     import tempfile
-
-    from palpate.service.bench.diagnosis import WORKERS, PhaseTimes, measure_diagnosis, projected
-    from palpate.workers.diagnosis.settings.values import SETTINGS
 
     def tell(phase: PhaseTimes) -> None:
         if not as_json:
@@ -108,7 +102,7 @@ def bench_diagnosis(source: Path, *, as_json: bool) -> None:
         typer.echo(f"on {n:2d} workers{seconds:21.1f} s, {alone / seconds:.1f} times as fast")
 
 
-def line(row: "Row") -> str:
+def line(row: Row) -> str:
     """Write one row of the table."""
     size = row.size if row.nodes is None else f"{row.size} ({row.nodes})"
     small = row.seconds < 1e-3

@@ -4,10 +4,26 @@ from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.console import Console
 
+from palpate.service.blind.answering.progress import SetProgress
+from palpate.service.blind.answering.run import Answering, answer, unanswered
+from palpate.service.blind.answering.run import seal as seal_answers
+from palpate.service.blind.making.case import make_case
+from palpate.service.blind.making.set import SetRequest, plan, seal, unmade
+from palpate.service.blind.making.set import make as make_cases
+from palpate.service.blind.report.markdown import filled
+from palpate.service.blind.report.page import render
+from palpate.service.blind.report.words import interval, limit, shown
+from palpate.service.blind.scoring.metrics import Metric
+from palpate.service.blind.scoring.score import record, score_sets
+from palpate.service.blind.scoring.scored_set import ScoredSet
+from palpate.service.blind.sealed.sets import BlindSet, Truths, read_manifest
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.worker_range import Workers
 from palpate.service.commands.common import (
     JsonOption,
     SchedulerOption,
@@ -17,16 +33,12 @@ from palpate.service.commands.common import (
 )
 from palpate.service.commands.interrupts import interruptible
 from palpate.service.commands.settings import cluster_options, store_place
+from palpate.service.commands.tables import make_console, print_table
+from palpate.service.study.session import session
+from palpate.storage.backends.atomic import write_file
 from palpate.storage.errors import InputError
+from palpate.workers.blind.random_case import CONTROL, KINDS
 from palpate.workers.blind.world import World
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from palpate.service.blind.scoring.metrics import Metric
-    from palpate.service.blind.scoring.scored_set import ScoredSet
-    from palpate.service.cluster.dispatch import Dispatcher
-    from palpate.service.cluster.worker_range import Workers
 
 NODES = 5000
 
@@ -94,13 +106,6 @@ def make(
     continues.
     """
     scheduler, processes = cluster_options(scheduler, workers)
-    from palpate.service.blind.answering.progress import SetProgress
-    from palpate.service.blind.making.case import make_case
-    from palpate.service.blind.making.set import SetRequest, plan, seal, unmade
-    from palpate.service.blind.making.set import make as make_cases
-    from palpate.service.blind.sealed.sets import BlindSet, Truths
-    from palpate.workers.blind.random_case import CONTROL, KINDS
-
     blind = BlindSet(folder)
     truths = Truths(truth or blind.truth_beside())
     _refuse_nested(folder, truths.root)
@@ -108,7 +113,7 @@ def make(
     entries = plan(blind, truths, request, {CONTROL: 1.0} if controls else KINDS)
     waiting = unmade(blind, truths, entries)
 
-    def work(dispatcher: "Dispatcher", console: "Console") -> None:
+    def work(dispatcher: Dispatcher, console: Console) -> None:
         with SetProgress(console, "made", len(entries) - len(waiting), len(entries)) as tell:
             make_cases(blind, truths, waiting, request, dispatcher, tell, make_case)
 
@@ -146,23 +151,19 @@ def run(
     continues.
     """
     scheduler, processes = cluster_options(scheduler, workers)
-    from palpate.service.blind.answering.progress import SetProgress
-    from palpate.service.blind.answering.run import Answering, answer, seal, unanswered
-    from palpate.service.blind.sealed.sets import BlindSet, read_manifest
-
     answering = Answering(
         BlindSet(folder), store_place(store), directions.value, nodes, limit, declare
     )
     waiting = unanswered(answering)
     of = len(read_manifest(answering.blind)["cases"])
 
-    def work(dispatcher: "Dispatcher", console: "Console") -> None:
+    def work(dispatcher: Dispatcher, console: Console) -> None:
         with SetProgress(console, "answered", of - len(waiting), of) as tell:
             answer(answering, waiting, dispatcher, tell)
 
     if waiting:
         _with_workers(work, scheduler, processes)
-    sealed = seal(answering)
+    sealed = seal_answers(answering)
     if sealed is None:
         left = len(unanswered(answering))
         typer.echo(f"{of - left} of {of} cases are answered; the same command goes on.")
@@ -192,9 +193,6 @@ def score(
     as_json: JsonOption = False,
 ) -> None:
     """Score the sealed answers of sets against their truths."""
-    from palpate.service.blind.scoring.score import record, score_sets
-    from palpate.service.blind.sealed.sets import BlindSet, Truths
-
     if truth is not None and len(folders) > 1:
         raise InputError(
             f"--truth names the truths of one set, found {len(folders)} sets. Leave it out where "
@@ -210,8 +208,6 @@ def score(
     if as_json:
         print_json(record(scored))
         return
-    from palpate.service.commands.tables import make_console
-
     _print(scored, make_console())
     if page is not None:
         typer.echo(f"page: {page}")
@@ -228,13 +224,9 @@ def _refuse_nested(folder: Path, truth: Path) -> None:
 
 
 def _with_workers(
-    work: "Callable[[Dispatcher, Console], None]", scheduler: str | None, workers: "Workers | None"
+    work: Callable[[Dispatcher, Console], None], scheduler: str | None, workers: Workers | None
 ) -> None:
     """Do something with a cluster; leave with 130 if the user asks to stop."""
-    from rich.console import Console
-
-    from palpate.service.study.session import session
-
     with interruptible(), session(scheduler, workers) as opened:
         work(opened.dispatcher, Console(stderr=True, highlight=False))
 
@@ -243,35 +235,25 @@ def _directions(which: Which) -> str:
     return "" if which is Which.all else f" --directions {which.value}"
 
 
-def _write(page: Path, scored: "ScoredSet") -> None:
-    from palpate.service.blind.report.page import render
-    from palpate.storage.backends.atomic import write_file
-
+def _write(page: Path, scored: ScoredSet) -> None:
     write_file(page, render(scored).encode())
 
 
-def _put_into(text: Path, scored: "ScoredSet") -> None:
-    from palpate.service.blind.report.markdown import filled
-    from palpate.storage.backends.atomic import write_file
-
+def _put_into(text: Path, scored: ScoredSet) -> None:
     if not text.is_file():
         raise InputError(f"--into {text}: there is no such file. Give a text with the two marks.")
     write_file(text, filled(text.read_text(encoding="utf-8"), scored).encode())
 
 
-def _print(scored: "ScoredSet", console: "Console") -> None:
+def _print(scored: ScoredSet, console: Console) -> None:
     """Print all metrics on a console, those with a target first."""
-    from palpate.service.commands.tables import print_table
-
     rows = [_cells(metric) for metric in scored.targets_first]
     print_table(console, ("figure", "value", "95 %", "cases", "target", ""), rows, right=(1, 3))
     if scored.floor_mm is not None:
         console.print(f"Floor: {scored.floor_mm:.3f} mm of true gap in the median control.")
 
 
-def _cells(metric: "Metric") -> tuple[str, ...]:
-    from palpate.service.blind.report.words import interval, limit, shown
-
+def _cells(metric: Metric) -> tuple[str, ...]:
     met = {None: "", True: "met", False: "not met"}[metric.met]
     estimate = metric.estimate
     value = shown(estimate.value, metric.unit)

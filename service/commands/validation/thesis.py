@@ -1,10 +1,13 @@
 """`palpate thesis` runs the experiments of the thesis and binds them as a book."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.console import Console
 
+from palpate.service.cluster.open import usable_cores
+from palpate.service.cluster.worker_range import Workers, most_workers
 from palpate.service.commands.common import (
     JsonOption,
     SchedulerOption,
@@ -14,13 +17,19 @@ from palpate.service.commands.common import (
 )
 from palpate.service.commands.interrupts import interruptible
 from palpate.service.commands.settings import RUNS, cluster_options, store_place
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from palpate.service.cluster.worker_range import Workers
-    from palpate.service.thesis.results import ThesisResults
-    from palpate.service.thesis.run import ThesisRequest
+from palpate.service.commands.tables import make_console, print_table
+from palpate.service.study.session import session
+from palpate.service.thesis.estimate import estimate
+from palpate.service.thesis.experiments import EXPERIMENTS
+from palpate.service.thesis.progress import ThesisProgress
+from palpate.service.thesis.results import ThesisResults, thesis_results
+from palpate.service.thesis.run import ThesisRequest, run_thesis
+from palpate.service.thesis.search import POLISHED
+from palpate.service.thesis.verdicts import verdicts
+from palpate.service.thesis.write import write_all
+from palpate.storage.errors import InputError
+from palpate.storage.records.typed_json import to_json
+from palpate.workers.thesis.scale import Scale
 
 EVERYTHING = ("all", "book")
 
@@ -63,10 +72,6 @@ def thesis(
     """
     scheduler, processes = cluster_options(scheduler, workers)
     request = _request(name, full, sketch, out, strategy, store)
-    from palpate.service.cluster.open import usable_cores
-    from palpate.service.cluster.worker_range import most_workers
-    from palpate.service.thesis.estimate import estimate
-
     about = estimate(request, most_workers(processes or usable_cores()))
     typer.echo(f"thesis {name}, {request.scale} scale: {about.sentence}", err=True)
     if dry_run:
@@ -84,13 +89,7 @@ def _request(
     out: Path,
     strategy: str | None,
     store: str | None,
-) -> "ThesisRequest":
-    from palpate.service.thesis.experiments import EXPERIMENTS
-    from palpate.service.thesis.run import ThesisRequest
-    from palpate.service.thesis.search import POLISHED
-    from palpate.storage.errors import InputError
-    from palpate.workers.thesis.scale import Scale
-
+) -> ThesisRequest:
     if name not in (*EXPERIMENTS, *EVERYTHING):
         raise InputError(
             f"There is no experiment {name}. Name one of {', '.join(EXPERIMENTS)}, or all."
@@ -104,14 +103,8 @@ def _request(
     return ThesisRequest(chosen, scale, home, folder, strategy or POLISHED)
 
 
-def _complete(request: "ThesisRequest", workers: "Workers | None", scheduler: str | None) -> None:
+def _complete(request: ThesisRequest, workers: Workers | None, scheduler: str | None) -> None:
     """Run the missing parts to the end."""
-    from rich.console import Console
-
-    from palpate.service.study.session import session
-    from palpate.service.thesis.progress import ThesisProgress
-    from palpate.service.thesis.run import run_thesis
-
     with (
         session(scheduler, workers) as opened,
         ThesisProgress(Console(stderr=True, highlight=False)) as progress,
@@ -119,12 +112,7 @@ def _complete(request: "ThesisRequest", workers: "Workers | None", scheduler: st
         run_thesis(request, opened.dispatcher, progress)
 
 
-def _show(request: "ThesisRequest", name: str, as_json: bool) -> None:
-    from palpate.service.commands.tables import make_console
-    from palpate.service.thesis.results import thesis_results
-    from palpate.service.thesis.write import write_all
-    from palpate.storage.records.typed_json import to_json
-
+def _show(request: ThesisRequest, name: str, as_json: bool) -> None:
     results = thesis_results(request)
     page = write_all(results, request, "book" if name in EVERYTHING else name)
     if as_json:
@@ -134,11 +122,8 @@ def _show(request: "ThesisRequest", name: str, as_json: bool) -> None:
     typer.echo(f"page: {page}")
 
 
-def print_verdicts(results: "ThesisResults", console: "Console") -> None:
+def print_verdicts(results: ThesisResults, console: Console) -> None:
     """Print every number of the thesis that was run, beside ours."""
-    from palpate.service.commands.tables import print_table
-    from palpate.service.thesis.verdicts import verdicts
-
     rows = [
         (v.place, v.what, v.printed, v.found, v.word)
         for v in verdicts(results)

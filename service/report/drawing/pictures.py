@@ -30,6 +30,7 @@ def picture(
     drawn: "Figure", alt: str, caption: str | Markup = "", *, on_paper: bool = False
 ) -> Picture:
     """Put a figure of matplotlib into the page; see `service.report.drawing.canvas.inline_svg`."""
+    # Loads matplotlib, which most pages do without.
     from palpate.service.report.drawing.canvas import inline_svg
 
     width = round(SCREEN_DPI * drawn.get_figwidth())

@@ -126,7 +126,7 @@ def test_a_diagnosis_of_a_study_takes_the_settings_of_the_study(rest: Volume) ->
 def test_a_blind_case_states_its_physics_and_has_no_defaults(tmp_path: Path) -> None:
     truth = draw(4, "tilt", one_direction=True)
     write_case(truth, tmp_path / "case", tmp_path / "truth", corners=700, spacing_mm=1.5)
-    file = read_case_file(tmp_path / "case" / "case.json")
+    file = read_case_file(tmp_path / "case" / "case.yaml")
     assert file.model.fibre_invariant == "isochoric"
     stated = set(CaseModel.model_fields)
     assert file.model.model_fields_set == stated

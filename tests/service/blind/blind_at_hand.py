@@ -33,6 +33,7 @@ from tests.service.diagnosis.compressed_breast import (
     TRUE_MPA,
     described,
     write_scan,
+    write_settings,
 )
 
 NODES, SPACING_MM = 600, 9.0
@@ -65,7 +66,7 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
     rest = generate_breast(PHANTOM, seed=5).labels
     for file in (SCANS[0], *(load["file"] for load in loads)):
         write_scan(case / file, rest)
-    (case / "case.json").write_text(json.dumps(described(loads) | {"id": case.name}))
+    write_settings(case, described(loads) | {"name": case.name})
     imaged = read_case(case)
     hierarchy = build_hierarchy(imaged.reference, nodes=NODES)
     mesh, model = hierarchy.finest.mesh, prepare(hierarchy)

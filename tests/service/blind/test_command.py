@@ -19,17 +19,17 @@ def test_a_draw_without_equilibrium_is_drawn_again(
 
     def write(truth: Any, case: Path, hidden: Path) -> None:
         seeds.append(truth.seed)
-        (case / "case.json").write_text("half")
+        (case / "case.yaml").write_text("half")
         if len(seeds) <= failures:
             raise making.NoEquilibriumError("none")
-        (case / "case.json").write_text(truth.kind)
+        (case / "case.yaml").write_text(truth.kind)
 
     monkeypatch.setattr(making, "write_case", write)
     folders = [str(tmp_path / place / "c0") for place in ("cases", "truth")]
     told = making.make_case(7, "tilt", True, "plain", *folders)
     assert told["attempts"] == attempts
     assert seeds == list(range(7, 7 + attempts))
-    assert Path(folders[0], "case.json").read_text() == "tilt"
+    assert Path(folders[0], "case.yaml").read_text() == "tilt"
     assert draw(8, "tilt", one_direction=True).kind == "tilt"
 
 

@@ -34,6 +34,7 @@ from tests.service.blind.blind_at_hand import (
     Inline,
     make_set,
 )
+from tests.service.diagnosis.compressed_breast import read_settings
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -169,8 +170,8 @@ def test_scans_along_y_can_be_shown_alone(
     asked = Answering(copy, answered.store, "y", NODES)
     name = unanswered(asked)[0]
     folder = along_y(copy.case(name), tmp_path / name)
-    shown = read_json(folder / "case.json")
-    assert [d["file"] for d in shown["scans"]["deformed"]] == ["pressed_20N.nrrd"]
+    shown = read_settings(folder)
+    assert [d["file"] for d in shown["scans"]["loads"]] == ["pressed_20N.nrrd"]
     assert not (folder / "pressed_8N_x.nrrd").exists()
     before = file_hash(copy.sealed_answers("all"))
     run(asked)

@@ -45,7 +45,7 @@ def tiny(
     """A case of two small files."""
 
     def write(case: Path, truth: Path) -> None:
-        (case / "case.json").write_text(json.dumps({"id": case.name}))
+        (case / "case.yaml").write_text(f"name: {case.name}\n")
         (case / "scan.nrrd").write_bytes(seed.to_bytes(8, "big"))
         (truth / "truth.json").write_text(json.dumps({"kind": kind, "causes": []}))
 

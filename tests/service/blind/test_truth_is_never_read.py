@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.blind.blind_at_hand import LOADS, write_small
+from tests.service.diagnosis.compressed_breast import read_settings
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
@@ -48,8 +49,8 @@ def opened(
 def test_no_truth_is_opened(folders: tuple[Path, Path], opened: dict[str, set[Path]]) -> None:
     case, truth = folders
     seen = opened["by_the_diagnosis"]
-    scans = json.loads((case / "case.json").read_text())["scans"]
-    named = ["case.json", scans["reference"], *(d["file"] for d in scans["deformed"])]
+    scans = read_settings(case)["scans"]
+    named = ["case.yaml", scans["reference"], *(d["file"] for d in scans["loads"])]
     assert {path for path in seen if case in path.parents} == {case / name for name in named}
     assert not [path for path in seen if path == truth or truth in path.parents]
     assert case.parent not in seen  # nor is the folder listed in which both lie

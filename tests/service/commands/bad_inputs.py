@@ -216,7 +216,6 @@ FILES = {
     "a damaged journal": BadInput("palpate status demo", "line 1", journal("not json\n{}\n")),
     "a study file to diagnose": BadInput("palpate diagnose study.yaml", "is a study file"),
     "no case to diagnose": BadInput("palpate diagnose nothing", "cannot be diagnosed"),
-    "no case to import": BadInput("palpate import-case study.yaml", "no case"),
     "no blind set": BadInput("palpate blind run nothing", "nothing"),
     "no study": BadInput("palpate status", "There is no study in"),
 }

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.report.study import page as study_page
+from palpate.service.commands import open_
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_a_page_that_is_older_than_its_journal_is_written_anew(
 ) -> None:
     journal, page = tmp_path / "journal.jsonl", tmp_path / "report.html"
     written: list[Path] = []
-    monkeypatch.setattr(study_page, "write_report", lambda folder: written.append(folder) or page)
+    monkeypatch.setattr(open_, "write_report", lambda folder: written.append(folder) or page)
     journal.write_text("")
     page.write_text("<p>")
     os.utime(journal, ns=(1, 1))

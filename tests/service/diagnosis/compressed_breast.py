@@ -1,11 +1,11 @@
 """A small breast between plates, scanned by the solver itself: a case with a known cause."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from palpate.service.export import export_volume
 from palpate.storage.values import Tissue, Volume
@@ -33,32 +33,43 @@ PHANTOM = BreastPhantom(
 )
 SCANS = ("rest.nrrd", "pressed_8N.nrrd", "pressed_20N.nrrd")
 PRESSED = tuple(
-    {"file": file, "plate_force_N": force} for file, force in zip(SCANS[1:], FORCES_N, strict=True)
+    {"file": file, "force_n": force} for file, force in zip(SCANS[1:], FORCES_N, strict=True)
 )
 CROSSWISE = {
     "file": "pressed_8N_x.nrrd",
-    "plate_force_N": 8.0,
-    "compression_axis": [1, 0, 0],
+    "force_n": 8.0,
+    "axis": "x",
     "lower_mm": -30,
     "upper_mm": 45,
 }
 
 
 def described(pressed: Sequence[dict] = PRESSED) -> dict:
-    """What case.json says."""
+    """What case.yaml says."""
     return {
-        "id": "small",
-        "nominal": {
-            "energy": "W = mu/2 (I1bar-3) + 1/d (J-1)^2",
-            "nu": 0.49,
-            "unknown_constants": ["E_fat", "E_gl"],
-            "plausible_kPa": {"E_fat": [6, 15], "E_gl": [15, 60]},
-            "chest_wall": "all nodes at z=0: uz=0; springs kx=0.2 kPa/mm and ky=0.05 kPa/mm",
-            "plates": "lower fixed at y=-28, upper at y=28",
+        "name": "small",
+        "model": {"law": "neo-hookean", "nu": 0.49},
+        "wall": {"z_mm": 0.0, "kx_kpa_per_mm": 0.2, "ky_kpa_per_mm": 0.05},
+        "plates": {"lower_mm": -28.0, "upper_mm": 28.0},
+        "constants": {"E_fat_kpa": [6, 15], "E_glandular_kpa": [15, 60]},
+        "noise": {"sd_mm": 0.2, "correlation_mm": 4.0, "in_scans": "loaded"},
+        "scans": {
+            "reference": SCANS[0],
+            "labels": {"0": "air", "1": "fat", "2": "glandular"},
+            "loads": list(pressed),
         },
-        "segmentation": "noise sd 0.2 mm, correlation length 4 mm",
-        "scans": {"reference": SCANS[0], "deformed": list(pressed)},
     }
+
+
+def write_settings(folder: Path, said: dict) -> None:
+    """Write case.yaml."""
+    (folder / "case.yaml").write_text(yaml.safe_dump(said, sort_keys=False))
+
+
+def read_settings(folder: Path) -> dict:
+    """What case.yaml says."""
+    said: dict = yaml.safe_load((folder / "case.yaml").read_text())
+    return said
 
 
 def write_case(
@@ -72,7 +83,7 @@ def write_case(
     rest = generate_breast(PHANTOM, seed=5).labels
     for file in (SCANS[0], *(one["file"] for one in pressed)):
         write_scan(folder / file, rest)
-    (folder / "case.json").write_text(json.dumps(described(pressed)))
+    write_settings(folder, described(pressed))
     case = read_case(folder)
     hierarchy = build_hierarchy(case.reference, nodes=nodes)
     model = prepare(hierarchy)
@@ -95,7 +106,7 @@ def write_scan(path: Path, labels: Volume) -> None:
 
 def loads_exchanged(folder: Path) -> None:
     """Write the forces of both scans the wrong way round."""
-    said = json.loads((folder / "case.json").read_text())
-    first, second = said["scans"]["deformed"]
-    first["plate_force_N"], second["plate_force_N"] = 20.0, 8.0
-    (folder / "case.json").write_text(json.dumps(said))
+    said = read_settings(folder)
+    first, second = said["scans"]["loads"]
+    first["force_n"], second["force_n"] = 20.0, 8.0
+    write_settings(folder, said)

@@ -110,7 +110,7 @@ def test_a_plan_that_fails_takes_no_diagnosis_with_it(
     def fail(*arguments: Any) -> None:
         raise InputError("The nominal model does not converge at 8 N.")
 
-    monkeypatch.setattr("palpate.service.commands.diagnoses.planning.planned", fail)
+    monkeypatch.setattr("palpate.service.commands.diagnoses.diagnosing.planned", fail)
     assert main([*command(runs), "--plan", "--json"]) == 0
     said = capsys.readouterr()
     assert "No further measurement could be tried. The nominal model" in said.err

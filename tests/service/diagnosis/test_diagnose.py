@@ -327,7 +327,7 @@ def test_the_name_follows_the_scans_and_what_is_asked(tilted: Path, tmp_path: Pa
     shutil.copytree(tilted, folder)
     store = tmp_path / "store"
     first = asked(folder, store)
-    (folder / "truth.json").write_text("{}")  # case.json does not name it
+    (folder / "truth.json").write_text("{}")  # case.yaml does not name it
     assert asked(folder, store).name == first.name
     assert request_for(folder, store, NODES + 1, SPACING_MM, SUSPECTS).name != first.name
     assert request_for(folder, store, NODES, SPACING_MM, SUSPECTS[1:]).name != first.name
@@ -374,7 +374,7 @@ def test_the_command_refuses_before_it_opens_a_cluster(
     assert "The body is " in said.err
     assert (said.err.count("\n"), said.out) == (3, "")  # what, why, and how to insist
     assert main(["diagnose", str(copied.parent)]) == 2
-    assert "cannot be diagnosed: expected a folder with case.json" in capsys.readouterr().err
+    assert "cannot be diagnosed: expected a folder with case.yaml" in capsys.readouterr().err
 
 
 def test_the_command_writes_page_and_record(
@@ -407,7 +407,9 @@ def test_a_stored_diagnosis_needs_no_cluster(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("palpate.service.diagnosis.run.request_for", lambda *_: diagnosed[0])
+    monkeypatch.setattr(
+        "palpate.service.commands.diagnoses.diagnosing.request_for", lambda *_: diagnosed[0]
+    )
     assert main(["diagnose", str(tilted), "--json", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
     shown = json.loads(said.out)

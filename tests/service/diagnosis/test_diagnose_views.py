@@ -1,6 +1,5 @@
 """Several directions of compression in one case, and plates at a known distance."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -17,6 +16,7 @@ from tests.service.diagnosis.compressed_breast import (
     TRUE_MPA,
     described,
     write_case,
+    write_settings,
 )
 
 NODES, SPACING_MM = 1600, 8.0
@@ -48,8 +48,8 @@ def test_plates_at_a_distance_tell_the_ratio_of_stiffness(both_ways: Path, tmp_p
     case = read_case(both_ways)
     low, high = extent_mm(case.deformed[0], (0.0, 1.0, 0.0))
     said = described([{"file": PRESSED[1]["file"], "plate_distance_mm": high - low}])
-    said["nominal"] |= {"unknown_constants": ["E_gl"], "held_kPa": {"E_fat": 10.0}}
-    (tmp_path / "case" / "case.json").write_text(json.dumps(said))
+    said["constants"]["E_fat_kpa"] = 10.0
+    write_settings(tmp_path / "case", said)
     case = read_case(tmp_path / "case")
     assert case.names == [f"{high - low:g} mm"]
     check_case(case)
@@ -60,16 +60,16 @@ def test_plates_at_a_distance_tell_the_ratio_of_stiffness(both_ways: Path, tmp_p
 @pytest.mark.parametrize(
     ("load", "complaint"),
     [
-        ({"plate_force_N": 8, "plate_distance_mm": 40}, "one of them"),
-        ({}, "one of them"),
-        ({"plate_force_N": 8, "compression_axis": [0, 0, 1]}, "across z"),
+        ({"force_n": 8, "plate_distance_mm": 40}, "exactly one of force_n and plate_distance_mm"),
+        ({}, "exactly one of force_n and plate_distance_mm"),
+        ({"force_n": 8, "axis": [0, 0, 1]}, "across z"),
     ],
 )
 def test_a_load_that_makes_no_sense_is_refused(
     load: dict[str, object], complaint: str, tmp_path: Path
 ) -> None:
     said = described([{"file": "pressed.nrrd"} | load])
-    (tmp_path / "case.json").write_text(json.dumps(said))
+    write_settings(tmp_path, said)
     with pytest.raises(InputError, match=complaint):
         read_case(tmp_path)
 
@@ -78,7 +78,7 @@ def test_a_constant_without_a_value_is_refused(both_ways: Path, tmp_path: Path) 
     for file in both_ways.glob("*.nrrd"):
         (tmp_path / file.name).symlink_to(file)
     said = described(PRESSED[1:])
-    said["nominal"]["unknown_constants"] = ["E_gl"]
-    (tmp_path / "case.json").write_text(json.dumps(said))
+    del said["constants"]["E_fat_kpa"]
+    write_settings(tmp_path, said)
     with pytest.raises(InputError, match="no value of E_fat"):
         _ = read_case(tmp_path).free

@@ -124,7 +124,7 @@ def test_nothing_to_plan_is_said(
     tmp_path: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["plan", str(tmp_path), "--store", str(tmp_path / "store")]) == 2
-    assert "expected a folder with case.json" in capsys.readouterr().err
+    assert "expected a folder with case.yaml" in capsys.readouterr().err
 
 
 def test_words_for_what_is_silent_and_alike() -> None:

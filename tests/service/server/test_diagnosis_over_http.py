@@ -28,6 +28,7 @@ from tests.service.diagnosis.compressed_breast import (
     described,
     write_case,
     write_scan,
+    write_settings,
 )
 from tests.service.server.service_process import TOKEN, ServiceProcess, running_service
 
@@ -80,7 +81,7 @@ def few_suspects(monkeypatch: pytest.MonkeyPatch) -> None:
     def few(source: Any, store: Any, nodes: int) -> Any:
         return request_for(source, store, nodes, effects=SUSPECTS)
 
-    monkeypatch.setattr("palpate.service.diagnosis.run.request_for", few)
+    monkeypatch.setattr("palpate.service.commands.diagnoses.diagnosing.request_for", few)
 
 
 def steps(events: list[JobEvent]) -> list[tuple[str, int, int]]:
@@ -122,7 +123,7 @@ def test_a_diagnosis_over_http_is_that_of_the_command(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     client = real_client
-    for name in ("case.json", SCANS[0], SCANS[2]):
+    for name in ("case.yaml", SCANS[0], SCANS[2]):
         client.upload(case / name, "tilted")
     job = client.submit_diagnosis(upload="tilted", nodes=NODES, effects=SUSPECTS)
     assert (job.id, job.kind, job.owner) == ("tilted", "diagnosis", "environment")
@@ -191,7 +192,7 @@ def test_an_effect_that_is_misspelt_is_one_message(service: ServiceProcess, tmp_
     case.mkdir()
     for name in (SCANS[0], SCANS[2]):
         write_scan(case / name, generate_breast(PHANTOM, seed=5).labels)
-    (case / "case.json").write_text(json.dumps(described(PRESSED[1:])))
+    write_settings(case, described(PRESSED[1:]))
     with palpate.connect(service.url, TOKEN) as connected:
         job = connected.diagnose(case, nodes=NODES, effects=["plate_tlit"])
         with pytest.raises(InputError, match="did you mean 'plate_tilt'"):

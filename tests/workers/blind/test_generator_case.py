@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import yaml
 
 from palpate.storage.values import Tissue, Volume
 from palpate.workers.blind.causes.observation import ImageScale
@@ -28,7 +29,7 @@ from palpate.workers.comparison.observation.noise_estimation import from_repeat
 from palpate.workers.comparison.observation.signed_distance import signed_distance
 
 COARSE = {"corners": 700, "spacing_mm": 1.2}
-FILES = ["case.json", "deformed_y1.nrrd", "deformed_y2.nrrd", "reference.nrrd"]
+FILES = ["case.yaml", "deformed_y1.nrrd", "deformed_y2.nrrd", "reference.nrrd"]
 
 
 @cache
@@ -81,8 +82,8 @@ def test_a_scan_of_the_hard_world_shows_the_body_where_its_pose_puts_it(folder):
         away, _ = outline.at((there["points"] + displacement)[mine] + [0.0, shift, 0.0])
         assert abs(np.median(away)) < 0.08
         assert away.std() < 0.75 * truth.noise_sd_mm
-    stated = json.loads((case / "case.json").read_text())["segmentation"]
-    assert f"sd {truth.noise_sd_mm:g} mm" in stated
+    stated = yaml.safe_load((case / "case.yaml").read_text())["noise"]
+    assert stated["sd_mm"] == truth.noise_sd_mm
 
 
 def test_a_scan_of_another_scale_draws_the_body_larger(folder):
@@ -121,9 +122,9 @@ def test_a_control_and_a_case_differ_in_their_scans_alone(folder):
     for case in cases:
         assert sorted(p.name for p in case.iterdir()) == FILES
         assert len({p.stat().st_mtime for p in case.iterdir()}) == 1
-    words = [json.loads((c / "case.json").read_text()) for c in cases]
-    assert words[0].pop("id") == "tilt-case"
-    assert words[1].pop("id") == "control-case"
+    words = [yaml.safe_load((c / "case.yaml").read_text()) for c in cases]
+    assert words[0].pop("name") == "tilt-case"
+    assert words[1].pop("name") == "control-case"
     assert words[0] == words[1]
     assert list(words[0]) == list(words[1])
     scans = [read_volume(c / "reference.nrrd").values for c in cases]
@@ -144,13 +145,13 @@ def test_the_same_truth_writes_the_same_bytes(folder, tmp_path):
 
 def test_case_names_loads_axes_and_plates(folder):
     case, _ = made(folder, 4, "control")
-    words = json.loads((case / "case.json").read_text())
+    words = yaml.safe_load((case / "case.yaml").read_text())
     truth = draw(4, "control", one_direction=True)
     half = truth.anatomy.half_width_mm
-    entries = words["scans"]["deformed"]
-    assert [e["plate_force_N"] for e in entries] == [load.force_n for load in truth.loads]
+    entries = words["scans"]["loads"]
+    assert [e["force_n"] for e in entries] == [load.force_n for load in truth.loads]
     for entry in entries:
-        assert entry["compression_axis"] == [0, 1, 0]
+        assert entry["axis"] == "y"
         assert (entry["lower_mm"], entry["upper_mm"]) == (-half, half)
         labels = read_volume(case / entry["file"])
         assert labels.values.dtype == np.uint8

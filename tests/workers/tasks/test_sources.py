@@ -86,7 +86,7 @@ def test_a_source_enters_once_whatever_its_folder_is_called(tmp_path: Path) -> N
     name = add_source(open_source(first), store)
     kept = {p: p.stat().st_mtime_ns for p in store.store.root.rglob("zarr.json")}
     copy = Path(shutil.copytree(first, tmp_path / "copy"))
-    (copy / "truth.json").write_text("{}")  # which case.json does not name
+    (copy / "truth.json").write_text("{}")  # which case.yaml does not name
     assert add_source(open_source(copy), store) == name
     assert {p: p.stat().st_mtime_ns for p in store.store.root.rglob("zarr.json")} == kept
     shutil.copy(copy / "pressed_20N.nrrd", copy / "pressed_8N.nrrd")

@@ -75,9 +75,5 @@ class ExperimentReader:
         """Return what the experiment was understood to say."""
         return [("read from", str(path)), *understood(read_spec(path))]
 
-    def structured(self, path: Path) -> None:
-        """Return nothing: the file is structured already."""
-        return
-
 
 READER = ExperimentReader()

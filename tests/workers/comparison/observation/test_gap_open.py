@@ -41,7 +41,7 @@ def test_with_the_true_displacement_only_segmentation_noise_is_left(points):
     deformed = read_volume(CASES / "dev_0fb9b9" / "deformed_40N.nrrd")
     still, _ = residual(outline.points, outline, observe(deformed, (OUTLINE,)))
     r, _ = residual(outline.points + field(outline.points), outline, observe(deformed, (OUTLINE,)))
-    # Each of two scans errs by 0.3 mm, see case.json; the body was pressed by 30 mm.
+    # Each of two scans errs by 0.3 mm, see its case; the body was pressed by 30 mm.
     assert abs(still).mean() > 3
     assert abs(r.mean()) < 0.06
     assert r.std() == pytest.approx(0.3 * np.sqrt(2), rel=0.1)

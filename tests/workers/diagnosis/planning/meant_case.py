@@ -1,23 +1,28 @@
 """A case of which only the body at rest has been scanned."""
 
-import json
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 from palpate.workers.body.phantom.breast import generate_breast
-from tests.service.diagnosis.compressed_breast import PHANTOM, SCANS, described, write_scan
+from tests.service.diagnosis.compressed_breast import (
+    PHANTOM,
+    SCANS,
+    described,
+    write_scan,
+    write_settings,
+)
 
 NODES, SPACING_MM = 700, 8.0
 
 
 def write_meant(folder: Path, pressed: Sequence[dict], springs: bool = True) -> Path:
-    """case.json and the reference scan, no loaded ones; `springs` hold the chest wall."""
+    """case.yaml and the reference scan, no loaded ones; `springs` hold the chest wall."""
     folder.mkdir(parents=True)
     said = described(pressed)
     if not springs:
-        said["nominal"]["chest_wall"] = "all nodes at z=0: uz=0, free otherwise"
-    (folder / "case.json").write_text(json.dumps(said))
+        said["wall"] = {"z_mm": 0.0, "kx_kpa_per_mm": 0.0, "ky_kpa_per_mm": 0.0}
+    write_settings(folder, said)
     write_scan(folder / SCANS[0], at_rest())
     return folder
 
@@ -29,8 +34,8 @@ def at_rest():
 
 
 def at_force(force_n: float) -> dict:
-    """A scan that is meant, as case.json says it."""
-    return {"file": f"not_there_{force_n:g}N.nrrd", "plate_force_N": force_n}
+    """A scan that is meant, as case.yaml says it."""
+    return {"file": f"not_there_{force_n:g}N.nrrd", "force_n": force_n}
 
 
 def at_distance(distance_mm: float) -> dict:

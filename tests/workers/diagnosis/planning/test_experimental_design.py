@@ -285,7 +285,7 @@ def test_the_wall_holds_a_turned_body_as_firmly() -> None:
 
 
 def test_a_view_that_is_meant_is_not_proposed(tmp_path: Path) -> None:
-    along_x = at_force(8) | {"compression_axis": [1, 0, 0], "lower_mm": -45, "upper_mm": 45}
+    along_x = at_force(8) | {"axis": "x", "lower_mm": -45, "upper_mm": 45}
     acquisition = acquisition_of(
         read_case(write_meant(tmp_path / "case", [at_force(8), along_x]), loaded=False)
     )

@@ -1,12 +1,18 @@
 """A structured case says everything with its unit, and refuses what it does not know."""
 
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
+from palpate.storage.values import Tissue, Volume
+from palpate.workers.organs.breast.case.files import read_case_file
+from palpate.workers.organs.breast.case.scanned_case import ScannedCase
 from palpate.workers.organs.breast.case.spec import ALONG_X, CaseFile, CaseWall
+from palpate.workers.organs.breast.case.table import understood
 from palpate.workers.spec import validated
 
 CASE: dict[str, Any] = {
@@ -129,3 +135,30 @@ def test_a_law_without_fibres_takes_none_of_their_keys() -> None:
     data = changed("model", {"law": "neo-hookean", "fibres": "literal"})
     with pytest.raises(InputError, match=r"fibres are for|eta_kpa is for fibres"):
         validated(CaseFile, data)
+
+
+class At:
+    """A frame, as far as a load needs it."""
+
+    centre_mm = (1.0, 2.0, 3.0)
+
+
+def test_the_example_of_a_breast_in_ct_is_read() -> None:
+    file = read_case_file(Path(__file__).parents[4] / "examples" / "breast-ct" / "case.yaml")
+    body = Volume(np.full((4, 4, 4), Tissue.FAT, np.uint8), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    built = ScannedCase(file, body, None, []).problem(0, At())({"E_gl": 0.03})
+    assert built.constants[Tissue.FAT].young_mpa == 0.010
+    assert (built.isochoric_fibre, built.literal_fibre) == (False, True)
+    assert built.wall.spring_mpa_per_mm == (1e-5, 1e-5, 0.0)
+    assert file.scans.labels == {0: "air", 1: "fat", 2: "glandular", 3: "fat"}
+    assert file.scans.loads[0].plate_distance_mm == 65.07
+
+
+def test_the_settings_are_told_in_words() -> None:
+    data = changed("model.fibre_invariant", "isochoric")
+    data["scans"]["loads"][0] |= {"force_n": 39.931, "lower_mm": -50, "upper_mm": 50}
+    rows = dict(understood(validated(CaseFile, data)))
+    assert "tension only" in rows["law"] and "isochoric" in rows["law"]
+    assert "0.2 kPa/mm along x and 0.001 kPa/mm along y" in rows["chest wall"]
+    assert rows["E_fat"] == "searched from 7 to 14 kPa"
+    assert rows["scan 1"] == "a.nrrd: 39.931 N, plates start at lower -50 mm and upper 50 mm"

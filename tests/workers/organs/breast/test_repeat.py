@@ -1,6 +1,5 @@
 """A second segmentation of the reference scan measures the noise of a case."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,14 @@ from palpate.workers.organs.breast.case.scanned_case import ScannedCase
 from palpate.workers.organs.breast.case.source import ScannedCaseSource
 from palpate.workers.tasks.sources import add_source
 from palpate.workers.tasks.task_store import TaskStore
-from tests.service.diagnosis.compressed_breast import PHANTOM, PRESSED, SCANS, described, write_scan
+from tests.service.diagnosis.compressed_breast import (
+    PHANTOM,
+    PRESSED,
+    SCANS,
+    described,
+    write_scan,
+    write_settings,
+)
 from tests.workers.comparison.observation.redrawn import perturbed
 
 NOISE = SegmentationNoise(0.4, 5.0, 0.4, 0.02)
@@ -22,15 +28,15 @@ NOISE = SegmentationNoise(0.4, 5.0, 0.4, 0.02)
 
 @pytest.fixture(scope="module")
 def twice(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A body segmented twice by a hand that errs by 0.4 mm; case.json does not say so."""
+    """A body segmented twice by a hand that errs by 0.4 mm; case.yaml does not say so."""
     folder = tmp_path_factory.mktemp("repeat")
     labels = generate_breast(PHANTOM, seed=5).labels
     for number, file in enumerate(("rest.nrrd", "again.nrrd", SCANS[1])):
         write_scan(folder / file, perturbed(labels, NOISE, number))
     said = described(PRESSED[:1])
-    del said["segmentation"]
+    del said["noise"]
     said["scans"] |= {"reference": "rest.nrrd", "reference_repeat": "again.nrrd"}
-    (folder / "case.json").write_text(json.dumps(said))
+    write_settings(folder, said)
     return folder
 
 

@@ -3,7 +3,7 @@
 ::
 
     case.yaml           loads, nominal model, noise: all that may be known; see `case_spec`.
-                        Or case.json, the same as JSON or in prose; see `case_prose`
+                        Or case.json, the same as JSON
     reference.nrrd      labels of the body at rest; a second segmentation of it, if there is
                         one, measures the noise
     deformed_40N.nrrd   labels between the plates, one file for each load and direction
@@ -22,17 +22,17 @@ from palpate.workers.body.images.largest_component import in_air, one_body
 from palpate.workers.documents import parse_json, parse_yaml
 from palpate.workers.organs.breast.case.alignment import aligned_case
 from palpate.workers.organs.breast.case.images import CaseImages, StoredVolume, no_store
-from palpate.workers.organs.breast.case.prose import from_prose, is_prose
 from palpate.workers.organs.breast.case.scanned_case import ScannedCase, above_wall
 from palpate.workers.organs.breast.case.source import PlannedCaseSource, ScannedCaseSource
 from palpate.workers.organs.breast.case.spec import CaseFile
 from palpate.workers.organs.breast.case.table import understood
-from palpate.workers.organs.breast.case.yaml import case_yaml
 from palpate.workers.spec import validated
 
-# Where a folder has both, the structured file is the case.
+# Where a folder has both, the first is the case.
 CASE_FILES = ("case.yaml", "case.json")
 YAML = (".yaml", ".yml")
+# A key of the form that earlier versions read.
+PROSE_KEY = "nominal"
 
 
 def read_case(path: Path, *, loaded: bool = True, stored: StoredVolume = no_store) -> ScannedCase:
@@ -86,7 +86,7 @@ def case_file(path: Path) -> Path:
 
 
 def read_case_file(path: Path) -> CaseFile:
-    """Return what the file of a case says, structured or in prose.
+    """Return the settings of a case.
 
     Raises
     ------
@@ -94,7 +94,13 @@ def read_case_file(path: Path) -> CaseFile:
         If it cannot be read, or says something that is not known.
     """
     data = _data(path)
-    return from_prose(data, str(path)) if is_prose(data) else validated(CaseFile, data, str(path))
+    if PROSE_KEY in data:
+        raise InputError(
+            f"{path} describes its physics in sentences under {PROSE_KEY!r}; that form is no "
+            "longer read. Write the same settings as keys with units in case.yaml: `palpate new "
+            "diagnosis NAME` writes one to fill in, and docs/reference/keys.md lists all keys."
+        )
+    return validated(CaseFile, data, str(path))
 
 
 def _data(path: Path) -> Mapping[str, Any]:
@@ -141,7 +147,7 @@ class CaseReader:
         except InputError:
             # Nothing else is JSON: reading it will name the mistake.
             return path.suffix == ".json"
-        return is_prose(data) or data.get("organ") == "breast" or "scans" in data
+        return PROSE_KEY in data or data.get("organ") == "breast" or "scans" in data
 
     def read(self, path: Path, stored: StoredVolume = no_store) -> ScannedCaseSource:
         """Read a case with its loaded scans."""
@@ -155,10 +161,6 @@ class CaseReader:
         """Return what the case was understood to say."""
         file = case_file(path)
         return [("read from", str(file)), *understood(read_case_file(file))]
-
-    def structured(self, path: Path) -> str:
-        """Return the case as YAML."""
-        return case_yaml(read_case_file(case_file(path)))
 
 
 READER = CaseReader()

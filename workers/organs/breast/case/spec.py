@@ -1,7 +1,7 @@
 """What a case of a diagnosis says: its scans and loads, and what the nominal model knows.
 
 The words are those of a study, every number carries its unit in its name, and a key that is
-not known is refused. A case in prose becomes one of these; see `case_prose`.
+not known is refused.
 """
 
 import math

@@ -1,0 +1,77 @@
+"""The study that a user names, and the constants stated for it."""
+
+from pathlib import Path
+
+from palpate.service.commands.settings import RUNS
+from palpate.service.study.spec import StudySpec, read_spec
+from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.errors import InputError
+
+
+def find_study(given: Path | None) -> Path:
+    """Find the folder of a study from what a user types.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    if given is None:
+        return _latest()
+    if given.is_dir():
+        return given
+    if given.is_file():
+        return RUNS / read_spec(given).name
+    if (RUNS / given).is_dir():
+        return RUNS / given
+    known = ", ".join(str(folder) for folder in _studies()) or "none"
+    raise InputError(f"There is no study {given}. Studies in {RUNS.absolute()}: {known}.")
+
+
+def load_spec(given: Path) -> StudySpec:
+    """Read the study in a file, or in a study's folder.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it makes no sense.
+    """
+    return read_spec(StudyLayout(given).study if given.is_dir() else given)
+
+
+def constants_option(spec: StudySpec, given: list[str]) -> dict[str, float]:
+    """Convert ``E_fat_kpa=12`` to inside names and units, for one simulation.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or a value is no number.
+    """
+    stated: dict[str, float] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        try:
+            stated[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise InputError(f"--set {text}: expected NAME=VALUE, such as --set E_fat_kpa=12.")
+    return spec.case.parameters.from_door(stated)
+
+
+def _latest() -> Path:
+    studies = _studies()
+    if not studies:
+        raise InputError(
+            f"There is no study in {RUNS.absolute()}. Start one with `palpate new breast NAME` "
+            "and `palpate run NAME.yaml`, or give a study's folder."
+        )
+    return studies[-1]
+
+
+def _studies() -> list[Path]:
+    """Return the folders with a journal, the one written last at the end."""
+    if not RUNS.is_dir():
+        return []
+    folders = [folder for folder in RUNS.iterdir() if StudyLayout(folder).journal.is_file()]
+    return sorted(folders, key=lambda folder: StudyLayout(folder).journal.stat().st_mtime)

@@ -70,6 +70,9 @@ COMMANDS = {
     "parameters": LazyCommand(
         "studies.parameters:parameters", "List an organ's constants and effects for study files."
     ),
+    "fit-law": LazyCommand(
+        "studies.fit_law:fit_law", "Fit material laws to stress-stretch tables of one material."
+    ),
     "simulate": LazyCommand("studies.simulate:simulate", "Compress the body of a study once."),
     "export": LazyCommand(
         "studies.export:export", "Export a deformed body to ParaView, CAD or another solver."

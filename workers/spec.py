@@ -65,6 +65,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 # Names of studies and of stored images; they become names of files.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
+LawName = Annotated[str, AfterValidator(lambda name: checked_name("laws", name))]
 
 
 class Door(BaseModel):
@@ -115,10 +116,23 @@ class CaseSpec(Door):
     reference: Door = Field(description="the undeformed body")
     constants: dict[str, float] = Field(default_factory=dict)
 
+    law_tissues: ClassVar[tuple[str, ...]] = ()
+    """The tissues for which a case chooses a law of `workers.mechanics.materials.law_plugins`."""
+
     @property
     @abstractmethod
     def parameters(self) -> Vocabulary:
         """Return what a study of this case can search or hold."""
+
+    @property
+    def vocabulary(self) -> Vocabulary:
+        """Return everything that `complete` gives a value."""
+        return self.parameters
+
+    @property
+    def plugged_modules(self) -> Sequence[str]:
+        """Return the modules of the plug-ins that the case chooses, on which results depend."""
+        return ()
 
     @abstractmethod
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:

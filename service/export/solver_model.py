@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.service.export.solved_body import SolvedBody
+from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, IntArray, Tissue
 from palpate.workers.mechanics.fem.elements.element_energy import deformation_gradients
 from palpate.workers.mechanics.fem.elements.external_forces import stated_springs
@@ -116,8 +117,22 @@ class SolverModel:
 
 
 def comparable(problem: Problem) -> Problem:
-    """Return the nearest problem that other solvers can be told."""
-    constants = {t: replace(c, law=None, growth=1.0) for t, c in problem.constants.items()}
+    """Return the nearest problem that other solvers can be told.
+
+    Raises
+    ------
+    InputError
+        If a tissue has a law that no file for them holds.
+    """
+    laws = {t.name.lower(): type(c.law).__name__ for t, c in problem.constants.items() if c.law}
+    if laws:
+        found = ", ".join(f"{tissue}: {law}" for tissue, law in laws.items())
+        raise InputError(
+            "Files for CalculiX and FEBio, and --comparable, hold neo-Hookean tissue, but this "
+            f"model has other laws ({found}). Set case.model.law to neo-hookean, or export "
+            ".vtu, .stl or .nrrd."
+        )
+    constants = {t: replace(c, growth=1.0) for t, c in problem.constants.items()}
     if problem.isochoric_fibre:  # CalculiX has no material with these fibres that also stiffens
         constants = {
             tissue: replace(c, stiffening=0.0) if c.fibre_mpa or c.second_fibre_mpa else c
@@ -254,8 +269,6 @@ def _remarks(own: SolvedBody, told: SolvedBody) -> list[str]:
             "Skin: left out. It is a sheet that wrinkles, of E = "
             f"{problem.membrane.young_mpa * 1e3:g} kPa, {problem.membrane.thickness_mm:g} mm thick."
         )
-    if own.level.constants.laws:
-        remarks.append("Matrix: neo-Hookean of the same E and nu, where this body has another law.")
     if any(c.growth != 1 for c in problem.constants.values()):
         remarks.append("Growth: left out.")
     if any(c.stiffening for c in problem.constants.values()) and problem.isochoric_fibre:

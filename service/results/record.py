@@ -16,7 +16,6 @@ from palpate.service.results.ratios import RatioEstimate, ratio_estimates
 from palpate.service.study.spec import StudySpec
 from palpate.storage.records.record import EvaluationRecord
 from palpate.storage.records.tasks import BodyFacts, Scores, TargetKind
-from palpate.workers.organs.registry import organ_named
 from palpate.workers.spec import Identifiable
 
 StudyState = Literal["running", "stopped", "interrupted"]
@@ -304,7 +303,7 @@ class CandidateResults:
             Those at their neutral values as well.
         """
         case = self.spec.case
-        vocabulary = organ_named(case.organ).parameters
+        vocabulary = case.vocabulary
         searched = self.spec.constants_of(self.genes)
         constants = case.complete(searched)
         stated = case.parameters.from_door(case.constants)

@@ -145,8 +145,11 @@ def diagnosis_code(kind: str) -> str:
 
 
 def plugged_modules() -> list[str]:
-    """Return the modules of all effects of other distributions, which a diagnosis may suspect."""
-    return [plugin.module for plugin in foreign_plugins() if plugin.group == "effects"]
+    """Return the modules of all effects and laws of other distributions.
+
+    A diagnosis may suspect the effects; its model may have the laws.
+    """
+    return [p.module for p in foreign_plugins() if p.group in ("effects", "laws")]
 
 
 class DiagnosisStore:

@@ -304,7 +304,7 @@ def _dependencies(
 ) -> list[Any]:
     """Return all that a simulation depends on: bodies by content, the case, constants, code."""
     settings = spec.model_dump(mode="json", exclude={"reference", "mesh", "constants"})
-    others = [acting.module for acting in acting_plugins(values)]
+    others = [*(acting.module for acting in acting_plugins(values)), *spec.plugged_modules]
     if score is not None:
         others.append(plugin("scores", score.objective).module)
     code = code_version(__name__, organ_module(spec.organ), *others)

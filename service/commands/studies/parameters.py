@@ -6,6 +6,8 @@ import typer
 
 from palpate.service.commands.common import JsonOption, print_json
 from palpate.service.commands.tables import echo_table
+from palpate.storage.errors import InputError
+from palpate.workers.mechanics.materials.law_plugins import law_named, law_names
 from palpate.workers.organs.registry import catalogue_of, organ_named
 
 HEADINGS = ("name", "known interval", "neutral", "description")
@@ -16,6 +18,14 @@ def parameters(
     effects: Annotated[
         bool, typer.Option("--effects", help="List only effects, and explain each.")
     ] = False,
+    law: Annotated[
+        str | None,
+        typer.Option(
+            "--law",
+            help="Also list the shape constants of this law of case.model.law, such as yeoh.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """List an organ's constants and effects for study files."""
@@ -23,8 +33,13 @@ def parameters(
     of_effects = {name for e in known.effects for name in e.names}
     vocabulary = organ_named(organ).parameters
     in_studies = {p.name for p in vocabulary}
+    tissues = organ_named(organ).case_spec.law_tissues
+    laws = list(law_names()) if tissues else []
+    if law is not None and not laws:
+        raise InputError(f"A {organ} has one law, which a study does not choose: omit --law.")
+    shapes = [p for t in tissues if law is not None for p in law_named(law).constants(t)]
     named = [p for p in vocabulary if p.name not in of_effects]
-    constants = [] if effects else [_parameter(p) for p in named]
+    constants = [] if effects else [_parameter(p) for p in [*named, *shapes]]
     causes: list[dict[str, Any]] = [
         {
             "effect": e.name,
@@ -38,11 +53,17 @@ def parameters(
     ]
     missing = [{"effect": name, "why": why} for name, why in known.not_simulated]
     if as_json:
-        print_json({"constants": constants, "effects": causes, "not_simulated": missing})
+        print_json(
+            {"constants": constants, "laws": laws, "effects": causes, "not_simulated": missing}
+        )
         return
     if constants:
         typer.echo("Constants, under case.constants or search.parameters:")
         echo_table(HEADINGS, [_row(p) for p in constants])
+        if laws:
+            typer.echo(
+                f"Laws, under case.model.law: {', '.join(laws)}; --law NAME shows constants."
+            )
         typer.echo()
     typer.echo("Effects, neutral unless stated:")
     rows = [

@@ -34,7 +34,6 @@ from palpate.service.quantities import (
 from palpate.storage.records.tasks import EvaluationResult
 from palpate.storage.stores.store import open_store
 from palpate.storage.stores.volumes import load_volume
-from palpate.workers.organs.registry import organ_named
 from palpate.workers.organs.study_checks import caveats_of
 from palpate.workers.tasks.evaluation import simulate_once
 from palpate.workers.tasks.study_checks import check_case
@@ -80,7 +79,7 @@ def simulate(
             export_volume(out, load_volume(opened, volume), TISSUE_NAMES)
         else:
             export_solved([out], solve_body(case, stated, str(opened), spec.name))
-    vocabulary = organ_named(spec.case.organ).parameters
+    vocabulary = spec.case.vocabulary
     held = spec.case.parameters.from_door(spec.case.constants)
     kept = not_neutral(vocabulary, result["constants"], {*held, *stated})
     shown = quantities_inside(vocabulary, result["constants"] if everything else kept)

@@ -43,10 +43,13 @@ class Fit:
     law : Isochoric
     errors : tuple of float
         One a table: root mean square of (law - table) over that of the table's stress.
+    exponents : tuple of float
+        The exponents of the family.
     """
 
     law: Isochoric
     errors: tuple[float, ...]
+    exponents: tuple[float, ...] = ()
 
     @property
     def error(self) -> float:
@@ -88,7 +91,8 @@ def fit(family: Family, tables: Sequence[Table]) -> Fit:
         law = family.build(best.moduli, best.exponents)
     except InputError as error:
         raise _without_stiffness(family) from error
-    fitted = Fit(law, tuple(relative_error(law, table) for table in tables))
+    errors = tuple(relative_error(law, table) for table in tables)
+    fitted = Fit(law, errors, tuple(best.exponents.tolist()))
     if fitted.error > WORTHLESS:
         raise _without_stiffness(family)
     return fitted
@@ -156,8 +160,8 @@ def _polish(
         residual,
         np.concatenate([start.moduli, start.exponents]),
         bounds=(
-            [*family.moduli_least, *[least] * len(start.exponents)],
-            [*[np.inf] * count, *[most] * len(start.exponents)],
+            [*family.moduli_least, *np.broadcast_to(least, start.exponents.shape)],
+            [*[np.inf] * count, *np.broadcast_to(most, start.exponents.shape)],
         ),
         x_scale="jac",
         ftol=1e-12,

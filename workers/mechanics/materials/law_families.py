@@ -5,7 +5,7 @@ its exponents. With exponents given, the best moduli follow from linear least sq
 so only exponents need a search, and only they need a place to start from.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -39,15 +39,15 @@ class Family:
         Lower bound of each modulus, 0 or minus infinity.
     starts : tuple of tuple of float
         Exponents to start a search from; one empty tuple if there are none.
-    exponent_range : tuple of float
-        Bounds of every exponent.
+    exponent_range : tuple of float, or of sequences of float
+        Bounds of every exponent, or of each.
     """
 
     name: str
     build: Callable[[FloatArray, FloatArray], Isochoric]
     moduli_least: tuple[float, ...]
     starts: tuple[tuple[float, ...], ...] = ((),)
-    exponent_range: tuple[float, float] = (-100.0, 100.0)
+    exponent_range: tuple[float | Sequence[float], float | Sequence[float]] = (-100.0, 100.0)
 
     @property
     def constants(self) -> int:

@@ -9,7 +9,7 @@ tissue behind: ``yeoh_c2_fat``.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -70,7 +70,9 @@ class LawPlugin:
         of = f" of {tissue}" if tissue else ""
         return tuple(
             replace(
-                p, name=f"{prefix}{p.name}{suffix}", description=f"{self.label}{of}: {p.description}"
+                p,
+                name=f"{prefix}{p.name}{suffix}",
+                description=f"{self.label}{of}: {p.description}",
             )
             for p in self.parameters
         )
@@ -109,22 +111,17 @@ def law_names() -> tuple[str, ...]:
     return tuple(plugins("laws"))
 
 
-def law_of_constant(name: str, tissues: Iterable[str] = ("",)) -> str:
-    """Return the law that a shape constant of a file belongs to by its name, or "".
+def law_of_constant(name: str) -> str:
+    """Return the law with which the name of a shape constant begins, or "".
 
     Examples
     --------
-    >>> law_of_constant("fung_b_fat", ("fat", "glandular"))
+    >>> law_of_constant("fung_b_fat")
     'fung'
-    >>> law_of_constant("E_fat_kpa", ("fat", "glandular"))
+    >>> law_of_constant("E_fat_kpa")
     ''
     """
-    for law in sorted(law_names(), key=len, reverse=True):
-        if name.startswith(_prefix(law)):
-            known = {p.door_name for t in tissues for p in law_named(law).constants(t)}
-            if name in known:
-                return law
-    return ""
+    return max((law for law in law_names() if name.startswith(_prefix(law))), key=len, default="")
 
 
 def _prefix(law: str) -> str:

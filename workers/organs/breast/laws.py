@@ -1,10 +1,10 @@
 """The laws of a breast's tissues, by name, and their shape constants."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import BeforeValidator, Field
 
 from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.effects.material import STIFFENING
@@ -15,16 +15,15 @@ from palpate.workers.mechanics.materials.law_plugins import (
     law_of_constant,
 )
 from palpate.workers.mechanics.parameters import Vocabulary
+from palpate.workers.organs.breast.effects import CATALOGUE
 from palpate.workers.plugins import plugin
-from palpate.workers.spec import Door, checked_name
+from palpate.workers.spec import Door, LawName, checked_name
 
 LAW_TISSUES = ("fat", "glandular")
 NO_STIFFENING = (
     "strain stiffening",
     "the file chooses a law for every tissue: its shape constants say how the tissue stiffens",
 )
-
-LawName = Annotated[str, AfterValidator(lambda name: checked_name("laws", name))]
 
 
 class TissueLaws(Door):
@@ -85,18 +84,23 @@ class TissueLaws(Door):
             return own
         return replace(own, law=law_named(name).law(own.mu_mpa, values, tissue))
 
-    def suspects(self, effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
-        """Return the effects that can act on bodies of these laws."""
-        return effects if self.can_stiffen else tuple(e for e in effects if e is not STIFFENING)
+    @property
+    def suspects(self) -> tuple[Effect, ...]:
+        """The effects that may be missing from a model with these laws."""
+        return tuple(e for e in CATALOGUE.effects if self.can_stiffen or e.name != STIFFENING.name)
+
+    @property
+    def not_simulated(self) -> tuple[tuple[str, str], ...] | None:
+        """Causes that no effect stands for, with reasons; None if they are the catalogue's."""
+        return None if self.can_stiffen else (*CATALOGUE.not_simulated, NO_STIFFENING)
 
     def reason_against(self, name: str) -> str:
         """Return why a parameter cannot be used with these laws, or ""."""
         if name in STIFFENING.names and not self.can_stiffen:
             return NO_STIFFENING[1]
-        law = law_of_constant(name, LAW_TISSUES)
-        if not law or name in self.constants.door_names:
+        if name in self.constants.door_names or name not in shape_constants([name]).door_names:
             return ""
-        tissue = next(t for t in LAW_TISSUES if name.endswith(t))
+        law, tissue = law_of_constant(name), next(t for t in LAW_TISSUES if name.endswith(t))
         return f"it belongs to the law {law}, but the law of {tissue} is {self.by_tissue[tissue]}"
 
 
@@ -118,18 +122,15 @@ Laws = Annotated[
 ]
 
 
-def shape_constants(names: Mapping[str, Any]) -> Vocabulary:
-    """Return the shape constants that some of these names are, of whatever law.
+def shape_constants(names: Iterable[str]) -> Vocabulary:
+    """Return all shape constants of the laws with which these names begin.
 
     Raises
     ------
     InputError
         If a law cannot be imported.
     """
-    found = {}
-    for name in names:
-        law = law_of_constant(name, LAW_TISSUES)
-        for tissue in LAW_TISSUES if law else ():
-            found |= {p.door_name: p for p in law_named(law).constants(tissue)}
-    return Vocabulary(found[name] for name in names if name in found)
-
+    laws = dict.fromkeys(law_of_constant(name) for name in names)
+    return Vocabulary(
+        p for law in laws if law for t in LAW_TISSUES for p in law_named(law).constants(t)
+    )

@@ -212,7 +212,8 @@ class Breast:
 
     def nuisances(self, case: BreastCase, imaged: bool) -> Sequence[Nuisance]:
         """See `DifferentiableOrgan.nuisances`."""
-        return nuisances(case.load, imaged)
+        found = nuisances(case.load, imaged)
+        return tuple(n for n in found if not case.unused_parameter(n.name))
 
     def coarse(self, body: Volume, spacing_mm: float) -> Volume:
         """See `VoxelOrgan.coarse`."""

@@ -3,7 +3,9 @@
 from palpate.storage.values import Triple
 
 
-def law_text(fibres: str, fibre_invariant: str, direction: Triple) -> str:
+def law_text(
+    fibres: str, fibre_invariant: str, direction: Triple, matrix: str = "neo-Hookean"
+) -> str:
     """Return the law of tissue with fibres.
 
     Examples
@@ -14,7 +16,7 @@ def law_text(fibres: str, fibre_invariant: str, direction: Triple) -> str:
     pulled = "in tension only" if fibres == "tension-only" else "in compression as well"
     stretch = "isochoric" if fibre_invariant == "isochoric" else "full (I4)"
     along = ", ".join(f"{c:g}" for c in direction)
-    return f"neo-Hookean, fibres along ({along}) that act {pulled}, {stretch} stretch"
+    return f"{matrix}, fibres along ({along}) that act {pulled}, {stretch} stretch"
 
 
 def wall_text(held: bool, kx_kpa_per_mm: float, ky_kpa_per_mm: float) -> str:

@@ -1,7 +1,7 @@
 """The breast: its materials, the constants that they take, and how two plates press it.
 
 Ligaments behave as fat (thesis section 4.5); muscle does too, unless its own
-constants are stated. Skin is fat (``none``), fat under a membrane
+constants are stated; its law is always that of fat. Skin is fat (``none``), fat under a membrane
 (``membrane``), or a tissue of its own in the mesh (``layer``). Fibres run from
 chest wall to nipple, along z.
 """
@@ -61,8 +61,8 @@ def problem_of(
     ----------
     model, load : ModelSpec and LoadSpec
     constants : mapping of str to float
-        Every parameter of `workers.mechanics.parameters.BREAST`, inside names and units, and
-        those of the effects that the model has.
+        Every parameter of `workers.mechanics.parameters.BREAST`, inside names and units, the
+        shape constants of the laws, and those of the effects that the model has.
     body : tuple of float
         Where the undeformed body begins and ends along the axis of compression, in mm.
     target : tuple of float, optional
@@ -70,16 +70,19 @@ def problem_of(
     frame : Frame
         Of the undeformed body.
     """
-    fat = Constants(constants["E_fat"], constants["nu"], constants["eta_fat"])
+
+    def tissue(name: str, law_of: str) -> Constants:
+        own = Constants(constants[f"E_{name}"], constants["nu"], constants[f"eta_{name}"])
+        return model.law.applied(law_of, own, constants)
+
+    fat = tissue("fat", "fat")
     skin = Constants(constants["E_skin"], constants["nu"])
     tissues = {
         Tissue.FAT: fat,
         Tissue.LIGAMENT: fat,
         Tissue.SKIN: skin if model.skin == "layer" else fat,
-        Tissue.MUSCLE: Constants(constants["E_muscle"], constants["nu"], constants["eta_muscle"]),
-        Tissue.GLANDULAR: Constants(
-            constants["E_glandular"], constants["nu"], constants["eta_glandular"]
-        ),
+        Tissue.MUSCLE: tissue("muscle", "fat"),
+        Tissue.GLANDULAR: tissue("glandular", "glandular"),
     }
     effects = {name: constants[name] for name in _EFFECT_NAMES if name in constants}
     membrane = Membrane(constants["E_skin"], model.skin_thickness_mm)

@@ -3,7 +3,15 @@
 from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, Field, StringConstraints, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    StringConstraints,
+    model_serializer,
+    model_validator,
+)
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
@@ -15,6 +23,7 @@ from palpate.workers.mechanics.parameters import BREAST, Vocabulary
 from palpate.workers.missing_keys import Pairs
 from palpate.workers.organs.breast import default_physics as physics
 from palpate.workers.organs.breast.effects import BREAST_MODEL
+from palpate.workers.organs.breast.laws import LAW_TISSUES, Laws, TissueLaws, shape_constants
 from palpate.workers.organs.breast.physics_words import law_text, wall_text
 from palpate.workers.spec import (
     CaseSpec,
@@ -45,7 +54,14 @@ Axes = Annotated[str, checked(parse_axes)]
 TissueName = Annotated[
     str, StringConstraints(to_lower=True, strip_whitespace=True), checked(tissue_named)
 ]
-DoorConstants = Annotated[dict[str, float], checked(BREAST_MODEL.from_door)]
+
+
+def _known_constants(given: Mapping[str, float]) -> None:
+    """Refuse unknown names and values; whether a shape constant's law is chosen the case knows."""
+    BREAST_MODEL.extended_by(shape_constants(given)).from_door(given)
+
+
+DoorConstants = Annotated[dict[str, float], checked(_known_constants)]
 
 
 Labels = Annotated[dict[int | str, str] | str | None, BeforeValidator(label_map)]
@@ -128,12 +144,27 @@ class MeshSpec(Door):
 
 
 class ModelSpec(Door):
-    """What the model of the tissue contains."""
+    """What the model of the tissue contains.
+
+    Parameters
+    ----------
+    law : str or mapping
+        The law of the tissue without its fibres, such as yeoh: one for all, or
+        {fat: yeoh, glandular: neo-hookean}. Its shape constants, such as yeoh_c2_fat, can be held
+        or searched; `palpate parameters --law yeoh` lists them.
+    """
 
     skin: physics.Skin = physics.SKIN
     skin_thickness_mm: Positive = physics.SKIN_THICKNESS_MM
     fibres: physics.Fibres = physics.FIBRES
     fibre_invariant: physics.FibreInvariant = physics.FIBRE_INVARIANT
+    law: Laws = TissueLaws()
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what older studies do not have, or their digests would change."""
+        values: dict[str, Any] = handler(self)
+        return {k: v for k, v in values.items() if k != "law" or not self.law.is_default}
 
 
 class PlateDistanceSpec(Door):
@@ -193,6 +224,8 @@ _WALL = wall_text(physics.WALL_HELD, physics.WALL_SPRING_KPA_PER_MM, physics.WAL
 class BreastCase(CaseSpec):
     """A breast, its mesh, its model and its load."""
 
+    law_tissues: ClassVar[tuple[str, ...]] = LAW_TISSUES
+
     organ: Literal["breast"] = "breast"
     reference: ReferenceSpec
     mesh: MeshSpec = MeshSpec(nodes=20_000)
@@ -203,7 +236,24 @@ class BreastCase(CaseSpec):
     @property
     def parameters(self) -> Vocabulary:
         """See `CaseSpec.parameters`."""
-        return BREAST_MODEL.without(["E_skin"]) if self.model.skin == "none" else BREAST_MODEL
+        return self.vocabulary.without(n for n in self.vocabulary.names if self._unused(n))
+
+    @property
+    def vocabulary(self) -> Vocabulary:
+        """See `CaseSpec.vocabulary`."""
+        return BREAST_MODEL.extended_by(self.model.law.constants)
+
+    @property
+    def plugged_modules(self) -> Sequence[str]:
+        """See `CaseSpec.plugged_modules`: the laws."""
+        return self.model.law.modules
+
+    @model_validator(mode="after")
+    def _constants_of_its_laws(self) -> Self:
+        for name in self.constants:
+            if reason := self.model.law.reason_against(name):
+                raise ValueError(f"constants: {name} is not used: {reason}")
+        return self
 
     @property
     def mesh_nodes(self) -> int | None:
@@ -214,13 +264,20 @@ class BreastCase(CaseSpec):
         """See `CaseSpec.understood`."""
         model, skin = self.model, self.model.skin
         rows = [
-            ("law", law_text(model.fibres, model.fibre_invariant, physics.FIBRE_DIRECTION)),
+            (
+                "law",
+                law_text(
+                    model.fibres, model.fibre_invariant, physics.FIBRE_DIRECTION, model.law.text
+                ),
+            ),
             ("chest wall", f"where the body begins, {_WALL}"),
             ("skin", "as fat" if skin == "none" else f"{skin}, {model.skin_thickness_mm:g} mm"),
             ("plates", self.load.text),
         ]
-        values, stated = self.complete(), BREAST_MODEL.from_door(self.constants)
-        held = [p for p in self.parameters if p.name in BREAST and p.name not in searched]
+        values, stated = self.complete(), self.vocabulary.from_door(self.constants)
+        constants = (*BREAST, *model.law.constants)
+        known = self.parameters
+        held = [p for p in constants if p.name in known and p.name not in searched]
         followed = [p for p in held if p.follows and p.name not in stated]
         texts = [
             f"{p.name} {p.unit.text(values[p.name])}{'' if p.name in stated else ' (default)'}"
@@ -231,7 +288,8 @@ class BreastCase(CaseSpec):
 
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
         """See `CaseSpec.complete`."""
-        return BREAST_MODEL.complete(BREAST_MODEL.from_door(self.constants), constants or {})
+        vocabulary = self.vocabulary
+        return vocabulary.complete(vocabulary.from_door(self.constants), constants or {})
 
     def identifiable(self, searched: Collection[str]) -> Identifiable:
         """See `CaseSpec.identifiable`.
@@ -242,7 +300,7 @@ class BreastCase(CaseSpec):
         if self.load.force_n is not None:
             return "absolute"
         values = self.complete()
-        stated = BREAST_MODEL.from_door(self.constants)
+        stated = self.vocabulary.from_door(self.constants)
         for p in self.parameters:
             follows = p.follows in searched and p.name not in stated
             if p.unit in FORCE_UNITS and values[p.name] and p.name not in searched and not follows:
@@ -251,14 +309,20 @@ class BreastCase(CaseSpec):
 
     def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
         """See `CaseSpec.common_scale`: with plates at a distance nothing fixes the forces."""
-        scaled = [n for n in searched if BREAST_MODEL[n].unit in FORCE_UNITS]
-        stiffnesses = all(BREAST_MODEL[n].unit == KPA for n in scaled)
+        vocabulary = self.vocabulary
+        scaled = [n for n in searched if vocabulary[n].unit in FORCE_UNITS]
+        stiffnesses = all(vocabulary[n].unit == KPA for n in scaled)
         absolute = self.identifiable(searched) == "absolute"
         return () if absolute or not stiffnesses else tuple(scaled)
 
     def unused_parameter(self, name: str) -> str:
         """See `CaseSpec.unused_parameter`."""
-        return "the case has no skin: case.model.skin is none" if name == "E_skin_kpa" else ""
+        return self._unused("E_skin" if name == "E_skin_kpa" else name)
+
+    def _unused(self, name: str) -> str:
+        if name == "E_skin" and self.model.skin == "none":
+            return "the case has no skin: case.model.skin is none"
+        return self.model.law.reason_against(name)
 
 
 class BreastTarget(ImageSpec, TargetSpec):

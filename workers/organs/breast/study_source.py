@@ -5,8 +5,8 @@ their intervals the plausible ones; a parameter that may be zero or negative has
 logarithm and is held where the search has ended.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -39,9 +39,8 @@ from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame
-from palpate.workers.mechanics.parameters import Bounds
+from palpate.workers.mechanics.parameters import Bounds, Parameter
 from palpate.workers.mechanics.pressed import Pressed
-from palpate.workers.organs.breast.effects import CATALOGUE
 from palpate.workers.organs.breast.problem import extent_of, materials_of, pressed_by, problem_of
 from palpate.workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
 from palpate.workers.organs.breast.study_checks import BreastChecks
@@ -52,7 +51,8 @@ from palpate.workers.spec import validated
 
 # Names of both volumes in the content of a study.
 REFERENCE, TARGET = "reference", "target"
-# A stiffness that was searched from zero is plausible from this part of its upper end.
+# A stiffness or a shape constant that was searched from zero is plausible from this part of its
+# upper end.
 LEAST_PART = 0.02
 
 
@@ -195,12 +195,14 @@ class StudySource:
     def effects(self) -> Sequence[Effect]:
         """What may be missing from the model of a breast, less what was searched."""
         free = {f.name for f in self.free}
-        return [e for e in CATALOGUE.effects if not e.is_searched(free)]
+        return [e for e in self.pieces.case.model.law.suspects if not e.is_searched(free)]
 
     @cached_property
     def free(self) -> list[FreeConstant]:
         """The searched parameters that are positive."""
-        found = [_free(name, bounds) for name, bounds in self.pieces.bounds.items()]
+        case, bounds = self.pieces.case, self.pieces.bounds
+        shape = case.model.law.constants.names
+        found = [_free(case.vocabulary[name], ends, shape) for name, ends in bounds.items()]
         return [f for f in found if f is not None]
 
     @property
@@ -265,7 +267,7 @@ class StudySource:
             diagnosis,
             self.effects,
             displacements,
-            summary,
+            replace(summary, not_simulated=pieces.case.model.law.not_simulated),
             pieces.reference,
             [pieces.target],
             prepared,
@@ -325,8 +327,8 @@ class StudySource:
         return study_noise(pieces.reference, pieces.target, imaged=pieces.target_mesh is None)
 
 
-def _free(name: str, bounds: Bounds) -> FreeConstant | None:
+def _free(p: Parameter, bounds: Bounds, shape: Collection[str]) -> FreeConstant | None:
     lower, upper = bounds
-    if lower == 0 < upper and name.startswith(("E_", "eta_")):
+    if lower == 0 < upper and (p.name in shape or p.name.startswith(("E_", "eta_"))):
         lower = LEAST_PART * upper
-    return FreeConstant(name, lower, upper) if lower > 0 else None
+    return FreeConstant(p.name, lower, upper, p.unit) if lower > 0 else None

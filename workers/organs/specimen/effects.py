@@ -28,6 +28,10 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
     ("stress at rest", "the body is free of stress in the shape that the file describes"),
     ("friction", "places that are held or loaded do not slide against a support"),
 )
+NO_STIFFENING = (
+    "strain stiffening",
+    "no material is neo-Hookean: the shape constants of its law say how it stiffens",
+)
 
 
 def specimen_effects(
@@ -38,6 +42,7 @@ def specimen_effects(
     markers: bool,
     clamped: bool,
     known_nu: bool,
+    can_stiffen: bool = True,
 ) -> tuple[Effect, ...]:
     """Return the catalogue of an experiment.
 
@@ -57,13 +62,16 @@ def specimen_effects(
         Whether the body is held by the plane in which it ends.
     known_nu : bool
         Whether Poisson's ratios are stated: one that is searched is a constant, no effect.
+    can_stiffen : bool
+        Whether any material is neo-Hookean; the shape constants of other laws say how they stiffen.
     """
     effects: list[Effect] = [self_weight(down)] if weightless else []
     if loaded is not None:
         effects += [LOAD_SCALE, added_mass(down, loaded)]
     if clamped:
         effects += [CLAMP_COMPLIANCE]
-    effects += [GRADIENT, *([COMPRESSIBILITY] if known_nu else []), STIFFENING, RELAXED]
+    effects += [GRADIENT, *([COMPRESSIBILITY] if known_nu else [])]
+    effects += [*([STIFFENING] if can_stiffen else []), RELAXED]
     if markers:
         effects += [MARKER_STANDOFF]
     return (*effects, base_motion(base_mm), FRAME_TURN, *plugged_effects("specimen"))

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from palpate.storage.values import FloatArray
-from palpate.workers.organs.specimen.problem import compressibility_name, young_name
+from palpate.workers.organs.specimen.problem import compressibility_name, shape_name, young_name
 from palpate.workers.organs.specimen.readings.marker_data import Observed
 from palpate.workers.organs.specimen.spec import SpecimenSpec
 from palpate.workers.organs.study_checks import Finding
@@ -137,6 +137,9 @@ def outside_intervals(spec: SpecimenSpec, values: Mapping[str, float]) -> tuple[
         if isinstance(material.nu, tuple):
             nu = (1.0 - values[compressibility_name(spec, name)]) / 2.0
             found.append(_beyond(young.replace("E", "nu", 1), nu, material.nu, ""))
+        for inside, ends in material.shape_free.items():
+            shape = shape_name(spec, name, inside)
+            found.append(_beyond(shape, values[shape], ends, ""))
     return tuple(filter(None, found))
 
 

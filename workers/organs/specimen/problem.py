@@ -1,6 +1,7 @@
 """A bench specimen: its materials, loads and holds as a problem for the solver."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -20,6 +21,7 @@ from palpate.workers.mechanics.fem.problem.loads import (
     Wall,
 )
 from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.mechanics.materials.law_plugins import DEFAULT_LAW, law_named
 from palpate.workers.organs.specimen.spec import (
     Axis,
     ForceSpec,
@@ -46,6 +48,11 @@ def young_name(spec: SpecimenSpec, material: str) -> str:
 def compressibility_name(spec: SpecimenSpec, material: str) -> str:
     """Return the searched constant 1 - 2 nu of a material, with its name as E has it."""
     return "compressibility" if len(spec.materials) == 1 else f"compressibility_{material}"
+
+
+def shape_name(spec: SpecimenSpec, material: str, name: str) -> str:
+    """Return the searched shape constant of a material's law, with its name as E has it."""
+    return name if len(spec.materials) == 1 else f"{name}_{material}"
 
 
 def region_of(region: RegionSpec) -> Box:
@@ -82,7 +89,7 @@ def problem_of(
     loads : StateSpec or PredictSpec
     values : mapping of str to float
         Young's modulus of each material in MPa, see `young_name`; 1 - 2 nu where it is searched,
-        see `compressibility_name`.
+        see `compressibility_name`; the searched shape constants of laws, see `shape_name`.
     wall_mm : float
         Lowest z of the body. A hold on all of that plane is the wall of the solver, which
         can be made to yield; other places are held by `Hold`.
@@ -135,16 +142,22 @@ def held_axes(axes: tuple[Axis, ...]) -> tuple[bool, bool, bool]:
 def _constants(
     spec: SpecimenSpec, values: Mapping[str, float], softer: float
 ) -> dict[Tissue, Constants]:
-    return {
-        spec.tissue_of(name): Constants(
+    found = {}
+    for name, material in spec.materials.items():
+        nu = material.nu
+        if not isinstance(nu, float):
+            nu = (1.0 - min(values[compressibility_name(spec, name)], MOST_COMPRESSIBLE)) / 2.0
+        own = Constants(
             softer * values[young_name(spec, name)],
-            material.nu
-            if isinstance(material.nu, float)
-            else (1.0 - min(values[compressibility_name(spec, name)], MOST_COMPRESSIBLE)) / 2.0,
+            nu,
             density_t_per_mm3=material.density_kg_per_m3 * KG_PER_M3,
         )
-        for name, material in spec.materials.items()
-    }
+        if material.law != DEFAULT_LAW:
+            searched = {n: values[shape_name(spec, name, n)] for n in material.shape_free}
+            law = law_named(material.law)
+            own = replace(own, law=law.law(own.mu_mpa, material.shape_held | searched))
+        found[spec.tissue_of(name)] = own
+    return found
 
 
 def _force_n(force: ForceSpec, down: Triple) -> Triple:
@@ -155,7 +168,7 @@ def _force_n(force: ForceSpec, down: Triple) -> Triple:
 
 
 def free_constants(spec: SpecimenSpec) -> list[FreeConstant]:
-    """Return the searched constants: E of each material, and 1 - 2 nu where nu is an interval.
+    """Return the searched constants: E of each material, 1 - 2 nu where nu is an interval, shapes.
 
     Nu itself has no logarithm with a normal prior: it must stay below a half. Its interval bounds
     the fit; the interval of E is a prior, which holds it with two in three.
@@ -171,4 +184,8 @@ def free_constants(spec: SpecimenSpec) -> list[FreeConstant]:
             low, high = (1.0 - 2.0 * nu for nu in reversed(one.nu))
             name_inside = compressibility_name(spec, name)
             found.append(FreeConstant(name_inside, low, high, NUMBER, is_bound=True))
+    for name, one in spec.materials.items():
+        for shape, (low, high) in one.shape_free.items():
+            unit = one.shape[shape].unit
+            found.append(FreeConstant(shape_name(spec, name, shape), low, high, unit))
     return found

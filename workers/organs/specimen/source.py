@@ -32,7 +32,7 @@ from palpate.workers.mechanics.fem.problem.loads import DisplacementField
 from palpate.workers.organs.specimen.body import FARTHEST_MM, Body, arms
 from palpate.workers.organs.specimen.boundary_noise import boundary_covariance
 from palpate.workers.organs.specimen.confounded_effects import confounded_effects
-from palpate.workers.organs.specimen.effects import NOT_SIMULATED, specimen_effects
+from palpate.workers.organs.specimen.effects import NO_STIFFENING, NOT_SIMULATED, specimen_effects
 from palpate.workers.organs.specimen.force_balance import supported
 from palpate.workers.organs.specimen.load_cell_forces import TetrahedraWithCells
 from palpate.workers.organs.specimen.load_cells import (
@@ -176,6 +176,7 @@ class SpecimenSource:
             markers=spec.markers is not None,
             clamped=any(is_wall(spec, h.region, self.body.wall_mm) for h in spec.holds),
             known_nu=all(isinstance(m.nu, float) for m in spec.materials.values()),
+            can_stiffen=spec.can_stiffen,
         )
 
     @cached_property
@@ -300,7 +301,7 @@ class SpecimenSource:
             where=tuple(region_rows(diagnosis)),
             surfaces=COMPONENTS,
             compared="the points that were measured",
-            not_simulated=NOT_SIMULATED,
+            not_simulated=NOT_SIMULATED + (() if self.spec.can_stiffen else (NO_STIFFENING,)),
             markers=marker_states(self.observed, self.spec, self.load_cells, diagnosis),
             hidden=confounded_effects(diagnosis, self.effects),
             predictions=self.predictions(analysis.inverse, fit),

@@ -6,17 +6,22 @@ block has one corner at the origin and its lowest face in z first.
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Triple
 from palpate.workers.documents import parse_yaml
-from palpate.workers.mechanics.parameters import unknown_name
+from palpate.workers.mechanics.materials.law_plugins import (
+    DEFAULT_LAW,
+    law_named,
+    law_of_constant,
+)
+from palpate.workers.mechanics.parameters import Bounds, Vocabulary, unknown_name
 from palpate.workers.missing_keys import Pairs
-from palpate.workers.spec import Door, Finite, Positive, validated
+from palpate.workers.spec import Door, Finite, LawName, Positive, validated
 
 FinitePoint = tuple[Finite, Finite, Finite]
 Poisson = Annotated[float, Field(gt=0, lt=0.5)]
@@ -88,10 +93,12 @@ class MaterialSpec(Door):
 
     ``E_kpa`` is the interval in which Young's modulus is expected: a prior, which data may
     overrule; a fit outside of it is reported as such. ``nu`` is a number, or an interval that the
-    fit does not leave.
+    fit does not leave. ``constants`` are shape constants of the law, such as ``yeoh_c2: 0.5`` or
+    ``yeoh_c2: [0.1, 2]``, an interval in which it is expected; one that is not named is 0, or what
+    makes the law neo-Hookean.
     """
 
-    law: Literal["neo-hookean"] = "neo-hookean"
+    law: LawName = DEFAULT_LAW
     E_kpa: tuple[Positive, Positive] = Field(
         description="interval in which Young's modulus is searched, [lower, upper] in kPa"
     )
@@ -99,6 +106,44 @@ class MaterialSpec(Door):
         description="Poisson's ratio, or an interval in which it is searched"
     )
     density_kg_per_m3: Positive = Field(description="density in kg/m3, for its weight")
+    constants: dict[str, Finite | tuple[Positive, Positive]] = Field(default_factory=dict)
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what older experiments do not have, or their digests would change."""
+        values: dict[str, Any] = handler(self)
+        return {k: v for k, v in values.items() if k != "constants" or v}
+
+    @property
+    def shape(self) -> Vocabulary:
+        """The shape constants of the law."""
+        return Vocabulary(law_named(self.law).constants())
+
+    @property
+    def shape_held(self) -> dict[str, float]:
+        """The shape constants that are held, by names inside and in units inside."""
+        given = self.constants.items()
+        return self.shape.from_door({n: v for n, v in given if isinstance(v, float)})
+
+    @property
+    def shape_free(self) -> dict[str, Bounds]:
+        """The intervals of the shape constants to be found, by names inside, units inside."""
+        given = self.constants.items()
+        return self.shape.bounds_from_door({n: v for n, v in given if isinstance(v, tuple)})
+
+    @model_validator(mode="after")
+    def _shape_of_the_law(self) -> Self:
+        for name in self.constants:
+            other = law_of_constant(name)
+            if name not in self.shape.door_names and other not in ("", self.law):
+                raise ValueError(
+                    f"constants: {name} belongs to the law {other}, but law is {self.law}"
+                )
+        try:
+            _ = self.shape_held, self.shape_free
+        except InputError as error:
+            raise ValueError(f"constants: {error}") from None
+        return self
 
     @model_validator(mode="after")
     def _intervals(self) -> Self:
@@ -344,6 +389,11 @@ class SpecimenSpec(Door):
         """Direction of gravity, of length 1."""
         x, y, z = np.asarray(self.down) / np.linalg.norm(self.down)
         return float(x), float(y), float(z)
+
+    @property
+    def can_stiffen(self) -> bool:
+        """Whether the effect of strain stiffening acts on a material: on a neo-Hookean one."""
+        return any(material.law == DEFAULT_LAW for material in self.materials.values())
 
     def tissue_of(self, material: str) -> Tissue:
         """Return the label under which a material is meshed."""

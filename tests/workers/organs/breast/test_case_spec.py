@@ -63,7 +63,7 @@ def test_values_are_held_and_intervals_are_searched() -> None:
         ("wal", {}, "did you mean 'wall'"),
         ("gravity", "prone", "unknown key 'gravity'"),
         ("model.fibers", "literal", "did you mean 'fibres'"),
-        ("model.law", "ogden", "neo-hookean"),
+        ("model.law", "odgen", "did you mean 'ogden'"),
         ("model.nu", 0.5, "less than 0.5"),
         ("model.fibre_direction", [0, 0, 0], "must not be zero"),
         ("wall.kx", 0.2, "did you mean 'kx_kpa_per_mm'"),

@@ -6,7 +6,6 @@ from palpate.workers.body.mesh.whole_body import mesh_whole_body
 from palpate.workers.comparison.observation.smooth_outline import smooth_outline
 from palpate.workers.diagnosis.problem.acquisition import Acquisition
 from palpate.workers.organs.breast.case.scanned_case import ScannedCase
-from palpate.workers.organs.breast.effects import CATALOGUE
 
 
 def acquisition_of(case: ScannedCase) -> Acquisition:
@@ -26,7 +25,7 @@ def acquisition_of(case: ScannedCase) -> Acquisition:
         free=case.free,
         loads=case.names,
         problem=case.problem,
-        effects=CATALOGUE.effects,
+        effects=case.file.model.laws.suspects,
         pose_sd=case.pose_sd,
     )
 

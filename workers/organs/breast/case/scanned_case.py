@@ -26,7 +26,7 @@ from palpate.workers.mechanics.fem.problem.loads import (
 from palpate.workers.organs.breast.case.spec import CaseFile, CaseLoad, CasePlates, CaseWall
 from palpate.workers.organs.breast.plausibility.extents import extent_mm
 from palpate.workers.organs.breast.study_noise import NUGGET_VOXELS, study_noise
-from palpate.workers.units import KPA, KPA_PER_MM
+from palpate.workers.units import KPA_PER_MM
 
 __all__ = ["ScannedCase", "above_wall", "extent_mm"]
 
@@ -81,8 +81,9 @@ class ScannedCase:
     @property
     def free(self) -> list[FreeConstant]:
         """The unknown constants with their plausible intervals."""
+        units = dict(self.file.names.values())
         return [
-            FreeConstant(name, KPA.to_inside(low), KPA.to_inside(high))
+            FreeConstant(name, units[name].to_inside(low), units[name].to_inside(high), units[name])
             for name, (low, high) in self.file.free.items()
         ]
 
@@ -114,17 +115,20 @@ class ScannedCase:
     def problem(self, number: int, frame: Frame) -> Callable[[Values], Problem]:
         """Return the nominal model of one loaded scan, from the values of the free constants."""
         model = self.file.model
-        has_fibres = model.law == "fibre-neo-hookean"
+        has_fibres = self.file.has_fibres
         load = self._load(number, frame)
         wall = _wall(self.file.wall)
-        held = {name: KPA.to_inside(value) for name, value in self.file.held.items()}
+        laws, units = model.laws, dict(self.file.names.values())
+        held = {name: units[name].to_inside(value) for name, value in self.file.held.items()}
 
         def build(values: Values) -> Problem:
             known = held | dict(values)
+            fat = _constants(known, "E_fat", "eta_fat", model.nu)
+            gland = _constants(known, "E_gl", "eta_glandular", model.nu)
             return Problem(
                 {
-                    Tissue.FAT: _constants(known, "E_fat", "eta_fat", model.nu),
-                    Tissue.GLANDULAR: _constants(known, "E_gl", "eta_glandular", model.nu),
+                    Tissue.FAT: laws.applied("fat", fat, known),
+                    Tissue.GLANDULAR: laws.applied("glandular", gland, known),
                 },
                 load,
                 fibres=FibreField(axis=model.fibre_direction),

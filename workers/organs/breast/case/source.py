@@ -1,6 +1,7 @@
 """A case of segmented scans as the source of a diagnosis, and of a plan before it is scanned."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from numpy.typing import NDArray
@@ -28,7 +29,6 @@ from palpate.workers.organs.breast.case.acquisition import acquisition_of
 from palpate.workers.organs.breast.case.checks import case_findings, check_case
 from palpate.workers.organs.breast.case.scanned_case import ScannedCase
 from palpate.workers.organs.breast.case.spec import CaseFile
-from palpate.workers.organs.breast.effects import CATALOGUE
 from palpate.workers.organs.study_checks import Finding
 from palpate.workers.scan_threads import Each
 from palpate.workers.spec import validated
@@ -73,7 +73,7 @@ class ScannedCaseSource:
     @property
     def effects(self) -> Sequence[Effect]:
         """What may be missing from the model of a breast."""
-        return CATALOGUE.effects
+        return self.case.file.model.laws.suspects
 
     @property
     def pressed(self) -> Mapping[str, Pressed]:
@@ -137,7 +137,7 @@ class ScannedCaseSource:
             diagnosis,
             self.effects,
             displacements,
-            summary,
+            replace(summary, not_simulated=case.file.model.laws.not_simulated),
             case.reference,
             case.deformed,
             prepared,

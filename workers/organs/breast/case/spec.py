@@ -6,17 +6,26 @@ not known is refused.
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from palpate.storage.values import Triple
 from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.missing_keys import Pairs, missing
 from palpate.workers.organs.breast import default_physics as physics
+from palpate.workers.organs.breast.laws import TissueLaws, for_all_tissues, shape_constants
 from palpate.workers.organs.breast.spec import Axes, Labels, SpacingMm
 from palpate.workers.spec import Door, Finite, NotNegative, Positive
+from palpate.workers.units import KPA, Unit
 
 ALONG_X: Triple = (1.0, 0.0, 0.0)
 ALONG_Y: Triple = (0.0, 1.0, 0.0)
@@ -60,6 +69,11 @@ def _axis(given: Any) -> Any:
     return given
 
 
+def _law(given: Any) -> Any:
+    """Let the name of any law stand for all tissues."""
+    return given if given in get_args(physics.Law) else for_all_tissues(given)
+
+
 CASE_TISSUES = ("air", "fat", "glandular")
 Constant = Annotated[float | tuple[float, float], BeforeValidator(_constant)]
 Axis = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(_axis)]
@@ -70,8 +84,10 @@ class CaseModel(Door):
 
     Parameters
     ----------
-    law : str
-        A neo-Hookean solid, or one with fibres of stiffness eta.
+    law : str or mapping
+        A neo-Hookean solid, or one with fibres of stiffness eta. Another law, such as yeoh or
+        {fat: yeoh, glandular: fung}, has fibres if constants give their stiffness, and shape
+        constants, such as yeoh_c2_fat; `palpate parameters --law yeoh` lists them.
     nu : float
         Poisson's ratio.
     fibres, fibre_invariant : str
@@ -81,7 +97,11 @@ class CaseModel(Door):
         Anywhere in the body; from the chest wall to the nipple is z.
     """
 
-    law: physics.Law = physics.LAW
+    law: Annotated[
+        Annotated[physics.Law, Tag("name")] | Annotated[TissueLaws, Tag("tissues")],
+        Discriminator(lambda law: "name" if isinstance(law, str) else "tissues"),
+        BeforeValidator(_law),
+    ] = physics.LAW
     nu: Annotated[float, Field(gt=0, lt=0.5)] = physics.NU
     fibres: physics.Fibres = physics.FIBRES
     fibre_invariant: physics.FibreInvariant = physics.FIBRE_INVARIANT
@@ -99,6 +119,11 @@ class CaseModel(Door):
                 f"{', '.join(changed)} are for the law fibre-neo-hookean, found law: neo-hookean"
             )
         return self
+
+    @property
+    def laws(self) -> TissueLaws:
+        """The laws of the tissues without their fibres."""
+        return self.law if isinstance(self.law, TissueLaws) else TissueLaws()
 
 
 class CaseWall(Door):
@@ -250,9 +275,9 @@ class CaseFile(Door):
     def _known_constants(cls, data: Any) -> Any:
         constants = data.get("constants") if isinstance(data, Mapping) else None
         if isinstance(constants, Mapping):
-            wrong = [
-                unknown_name("key", str(k), CONSTANTS) for k in constants if k not in CONSTANTS
-            ]
+            names = [str(name) for name in constants]
+            known = [*CONSTANTS, *shape_constants(names).door_names]
+            wrong = [unknown_name("key", name, known) for name in names if name not in known]
             if wrong:
                 raise ValueError(f"constants: {'; '.join(wrong)}")
         return data
@@ -268,6 +293,9 @@ class CaseFile(Door):
 
     def _check_constants(self) -> None:
         given, fibres = set(self.constants), set(self.constants) & (ONE_FIBRE | FIBRE_OF_EACH)
+        for name in self.constants:
+            if reason := self.model.laws.reason_against(name):
+                raise ValueError(f"constants: {name} is not used: {reason}")
         if self.model.law == "neo-hookean" and fibres:
             raise ValueError(
                 f"constants: {', '.join(sorted(fibres))} {'is' if len(fibres) == 1 else 'are'} "
@@ -278,7 +306,7 @@ class CaseFile(Door):
                 "constants: give eta_kpa for both tissues, or eta_fat_kpa and eta_glandular_kpa"
             )
         wanted = {"E_fat_kpa", "E_glandular_kpa"}
-        if self.model.law != "neo-hookean":
+        if self.model.law == "fibre-neo-hookean" or fibres:
             wanted |= FIBRE_OF_EACH if fibres & FIBRE_OF_EACH else ONE_FIBRE
         if lacking := sorted(wanted - given):
             raise missing(
@@ -287,15 +315,31 @@ class CaseFile(Door):
             )
 
     @property
+    def has_fibres(self) -> bool:
+        """Whether the constants give the stiffness of fibres."""
+        return not self.constants.keys().isdisjoint(ONE_FIBRE | FIBRE_OF_EACH)
+
+    @property
+    def names(self) -> dict[str, tuple[str, Unit]]:
+        """The names inside and the units of all constants that the model has, by their keys."""
+        stiffnesses = {key: (name, KPA) for key, name in CONSTANTS.items()}
+        shape = {p.door_name: (p.name, p.unit) for p in self.model.laws.constants}
+        return stiffnesses | shape
+
+    @property
     def free(self) -> dict[str, tuple[float, float]]:
-        """Return the searched intervals in kPa, by names inside, in one order."""
-        given = self.constants
-        chosen = [(n, given[d]) for d, n in CONSTANTS.items() if d in given]
-        return {name: value for name, value in chosen if isinstance(value, tuple)}
+        """Return the searched intervals as stated, by names inside, in one order."""
+        return {
+            name: value
+            for key, (name, _) in self.names.items()
+            if isinstance(value := self.constants.get(key), tuple)
+        }
 
     @property
     def held(self) -> dict[str, float]:
-        """Return the held constants in kPa, by names inside."""
-        given = self.constants
-        chosen = [(n, given[d]) for d, n in CONSTANTS.items() if d in given]
-        return {name: value for name, value in chosen if isinstance(value, float)}
+        """Return the held constants as stated, by names inside."""
+        return {
+            name: value
+            for key, (name, _) in self.names.items()
+            if isinstance(value := self.constants.get(key), float)
+        }

@@ -2,9 +2,10 @@
 
 from palpate.workers.organs.breast.case.images import labels_in_words
 from palpate.workers.organs.breast.case.scanned_case import stated_starts_mm
-from palpate.workers.organs.breast.case.spec import CONSTANTS, CaseFile, CaseLoad
+from palpate.workers.organs.breast.case.spec import CaseFile, CaseLoad
 from palpate.workers.organs.breast.physics_words import law_text, wall_text
 from palpate.workers.organs.breast.study_noise import DRAWN_LENGTH_MM, DRAWN_VOXELS
+from palpate.workers.units import Unit
 
 Rows = list[tuple[str, str]]
 
@@ -29,8 +30,8 @@ def understood(file: CaseFile) -> Rows:
         ("chest wall", _wall(file)),
         ("plates", "rigid, flat, without friction"),
         *(
-            (key.removesuffix("_kpa"), _constant(file, key))
-            for key in CONSTANTS
+            (key.removesuffix("_kpa"), _constant(file, key, unit))
+            for key, (_, unit) in file.names.items()
             if key in file.constants
         ),
         ("gravity, skin", "not in the model"),
@@ -43,9 +44,9 @@ def understood(file: CaseFile) -> Rows:
 
 def _law(file: CaseFile) -> str:
     model = file.model
-    if model.law == "neo-hookean":
-        return "neo-Hookean, without fibres"
-    return law_text(model.fibres, model.fibre_invariant, model.fibre_direction)
+    if not file.has_fibres:
+        return f"{model.laws.text}, without fibres"
+    return law_text(model.fibres, model.fibre_invariant, model.fibre_direction, model.laws.text)
 
 
 def _wall(file: CaseFile) -> str:
@@ -54,11 +55,11 @@ def _wall(file: CaseFile) -> str:
     return f"{place}, {wall_text(wall.held, wall.kx_kpa_per_mm, wall.ky_kpa_per_mm)}"
 
 
-def _constant(file: CaseFile, key: str) -> str:
+def _constant(file: CaseFile, key: str, unit: Unit) -> str:
     value = file.constants[key]
     if isinstance(value, tuple):
-        return f"searched from {value[0]:g} to {value[1]:g} kPa"
-    return f"held at {value:g} kPa"
+        return f"searched from {value[0]:g} to {value[1]:g} {unit.symbol}".rstrip()
+    return f"held at {value:g} {unit.symbol}".rstrip()
 
 
 def _noise(file: CaseFile) -> str:

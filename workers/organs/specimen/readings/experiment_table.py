@@ -30,8 +30,14 @@ def _material(material: MaterialSpec) -> str:
     low, high = material.E_kpa
     nu = material.nu
     nus = f"searched from {nu[0]:g} to {nu[1]:g}" if isinstance(nu, tuple) else f"{nu:g}"
+    shape = "".join(
+        f", {name} expected from {value[0]:g} to {value[1]:g}"
+        if isinstance(value, tuple)
+        else f", {name} {value:g}"
+        for name, value in material.constants.items()
+    )
     return (
-        f"{material.law}, E expected from {low:g} to {high:g} kPa, nu {nus}, "
+        f"{material.law}{shape}, E expected from {low:g} to {high:g} kPa, nu {nus}, "
         f"{material.density_kg_per_m3:g} kg/m3"
     )
 

@@ -1,0 +1,125 @@
+"""`palpate fit-law` fits laws to tables of stress and stretch."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from palpate.service.commands.common import JsonOption, print_json
+from palpate.service.commands.tables import echo_table
+from palpate.storage.errors import InputError
+from palpate.workers.mechanics.materials.law_fit import LawFit, equally_good
+from palpate.workers.mechanics.materials.law_fit import fit_law as fit_one
+from palpate.workers.mechanics.materials.law_plugins import law_named, law_names
+from palpate.workers.mechanics.materials.table_file import read_tables
+
+
+def fit_law(
+    tables: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="TABLE...",
+            help="CSV files with the columns stretch, strain, strain_percent or shear; stress_kpa, "
+            "stress_mpa or stress_pa (nominal); and mode, if not uniaxial.",
+        ),
+    ],
+    law: Annotated[str, typer.Option("--law", help="Name of a law, or all.")] = "all",
+    nu: Annotated[
+        float, typer.Option("--nu", help="Poisson's ratio of the file that takes the constants.")
+    ] = 0.49,
+    as_json: JsonOption = False,
+) -> None:
+    """Fit material laws to stress-stretch tables of one material.
+
+    Every table counts the same. The specimen is taken as incompressible. Laws are ranked by AICc,
+    and the lines for a study file or a bench experiment are printed for the best one.
+    """
+    if not 0 < nu < 0.5:
+        raise InputError(f"--nu must be above 0 and below 0.5, found {nu:g}.")
+    read = [(path, table) for path in tables for table in read_tables(path)]
+    sources = [
+        f"{path.name} ({table.mode}, {len(table.deformation)} points)" for path, table in read
+    ]
+    fits: list[LawFit] = []
+    failed: dict[str, str] = {}
+    for name in law_names() if law == "all" else (law,):
+        try:
+            fits.append(fit_one(law_named(name), [table for _, table in read]))
+        except InputError as error:
+            if law != "all":
+                raise
+            failed[name] = str(error)
+    if not fits:
+        raise InputError("No law can be fitted. " + " ".join(dict.fromkeys(failed.values())))
+    fits.sort(key=lambda one: one.aicc)
+    best = equally_good(fits)
+    if as_json:
+        print_json(
+            {
+                "tables": sources,
+                "fits": [_record(one, nu) for one in fits],
+                "equally_good": [one.plugin.name for one in best],
+                "failed": failed,
+            }
+        )
+        return
+    _print(fits, best, sources, nu)
+    for name, reason in failed.items():
+        typer.echo(f"{name}: not fitted. {reason}")
+
+
+def _young_kpa(one: LawFit, nu: float) -> float:
+    return 2 * (1 + nu) * one.shear_modulus_mpa * 1e3
+
+
+def _record(one: LawFit, nu: float) -> dict[str, Any]:
+    return {
+        "law": one.plugin.name,
+        "shear_modulus_kpa": one.shear_modulus_mpa * 1e3,
+        "E_kpa": _young_kpa(one, nu),
+        "nu": nu,
+        "constants": one.constants,
+        "relative_error": one.fit.error,
+        "relative_errors": list(one.fit.errors),
+        "aicc": one.aicc,
+    }
+
+
+def _print(fits: list[LawFit], best: list[LawFit], sources: list[str], nu: float) -> None:
+    for number, source in enumerate(sources, 1):
+        typer.echo(f"table {number}: {source}")
+    typer.echo()
+    errors = [f"error {number}" for number in range(1, len(sources) + 1)]
+    rows = [
+        (
+            one.plugin.name,
+            f"{one.shear_modulus_mpa * 1e3:.4g} kPa",
+            *(f"{100 * error:.2g} %" for error in one.fit.errors),
+            f"{one.aicc - fits[0].aicc:.1f}",
+            ", ".join(f"{name} {value:.4g}" for name, value in one.constants.items()),
+        )
+        for one in fits
+    ]
+    echo_table(("law", "mu0", *errors, "AICc - best", "shape constants"), rows)
+    typer.echo()
+    if len(fits) > 1:
+        names = ", ".join(one.plugin.name for one in best)
+        told = "fits best" if len(best) == 1 else "fit about equally well (AICc within 2)"
+        typer.echo(
+            f"{names} {told}. AICc takes the points' deviations as independent; neighbouring"
+        )
+        typer.echo("points of a curve deviate alike, so small differences mean little.")
+        typer.echo()
+    chosen = best[0]
+    constants = chosen.constants
+    law, E = chosen.plugin.name, f"{_young_kpa(chosen, nu):.5g}"
+    shape = "".join(f", {name}_fat: {value:.5g}" for name, value in constants.items())
+    typer.echo(f"For a breast study, with nu = {nu:g} (glandular tissue likewise):")
+    typer.echo("case:")
+    typer.echo(f"  model: {{law: {{fat: {law}}}}}")
+    typer.echo(f"  constants: {{nu: {nu:g}, E_fat_kpa: {E}{shape}}}")
+    listed = ", ".join(f"{name}: {value:.5g}" for name, value in constants.items())
+    typer.echo(f"For a material of a bench experiment (E about {E} kPa):")
+    typer.echo(f"  law: {law}")
+    if listed:
+        typer.echo(f"  constants: {{{listed}}}")

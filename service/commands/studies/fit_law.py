@@ -105,10 +105,9 @@ def _print(fits: list[LawFit], best: list[LawFit], sources: list[str], nu: float
     if len(fits) > 1:
         names = ", ".join(one.plugin.name for one in best)
         told = "fits best" if len(best) == 1 else "fit about equally well (AICc within 2)"
-        typer.echo(
-            f"{names} {told}. AICc takes the points' deviations as independent; neighbouring"
-        )
-        typer.echo("points of a curve deviate alike, so small differences mean little.")
+        typer.echo(f"{names} {told}.")
+        typer.echo("AICc takes deviations as independent; neighbouring points of a curve deviate")
+        typer.echo("alike, so small differences mean little.")
         typer.echo()
     chosen = best[0]
     constants = chosen.constants

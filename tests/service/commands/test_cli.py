@@ -178,3 +178,36 @@ def test_parameters_are_listed_by_the_names_of_a_study(call: Call) -> None:
     assert [p["name"] for p in tilt["parameters"]] == ["tilt_depth_deg", "tilt_across_deg"]
     assert tilt["in_studies"]
     assert told["not_simulated"]
+
+
+def test_constants_of_a_law_are_listed_on_request(call: Call) -> None:
+    _, said, _ = call("parameters")
+    assert "mooney-rivlin" in said
+    assert "yeoh_c2_fat" not in said
+    code, said, _ = call("parameters", "--law", "yeoh")
+    assert (code, "yeoh_c3_glandular" in said) == (0, True)
+    code, _, err = call("parameters", "--organ", "cornea", "--law", "yeoh")
+    assert (code, "one law" in err) == (2, True)
+
+
+def test_laws_are_fitted_to_tables(call: Call, tmp_path: Path) -> None:
+    """Tables of Fung's law with mu0 = 4 kPa and b = 2, by hand."""
+    stretch = np.linspace(0.8, 1.5, 12)
+    first = stretch**2 + 2 / stretch
+    stress = 4 * np.exp(2 * (first - 3)) * (stretch - stretch**-2)
+    rows = [f"{x},{s}" for x, s in zip(stretch, stress, strict=True)]
+    table = tmp_path / "table.csv"
+    table.write_text("\n".join(["stretch,stress_kpa", *rows]))
+    code, said, _ = call("fit-law", str(table), "--json")
+    told = json.loads(said)
+    assert code == 0
+    assert told["equally_good"] == ["fung"]
+    best = told["fits"][0]
+    assert best["shear_modulus_kpa"] == pytest.approx(4, rel=1e-4)
+    assert best["E_kpa"] == pytest.approx(2 * 1.49 * 4, rel=1e-4)
+    assert best["constants"]["fung_b"] == pytest.approx(2, rel=1e-4)
+    code, said, _ = call("fit-law", str(table), "--law", "fung")
+    assert "constants: {nu: 0.49, E_fat_kpa: 11.92, fung_b_fat: 2}" in said
+    assert "fit best" not in said
+    code, _, err = call("fit-law", str(table), "--law", "fungi")
+    assert (code, "did you mean 'fung'" in err) == (2, True)

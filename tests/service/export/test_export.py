@@ -159,6 +159,15 @@ def test_what_cannot_be_said_is_named(store: str, tmp_path: Path) -> None:
     assert "Skin: left out" in header
 
 
+def test_a_law_that_no_other_solver_is_told_is_refused(store: str, tmp_path: Path) -> None:
+    model = {"model": {"law": {"fat": "fung"}}}
+    found = solve_body(CASE | model, CONSTANTS | {"fung_b_fat": 2.0}, store, "another law")
+    with pytest.raises(InputError, match=r"other laws \(fat: Fung, .*\.vtu"):
+        export_solved([tmp_path / "b.feb"], found)
+    assert not (tmp_path / "b.feb").exists()
+    export_solved([tmp_path / "b.vtu"], found)
+
+
 def test_attachments_are_springs_and_growth_is_left_out(store: str, tmp_path: Path) -> None:
     hidden = {"attachment_stiffness_x": 1e-4, "attachment_z": -20.0, "ln_growth_fat": 0.02}
     own = solve_body(CASE, CONSTANTS | hidden, store, "a body that is held")

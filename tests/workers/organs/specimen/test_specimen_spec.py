@@ -9,7 +9,9 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import GRAVITY_MM_PER_S2
 from palpate.workers.mechanics.fem.problem.loads import Hold, Wall
-from palpate.workers.organs.specimen.problem import problem_of
+from palpate.workers.mechanics.materials.yeoh import Yeoh
+from palpate.workers.organs.specimen.problem import free_constants, problem_of
+from palpate.workers.organs.specimen.readings.experiment_table import understood
 from palpate.workers.organs.specimen.spec import read_spec
 from tests.workers.organs.specimen.experiments import described, write
 
@@ -94,3 +96,44 @@ def test_a_hold_that_is_not_the_lowest_plane_is_held_in_place(tmp_path):
     problem = problem_of(spec, spec.states[0], {"E": 0.1}, 0.0)
     assert problem.wall == Wall((False, False, False))
     assert problem.holds[0].axes == (False, True, False)
+
+
+def test_a_material_may_have_another_law(tmp_path):
+    rubber = described()["materials"]["rubber"] | {"law": "yeoh"}
+    constants = {"yeoh_c2": [0.1, 2], "yeoh_c3": -0.5}
+    spec = read_spec(
+        write(tmp_path, described(materials={"rubber": rubber | {"constants": constants}}))
+    )
+    assert [free.name for free in free_constants(spec)] == ["E", "yeoh_c2"]
+    assert free_constants(spec)[1].unit.symbol == ""
+    problem = problem_of(spec, spec.states[1], {"E": 0.1, "yeoh_c2": 0.4}, 0.0)
+    (rubber_at_work,) = problem.constants.values()
+    mu = rubber_at_work.mu_mpa
+    assert rubber_at_work.law == Yeoh(mu / 2, 0.4 * mu, -0.5 * mu)
+    assert not spec.can_stiffen
+    assert "yeoh, yeoh_c2 expected from 0.1 to 2, yeoh_c3 -0.5" in dict(understood(spec))["rubber"]
+
+
+def test_the_default_law_is_that_of_older_experiments(tmp_path):
+    spec = read_spec(write(tmp_path, described()))
+    assert spec.can_stiffen
+    assert "constants" not in spec.model_dump(mode="json")["materials"]["rubber"]
+    (rubber,) = problem_of(spec, spec.states[1], {"E": 0.1}, 0.0).constants.values()
+    assert rubber.law is None
+
+
+@pytest.mark.parametrize(
+    ("law", "constants", "words"),
+    [
+        ("yeo", {}, "did you mean 'yeoh'"),
+        ("yeoh", {"fung_b": 1}, "belongs to the law fung, but law is yeoh"),
+        ("yeoh", {"yeoh_c9": 1}, "did you mean 'yeoh_c"),
+        ("fung", {"fung_b": -1}, "at least 0"),
+        ("fung", {"fung_b": [3, 1]}, "lower < upper"),
+        ("fung", {"fung_b": [0, 1]}, "greater than 0"),
+    ],
+)
+def test_refuses_shape_constants_that_make_no_sense(tmp_path, law, constants, words):
+    rubber = described()["materials"]["rubber"] | {"law": law, "constants": constants}
+    with pytest.raises(InputError, match=words):
+        read_spec(write(tmp_path, described(materials={"rubber": rubber})))

@@ -1,6 +1,16 @@
-"""Holds files to start from, with a comment on every key."""
+"""Files to start from, with a comment on every key."""
 
 from importlib import resources
+
+from palpate.workers.organs.registry import organ_names, organ_plugin
+
+# What `palpate diagnose` takes; the other files are studies of an organ.
+DIAGNOSED = ("diagnosis", "experiment")
+
+
+def template_names() -> tuple[str, ...]:
+    """Return the names of all templates: those of the organs, then of what is diagnosed."""
+    return (*_of_organs(), *DIAGNOSED)
 
 
 def template(kind: str, name: str) -> str:
@@ -8,9 +18,20 @@ def template(kind: str, name: str) -> str:
 
     Parameters
     ----------
-    kind : {"breast", "breast-images", "cornea", "diagnosis", "experiment"}
+    kind : str
+        One of `template_names`.
     name : str
         Stands in place of NAME.
     """
-    text = resources.files(__name__).joinpath(f"{kind}.yaml").read_text(encoding="utf-8")
+    package, _, file = _of_organs().get(kind, f"{__name__}:{kind}.yaml").partition(":")
+    text = resources.files(package).joinpath(file).read_text(encoding="utf-8")
     return text.replace("NAME", name)
+
+
+def _of_organs() -> dict[str, str]:
+    """Return ``"package:file"`` by the name of each organ's templates."""
+    return {
+        name: place
+        for organ in organ_names()
+        for name, place in organ_plugin(organ).templates.items()
+    }

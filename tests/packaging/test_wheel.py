@@ -50,7 +50,8 @@ def test_every_module_is_in_it_and_no_rubbish(names: list[PurePosixPath]) -> Non
         for package in PACKAGES
         for path in (ROOT / package).rglob("*.py")
     }
-    here |= {f"palpate/{path.name}" for path in (ROOT / "palpate").glob("*.py")}
+    for path in [*(ROOT / "palpate").glob("*.py"), *(ROOT / "palpate" / "testing").glob("*.py")]:
+        here.add(path.relative_to(ROOT).as_posix())
     packed = {name.as_posix() for name in names if name.suffix == ".py"}
     assert packed == here
     assert not [name for name in names if "__pycache__" in name.parts]

@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from palpate.storage.records.tasks import FreeParameter
-from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.parameters import Bounds
+
+if TYPE_CHECKING:
+    from palpate.workers.mechanics.effects.base import Effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +63,7 @@ class NuisanceEffect:
         See `Nuisance.always`.
     """
 
-    effect: Effect
+    effect: "Effect"
     group: str
     sd: float | None = None
     interval: Bounds | None = None

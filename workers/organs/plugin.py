@@ -65,7 +65,7 @@ class OrganPlugin:
     findings: str = ""
     study_kind: str = ""
     study_source: str = ""
-    effects: str = ""
+    effects: str = "palpate.workers.mechanics.effects.catalogue:NO_EFFECTS"
     load_direction: str = ""
     facts: tuple[Fact, ...] = ()
     templates: Mapping[str, str] = field(default_factory=dict)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from palpate.storage.records.tasks import FreeParameter
 from palpate.workers import plugins
-from palpate.workers.mechanics.effects.catalogue import Catalogue
 from palpate.workers.mechanics.pressed import Pressed
 from palpate.workers.organs.organ import Organ, PressedOrgan
 from palpate.workers.organs.plugin import OrganPlugin, module_of, resolve
@@ -16,6 +15,8 @@ from palpate.workers.spec import CaseSpec
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from palpate.workers.mechanics.effects.catalogue import Catalogue
 
 DEFAULT = "breast"
 
@@ -80,7 +81,7 @@ def findings_of(organ: str) -> Findings | None:
     return found
 
 
-def catalogue_of(organ: str) -> Catalogue:
+def catalogue_of(organ: str) -> "Catalogue":
     """Return the effects that the model of an organ may lack.
 
     Raises
@@ -88,8 +89,7 @@ def catalogue_of(organ: str) -> Catalogue:
     InputError
         If there is no such organ.
     """
-    name = organ_plugin(organ).effects
-    catalogue: Catalogue = resolve(name) if name else Catalogue(())
+    catalogue: Catalogue = resolve(organ_plugin(organ).effects)
     return catalogue
 
 

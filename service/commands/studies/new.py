@@ -1,39 +1,32 @@
 """`palpate new` writes a commented file to start from: a study, a diagnosis, an experiment."""
 
-from enum import StrEnum
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
 
 import typer
 
-from palpate.service.templates import template
+from palpate.service.templates import DIAGNOSED, template, template_names
 from palpate.storage.backends.atomic import write_file
 from palpate.storage.errors import InputError
+from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.spec import Door, Name, validated
 
 
-class Kind(StrEnum):
-    """What the file is about."""
-
-    BREAST = "breast"
-    BREAST_IMAGES = "breast-images"
-    CORNEA = "cornea"
-    DIAGNOSIS = "diagnosis"
-    EXPERIMENT = "experiment"
-
-    @property
-    def command(self) -> str:
-        """Return the command that takes the file."""
-        return "diagnose" if self in (Kind.DIAGNOSIS, Kind.EXPERIMENT) else "run"
+def _known(kind: str) -> str:
+    if kind not in template_names():
+        raise InputError(unknown_name("kind of file", kind, template_names()))
+    return kind
 
 
 def new(
     kind: Annotated[
-        Kind,
+        str,
         typer.Argument(
             help="A study of a virtual breast (breast), of two breast images (breast-images) or of "
-            "a virtual cornea (cornea); a diagnosis of breast scans; or a bench experiment."
+            "a virtual cornea (cornea); a diagnosis of breast scans (diagnosis); a bench "
+            "experiment (experiment); or a template of a plug-in.",
+            autocompletion=lambda: list(template_names()),
         ),
     ],
     name: Annotated[
@@ -53,8 +46,8 @@ def new(
         raise InputError(f"{path} is there already: choose another name, or give --out FILE.")
     if not path.parent.is_dir():
         raise InputError(f"The folder {path.parent} does not exist: make it first.")
-    write_file(path, template(kind.value, name).encode())
+    write_file(path, template(_known(kind), name).encode())
     typer.echo(
         f"Wrote {path}. Fill in the keys that are marked required, then: "
-        f"palpate {kind.command} {quote(str(path))}"
+        f"palpate {'diagnose' if kind in DIAGNOSED else 'run'} {quote(str(path))}"
     )

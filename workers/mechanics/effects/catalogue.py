@@ -77,3 +77,6 @@ class Catalogue:
         for each in self.effects:
             problem = each.apply(problem, {n: values[n] for n in each.names if n in values}, frame)
         return problem
+
+
+NO_EFFECTS = Catalogue(())

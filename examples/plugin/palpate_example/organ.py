@@ -1,0 +1,33 @@
+"""An organ: a phantom of gel in the shape of a breast."""
+
+from typing import Literal
+
+from palpate.workers.organs.breast.organ import Breast
+from palpate.workers.organs.breast.spec import BreastCase, MeshSpec
+from palpate.workers.organs.plugin import Fact, OrganPlugin
+
+
+class GelCase(BreastCase):
+    """A body of gel, its mesh and its load."""
+
+    organ: Literal["gel"] = "gel"
+    mesh: MeshSpec = MeshSpec(nodes=5_000)
+
+
+class Gel(Breast):
+    """A breast under another name, with defaults of its own."""
+
+    name = "gel"
+    case_spec = GelCase
+
+
+ORGAN = Gel()
+
+GEL = OrganPlugin(
+    name="gel",
+    organ="palpate_example.organ:ORGAN",
+    effects="palpate.workers.organs.breast.effects:CATALOGUE",
+    load_direction="The plates press along y.",
+    facts=(Fact("Gel", "volume_ml", "ml"), Fact("Nodes of the mesh", "nodes")),
+    templates={"gel": "palpate_example:gel.yaml"},
+)

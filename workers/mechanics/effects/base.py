@@ -140,6 +140,9 @@ class Effect:
     is_confounded : bool
         Whether free stiffnesses explain it completely, so that a diagnosis cannot find it.
         Default False.
+    is_in_law : bool
+        Whether the shape constants of a chosen material law describe the same thing, so that it is
+        not suspected where every tissue has such a law. Default False.
     searched_as : tuple of str
         Parameters of a study that describe the same thing under other names; an effect of
         which a study searches a parameter is not suspected. Default empty: only its own names.
@@ -179,6 +182,7 @@ class Effect:
     is_mapped: bool = False
     holds_body: bool = False
     is_confounded: bool = False
+    is_in_law: bool = False
     searched_as: tuple[str, ...] = ()
     organs: tuple[str, ...] = ()
     truth: Truth | None = None

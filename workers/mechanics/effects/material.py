@@ -494,5 +494,6 @@ STIFFENING = Effect(
         "A. Mira et al., Clin. Biomech. 60 (2018) 191",
         "P. S. Wellman, PhD thesis, Harvard University, 1999",
     ),
+    is_in_law=True,
     truth=_true_stiffening,
 )

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.material import STIFFENING
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants
 from palpate.workers.mechanics.materials.law_plugins import (
     DEFAULT_LAW,
@@ -87,7 +86,7 @@ class TissueLaws(Door):
     @property
     def suspects(self) -> tuple[Effect, ...]:
         """The effects that may be missing from a model with these laws."""
-        return tuple(e for e in CATALOGUE.effects if self.can_stiffen or e.name != STIFFENING.name)
+        return tuple(e for e in CATALOGUE.effects if self.can_stiffen or not e.is_in_law)
 
     @property
     def not_simulated(self) -> tuple[tuple[str, str], ...] | None:
@@ -96,7 +95,8 @@ class TissueLaws(Door):
 
     def reason_against(self, name: str) -> str:
         """Return why a parameter cannot be used with these laws, or ""."""
-        if name in STIFFENING.names and not self.can_stiffen:
+        in_law = {n for e in CATALOGUE.effects if e.is_in_law for n in e.names}
+        if name in in_law and not self.can_stiffen:
             return NO_STIFFENING[1]
         if name in self.constants.door_names or name not in shape_constants([name]).door_names:
             return ""

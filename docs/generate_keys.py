@@ -40,7 +40,11 @@ def _rows(model: type[BaseModel], prefix: str) -> Iterator[str]:
     for name, field in model.model_fields.items():
         key = f"{prefix}{field.alias or name}"
         inner = _model_in(field.annotation)
-        default = "required" if field.is_required() else _text(field.get_default())
+        default = (
+            "required"
+            if field.is_required()
+            else _text(field.get_default(call_default_factory=True))
+        )
         kind = "" if inner else _kind(field.annotation)
         yield f"| `{key}` | {kind} | {default} | {described.get(name, '')} |"
         if inner is not None:

@@ -5,6 +5,7 @@ from functools import cache
 import meshio
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 from palpate.storage.errors import InputError
@@ -120,6 +121,29 @@ def test_derivatives_are_those_of_the_residual(source):
         expected = (ahead - behind) / (2 * h)
         scale = max(1e-3, np.abs(expected).max())
         np.testing.assert_allclose(columns[:, p], expected, atol=0.01 * scale)
+
+
+def test_shape_constants_are_searched_with_their_derivatives(tmp_path):
+    """A material with Yeoh's law has no strain stiffening to suspect; its c2 is a constant."""
+    path = experiment(tmp_path)
+    data = yaml.safe_load(path.read_text())
+    data["materials"]["rubber"] |= {"law": "yeoh", "constants": {"yeoh_c2": [1, 4]}}
+    source = read_experiment(write(tmp_path, data))
+    assert "strain_stiffening" not in {e.name for e in source.effects}
+    inverse = source.inverse_problem(NODES, 0.0)
+    free, scan = unknowns(inverse.free, []), inverse.scans[1]
+    z = np.log([YOUNG, 3.0])
+    start = predict_scan(inverse, scan, free, z, None)
+    jacobian = derivatives(inverse, scan, free, z, start)
+    columns, h = getattr(jacobian, "columns", jacobian), 0.02
+    for p in range(2):
+        step = h * np.eye(2)[p]
+        ahead, behind = (
+            predict_scan(inverse, scan, free, z + s * step, start.at).residual for s in (1, -1)
+        )
+        expected = (ahead - behind) / (2 * h)
+        assert np.abs(expected).max() > 0.01
+        np.testing.assert_allclose(columns[:, p], expected, atol=0.01 * np.abs(expected).max())
 
 
 def test_the_stiffness_is_found_where_nothing_is_missing(tmp_path):

@@ -199,8 +199,9 @@ def millimetres(gap: Interval | None) -> str:
 
 
 def length(mm: float, beside: float | None = None) -> str:
-    """Return a length in mm to a hundredth; with two figures where it, or what it stands beside,
-    is smaller than that.
+    """Return a length in mm to a hundredth.
+
+    With two figures where it, or the length next to it, is smaller than that.
 
     Examples
     --------

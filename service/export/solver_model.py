@@ -242,7 +242,7 @@ def _active_fibres(body: SolvedBody) -> BoolArray:
 
 
 def _grouped(tissue: IntArray, shares: FloatArray, directions: FloatArray) -> tuple[IntArray, int]:
-    """Number the materials; round until there are no more than `MOST_MATERIALS`."""
+    """Assign a number to each material; round until there are no more than `MOST_MATERIALS`."""
     for digits in (9, 3, 2, 1, 0):
         # Constants by their logarithm: three digits are a thousandth.
         size = np.round(np.log(np.maximum(shares, 1e-12)), digits)

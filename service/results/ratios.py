@@ -11,11 +11,16 @@ class Estimate(Protocol):
     """What is read of a `service.results.record.ParameterEstimate`."""
 
     @property
-    def unit(self) -> str: ...
+    def unit(self) -> str:
+        """The unit of the numbers."""
+
     @property
-    def estimate(self) -> float | None: ...
+    def estimate(self) -> float | None:
+        """The best value."""
+
     @property
-    def target(self) -> float | None: ...
+    def target(self) -> float | None:
+        """The true value of a simulated target."""
 
 
 @dataclass(frozen=True)

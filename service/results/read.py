@@ -174,6 +174,7 @@ def _before_polish(spec: StudySpec, log: StudyLog) -> EvaluationRecord | None:
 def estimates_of(
     spec: StudySpec, best: EvaluationRecord | None, before: EvaluationRecord | None
 ) -> dict[str, ParameterEstimate]:
+    """Return the estimate of each searched parameter, by its name in study files."""
     parameters = spec.case.parameters
     target: dict[str, float] = {}
     if spec.target.constants is not None:

@@ -196,6 +196,7 @@ class AdaptiveFeasible:
     def __call__(
         self, rng: np.random.Generator, parents: FloatArray, space: Space, progress: Progress
     ) -> FloatArray:
+        """Return children a step away from their parents, in random directions."""
         directions = rng.standard_normal(parents.shape)
         # A zero vector has probability zero; the floor keeps it from dividing by zero.
         lengths = np.sqrt(np.sum(directions * directions, axis=1, keepdims=True))
@@ -232,6 +233,7 @@ class Gaussian:
     def __call__(
         self, rng: np.random.Generator, parents: FloatArray, space: Space, progress: Progress
     ) -> FloatArray:
+        """Return children with noise on every gene."""
         deviation = self.scale * (1.0 - self.shrink * progress.generation / progress.generations)
         noise = deviation * rng.standard_normal(parents.shape)
         return space.from_unit(reflect(space.to_unit(parents) + noise))

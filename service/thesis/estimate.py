@@ -148,8 +148,10 @@ def shipped_seconds(scale: str) -> Recorded | None:
 
 
 def _seconds(parts: Iterable[Request], runs: Iterable[SearchRun]) -> Seconds:
-    """Mean processor seconds of a part by kind, of those that are finished: a few take ten times
-    as long as most, and count in a sum."""
+    """Return the mean processor seconds of a finished part, by kind.
+
+    A few take ten times as long as most, and count in a sum.
+    """
     by_kind: dict[str, list[float]] = {}
     for request in parts:
         if request.part.is_finished:

@@ -1,9 +1,9 @@
-"""Appends to the file that a study is resumed from: JSON records, one a line.
+r"""Appends to the file that a study is resumed from: JSON records, one a line.
 
 ::
 
-    {"kind":"study", ...}\\n
-    {"kind":"evaluation","candidate":0, ...}\\n
+    {"kind":"study", ...}\n
+    {"kind":"evaluation","candidate":0, ...}\n
     {"kind":"evaluation","cand                   torn: its writer was killed here
 
 A record exists once its newline is on disk. What follows the last newline never

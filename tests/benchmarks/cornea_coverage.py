@@ -32,7 +32,6 @@ from palpate.service.results.read import study_results  # noqa: E402
 from palpate.service.study.loop import Study  # noqa: E402
 from palpate.service.study.spec import StudySpec  # noqa: E402
 from palpate.workers.organs.cornea.comparison.identifiability import uniaxial_stress_mpa  # noqa: E402
-from palpate.workers.organs.cornea.frames.generated import generated_frame  # noqa: E402
 from palpate.workers.organs.cornea.material.constants import CorneaConstants  # noqa: E402
 from palpate.workers.organs.cornea.organ import ORGAN  # noqa: E402
 from palpate.workers.organs.cornea.section.outline import Section  # noqa: E402
@@ -40,6 +39,7 @@ from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion  # no
 from palpate.workers.organs.cornea.solver.cohort import TABLE_5_2, CohortEye  # noqa: E402
 from palpate.workers.organs.cornea.spec import CorneaCase  # noqa: E402
 from palpate.workers.spec import validated  # noqa: E402
+from tests.workers.organs.cornea.frames.generated_frame import generated_frame  # noqa: E402
 
 ELEMENTS, TARGET_ELEMENTS, JET_KPA = 960, 5760, 15.0
 PIXEL_MM, SHAPE = (0.015625, 0.0165), (300, 800)

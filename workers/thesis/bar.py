@@ -176,26 +176,6 @@ def force_of(number: int) -> Triple:
     return float(total[0]), float(total[1]), 0.0
 
 
-def bar_experiment(scale: Scale = "reduced", surface: Surface = "boundary") -> BarExperiment:
-    """Compare the eight wrong deformations of the bar with the gold one.
-
-    Parameters
-    ----------
-    scale : {"sketch", "reduced", "full"}
-        600, 3,000 or 30,000 nodes; voxels of 2, 1 or 0.5 mm.
-    surface : {"boundary", "all"}
-        See `workers.comparison.coefficients.coefficients.coefficients`.
-
-    Raises
-    ------
-    InputError
-        If the scale is unknown, or the gold deformation does not converge.
-    """
-    bar = make_bar(scale)
-    bent = {number: bend(bar, force_of(number)) for number in (0, *DEFORMATIONS)}
-    return compared_bars(scale, bar, bent, surface)
-
-
 def compared_bars(
     scale: Scale, bar: Bar, bent: Mapping[int, Bent], surface: Surface = "boundary"
 ) -> BarExperiment:

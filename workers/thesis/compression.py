@@ -192,8 +192,10 @@ def _as_set(ids: Volume) -> Volume:
 
 
 def _each_compartment(first: Volume, second: Volume) -> tuple[FloatArray, int]:
-    """Centroid distance, volume difference, JC and MHD of each, shape (k, 4); and how many
-    have voxels in one volume only."""
+    """Return centroid distance, volume difference, JC and MHD of each, shape (k, 4).
+
+    Also how many have voxels in one volume only.
+    """
     in_first, in_second = (ndimage.find_objects(v.values) for v in (first, second))
     rows, lost = [], 0
     for number, boxes in enumerate(zip_longest(in_first, in_second), start=1):

@@ -148,7 +148,13 @@ class MadeMesh:
 
 
 def made_mesh(number: int, kind: MeshKind, scale: Scale = "reduced") -> MadeMesh:
-    """Mesh phantom `number`; see `quality_row`."""
+    """Mesh phantom `number`, 1 to 10.
+
+    Raises
+    ------
+    InputError
+        If the number, the kind or the scale is unknown, or another mesher is not installed.
+    """
     check_scale(scale)
     materials = two_materials(thesis_phantom(number, scale).labels)
     started = time.process_time()
@@ -160,26 +166,6 @@ def made_mesh(number: int, kind: MeshKind, scale: Scale = "reduced") -> MadeMesh
         finest = mesh_of(materials, kind, scale).finest
         mesh, inside = finest.mesh, finest.fractions[:, Tissue.GLANDULAR] > 0.5
     return MadeMesh(mesh, inside, materials, time.process_time() - started)
-
-
-def quality_row(number: int, kind: MeshKind, scale: Scale = "reduced") -> QualityRow:
-    """Mesh phantom `number` and measure the tetrahedra.
-
-    Parameters
-    ----------
-    number : int
-        1 to 10.
-    kind : str
-        See `KINDS`.
-    scale : {"sketch", "reduced", "full"}
-        Of the phantom; cells are the same but for a sketch.
-
-    Raises
-    ------
-    InputError
-        If the number, the kind or the scale is unknown, or another mesher is not installed.
-    """
-    return row_of(number, kind, made_mesh(number, kind, scale))
 
 
 def row_of(number: int, kind: MeshKind, made: MadeMesh) -> QualityRow:

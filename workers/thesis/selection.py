@@ -54,7 +54,7 @@ def select(experiment: BarExperiment) -> Selection:
 
 
 def _misfit(name: str, values: dict[int, float]) -> dict[int, float]:
-    """The same numbers turned so that more is worse."""
+    """Return the same numbers turned so that more is worse."""
     if name in OVERLAPS:
         return {n: -v for n, v in values.items()}
     if name in SIGNED:

@@ -1,5 +1,7 @@
-"""Computes how far outside of a body its interfaces are drawn: labels or scans that are too large,
-and scans that lie elsewhere."""
+"""How far outside of a body its interfaces are drawn.
+
+Labels or scans that are too large, and scans at another place.
+"""
 
 from collections.abc import Mapping
 

@@ -315,8 +315,10 @@ def _baselines(records: Records, floor: float | None) -> Iterable[Metric]:
 
 
 def _threshold(records: Records, key: str) -> float | None:
-    """Return below what a baseline stays silent to alarm as rarely as the diagnosis; None without
-    bodies that lack nothing."""
+    """Return the threshold at which a baseline alarms as rarely as the diagnosis.
+
+    None without bodies that lack nothing.
+    """
     silent = [r for r in records if r.silent and key in r.loudness]
     if not silent:
         return None

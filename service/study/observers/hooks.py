@@ -101,21 +101,27 @@ class Hooks(Observer):
                 self._observers.remove(observer)
 
     def started(self, facts: StudyFacts) -> None:
+        """Pass the event on."""
         self._call("started", facts)
 
     def prepared(
         self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
     ) -> None:
+        """Pass the event on."""
         self._call("prepared", what, record)
 
     def generation_begun(self, number: int, evaluations: int) -> None:
+        """Pass the event on."""
         self._call("generation_begun", number, evaluations)
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        """Pass the event on."""
         self._call("evaluation_ended", record, replayed)
 
     def generation_ended(self, number: int, generation: Generation) -> None:
+        """Pass the event on."""
         self._call("generation_ended", number, generation)
 
     def stopped(self, reason: str) -> None:
+        """Pass the event on."""
         self._call("stopped", reason)

@@ -171,6 +171,7 @@ class PlainProgress(Progress):
         self._last = 0.0
 
     def started(self, facts: StudyFacts) -> None:
+        """Print where the study runs."""
         super().started(facts)
         where = f", dashboard {facts.dashboard}" if facts.dashboard else ""
         self._line(f"{facts.name}: {facts.workers} workers, study folder {facts.folder}{where}")
@@ -179,16 +180,19 @@ class PlainProgress(Progress):
     def prepared(
         self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
     ) -> None:
+        """Print that the case or the target is in the store."""
         super().prepared(what, record)
         self._line(f"{what} prepared")
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
+        """Print how far the study is, now and then."""
         super().evaluation_ended(record, replayed)
         if not replayed and time.monotonic() - self._last >= LINE_EVERY_S:
             shown = [row for row in self.rows() if row[0] not in ("phase", "page", "dashboard")]
             self._line("; ".join(f"{heading} {text}".strip() for heading, text in shown))
 
     def generation_ended(self, number: int, generation: Generation) -> None:
+        """Print the best score."""
         super().generation_ended(number, generation)
         best = self.best.score if self.best is not None else None
         objective = GSF if self.facts is None else self.facts.objective
@@ -200,6 +204,7 @@ class PlainProgress(Progress):
         self._line(f"generation {number + 1} done: {text}; {self.ended} evaluations")
 
     def stopped(self, reason: str) -> None:
+        """Print why the search is over."""
         super().stopped(reason)
         self._line(f"stopped: {reason}")
 

@@ -58,6 +58,6 @@ def test_a_misspelt_command_is_suggested(call: Callable[..., tuple[int, str, str
 
 
 def test_completes_commands_subcommands_and_options() -> None:
-    assert complete("palpate st") == ["status", "store", "strategies"]
+    assert complete("palpate st") == ["status", "strategies", "store"]
     assert complete("palpate token ") == ["new", "list", "remove"]
     assert "--out" in complete("palpate new --")

@@ -22,7 +22,7 @@ from palpate.workers.diagnosis.fits.sensitivity_analysis import joined_sensitivi
 from palpate.workers.diagnosis.outcome.summarise import summarise
 from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
 from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.diagnosis.verdict.diagnosis import diagnose_here, weigh
+from palpate.workers.diagnosis.verdict.diagnosis import weigh
 from palpate.workers.organs.breast.case.files import read_case
 from palpate.workers.organs.breast.case.source import ScannedCaseSource
 from palpate.workers.organs.breast.effects import CATALOGUE
@@ -36,6 +36,7 @@ from palpate.workers.tasks.diagnosis_store import (
 )
 from tests.service.blind.blind_at_hand import Inline
 from tests.service.diagnosis.compressed_breast import SCANS, TRUE_MPA, loads_exchanged, write_case
+from tests.workers.diagnosis.in_one_process import diagnose_here
 
 effect = CATALOGUE.named
 NODES, SPACING_MM = 1600, 8.0

@@ -13,12 +13,12 @@ from palpate.workers.thesis.bar import (
     LENGTH_MM,
     SIDE_MM,
     BarExperiment,
-    bar_experiment,
     bend,
     force_of,
     make_bar,
 )
 from palpate.workers.thesis.selection import monotone_in_groups, select
+from tests.service.thesis.thesis_at_hand import bar_experiment
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,30 @@ from palpate.workers.thesis.cylinder import (
     LENGTH_MM,
     RADIUS_MM,
     CylinderRow,
-    crossed_overlap,
     cylinder,
     cylinder_experiment,
     cylinder_row,
 )
+
+
+def crossed_overlap(angle_deg: float) -> tuple[float, float]:
+    r"""Jaccard and Dice coefficient of two crossed smooth cylinders.
+
+    Where neither end takes part, :math:`r |\cos| + r < (L / 2) |\sin|`, the common body
+    is Steinmetz' solid of volume :math:`16 r^3 / 3 \sin`.
+
+    Raises
+    ------
+    InputError
+        If an end takes part.
+    """
+    turn = math.radians(angle_deg)
+    s, c = math.sin(turn), abs(math.cos(turn))
+    if not RADIUS_MM * (1 + c) < LENGTH_MM / 2 * s:
+        raise InputError(f"At {angle_deg:g} degrees the cylinders overlap up to their ends.")
+    common = 16 * RADIUS_MM**3 / (3 * s)
+    whole = math.pi * RADIUS_MM**2 * LENGTH_MM
+    return common / (2 * whole - common), common / whole
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from palpate.workers.thesis.compression import (
     compression_problem,
     constants_of,
 )
-from palpate.workers.thesis.mesh_quality import QualityRow, aspect_rows, quality_row
+from palpate.workers.thesis.mesh_quality import MeshKind, QualityRow, aspect_rows, made_mesh, row_of
 from palpate.workers.thesis.phantoms import REDUCED, density_of, thesis_phantom, two_materials
 
 
@@ -35,7 +35,10 @@ def pressed(phantom: Phantom) -> Compressed:
 
 @pytest.fixture(scope="module")
 def rows() -> tuple[QualityRow, QualityRow]:
-    return quality_row(2, "adaptive 3 mm"), quality_row(2, "homogeneous")
+    def row(kind: MeshKind) -> QualityRow:
+        return row_of(2, kind, made_mesh(2, kind))
+
+    return row("adaptive 3 mm"), row("homogeneous")
 
 
 def test_densities_run_from_7_to_35_percent() -> None:

@@ -28,8 +28,9 @@ from palpate.workers.tasks.thesis.meshes import (
     press_phantom,
 )
 from palpate.workers.tasks.thesis.parts import Timed
-from palpate.workers.thesis.bar import DEFORMATIONS, bar_experiment
+from palpate.workers.thesis.bar import DEFORMATIONS
 from palpate.workers.thesis.mesh_quality import BINS, MEASURES
+from tests.service.thesis.thesis_at_hand import bar_experiment
 
 
 @pytest.mark.slow

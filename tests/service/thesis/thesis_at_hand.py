@@ -19,11 +19,28 @@ from palpate.service.thesis.results import (
 from palpate.workers.body.mesh.adaptive.agreement import Agreement
 from palpate.workers.comparison.coefficients.coefficients import Coefficients
 from palpate.workers.mechanics.fem.problem.outcome import Outcome
-from palpate.workers.thesis.bar import DEFORMATIONS, BarExperiment, BarRow, force_of
+from palpate.workers.thesis.bar import (
+    DEFORMATIONS,
+    BarExperiment,
+    BarRow,
+    bend,
+    compared_bars,
+    force_of,
+    make_bar,
+)
 from palpate.workers.thesis.cylinder import ANGLES_DEG, CylinderRow
 from palpate.workers.thesis.identification import PHANTOMS, TARGETS, TargetName
 from palpate.workers.thesis.mesh_quality import BINS, MEASURES, MeshKind, QualityRow, aspect_rows
+from palpate.workers.thesis.scale import Scale
 from palpate.workers.thesis.selection import select
+
+
+def bar_experiment(scale: Scale) -> BarExperiment:
+    """The eight wrong deformations of the bar, compared with the gold one."""
+    bar = make_bar(scale)
+    bent = {number: bend(bar, force_of(number)) for number in (0, *DEFORMATIONS)}
+    return compared_bars(scale, bar, bent)
+
 
 OUTCOME = Outcome(True, "", (3,), (9,), 1e-9, 2.0, 1.0, 1.0, 0.0, 0.9, 1.0, 0.0, 0.0, False)
 

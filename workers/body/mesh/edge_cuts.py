@@ -56,6 +56,7 @@ def most_urgent_first(
 
 @njit(**EXACT)
 def edge_between(edges: IntArray, start: IntArray, incident: IntArray, p: int, q: int) -> int:
+    """Return the edge between two nodes, -1 if there is none."""
     for m in range(start[p], start[p + 1]):
         e = incident[m]
         if edges[e, 0] == q or edges[e, 1] == q:
@@ -65,6 +66,7 @@ def edge_between(edges: IntArray, start: IntArray, incident: IntArray, p: int, q
 
 @njit(**EXACT)
 def squared_length(nodes: FloatArray, p: int, q: int) -> float:
+    """Return the squared distance of two nodes in mm^2."""
     return (
         (nodes[p, 0] - nodes[q, 0]) ** 2
         + (nodes[p, 1] - nodes[q, 1]) ** 2
@@ -74,6 +76,7 @@ def squared_length(nodes: FloatArray, p: int, q: int) -> float:
 
 @njit(**EXACT)
 def add_tet(tets: IntArray, count: int, nodes: FloatArray, p: int, q: int, r: int, s: int) -> int:
+    """Append a tetrahedron of positive volume and return the new count."""
     x, y = nodes[q] - nodes[p], nodes[r] - nodes[p]
     z = nodes[s] - nodes[p]
     det = (

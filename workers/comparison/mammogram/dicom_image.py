@@ -81,7 +81,7 @@ def mammogram_dataset(
 
 
 def dicom_bytes(dataset: FileDataset) -> bytes:
-    """The content of a DICOM file."""
+    """Return the content of a DICOM file."""
     file = BytesIO()
     dataset.save_as(file, enforce_file_format=True)
     return file.getvalue()
@@ -194,7 +194,7 @@ def _pixels(pixels: Any, intent: str) -> dict[str, Any]:
 
 
 def _code(value: str, meaning: str) -> Dataset:
-    """A term of SNOMED CT."""
+    """Return a term of SNOMED CT."""
     item = Dataset()
     item.CodeValue = value
     item.CodingSchemeDesignator = "SCT"

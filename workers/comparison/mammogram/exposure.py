@@ -111,7 +111,7 @@ def read_out(
     mas: float,
     noise: Noise | None = None,
 ) -> Mammogram:
-    r"""Expected or noisy reading behind known lengths of tissue.
+    r"""Return the expected or a noisy reading behind known lengths of tissue.
 
     In a bin of energy E a pixel expects
 

@@ -53,7 +53,7 @@ def processing_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16]:
 
 
 def grey_picture(mammogram: Mammogram) -> NDArray[np.uint8]:
-    """The picture for presentation in 8 bits."""
+    """Return the picture for presentation in 8 bits."""
     return presentation_values(mammogram, 255).astype(np.uint8)
 
 

@@ -156,7 +156,7 @@ def interface_points(
 
 
 def _parts(drawn: Surface, smallest_mm2: float) -> IntArray:
-    """Number the connected piece of each vertex, from the largest; -1 where it is too small."""
+    """Return the connected piece of each vertex, from the largest; -1 where it is too small."""
     n = len(drawn.vertices)
     ends = drawn.triangles[:, [0, 1, 1, 2]].reshape(-1, 2).T
     edges = coo_matrix((np.ones(ends.shape[1], np.int8), ends), shape=(n, n))

@@ -1,5 +1,6 @@
-"""Find points on interfaces that a scan does not show: a piece of tissue that one drawing has and
-another has not.
+"""Points on interfaces that a scan does not show.
+
+They are on a piece of tissue that one drawing has and another has not.
 
 Nothing that deforms a body moves one point by millimetres and leaves its neighbours: residuals are
 fitted by constants, poses and a smooth displacement, by least squares that are reweighted so that

@@ -25,8 +25,10 @@ class ParameterPosterior(NamedTuple):
 
 
 def parameter_posterior(noise: NoiseModel, at: LinearHypothesis, u: Unknowns) -> ParameterPosterior:
-    """Return where the unknowns of a fit lie, `at` which the model is linear; none beyond
-    its bounds."""
+    """Return the posterior of the unknowns of a fit, `at` which the model is linear.
+
+    None is beyond its bounds.
+    """
     p = len(u.sd)
     q = with_pose_scales(noise.plain(noise.products(at.columns, at.residual)), at.is_pose)
     weights = softmax(at.log_marginal(q)).ravel()

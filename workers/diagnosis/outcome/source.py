@@ -115,8 +115,10 @@ class PreparedSource(Protocol):
 
     @property
     def preparations(self) -> Sequence[str]:
-        """Names of what `prepare` can make, the longest first; see
-        `workers.diagnosis.problem.preparation`."""
+        """Names of what `prepare` can make, the longest first.
+
+        See `workers.diagnosis.problem.preparation`.
+        """
 
     def prepare(self, name: str, spacing_mm: float) -> Prepared:
         """Make one of them, for points `spacing_mm` apart."""

@@ -1,4 +1,4 @@
-"""Scans whose noise stays the same for every hypothesis.
+r"""Scans whose noise stays the same for every hypothesis.
 
 A residual is read where the model puts a material point. A hypothesis that lets the body slide
 by some mm reads it elsewhere on the drawn interface, where its error is another one: misfits of two
@@ -7,7 +7,7 @@ points, and tells nothing of either. So the error is read once, where the nomina
 points, or the best effect (`diagnosis.verdict.second_reading`); how a hypothesis changes a residual
 is read off the interface averaged over a disc, which has little noise left but the same shape:
 
-.. math:: r(x) = d(x_0) + (\\bar d(x) - \\bar d(x_0)) / |\\nabla \\bar d(x_0)|
+.. math:: r(x) = d(x_0) + (\bar d(x) - \bar d(x_0)) / |\nabla \bar d(x_0)|
 
 The wider the disc, the less noise is left of it, but on a curved interface also the less of its
 slope: each point has the widest disc on which its interface is flat, and is stretched by what is

@@ -23,8 +23,10 @@ class Forward(Protocol):
         """Return derivatives of the displacement; see `mechanics.fem.equilibrium.sensitivity`."""
 
     def loosened(self, problem: Any, tolerance_mm: float, friction_steps: int) -> Any:
-        """Return the problem with a coarser tolerance and fewer steps, where it has them; what is
-        not found from the equilibrium nearby is given up."""
+        """Return the problem with a coarser tolerance and fewer steps, where it has them.
+
+        An equilibrium that is not found from one nearby is given up.
+        """
 
     def direction(self, problem: Any) -> Sequence[float]:
         """Return the direction in which the body is loaded, x, y, z."""

@@ -13,10 +13,9 @@ from palpate.workers.comparison.observation.interface import InterfacePoints
 from palpate.workers.comparison.observation.noise import SegmentationNoise
 from palpate.workers.diagnosis.algebra.linearisation import factored
 from palpate.workers.diagnosis.noise.model import LearntNoise
-from palpate.workers.diagnosis.noise.smooth_field import SmoothField
 from palpate.workers.diagnosis.problem.force_readings import FORCE
 from palpate.workers.diagnosis.problem.forward import Forward, Tetrahedra
-from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.settings.values import SETTINGS, FieldSettings
 from palpate.workers.mechanics.effects.base import Effect, one_sided
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
@@ -161,7 +160,7 @@ class InverseProblem:
     left_out : int
         Points that are not among `points` any more, because some scan does not show them clearly.
     forward : Forward
-    something_else : SmoothField
+    something_else : FieldSettings
         Prior of the field that stands for what is not in the catalogue.
     """
 
@@ -181,7 +180,7 @@ class InverseProblem:
     pose_sd: tuple[float, float] = (SETTINGS.pose.shift_sd_mm, SETTINGS.pose.turn_sd_deg)
     left_out: int = 0
     forward: Forward = field(default_factory=Tetrahedra)
-    something_else: SmoothField = field(default_factory=SmoothField)
+    something_else: FieldSettings = SETTINGS.smooth_field
 
     @cached_property
     def covariance_factor(self) -> FloatArray:

@@ -80,8 +80,10 @@ def _inside(inverse: InverseProblem) -> FloatArray:
 
 
 def _on_boundary(inverse: InverseProblem, spacing_mm: float) -> FloatArray:
-    """Return nodes of skin and chest wall, one in each cube of that edge length: the one that is
-    nearest to the middle of all that lie in it."""
+    """Return nodes of skin and chest wall, one in each cube of that edge length.
+
+    It is the one that is nearest to the middle of all nodes in the cube.
+    """
     level = inverse.model.finest
     on = level.wall_areas > 0
     on[level.contact_nodes.index] = True

@@ -76,8 +76,10 @@ class NominalAnalysis:
 
     @cached_property
     def noise(self) -> NoiseModel:
-        """The noise that every hypothesis has, with the smooth field that stands for something
-        else; seconds for 4,000 residuals."""
+        """The noise that every hypothesis has, with the smooth field for unlisted causes.
+
+        Takes seconds for 4,000 residuals.
+        """
         learnt, prior = self.inverse.learnt, self.inverse.something_else
         if learnt is None:
             raise ValueError("the noise is learnt with the calibration")

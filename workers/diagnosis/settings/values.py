@@ -14,6 +14,7 @@ draws a page stands where it is drawn, in `workers.diagnosis.outcome.pictures`.
 
 from dataclasses import dataclass, field
 
+from palpate.storage.errors import InputError
 from palpate.workers.diagnosis.settings.noise_settings import (
     FormSettings,
     NoiseSettings,
@@ -212,7 +213,16 @@ class JointFitSettings:
 
 @dataclass(frozen=True, slots=True)
 class FieldSettings:
-    """Settings of the smooth field that stands for something else."""
+    """Settings of the smooth field that stands for something else than what is listed.
+
+    An unknown displacement seen along the normals; see `noise.nuisances.smooth_covariance` (the
+    model discrepancy of M. C. Kennedy and A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
 
     # [prior] Standard deviations and correlation lengths of the displacement, all pairs equally
     # probable: from the noise of a segmentation to a third of a breast.
@@ -225,6 +235,22 @@ class FieldSettings:
     # [numerics] Variance that the low rank may miss at a point, of a field of unit amplitude: less
     # than a seventh of that of a segmentation of 0.25 mm, for the largest field.
     rank_tolerance: float = 0.05
+
+    def __post_init__(self) -> None:
+        scales = self.amplitudes_mm + self.lengths_mm
+        usable = self.amplitudes_mm and self.lengths_mm and min(scales) > 0
+        if not usable:
+            raise InputError(f"A smooth field needs amplitudes > 0 and lengths > 0, found {self}.")
+
+    @property
+    def middle_amplitude_mm(self) -> float:
+        """The middle one of the amplitudes."""
+        return sorted(self.amplitudes_mm)[len(self.amplitudes_mm) // 2]
+
+    @property
+    def middle_length_mm(self) -> float:
+        """The middle one of the lengths."""
+        return sorted(self.lengths_mm)[len(self.lengths_mm) // 2]
 
 
 @dataclass(frozen=True, slots=True)

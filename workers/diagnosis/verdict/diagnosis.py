@@ -25,8 +25,8 @@ from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.diagnosis.verdict.hypotheses import Hypothesis, PriorOdds
 from palpate.workers.diagnosis.verdict.joint_evidence import JointEvidence
-from palpate.workers.diagnosis.verdict.joint_fit import JointFit, fit_jointly
-from palpate.workers.diagnosis.verdict.second_reading import is_elsewhere, read_again
+from palpate.workers.diagnosis.verdict.joint_fit import JointFit
+from palpate.workers.diagnosis.verdict.second_reading import is_elsewhere
 from palpate.workers.diagnosis.verdict.suspects import (
     Combination,
     near_best,
@@ -37,7 +37,6 @@ from palpate.workers.diagnosis.verdict.suspects import (
 )
 from palpate.workers.diagnosis.verdict.verdict import Verdict, verdict
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.scan_threads import Each
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,24 +148,6 @@ def advance(course: Course, answer: Answer | None = None) -> Wanted | Diagnosis:
     except StopIteration as end:
         diagnosis: Diagnosis = end.value
         return diagnosis
-
-
-def diagnose_here(
-    analysis: NominalAnalysis, effects: Sequence[Effect], each: Each = map
-) -> Diagnosis:
-    """Return the diagnosis, with all that it wants computed in this process, without a store."""
-    course = diagnose(analysis, effects)
-    reached = advance(course)
-    known: dict[tuple[str, ...], JointFit] = {}
-    while not isinstance(reached, Diagnosis):
-        if isinstance(reached, SecondReading):
-            analysis = read_again(analysis, reached.singles, reached.best, each)
-            reached, known = advance(course, analysis), {}
-            continue
-        found = [fit_jointly(analysis, one, each, known.get(base_of(one))) for one in reached]
-        known |= {one.names: one for one in found if one is not None}
-        reached = advance(course, found)
-    return reached
 
 
 def base_of(effects: Sequence[Effect]) -> tuple[str, ...]:

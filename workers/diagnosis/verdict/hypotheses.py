@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from palpate.storage.errors import InputError
-from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.settings.values import SETTINGS, OddsSettings
 
 MOST_EFFECTS = 3
 
@@ -81,21 +81,11 @@ class PriorOdds:
         If one is not positive.
     """
 
-    nothing: float = SETTINGS.prior_odds.nothing
-    field: float = SETTINGS.prior_odds.field
-    single: float = SETTINGS.prior_odds.single
-    single_and_field: float = SETTINGS.prior_odds.single_and_field
-    pair: float = SETTINGS.prior_odds.pair
-    pair_and_field: float = SETTINGS.prior_odds.pair_and_field
-    triple: float = SETTINGS.prior_odds.triple
-    triple_and_field: float = SETTINGS.prior_odds.triple_and_field
-    beside_unlisted: float = SETTINGS.prior_odds.beside_unlisted
-    unlisted_part: float = SETTINGS.prior_odds.unlisted_part
+    kinds: OddsSettings = SETTINGS.prior_odds
     of_effect: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        *kinds, of_effect = dataclasses.astuple(self)
-        if not min([*kinds, *of_effect.values()]) > 0:
+        if not min([*dataclasses.astuple(self.kinds), *self.of_effect.values()]) > 0:
             raise InputError(f"Prior odds must be > 0, found {self}.")
 
     def trust(self, unlisted: float) -> float:
@@ -106,19 +96,20 @@ class PriorOdds:
         unlisted : float
             Part of the evidence, 0 to 1, that a smooth field gains beside them.
         """
-        mean = self.unlisted_part
+        mean = self.kinds.unlisted_part
         acting = np.exp(-unlisted / mean) / (mean * -np.expm1(-1.0 / mean))
-        likeness = (1.0 - self.beside_unlisted) / self.beside_unlisted
+        likeness = (1.0 - self.kinds.beside_unlisted) / self.kinds.beside_unlisted
         return float(acting / (acting + likeness))
 
     def log_prior(self, case: Case, catalogue: int) -> float:
         """Return that of one hypothesis, up to a constant, of a catalogue of so many effects."""
         effects, field = case
+        of = self.kinds
         kinds = (
-            (self.nothing, self.field),
-            (self.single, self.single_and_field),
-            (self.pair, self.pair_and_field),
-            (self.triple, self.triple_and_field),
+            (of.nothing, of.field),
+            (of.single, of.single_and_field),
+            (of.pair, of.pair_and_field),
+            (of.triple, of.triple_and_field),
         )
         even = np.log(kinds[len(effects)][field] / comb(catalogue, len(effects)))
         return float(even + sum(np.log(self.of_effect.get(name, 1.0)) for name in effects))

@@ -229,7 +229,7 @@ def _primary(effects: tuple[str, ...], cause: str, acting: Mapping[str, float]) 
 
 
 def _explained(hypotheses: Sequence[Hypothesis], effects: tuple[str, ...]) -> float:
-    """le / (le + max(gain, 0)), with le the log evidence of the effects against none."""
+    """Return ``le / (le + max(gain, 0))``, le the log evidence of the effects against none."""
     nothing = next(h for h in hypotheses if not h.effects)
     found = next(h for h in hypotheses if h.effects == effects)
     own = max(0.0, found.log_evidence - nothing.log_evidence)

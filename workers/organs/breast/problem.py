@@ -55,7 +55,7 @@ def problem_of(
     target: Extent | None = None,
     frame: Frame = UNIT_FRAME,
 ) -> Problem:
-    """What the solver is asked.
+    """Return the problem that the solver gets.
 
     Parameters
     ----------

@@ -3,12 +3,14 @@
 The only file that opens them; all others get what stands in them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Volume
+from palpate.workers.documents import parse_yaml
+from palpate.workers.organs.registry import organ_names
 from palpate.workers.organs.specimen.readings.experiment_table import understood
 from palpate.workers.organs.specimen.readings.marker_data import observed
 from palpate.workers.organs.specimen.source import SpecimenSource
@@ -57,7 +59,16 @@ class ExperimentReader:
 
     def knows(self, path: Path) -> bool:
         """Return whether a path is a file that may describe an experiment."""
-        return path.suffix in (".yaml", ".yml") and path.is_file()
+        if path.suffix not in (".yaml", ".yml") or not path.is_file():
+            return False
+        try:
+            data = parse_yaml(path.read_text(encoding="utf-8-sig"), str(path))
+        except (OSError, UnicodeDecodeError, InputError):
+            return True  # reading it will name the mistake
+        # An organ that is scanned is no specimen on a bench.
+        return not isinstance(data, Mapping) or not (
+            "scans" in data or data.get("organ") in organ_names()
+        )
 
     def read(
         self, path: Path, stored: Callable[[str], Volume | None] | None = None

@@ -8,6 +8,7 @@ import pytest
 from palpate.storage.errors import InputError
 from palpate.workers.diagnosis.algebra.evidence import log_evidence
 from palpate.workers.diagnosis.screening.screening import screen
+from palpate.workers.diagnosis.settings.values import SETTINGS, OddsSettings
 from palpate.workers.diagnosis.verdict.hypotheses import Hypothesis, PriorOdds, probabilities
 from palpate.workers.diagnosis.verdict.verdict import verdict
 from tests.workers.diagnosis.linear_world import (
@@ -51,22 +52,22 @@ def test_probabilities_by_hand():
 
 def test_pairs_share_their_odds():
     tried = [Hypothesis((), 0.0), Hypothesis(("a", "b"), 0.0, 0.0)]
-    found = probabilities(tried, 4, PriorOdds(0.5, 0.1, 0.1, 0.1, 0.12, 0.06))
+    found = probabilities(tried, 4, PriorOdds(OddsSettings(0.5, 0.1, 0.1, 0.1, 0.12, 0.06)))
     assert found[("a", "b"), False] / found[(), False] == pytest.approx(0.02 / 0.5)
     assert found[("a", "b"), True] / found[(), False] == pytest.approx(0.01 / 0.5)
 
 
 def test_triples_share_their_odds():
     tried = [Hypothesis((), 0.0), Hypothesis(("a", "b", "c"), 0.0, 0.0)]
-    odds = PriorOdds(triple=0.04, triple_and_field=0.02)
-    found = probabilities(tried, 4, odds)
+    odds = OddsSettings(triple=0.04, triple_and_field=0.02)
+    found = probabilities(tried, 4, PriorOdds(odds))
     assert found[("a", "b", "c"), False] / found[(), False] == pytest.approx(0.01 / odds.nothing)
     assert found[("a", "b", "c"), True] / found[(), False] == pytest.approx(0.005 / odds.nothing)
 
 
 def test_the_verdict_is_that_of_the_largest_probability():
     """Around the evidence at which an effect is as probable as no gap."""
-    even = np.log(PriorOdds().nothing / (PriorOdds().single / 4))
+    even = np.log(SETTINGS.prior_odds.nothing / (SETTINGS.prior_odds.single / 4))
     quiet = weigh(Hypothesis(("a",), -100.0 + even - 0.5))
     assert quiet.kind == "no-gap"
     assert quiet.primary == ()
@@ -178,7 +179,7 @@ def test_what_hides_is_neither_accused_nor_acquitted():
     # Constants that take it up fit as well without it, whatever a fit with it has lost.
     quiet = weigh(Hypothesis(("d",), -140.0), hiding={"d"})
     assert quiet.kind == "no-gap"
-    odds = PriorOdds()
+    odds = SETTINGS.prior_odds
     assert quiet.probabilities["d"] / quiet.no_gap == pytest.approx(
         (odds.single / 4) / (odds.nothing + odds.single / 4)
     )
@@ -289,8 +290,10 @@ def drawn_cases():
     rng = np.random.default_rng(57)
     sensitivities = catalogue()[:5]
     labels = ["nothing", "field", "single", "single field", "pair", "pair field"]
-    odds = PriorOdds(beside_unlisted=1.0)  # in this world effects are no mere likeness
-    each = np.array(astuple(odds)[:6])
+    odds = PriorOdds(
+        OddsSettings(beside_unlisted=1.0)
+    )  # in this world effects are no mere likeness
+    each = np.array(astuple(odds.kinds)[:6])
     cases = []
     for kind in rng.choice(labels, size=300, p=each / each.sum()):
         count = 2 if "pair" in kind else int("single" in kind)

@@ -16,7 +16,7 @@ from palpate.workers.organs.cornea.section.generated import generated_section
 from palpate.workers.organs.cornea.solver.candidate import Candidate, scale_of
 from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
 from palpate.workers.organs.cornea.solver.sensitivity import sensitivity
-from palpate.workers.organs.cornea.solver.solve import solve_cornea
+from tests.workers.organs.cornea.solver.solved import solve_cornea
 from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc
 
 X1 = ((0.011, 0.035), (30.0, 80.0))

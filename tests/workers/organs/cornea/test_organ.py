@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.frames.generated import generated_frame
 from palpate.workers.organs.cornea.material.constants import CorneaConstants
 from palpate.workers.organs.cornea.material.load import CorneaLoad
 from palpate.workers.organs.cornea.material.model import CorneaModel
@@ -17,10 +16,11 @@ from palpate.workers.organs.cornea.organ import ORGAN
 from palpate.workers.organs.cornea.section.generated import generated_section
 from palpate.workers.organs.cornea.section.image import CORNEA_LABEL
 from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
-from palpate.workers.organs.cornea.solver.solve import solve_cornea
 from palpate.workers.organs.cornea.spec import CorneaCase, CorneaScore
 from palpate.workers.spec import validated
 from palpate.workers.tasks import evaluation
+from tests.workers.organs.cornea.frames.generated_frame import generated_frame
+from tests.workers.organs.cornea.solver.solved import solve_cornea
 
 X1 = {"mu1_pa": 11000.0, "alpha1": 30.0, "mu2_pa": 35000.0, "alpha2": 80.0}
 CASE: dict[str, Any] = {"organ": "cornea", "mesh": {"elements": 240}}

@@ -71,7 +71,7 @@ def level_set_of(labels: Volume, tissue: Tissue, blur: float = BLUR) -> LevelSet
 
 
 def _spread(blur: float) -> float:
-    """Standard deviation in voxels that gives the centres beside a plane half a voxel."""
+    """Return the deviation in voxels that gives the centres beside a plane half a voxel."""
     step = np.repeat((0.0, 1.0), 32)
     beside = ndimage.gaussian_filter1d(step, blur, mode="nearest")[32]
     return float(0.5 / ndtri(beside))

@@ -78,8 +78,10 @@ class LoadStepping:
     levels: tuple[Level, ...]
 
     def run(self, neighbour: Sequence[ConvergedStage] | None = None) -> LoadPath:
-        """Load the body, from a neighbour's stages where they lead to the end; see
-        `Problem.restarts`."""
+        """Load the body, from a neighbour's stages where they lead to the end.
+
+        See `Problem.restarts`.
+        """
         histories = tuple(History() for _ in self.levels)
         if neighbour is not None:
             path = self.continue_from(neighbour)

@@ -18,13 +18,13 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray
 from palpate.workers.comparison.observation.interface import InterfacePoints
 from palpate.workers.comparison.observation.noise import SegmentationNoise, covariance
-from palpate.workers.diagnosis.noise.smooth_field import SmoothField
 from palpate.workers.diagnosis.outcome.pictures.scan_pictures import Displacements
 from palpate.workers.diagnosis.outcome.source import FinishedStudy, SourceContent
 from palpate.workers.diagnosis.problem.acquisition import Acquisition
 from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, InverseProblem, Scan
 from palpate.workers.diagnosis.problem.preparation import ReadPrepared
 from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.workers.diagnosis.settings.values import FieldSettings
 from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
 from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.fem.problem.fields import Frame
@@ -60,7 +60,7 @@ SEGMENTED = SegmentationNoise(0.010, 0.5, 0.010, 0.002)
 SIMULATED = SegmentationNoise(0.001, 0.5, 0.0, 0.0006)
 # A misfit that is not in the catalogue: from the error of a segmentation to a tenth of the
 # motion under a jet, over a thickness of the cornea to a third of its width.
-SOMETHING_ELSE = SmoothField(amplitudes_mm=(0.01, 0.03, 0.1), lengths_mm=(0.6, 1.5, 4.0))
+SOMETHING_ELSE = FieldSettings(amplitudes_mm=(0.01, 0.03, 0.1), lengths_mm=(0.6, 1.5, 4.0))
 
 
 @dataclass(frozen=True, eq=False)

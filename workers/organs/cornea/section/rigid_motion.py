@@ -49,24 +49,3 @@ class RigidMotion:
         )
         shift = (-self.shift_mm[0], -self.shift_mm[1])
         return RigidMotion(shift_mm=shift, tilt_rad=-self.tilt_rad, centre_mm=centre)
-
-
-def chord_motion(section: Section) -> RigidMotion:
-    """Return the motion that lays the chord of the anterior surface on the x axis, centred.
-
-    Parameters
-    ----------
-    section : Section
-        Undeformed.
-
-    Returns
-    -------
-    RigidMotion
-    """
-    left, right = section.anterior_mm[0], section.anterior_mm[-1]
-    middle = 0.5 * (left + right)
-    return RigidMotion(
-        shift_mm=(-float(middle[0]), -float(middle[1])),
-        tilt_rad=-float(np.arctan2(right[1] - left[1], right[0] - left[0])),
-        centre_mm=(float(middle[0]), float(middle[1])),
-    )

@@ -7,10 +7,8 @@ import numpy as np
 from palpate.storage.values import FloatArray
 from palpate.workers.organs.cornea.material.constants import CorneaConstants
 from palpate.workers.organs.cornea.material.load import CorneaLoad
-from palpate.workers.organs.cornea.material.model import CorneaModel
-from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
 from palpate.workers.organs.cornea.solver.load_stepping import Path, follow
-from palpate.workers.organs.cornea.solver.prepared_mesh import PreparedMesh, prepare
+from palpate.workers.organs.cornea.solver.prepared_mesh import PreparedMesh
 from palpate.workers.organs.cornea.solver.prestress import PrestressedSystem, prestressed
 from palpate.workers.organs.cornea.solver.system import system_of
 
@@ -60,19 +58,6 @@ class CorneaSolution:
     jet_fraction: float
     min_j: float
     stable: bool
-
-
-def solve_cornea(
-    mesh: T6Mesh, constants: CorneaConstants, load: CorneaLoad, model: CorneaModel
-) -> CorneaSolution:
-    """Solve one cornea; see `solve_prepared` for many candidates on one mesh.
-
-    Raises
-    ------
-    InputError
-        If the mesh is bad or the jet reaches beyond it.
-    """
-    return solve_prepared(prepare(mesh, model), constants, load)
 
 
 def solve_prepared(

@@ -18,7 +18,6 @@ import numpy as np
 from palpate.workers.diagnosis.fits.calibration import calibrate
 from palpate.workers.diagnosis.fits.sensitivity_analysis import joined_sensitivity, scan_sensitivity
 from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
-from palpate.workers.diagnosis.verdict.diagnosis import diagnose_here
 from palpate.workers.organs.cornea.diagnosis.study_source import (
     SEGMENTED,
     CorneaStudy,
@@ -30,6 +29,7 @@ from palpate.workers.organs.cornea.section.outline import Section
 from palpate.workers.organs.cornea.solver.cohort import TABLE_5_2
 from palpate.workers.organs.cornea.spec import CorneaCase
 from palpate.workers.spec import validated
+from tests.workers.diagnosis.in_one_process import diagnose_here
 from tests.workers.organs.cornea.solver.quad_cornea import Eye, deformed
 
 NAMES = (

@@ -9,7 +9,6 @@ from PIL import Image
 
 from palpate.storage.plain import dumps, loads
 from palpate.workers.organs.cornea.findings.study import figures, findings
-from palpate.workers.organs.cornea.frames.generated import generated_frame
 from palpate.workers.organs.cornea.organ import ORGAN
 from palpate.workers.organs.cornea.problem import candidate_of
 from palpate.workers.organs.cornea.section.generated import generated_section
@@ -19,6 +18,7 @@ from palpate.workers.organs.cornea.solver.thickness import deeper, thickened
 from palpate.workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget
 from palpate.workers.organs.registry import findings_of
 from palpate.workers.spec import validated
+from tests.workers.organs.cornea.frames.generated_frame import generated_frame
 
 X1 = {"mu1_pa": 11000.0, "alpha1": 30.0, "mu2_pa": 35000.0, "alpha2": 80.0}
 CASE: dict[str, Any] = {"organ": "cornea", "mesh": {"elements": 240}, "constants": X1}

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.frames.corvis_profiles import CorvisPair, read_corvis_pair
 from palpate.workers.organs.cornea.frames.reading import read_frame
 from palpate.workers.organs.cornea.frames.registration import register_periphery
 from palpate.workers.organs.cornea.frames.segmentation import segment_frame
@@ -14,7 +13,11 @@ from palpate.workers.organs.cornea.mesh.quality import t6_quality
 from palpate.workers.organs.cornea.mesh.section_mesh import mesh_section
 from palpate.workers.organs.cornea.section.outline import Section
 from palpate.workers.organs.cornea.section.refraction import corrected_posterior
-from palpate.workers.organs.cornea.section.rigid_motion import chord_motion
+from tests.workers.organs.cornea.frames.corvis_profiles import (
+    CorvisPair,
+    chord_motion,
+    read_corvis_pair,
+)
 
 REPOSITORY = Path(__file__).parents[5]
 FOLDERS = [parent / "shared/data/corvis_profiles" for parent in REPOSITORY.parents]

@@ -7,7 +7,8 @@ from palpate.storage.errors import InputError
 from palpate.workers.organs.cornea.frames.registration import register_periphery
 from palpate.workers.organs.cornea.section.generated import generated_section
 from palpate.workers.organs.cornea.section.outline import Section
-from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion, chord_motion
+from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
+from tests.workers.organs.cornea.frames.corvis_profiles import chord_motion
 
 CORNEA = generated_section()
 

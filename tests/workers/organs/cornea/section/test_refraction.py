@@ -4,8 +4,48 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
 from palpate.workers.organs.cornea.section.generated import generated_section
-from palpate.workers.organs.cornea.section.refraction import apparent_posterior, corrected_posterior
+from palpate.workers.organs.cornea.section.refraction import (
+    CAMERA_ANGLE_DEG,
+    CORNEA_INDEX,
+    corrected_posterior,
+)
+
+
+def apparent_posterior(
+    anterior_mm: FloatArray,
+    posterior_mm: FloatArray,
+    index: float = CORNEA_INDEX,
+    camera_angle_deg: float = CAMERA_ANGLE_DEG,
+    axis_x_mm: float | None = None,
+) -> FloatArray:
+    """Return where the points of a posterior surface appear to be.
+
+    The inverse of `corrected_posterior`, by a fixed point: what the correction misses is
+    taken off the apparent place until less than a nanometre is left.
+
+    Parameters
+    ----------
+    anterior_mm, posterior_mm, index, camera_angle_deg, axis_x_mm
+        As for `corrected_posterior`.
+
+    Returns
+    -------
+    ndarray, shape (m, 2)
+    """
+    angle = np.deg2rad(camera_angle_deg)
+    flat = np.tan(np.arcsin(np.sin(angle) / index)) / np.tan(angle)
+    gap = np.interp(posterior_mm[:, 0], *anterior_mm.T) - posterior_mm[:, 1]
+    apparent = posterior_mm + np.column_stack([np.zeros_like(gap), (1 - flat) * gap])
+    for _ in range(60):
+        missed = posterior_mm - corrected_posterior(
+            anterior_mm, apparent, index, camera_angle_deg, axis_x_mm
+        )
+        apparent = apparent + missed * [1.0, flat]
+        if np.abs(missed).max() < 1e-6:
+            break
+    return apparent
 
 
 def test_behind_a_flat_surface_the_depth_is_the_ratio_of_tangents() -> None:

@@ -8,8 +8,8 @@ from palpate.workers.organs.cornea.material.load import MPA_PER_MMHG, CorneaLoad
 from palpate.workers.organs.cornea.material.model import CorneaModel
 from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
 from palpate.workers.organs.cornea.solver.prestress import prestressed
-from palpate.workers.organs.cornea.solver.solve import solve_cornea
 from palpate.workers.organs.cornea.solver.system import system_of
+from tests.workers.organs.cornea.solver.solved import solve_cornea
 from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc
 
 IOP = 10.5 * MPA_PER_MMHG

@@ -8,8 +8,8 @@ from palpate.workers.organs.cornea.material.load import MPA_PER_MMHG, CorneaLoad
 from palpate.workers.organs.cornea.material.model import CorneaModel
 from palpate.workers.organs.cornea.mesh.section_mesh import mesh_section
 from palpate.workers.organs.cornea.section.generated import generated_section
-from palpate.workers.organs.cornea.solver.solve import solve_cornea
 from tests.workers.organs.cornea.solver.quad_cornea import Eye, deformed
+from tests.workers.organs.cornea.solver.solved import solve_cornea
 
 SECTION = generated_section()
 IOP = 10.5 * MPA_PER_MMHG

@@ -14,8 +14,9 @@ from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
 from palpate.workers.organs.cornea.solver.load_stepping import follow
 from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
 from palpate.workers.organs.cornea.solver.prestress import prestressed
-from palpate.workers.organs.cornea.solver.solve import solve_cornea, solve_prepared
+from palpate.workers.organs.cornea.solver.solve import solve_prepared
 from palpate.workers.organs.cornea.solver.system import system_of
+from tests.workers.organs.cornea.solver.solved import solve_cornea
 from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc
 
 IOP = 10.5 * MPA_PER_MMHG

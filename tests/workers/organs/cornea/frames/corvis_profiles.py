@@ -10,6 +10,30 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
 from palpate.workers.organs.cornea.frames.frame import Frame
 from palpate.workers.organs.cornea.frames.reading import read_frame
+from palpate.workers.organs.cornea.section.outline import Section
+from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
+
+
+def chord_motion(section: Section) -> RigidMotion:
+    """Return the motion that lays the chord of the anterior surface on the x axis, centred.
+
+    Parameters
+    ----------
+    section : Section
+        Undeformed.
+
+    Returns
+    -------
+    RigidMotion
+    """
+    left, right = section.anterior_mm[0], section.anterior_mm[-1]
+    middle = 0.5 * (left + right)
+    return RigidMotion(
+        shift_mm=(-float(middle[0]), -float(middle[1])),
+        tilt_rad=-float(np.arctan2(right[1] - left[1], right[0] - left[0])),
+        centre_mm=(float(middle[0]), float(middle[1])),
+    )
+
 
 README = "README.md"
 IMAGES = ("pair_rest_0.00ms.png", "pair_deformed_18.27ms.png")

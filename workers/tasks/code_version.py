@@ -5,22 +5,19 @@ changes. The code's part of that digest is found by following the import stateme
 the module that makes the result: what it reaches counts, what it does not reach does not.
 """
 
-import ast
-import threading
+import dis
 from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from types import CodeType
+from typing import Any
 
 from palpate.storage.digest import digest, file_digest
 from palpate.workers.plugins import foreign_plugins
 
 PACKAGES = ("palpate.workers", "palpate.storage")
-# Python 3.11 cannot parse in several threads at once (cpython issue 106905), and studies of one
-# process run in threads.
-_PARSING = threading.Lock()
-# Where a statement, a handler of exceptions or a case of a match has statements of its own.
-_BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
+_IMPORT = dis.opmap["IMPORT_NAME"]
 
 
 @cache
@@ -120,41 +117,57 @@ def _imported(file: Path, module: str, roots: tuple[str, ...] = PACKAGES) -> tup
     ``from package import name`` names the module ``package.name`` where there is one.
     """
     names: list[str] = []
-    with _PARSING:
-        tree = ast.parse(file.read_bytes())
-    for node in _statements(tree):
-        if isinstance(node, ast.Import):
-            names.extend(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            base = _imported_from(node, module, file)
-            names.append(base)
-            names.extend(_submodules(base, node, roots))
+    for level, base, members in _import_statements(file):
+        origin = _absolute(level, base, module, file)
+        names.append(origin)
+        names.extend(_submodules(origin, members, roots))
     return tuple(names)
 
 
-def _imported_from(node: ast.ImportFrom, module: str, file: Path) -> str:
-    """Return the absolute name of the module that a ``from`` statement imports from."""
-    if not node.level:
-        return node.module or ""
-    package = module.split(".") if file.name == "__init__.py" else module.split(".")[:-1]
-    above = package[: len(package) - node.level + 1]
-    return ".".join([*above, node.module] if node.module else above)
+def _import_statements(file: Path) -> list[tuple[int, str, tuple[str, ...]]]:
+    """Return level, module and members of each import statement of a file, in order.
 
-
-def _statements(tree: ast.AST) -> Iterator[ast.AST]:
-    """Return all statements of a file; most of what `ast.walk` returns are expressions."""
-    waiting = [tree]
+    They are read from the compiled code: `ast.parse` fails while another thread of the process
+    parses too (cpython issue 106905), be it only a string in a template.
+    """
+    found: dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]] = {}
+    waiting = [compile(file.read_bytes(), str(file), "exec", dont_inherit=True)]
     while waiting:
-        node = waiting.pop()
-        yield node
-        for block in _BLOCKS:
-            waiting.extend(getattr(node, block, ()))
+        code = waiting.pop()
+        waiting.extend(one for one in code.co_consts if isinstance(one, CodeType))
+        if _IMPORT in code.co_code[::2]:
+            found |= _imports_of(code)
+    return [found[place] for place in sorted(found)]
 
 
-def _submodules(base: str, node: ast.ImportFrom, roots: tuple[str, ...]) -> Iterator[str]:
+def _imports_of(code: CodeType) -> dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]]:
+    """Return the import statements of one code object by their place in the file."""
+    found: dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]] = {}
+    level: Any = 0  # with `members` the two constants that are loaded before
+    members: Any = None
+    for step in dis.get_instructions(code):
+        if step.opname == "IMPORT_NAME":
+            where = step.positions
+            line, column = (where.lineno, where.col_offset) if where else (0, 0)
+            found[line or 0, column or 0, step.argval] = level, step.argval, members or ()
+        elif step.opname != "EXTENDED_ARG":
+            level, members = members, step.argval
+    return found
+
+
+def _absolute(level: int, base: str, module: str, file: Path) -> str:
+    """Return the absolute name of the module that a statement imports from."""
+    if not level:
+        return base
+    package = module.split(".") if file.name == "__init__.py" else module.split(".")[:-1]
+    above = package[: len(package) - level + 1]
+    return ".".join([*above, base] if base else above)
+
+
+def _submodules(base: str, members: Iterable[str], roots: tuple[str, ...]) -> Iterator[str]:
     if not _below(base, roots):
         return
-    for alias in node.names:
-        name = f"{base}.{alias.name}"
+    for member in members:
+        name = f"{base}.{member}"
         if source_file(name) is not None:
             yield name

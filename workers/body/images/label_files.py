@@ -8,13 +8,14 @@
 ======================  ===========================================================
 """
 
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from palpate.storage.errors import InputError
+from palpate.workers.documents import parse_json
+from palpate.workers.input_files import read_text
 
 _ITK_SNAP = re.compile(r'(-?\d+)\s+\d+\s+\d+\s+\d+\s+[\d.]+\s+[01]\s+[01]\s+"(.*)"')
 _SLICER = re.compile(r"(-?\d+)\s+(\S+)\s+\d+\s+\d+\s+\d+\s+\d+")
@@ -29,7 +30,7 @@ def read_label_file(path: Path) -> dict[int, str]:
         If the file cannot be read, or is of none of the known forms.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(
@@ -60,10 +61,7 @@ def _of_lines(text: str, path: Path) -> dict[int, str]:
 
 
 def _of_json(text: str, path: Path) -> dict[int, str]:
-    try:
-        data: Any = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path} is not valid JSON: {error}.") from error
+    data: Any = parse_json(text, str(path))
     if isinstance(data, Mapping) and isinstance(data.get("labels"), Mapping):
         data = data["labels"]
     pairs = list(data.items()) if isinstance(data, Mapping) else []

@@ -13,6 +13,7 @@ TotalSegmentator and Connectome Workbench write it.
 import html
 import re
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from nibabel.openers import ImageOpener
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
+from palpate.workers.body.images.claimed_size import DEFLATE, check_stored, claimed_bytes
 from palpate.workers.body.images.nifti_forms import check_forms
 from palpate.workers.body.images.scan import RAS_TO_LPS, Scan
 
@@ -31,6 +33,8 @@ _UNIT_MM = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
 _NAMED = re.compile(
     r"""<Label\s[^>]*?Key=["'](-?\d+)["'][^>]*>\s*(?:<!\[CDATA\[(.*?)\]\]>|([^<]*))""", re.DOTALL
 )
+HEADER_BYTES = 16 * 2**20
+"""Most bytes before the voxels: the header and its extensions."""
 _REFUSE = 40
 """Severity from which nibabel's header checks raise."""
 
@@ -43,6 +47,7 @@ def read_nifti(path: Path) -> Scan:
     bad = ~(np.isfinite(pixdim) & (pixdim > 0))
     header["pixdim"][1:4][bad] = 1.0
     header.check_fix(error_level=_REFUSE)
+    _check_size(path, header)
 
     values = np.asanyarray(ArrayProxy(str(path), header))
     if any(size != 1 for size in values.shape[3:]):
@@ -55,6 +60,24 @@ def read_nifti(path: Path) -> Scan:
     pixdim[bad] = np.nan
     check_forms(header, unit * pixdim, unit, str(path))
     return replace(_place(values, header, unit, unit * pixdim), names=_names(header))
+
+
+def _check_size(path: Path, header: Any) -> None:
+    """Raise InputError if a header states more voxels than the file or the memory can hold."""
+    offset = int(header["vox_offset"])
+    if not 0 <= offset <= HEADER_BYTES:
+        raise InputError(
+            f"{path} states that its voxels begin at byte {offset}, expected at most "
+            f"{HEADER_BYTES}. Its header is damaged; export it again."
+        )
+    shape, dtype = header.get_data_shape(), header.get_data_dtype()
+    size = claimed_bytes(shape, dtype.itemsize, str(path))
+    with np.errstate(all="ignore"):
+        slope, inter = header.get_slope_inter()
+    if (slope, inter) not in ((None, None), (1.0, 0.0)):  # scaled voxels are doubles
+        claimed_bytes(shape, max(dtype.itemsize, 8), str(path))
+    ratio = DEFLATE if path.suffix.lower() == ".gz" else 1
+    check_stored(size, path.stat().st_size - (offset if ratio == 1 else 0), ratio, str(path))
 
 
 def _unit_mm(header: Any, path: Path) -> float:
@@ -81,11 +104,10 @@ def _names(header: Any) -> dict[int, str]:
 
 def _header(path: Path) -> Any:
     with ImageOpener(str(path), "rb") as stream:
-        start = stream.read(nib.Nifti2Header.sizeof_hdr)
-        for kind in (nib.Nifti1Header, nib.Nifti2Header):
-            if kind.may_contain_header(start):
-                stream.seek(0)
-                return kind.from_fileobj(stream, check=False)
+        start = BytesIO(stream.read(HEADER_BYTES))  # an extension can claim any size
+    for kind in (nib.Nifti1Header, nib.Nifti2Header):
+        if kind.may_contain_header(start.getvalue()[: nib.Nifti2Header.sizeof_hdr]):
+            return kind.from_fileobj(start, check=False)
     raise InputError(f"{path} does not begin like a NIfTI file. Is it damaged or misnamed?")
 
 

@@ -1,4 +1,4 @@
-"""Read NRRD, with pynrrd.
+"""Read NRRD; `workers.body.images.nrrd_header` reads the file itself.
 
 The header's ``space`` names the frame; LPS, RAS and LAS are brought to LPS.
 Spaces without anatomy (``scanner-xyz``, ``3D-right-handed``, ``space dimension:
@@ -15,12 +15,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import nrrd
 import numpy as np
 from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
+from palpate.workers.body.images.nrrd_header import read_nrrd_file
 from palpate.workers.body.images.scan import RAS_TO_LPS, SPACING_TOLERANCE, Scan, three_axes
 
 _FRAMES: dict[str, FloatArray] = {
@@ -44,7 +44,7 @@ _UNIT_MM = {"": 1.0, "mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "µm": 1e-3, "
 def read_nrrd(path: Path) -> Scan:
     """Read an ``.nrrd`` file, or ``.nhdr`` with its data beside it."""
     what = str(path)
-    values, header = nrrd.read(what, index_order="F")
+    values, header = read_nrrd_file(path)
     segments = _segments(header)
     _refuse_layers(segments, values.shape, what)
     scan = (

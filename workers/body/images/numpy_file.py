@@ -8,10 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
+from palpate.workers.body.images.claimed_size import check_stored, claimed_bytes
 from palpate.workers.body.images.scan import Scan, three_axes
 
 
 def read_numpy(path: Path) -> Scan:
     """Read an ``.npy`` file (never one that holds pickled objects)."""
-    values = np.load(path, allow_pickle=False)
+    with path.open("rb") as file:
+        version = np.lib.format.read_magic(file)
+        read = (
+            np.lib.format.read_array_header_1_0
+            if version == (1, 0)
+            else np.lib.format.read_array_header_2_0
+        )
+        shape, _, dtype = read(file)
+        if not dtype.hasobject:  # those are refused below
+            size = claimed_bytes(shape, dtype.itemsize, str(path))
+            check_stored(size, path.stat().st_size - file.tell(), 1, str(path))
+        file.seek(0)
+        values = np.lib.format.read_array(file, allow_pickle=False)
     return Scan.without_frame(three_axes(values, str(path)).transpose())

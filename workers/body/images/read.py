@@ -25,6 +25,7 @@ from palpate.workers.body.images.numpy_file import read_numpy
 from palpate.workers.body.images.orient import parse_axes, to_volume
 from palpate.workers.body.images.scan import Scan, check_shape, whole_numbers
 from palpate.workers.body.images.tiff_stack import TIFF_SUFFIXES, read_tiff
+from palpate.workers.input_files import check_regular, reading
 
 __all__ = ["LabelImage", "read_labels", "read_volume", "relabel"]
 
@@ -100,24 +101,17 @@ def read_labels(
     path = Path(path)
     parse_axes(axes)  # a slip in an option should not cost the reading of a large file
     kind, reader = _reader(path)
-    try:
-        scan = reader(path)
-    except InputError:
-        raise
-    except Exception as error:  # the libraries raise nearly anything on damaged files
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(
-            f"{path} cannot be read as {kind}: {reason}. It is damaged, cut short or misnamed; "
-            "copy or export it again."
-        ) from error
     what = str(path)
-    check_shape(scan.values, what)
-    labels = replace(scan, values=whole_numbers(scan.values, what))
-    volume = to_volume(labels, what, spacing_mm=spacing_mm, axes=axes)
+    with reading(path, kind):
+        scan = reader(path)
+        check_shape(scan.values, what)
+        labels = replace(scan, values=whole_numbers(scan.values, what))
+        volume = to_volume(labels, what, spacing_mm=spacing_mm, axes=axes)
     return LabelImage(volume, scan.names, what, scan.anatomical)
 
 
 def _reader(path: Path) -> tuple[str, Reader]:
+    check_regular(path)
     if path.is_dir():
         return _folder_reader(path)
     if not path.exists():

@@ -7,6 +7,8 @@ spacings with units, which are; see `workers.body.images.tiff_spacing`.
 """
 
 import logging
+import re
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,10 +20,22 @@ from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
+from palpate.workers.body.images.claimed_size import DEFLATE, SLACK_BYTES, claimed_bytes
 from palpate.workers.body.images.scan import Scan, three_axes
 from palpate.workers.body.images.slice_names import in_order
 from palpate.workers.body.images.tiff_spacing import stated_spacing_mm
 
+# Kinds of microscopes and scanners, of which some are read from several files.
+_OTHER_KINDS = (
+    "avs", "bif", "eer", "fluoview", "indica", "lsm", "mdgel", "mmstack", "ndpi", "ndtiff", "nih",
+    "philips", "qpi", "scanimage", "scn", "sis", "stk", "svs",
+)  # fmt: skip
+_KINDS = {f"is_{kind}": False for kind in _OTHER_KINDS if kind in tifffile.TIFF.FILE_FLAGS}
+_OME_FILE = re.compile(r"""<(?:\w+:)?UUID\b[^>]*?\bFileName=["']([^"']*)["'][^>]*>([^<]*)""")
+_OME_NUMBER = re.compile(
+    r"""\b(Size[XYZCT]|NumPlanes|PlaneCount|IFD|First[ZCT])=["']\s*([^"']*)["']"""
+)
+_DEFLATE = (8, 32946)
 TIFF_SUFFIXES = (".tif", ".tiff")
 
 
@@ -52,18 +66,59 @@ def slices_read(path: Path) -> list[str] | None:
 
 def _pages(path: Path) -> tuple[NDArray[Any], FloatArray]:
     """Return the pages of a file, and the spacing along x, y and z that it states."""
-    with _damage_raises(path), tifffile.TiffFile(path) as tiff:
+    with _damage_raises(path), tifffile.TiffFile(path, _multifile=False, **_KINDS) as tiff:
+        _check_ome(path, tiff)
         if len(tiff.series) != 1:
             raise InputError(
                 f"{path} holds {len(tiff.series)} images of different kinds, expected one stack "
                 "of equal pages. Save the label map alone."
             )
-        return np.asarray(tiff.series[0].asarray()), stated_spacing_mm(tiff)
+        series = tiff.series[0]
+        claimed_bytes(series.shape, series.dtype.itemsize, str(path))
+        _check_segments(path, series)
+        return np.asarray(series.asarray()), stated_spacing_mm(tiff)
+
+
+def _check_ome(path: Path, tiff: tifffile.TiffFile) -> None:
+    """Raise InputError if OME metadata name other files, or state more than a file can hold."""
+    text = tiff.ome_metadata if tiff.is_ome else None
+    if not text:
+        return
+    own = re.search(r"<(?:\w+:)?OME\b[^>]*?\bUUID=[\"']([^\"']*)", text)
+    for name, uuid in _OME_FILE.findall(text):
+        if name.lower() != path.name.lower() and (own is None or uuid.strip() != own[1].strip()):
+            raise InputError(
+                f"{path} is an OME-TIFF that names other files ({name[:80]!r}). Save the label map "
+                "as one TIFF file."
+            )
+    for name, number in _OME_NUMBER.findall(text):
+        if len(number) > 7:
+            raise InputError(f"{path} states {name} = {number[:20]} in its OME metadata: too many.")
+
+
+def _check_segments(path: Path, series: tifffile.TiffPageSeries) -> None:
+    """Raise InputError if a compressed strip or tile holds more than a page needs."""
+    for page in series.pages:
+        if page is None or page.compression not in _DEFLATE:
+            continue
+        most = max(page.nbytes, SLACK_BYTES)
+        for offset, count in zip(page.dataoffsets, page.databytecounts, strict=False):
+            if DEFLATE * count <= most:
+                continue
+            page.parent.filehandle.seek(offset)
+            stream = zlib.decompressobj()
+            stream.decompress(page.parent.filehandle.read(count), most)
+            if stream.unconsumed_tail:
+                raise InputError(
+                    f"{path} is damaged: a compressed part of it holds more pixels than its page. "
+                    "Export it again."
+                )
 
 
 def _folder(folder: Path) -> tuple[NDArray[Any], FloatArray]:
     paths = slices_of(folder)
     first, spacing_mm = _pages(paths[0])
+    claimed_bytes((len(paths), *first.shape), first.dtype.itemsize, str(folder))
     if first.ndim != 2:
         raise InputError(
             f"{paths[0]} has shape {first.shape}, expected one slice (rows, columns). "

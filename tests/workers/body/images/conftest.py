@@ -1,6 +1,7 @@
 """Real files of labels, written with the libraries that define the formats."""
 
-from collections.abc import Callable
+import tracemalloc
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -116,3 +117,11 @@ def write_segmentation() -> WriteSegmentation:
         return path
 
     return write
+
+
+@pytest.fixture
+def peak_mib() -> Iterator[Callable[[], float]]:
+    """Return the most memory that Python and NumPy allocated since the test began, in MiB."""
+    tracemalloc.start()
+    yield lambda: tracemalloc.get_traced_memory()[1] / 2**20
+    tracemalloc.stop()

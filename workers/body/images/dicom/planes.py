@@ -16,6 +16,8 @@ from palpate.workers.body.images.scan import Scan
 
 STATED_TOLERANCE = 0.01
 """Relative difference of the distance of slices from the one that a tag states."""
+MOST_SLOTS = 100_000
+"""Places of slices between two neighbours, at most."""
 GAP_TOLERANCE = 0.05
 """How far a slice may be from its place in the stack, in gaps (positions are rounded)."""
 
@@ -75,6 +77,11 @@ def stack(
             "Give the folder with the whole series."
         )
     gap_mm = float(apart.min() if may_skip else np.median(apart))
+    if not np.isfinite(gaps).all() or gaps.max() > MOST_SLOTS * gap_mm:
+        raise InputError(
+            f"{what} has slices {gaps.max():.4g} mm apart beside others {gap_mm:.4g} mm apart, so "
+            "it is no stack of slices. Export it again."
+        )
     jumps = np.rint(gaps / gap_mm).astype(np.intp)
     slots = np.zeros(depth.size, dtype=np.intp)
     slots[order[1:]] = np.cumsum(jumps)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from palpate.storage.errors import InputError
+from palpate.workers.body.images.claimed_size import claimed_bytes
 from palpate.workers.body.images.dicom.planes import (
     check_orientation,
     check_stated_gap,
@@ -54,6 +55,8 @@ def read_segmentation(path: Path, dataset: Any) -> Scan:
     positions = np.array([frame.position(path) for frame in frames], dtype=float)
     planes = stack(positions, orientation, str(path), may_skip=True)
     check_stated_gap(planes, measures, str(path))
+    slots = int(planes.slots.max()) + 1
+    claimed_bytes((slots, dataset.Rows, dataset.Columns), np.uint16().itemsize, str(path))
 
     pixels = np.asarray(dataset.pixel_array)
     if pixels.ndim != 3 or len(pixels) != len(frames):
@@ -61,7 +64,7 @@ def read_segmentation(path: Path, dataset: Any) -> Scan:
             f"{path} holds pixels of shape {pixels.shape} for {len(frames)} frames; it is damaged. "
             "Export it again."
         )
-    values = np.zeros((int(planes.slots.max()) + 1, *pixels.shape[1:]), np.uint16)
+    values = np.zeros((slots, *pixels.shape[1:]), np.uint16)
     for frame, slot, plane_pixels in zip(frames, planes.slots, pixels, strict=True):
         inside = plane_pixels != 0
         if values[slot][inside].any():

@@ -13,8 +13,11 @@ import numpy as np
 import pydicom
 from numpy.typing import NDArray
 from pydicom.errors import InvalidDicomError
+from pydicom.uid import DeflatedExplicitVRLittleEndian
 
 from palpate.storage.errors import InputError
+from palpate.workers.body.images.claimed_size import claimed_bytes
+from palpate.workers.body.images.dicom.pixel_size import pixel_bytes
 from palpate.workers.body.images.dicom.planes import (
     check_orientation,
     check_stated_gap,
@@ -63,6 +66,9 @@ def _may_be_slice(path: Path) -> bool:
 def _dataset(path: Path) -> Any:
     """Return the dataset of an image; None for DICOM that is no image (a report, a plan)."""
     try:
+        syntax = pydicom.filereader.read_file_meta_info(path).get("TransferSyntaxUID")
+        if syntax == DeflatedExplicitVRLittleEndian:  # pydicom would expand all of it
+            raise InputError(f"{path} is a deflated DICOM file. Export it uncompressed.")
         dataset = pydicom.dcmread(path)
     except InvalidDicomError as error:
         raise InputError(
@@ -71,7 +77,10 @@ def _dataset(path: Path) -> Any:
         ) from error
     if "Rows" in dataset and "PixelData" not in dataset:
         raise InputError(f"{path} has no pixels; it is cut short. Export the series again.")
-    return dataset if "Rows" in dataset else None
+    if "Rows" not in dataset:
+        return None
+    pixel_bytes(path, dataset)
+    return dataset
 
 
 def _series(images: list[tuple[Path, Any]], what: str) -> Scan:
@@ -95,6 +104,8 @@ def _series(images: list[tuple[Path, Any]], what: str) -> Scan:
             f"{what} has several slices at one position: {', '.join(twice[:4])}. Two series or "
             "time points are mixed; keep one."
         )
+    each = pixel_bytes(images[0][0], first)[1]
+    claimed_bytes((len(images), first.Rows, first.Columns), each, what)
     values: NDArray[Any] | None = None
     for slot, (path, dataset) in zip(planes.slots, images, strict=True):
         pixels = _pixels(path, dataset)

@@ -1,0 +1,100 @@
+"""Limits on the size that the header of an image claims, checked before memory is allocated."""
+
+import os
+import resource
+from collections.abc import Iterable
+from functools import cache
+from math import prod
+from pathlib import Path
+
+from palpate.storage.errors import InputError
+
+LARGEST_BYTES = 2**30
+"""Largest voxel array of an image, in bytes."""
+COPIES = 4
+"""Voxel arrays that reading and checking an image may hold at once."""
+DEFLATE, BZIP2 = 1040, 50_000
+"""Largest ratio between expanded and compressed size, rounded up."""
+SLACK_BYTES = 2**16
+_CGROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+
+
+def claimed_bytes(shape: Iterable[int], bytes_each: float, what: str) -> int:
+    """Return the size of an array that a header describes.
+
+    Parameters
+    ----------
+    shape : iterable of int
+    bytes_each : float
+        Size of one element.
+    what : str
+        How to name the image in messages.
+
+    Returns
+    -------
+    int
+        Bytes.
+
+    Raises
+    ------
+    InputError
+        If a size is not positive, or the array is too large for this machine.
+    """
+    sizes = [int(size) for size in shape]
+    if not sizes or min(sizes) < 1:
+        raise InputError(f"{what} states the sizes {sizes[:8]}, expected numbers of voxels >= 1.")
+    size = prod(sizes) * round(8 * bytes_each) // 8
+    most = min(LARGEST_BYTES, memory_bytes() // COPIES)
+    if size > most:
+        listed = " x ".join(str(n)[:24] for n in sizes[:8])
+        raise InputError(
+            f"{what} states {listed} voxels, which need {_mib(size)} MiB; images of up to "
+            f"{_mib(most)} MiB are read here. Check its header; crop the image or resample it, "
+            "and save labels as 8-bit numbers."
+        )
+    return size
+
+
+def check_stored(size: int, held: int, ratio: float, what: str) -> None:
+    """Raise InputError if a file holds too little for the array that its header describes.
+
+    Parameters
+    ----------
+    size : int
+        Bytes of the array.
+    held : int
+        Bytes of the file that hold it.
+    ratio : float
+        How often the data can be larger than the file: 1 without compression.
+    what : str
+        How to name the image in messages.
+    """
+    if size > ratio * held + (SLACK_BYTES if ratio > 1 else 0):
+        raise InputError(
+            f"{what} is cut short, or its header is wrong: it states {_amount(size)} of voxels, "
+            f"and the file holds {_amount(held)}. Copy or export it again."
+        )
+
+
+@cache
+def memory_bytes() -> int:
+    """Return the memory that this process may use: of the machine, its container, its limits."""
+    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
+    for path in map(Path, _CGROUPS):
+        try:
+            limits.append(int(path.read_text()))
+        except (OSError, ValueError):  # there is no container, or no limit
+            continue
+    for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA):
+        soft, _ = resource.getrlimit(kind)
+        if soft != resource.RLIM_INFINITY:
+            limits.append(soft)
+    return min(limits)
+
+
+def _amount(size: int) -> str:
+    return f"{_mib(size)} MiB" if size >= 2**20 else f"{size} bytes"
+
+
+def _mib(size: int) -> str:
+    return f"{min(size, 2**200) / 2**20:.4g}"

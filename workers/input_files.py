@@ -1,0 +1,159 @@
+"""Files that a user brings: opened, resolved and explained in one place.
+
+A path may lead to a pipe that never ends or to a device, a file may name other files, and a
+damaged file makes a parser raise nearly anything. Readers use
+
+- `read_bytes` and `read_text`, which open regular files of a limited size,
+- `named_by` for each file that another file names,
+- `reading`, which turns any exception into one message.
+"""
+
+import errno
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+
+from palpate.storage.errors import InputError, PalpateError
+
+MIB = 2**20
+TEXT_BYTES = 16 * MIB
+"""Largest document: a study, a case, an experiment or a file of labels."""
+_REASON = 300
+"""Characters of a library's own message that are shown."""
+_allowed: ContextVar[Path | None] = ContextVar("folder that files may be in", default=None)
+
+
+@contextmanager
+def confined_to(folder: Path) -> Iterator[None]:
+    """Refuse, within the context, every input file outside of a folder."""
+    token = _allowed.set(folder.resolve())
+    try:
+        yield
+    finally:
+        _allowed.reset(token)
+
+
+def named_by(path: Path, name: str) -> Path:
+    """Return the path of a file that another file names, relative to its folder.
+
+    Parameters
+    ----------
+    path : Path
+        The file that names it.
+    name : str
+
+    Raises
+    ------
+    InputError
+        If it is outside of the folder that input is confined to, or cannot be a path.
+    """
+    if "\0" in name:
+        raise InputError(f"{path} names a file {name[:60]!r}, which cannot be the name of a file.")
+    named = path.parent / name
+    check_allowed(named, f"{path} names {name[:200]!r}, which")
+    return named
+
+
+def check_allowed(path: Path, what: str = "") -> None:
+    """Raise InputError if a path is outside of the folder that input is confined to."""
+    folder = _allowed.get()
+    if folder is not None and not path.resolve().is_relative_to(folder):
+        raise InputError(
+            f"{what or path.name} is outside of the uploaded folder. Upload all files of one input "
+            "to one folder, and give their names."
+        )
+
+
+def check_regular(path: Path) -> None:
+    """Raise InputError if a path exists and is a pipe, a socket or a device.
+
+    Opening a pipe waits for a writer, and a device may never end.
+    """
+    check_allowed(path)
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # what is missing is explained by the reader
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise InputError(
+            f"{path} is a pipe or a device, expected a file. Write the data to a file and give "
+            "its path."
+        )
+
+
+def read_bytes(path: Path, most_bytes: int) -> bytes:
+    """Return the content of a regular file.
+
+    Raises
+    ------
+    InputError
+        If it is no regular file, or larger than `most_bytes`.
+    OSError
+        If it cannot be read.
+    """
+    check_regular(path)
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    with path.open("rb") as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise InputError(
+            f"{path} has more than {most_bytes / MIB:g} MiB, the most that is read. Check that it "
+            "is the right file."
+        )
+    return content
+
+
+def read_text(path: Path, encoding: str = "utf-8-sig", most_bytes: int = TEXT_BYTES) -> str:
+    """Return the text of a document; see `read_bytes`.
+
+    Raises
+    ------
+    UnicodeDecodeError
+        If it is no text in that encoding.
+    """
+    return read_bytes(path, most_bytes).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+
+
+@contextmanager
+def reading(path: Path | str, kind: str) -> Iterator[None]:
+    """Raise `InputError` for whatever goes wrong while input is read and checked.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file, for the message.
+    kind : str
+        Such as ``"NRRD"`` or ``"an experiment"``.
+    """
+    try:
+        yield
+    except PalpateError:
+        raise
+    except MemoryError as error:
+        raise InputError(
+            f"{path} needs more memory than this machine has. Check its size and resolution, or "
+            "give coarser data."
+        ) from error
+    except RecursionError as error:
+        raise InputError(f"{path} is nested too deeply to be {kind}.") from error
+    except Exception as error:  # parsers raise nearly anything on damaged input
+        if isinstance(error, OSError) and error.strerror:  # others are those of decompressors
+            raise InputError(f"{path} cannot be read as {kind}: {error.strerror}.") from error
+        raise InputError(
+            f"{path} cannot be read as {kind}: {reason_of(error)}. It is damaged, cut short or "
+            "misnamed; copy or export it again."
+        ) from error
+
+
+def reason_of(error: BaseException) -> str:
+    """Return the message of an exception on one line, shortened, or else its kind."""
+    try:
+        text = " ".join(str(error).split())
+    except ValueError:  # it holds a number of too many digits
+        text = ""
+    text = text if len(text) <= _REASON else f"{text[:_REASON]} ..."
+    return (text or type(error).__name__).rstrip(".")

@@ -9,6 +9,7 @@ damaged file makes a parser raise nearly anything. Readers use
 """
 
 import errno
+import logging
 import os
 import stat
 from collections.abc import Iterator
@@ -17,6 +18,8 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from palpate.storage.errors import InputError, PalpateError
+
+_log = logging.getLogger(__name__)
 
 MIB = 2**20
 TEXT_BYTES = 16 * MIB
@@ -134,6 +137,7 @@ def reading(path: Path | str, kind: str) -> Iterator[None]:
     except PalpateError:
         raise
     except MemoryError as error:
+        _log.debug("Reading %s has failed.", path, exc_info=True)
         raise InputError(
             f"{path} needs more memory than this machine has. Check its size and resolution, or "
             "give coarser data."
@@ -141,6 +145,7 @@ def reading(path: Path | str, kind: str) -> Iterator[None]:
     except RecursionError as error:
         raise InputError(f"{path} is nested too deeply to be {kind}.") from error
     except Exception as error:  # parsers raise nearly anything on damaged input
+        _log.debug("Reading %s has failed.", path, exc_info=True)
         if isinstance(error, OSError) and error.strerror:  # others are those of decompressors
             raise InputError(f"{path} cannot be read as {kind}: {error.strerror}.") from error
         raise InputError(

@@ -28,6 +28,7 @@ from palpate.storage.errors import InputError
 from palpate.storage.records.tasks import FreeParameter
 from palpate.workers.comparison.similarity.objective import Objective, objective_named
 from palpate.workers.documents import parse_yaml
+from palpate.workers.input_files import read_text, reading
 from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.missing_keys import missing
 from palpate.workers.organs.organ import DifferentiableOrgan, no_derivatives
@@ -259,7 +260,7 @@ def read_spec(path: Path) -> StudySpec:
             f"{path} is a folder; expected a study file such as {path / 'study.yaml'}."
         )
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
     except FileNotFoundError:
         raise InputError(
             f"There is no study file {path}. Write one with `palpate new breast "
@@ -278,14 +279,15 @@ def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
     InputError
         If it is no YAML, or a key or value makes no sense.
     """
-    data = parse_yaml(text, where)
-    if not isinstance(data, dict):
-        kind = "nothing" if data is None else type(data).__name__
-        raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")
-    _make_absolute(data.get("target"), folder)
-    case = data.get("case")
-    _make_absolute(case.get("reference") if isinstance(case, dict) else None, folder)
-    return validated(StudySpec, data, where)
+    with reading(where, "a study"):
+        data = parse_yaml(text, where)
+        if not isinstance(data, dict):
+            kind = "nothing" if data is None else type(data).__name__
+            raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")
+        _make_absolute(data.get("target"), folder)
+        case = data.get("case")
+        _make_absolute(case.get("reference") if isinstance(case, dict) else None, folder)
+        return validated(StudySpec, data, where)
 
 
 def _make_absolute(image: object, folder: Path) -> None:

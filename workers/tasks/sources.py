@@ -25,6 +25,7 @@ from palpate.workers.diagnosis.outcome.source import (
     SourceContent,
 )
 from palpate.workers.documents import parse_yaml
+from palpate.workers.input_files import check_regular, read_text, reading
 from palpate.workers.organs.source_registry import Reader, planned_source_of, readers, source_of
 from palpate.workers.organs.study_checks import (
     FIRST_LINE,
@@ -80,12 +81,14 @@ def open_source(path: Path, store: Location | None = None) -> Source:
     InputError
         If it is nothing that can be diagnosed.
     """
-    if is_study(path):
-        return open_study(path)
-    refuse_study_file(path)
-    reader = _reader_of(path)
-    if reader is not None:
-        return reader.read(path, volumes_of(store))
+    with reading(path, "a case or an experiment"):
+        check_regular(path)
+        if is_study(path):
+            return open_study(path)
+        refuse_study_file(path)
+        reader = _reader_of(path)
+        if reader is not None:
+            return reader.read(path, volumes_of(store))
     missing = "" if path.exists() else "there is nothing at that path; "
     raise InputError(
         f"{path} cannot be diagnosed: {missing}expected a folder with case.yaml and "
@@ -109,11 +112,12 @@ def check_source(source: HasContent, *, anyway: bool = False) -> list[Finding]:
     InputError
         With every reason.
     """
-    if isinstance(source, CheckedSource):
-        insisted = any(text.startswith(FIRST_LINE) for text in source.caveats)
-        return accept(source.findings(), "The scans", anyway=anyway or insisted)
-    if isinstance(source, Checkable):
-        source.check()
+    with reading("What is to be diagnosed", "a case or an experiment"):
+        if isinstance(source, CheckedSource):
+            insisted = any(text.startswith(FIRST_LINE) for text in source.caveats)
+            return accept(source.findings(), "The scans", anyway=anyway or insisted)
+        if isinstance(source, Checkable):
+            source.check()
     return []
 
 
@@ -148,9 +152,11 @@ def understood(path: Path) -> list[tuple[str, str]]:
     InputError
         If it does not make sense.
     """
-    refuse_study_file(path)
-    reader = None if is_study(path) else _reader_of(path)
-    return [] if reader is None else reader.understood(path)
+    with reading(path, "a case or an experiment"):
+        check_regular(path)
+        refuse_study_file(path)
+        reader = None if is_study(path) else _reader_of(path)
+        return [] if reader is None else reader.understood(path)
 
 
 def is_plannable(path: Path) -> bool:
@@ -170,7 +176,7 @@ def refuse_study_file(path: Path) -> None:
     if not path.is_file() or path.suffix not in (".yaml", ".yml"):
         return
     try:
-        data = parse_yaml(path.read_text(encoding="utf-8"), str(path))
+        data = parse_yaml(read_text(path), str(path))
     except (OSError, UnicodeDecodeError, InputError):
         return
     if isinstance(data, Mapping) and "case" in data and "search" in data:
@@ -190,11 +196,13 @@ def open_planned(path: Path, store: Location | None = None) -> PlannedSource:
     InputError
         If `path` is neither the folder of a case nor that of a study.
     """
-    if is_study(path):
-        return open_study(path)
-    refuse_study_file(path)
-    reader = _reader_of(path)
-    planned = None if reader is None else reader.read_planned(path, volumes_of(store))
+    with reading(path, "a case"):
+        check_regular(path)
+        if is_study(path):
+            return open_study(path)
+        refuse_study_file(path)
+        reader = _reader_of(path)
+        planned = None if reader is None else reader.read_planned(path, volumes_of(store))
     if planned is not None:
         return planned
     raise InputError(

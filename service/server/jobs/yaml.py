@@ -12,6 +12,7 @@ import yaml
 
 from palpate.storage.errors import InputError
 from palpate.workers.documents import parse_yaml
+from palpate.workers.input_files import reason_of
 
 MOST_EVENTS = 50_000
 DEEPEST = 40
@@ -31,12 +32,9 @@ def parsed_text(text: str, where: str) -> Any:
     """
     try:
         _check_events(text, where)
-        return parse_yaml(text, where)
-    except InputError:
-        raise
-    except Exception as error:  # YAML of strangers raises nearly anything: dates, huge numbers
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(f"{where} is not valid YAML: {reason}") from error
+    except yaml.YAMLError as error:
+        raise InputError(f"{where} is not valid YAML: {reason_of(error)}") from error
+    return parse_yaml(text, where)
 
 
 def _check_events(text: str, where: str) -> None:

@@ -113,7 +113,7 @@ def read_recording(
     InputError
         If the file cannot be read, lacks a column or any row, or its times do not ascend.
     """
-    wanted = {n: [column.format(marker=n, axis=a) for a in AXES] for n in names}
+    wanted = {n: [column.replace("{axis}", a).replace("{marker}", n) for a in AXES] for n in names}
     units = {c: _names_of(mm_per_unit) for three in wanted.values() for c in three}
     table = read_table(path, [time, *units], units={**units, time: SECONDS})
     _check_times(path, table[time], table.lines)

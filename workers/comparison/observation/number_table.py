@@ -15,7 +15,11 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
+from palpate.workers.input_files import MIB, read_bytes, reading
 
+TABLE_BYTES = 256 * MIB
+LONGEST = 100  # characters of a number
+SHOWN = 200  # characters of a cell or a header in a message
 COMMENTS = ("#", "%")
 SEPARATORS = (",", ";", "\t", "|", None)
 # Words of a row of units.
@@ -78,23 +82,24 @@ def read_table(
         If the file cannot be read, lacks a column or any row, repeats a column, has a row
         of another length than its header, or a cell that is not a number.
     """
-    header, rows = _split(path, _lines(path), columns)
-    _check_header(path, header, columns)
-    rows = _without_units(path, header, rows, units or {})
-    if not rows:
-        raise InputError(f"{path} holds no rows: expected names of columns, then numbers.")
-    for line, cells in rows:
-        if len(cells) != len(header):
-            raise InputError(_wrong_length(path, line, cells, header))
-    wanted = [name for name in (*columns, *optional) if name in header]
-    texts = {n: [(line, _tidy(c[header.index(n)])) for line, c in rows] for n in wanted}
-    values = _numbers(path, texts)
-    return NumberTable(values, tuple(line for line, _ in rows))
+    with reading(path, "a table"):
+        header, rows = _split(path, _lines(path), columns)
+        _check_header(path, header, columns)
+        rows = _without_units(path, header, rows, units or {})
+        if not rows:
+            raise InputError(f"{path} holds no rows: expected names of columns, then numbers.")
+        for line, cells in rows:
+            if len(cells) != len(header):
+                raise InputError(_wrong_length(path, line, cells, header))
+        wanted = [name for name in (*columns, *optional) if name in header]
+        texts = {n: [(line, _tidy(c[header.index(n)])) for line, c in rows] for n in wanted}
+        values = _numbers(path, texts)
+        return NumberTable(values, tuple(line for line, _ in rows))
 
 
 def _lines(path: Path) -> list[str]:
     try:
-        raw = path.read_bytes()
+        raw = read_bytes(path, TABLE_BYTES)
     except OSError as error:
         raise InputError(f"{path} cannot be read as a table: {error.strerror}.") from error
     return _decoded(path, raw).splitlines()
@@ -155,7 +160,8 @@ def _check_header(path: Path, header: Sequence[str], columns: Sequence[str]) -> 
     missing = [c for c in columns if c not in header]
     if missing:
         raise InputError(
-            f"{path} lacks the columns {', '.join(missing[:3])}; it has {', '.join(header)}."
+            f"{path} lacks the columns {', '.join(missing[:3])}; it has "
+            f"{_short(', '.join(header))}."
         )
     repeated = sorted({name for name in header if name and header.count(name) > 1})
     if repeated:
@@ -207,6 +213,12 @@ def _tidy(cell: str) -> str:
 def _numbers(path: Path, texts: Mapping[str, list[tuple[int, str]]]) -> dict[str, FloatArray]:
     """Return columns as numbers, in the one convention that all their cells follow."""
     cells = [(name, line, t) for name, column in texts.items() for line, t in column]
+    for name, line, text in cells:
+        if len(text) > LONGEST:
+            raise InputError(
+                f"{path}, line {line}: the cell in the column {name} has {len(text)} characters, "
+                "expected a number."
+            )
     digits = [one for one in cells if _special(one[2]) is None]
     mark, group = _convention(path, digits)
     return {
@@ -257,18 +269,22 @@ def _unreadable(
     for (name, line, text), point, comma in known:
         if not point and not comma:
             return (
-                f"{path}, line {line}: {text!r} in the column {name} is no number. Expected "
-                "numbers, and an empty cell or nan where nothing was measured."
+                f"{path}, line {line}: {_short(text)!r} in the column {name} is no number. "
+                "Expected numbers, and an empty cell or nan where nothing was measured."
             )
     if all(points):
         name, line, text = next(c for c in cells if "," in c[2])
         return (
-            f"{path}, line {line}: {text!r} in the column {name} may be a decimal comma or a "
-            "separator of thousands. Export with decimal points and without separators."
+            f"{path}, line {line}: {_short(text)!r} in the column {name} may be a decimal comma "
+            "or a separator of thousands. Export with decimal points and without separators."
         )
     by_point = next(c for c, point, comma in known if point and not comma)
     by_comma = next(c for c, point, comma in known if comma and not point)
     return (
-        f"{path} mixes decimal points and commas: {by_point[2]!r} in line {by_point[1]}, "
-        f"{by_comma[2]!r} in line {by_comma[1]}. Export with one decimal mark."
+        f"{path} mixes decimal points and commas: {_short(by_point[2])!r} in line {by_point[1]}, "
+        f"{_short(by_comma[2])!r} in line {by_comma[1]}. Export with one decimal mark."
     )
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]} ..."

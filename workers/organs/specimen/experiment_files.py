@@ -10,6 +10,7 @@ from pathlib import Path
 from palpate.storage.errors import InputError
 from palpate.storage.values import Volume
 from palpate.workers.documents import parse_yaml
+from palpate.workers.input_files import named_by
 from palpate.workers.organs.registry import organ_names
 from palpate.workers.organs.specimen.readings.experiment_table import understood
 from palpate.workers.organs.specimen.readings.marker_data import observed
@@ -47,9 +48,9 @@ def read_experiment(path: Path) -> SpecimenSource:
 
 def files_of(spec: SpecimenSpec, path: Path) -> list[Path]:
     """Return all files that the result depends on: the file itself, the mesh, the recordings."""
-    folder, mesh = path.parent, spec.body.mesh
-    recordings = [folder / file for state in spec.states for file in state.files]
-    return [path, *([folder / mesh] if mesh else []), *dict.fromkeys(recordings)]
+    mesh = spec.body.mesh
+    recordings = [named_by(path, file) for state in spec.states for file in state.files]
+    return [path, *([named_by(path, mesh)] if mesh else []), *dict.fromkeys(recordings)]
 
 
 class ExperimentReader:

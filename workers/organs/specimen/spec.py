@@ -14,6 +14,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Triple
 from palpate.workers.documents import parse_yaml
+from palpate.workers.input_files import read_text
 from palpate.workers.mechanics.materials.law_plugins import (
     DEFAULT_LAW,
     law_named,
@@ -299,6 +300,12 @@ class MarkersSpec(Door):
     def _named_places(self) -> Self:
         if "{marker}" not in self.column or "{axis}" not in self.column:
             raise ValueError("column needs {marker} and {axis} in it, as in '{marker}_{axis}_mm'")
+        rest = self.column.replace("{marker}", "").replace("{axis}", "")
+        if "{" in rest or "}" in rest:
+            raise ValueError(
+                f"column may hold no braces but those of {{marker}} and {{axis}}, found "
+                f"{self.column[:60]!r}"
+            )
         return self
 
 
@@ -409,7 +416,7 @@ def read_spec(path: Path) -> SpecimenSpec:
         If the file cannot be read or does not make sense.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:

@@ -20,6 +20,7 @@ from palpate.storage.values import Volume
 from palpate.workers.body.images.labels import crop_to_body
 from palpate.workers.body.images.largest_component import in_air, one_body
 from palpate.workers.documents import parse_json, parse_yaml
+from palpate.workers.input_files import read_text
 from palpate.workers.organs.breast.case.alignment import aligned_case
 from palpate.workers.organs.breast.case.images import CaseImages, StoredVolume, no_store
 from palpate.workers.organs.breast.case.scanned_case import ScannedCase, above_wall
@@ -105,7 +106,7 @@ def read_case_file(path: Path) -> CaseFile:
 
 def _data(path: Path) -> Mapping[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:

@@ -8,6 +8,7 @@ from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.images.labels import label_counts, relabel, tissue_named
 from palpate.workers.body.images.named_labels import label_tissues
 from palpate.workers.body.images.read import LabelImage, read_labels
+from palpate.workers.input_files import named_by
 from palpate.workers.organs.breast.case.spec import CaseScans
 
 StoredVolume = Callable[[str], Volume | None]
@@ -61,7 +62,7 @@ class CaseImages:
         return relabel(image.volume, known)
 
     def _image(self, name: str) -> LabelImage:
-        path = self.case.parent / name
+        path = named_by(self.case, name)
         scans = self.scans
         if path.exists():
             return read_labels(path, spacing_mm=scans.spacing_mm, axes=scans.axes)
@@ -82,7 +83,7 @@ class CaseImages:
     def _understood(self, image: LabelImage) -> dict[int, Tissue]:
         stated = self.scans.labels
         if isinstance(stated, str):
-            return label_tissues(image, str(self.case.parent / stated))
+            return label_tissues(image, str(named_by(self.case, stated)))
         if image.names:
             return label_tissues(image, stated)
         meanings = USUAL if stated is None else label_tissues(image, stated)

@@ -1,5 +1,6 @@
 """Pictures of a cornea as files hold them, and what in them is no cornea."""
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,9 @@ from skimage.filters import threshold_otsu
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
+from palpate.workers.input_files import check_regular, reason_of
 
+MOST_PIXELS = 25_000_000
 # Difference of the channels, as a part of full brightness, from which a pixel has a colour.
 COLOURED_FROM = 0.18
 # Fewer coloured pixels than this, and than this part of the picture, are dirt of a compression.
@@ -58,15 +61,25 @@ def read_picture(path: Path) -> FloatArray:
     """
     if not path.is_file():
         raise InputError(f"There is no image {path}. Give the path of a frame of the cornea.")
+    check_regular(path)
     try:
-        with Image.open(path) as image:
+        with warnings.catch_warnings(), Image.open(path) as image:
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            if image.width * image.height > MOST_PIXELS:
+                raise InputError(
+                    f"{path} has {image.width} x {image.height} pixels, more than a frame of a "
+                    f"cornea can have ({MOST_PIXELS:,}). Give the frame as the camera saved it."
+                )
             count = getattr(image, "n_frames", 1)
             upright = ImageOps.exif_transpose(image)
             coloured = upright.mode not in ("L", "1", "F") and not upright.mode.startswith("I")
             values = np.asarray(upright.convert("RGB") if coloured else upright, np.float64)
-    except (OSError, ValueError, SyntaxError) as error:
+    except InputError:
+        raise
+    except Exception as error:  # Pillow raises nearly anything on damaged pictures
         raise InputError(
-            f"{path} is not an image that can be read ({error}). Give a PNG, TIFF, JPEG or BMP."
+            f"{path} is not an image that can be read ({reason_of(error)}). "
+            "Give a PNG, TIFF, JPEG or BMP."
         ) from error
     if count > 1:
         raise InputError(

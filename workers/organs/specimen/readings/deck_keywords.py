@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from palpate.storage.errors import InputError
+from palpate.workers.input_files import MIB, read_bytes
 
+DECK_BYTES = 512 * MIB
 ABAQUS, NASTRAN = (".inp",), (".bdf", ".nas", ".fem")
 GENERATORS = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM", "INCLUDE"}
 # Each of these may be there once: of more the reader keeps the last.
@@ -22,9 +24,10 @@ def check_deck(path: Path) -> None:
     if suffix not in ABAQUS + NASTRAN:
         return
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        content = read_bytes(path, DECK_BYTES)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    lines = content.decode("utf-8", errors="replace").splitlines()
     found = _abaqus(lines) if suffix in ABAQUS else _nastran(lines)
     if found is not None:
         line, why = found

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray
+from palpate.workers.input_files import check_regular, reading
 from palpate.workers.organs.specimen.readings.deck_keywords import check_deck
+from palpate.workers.organs.specimen.readings.stated_counts import check_counts
 
 Indices = NDArray[np.int64]
 
@@ -44,6 +46,10 @@ SURFACES: dict[str, tuple[tuple[int, int, int], ...]] = {
 NO_BODY = ("vertex", "line")
 # Cells of less than this part of the mean volume are flat.
 FLAT = 1e-12
+FARTHEST_MM = 1e6
+SUFFIXES = (
+    ".stl", ".vtk", ".vtu", ".msh", ".inp", ".mesh", ".ply", ".obj", ".off", ".bdf", ".nas", ".fem",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +87,11 @@ def read_mesh_file(path: Path, mm_per_unit: float) -> MeshFile:
     InputError
         If the file cannot be read, or holds cells or points that make no body.
     """
-    mesh = _read(path)
+    with reading(path, "a mesh"):
+        return _body(path, _read(path), mm_per_unit)
+
+
+def _body(path: Path, mesh: meshio.Mesh, mm_per_unit: float) -> MeshFile:
     blocks = [(b.type, np.asarray(b.data)) for b in mesh.cells if len(b.data)]
     _check_kinds(path, blocks)
     points = _points(path, mesh, mm_per_unit)
@@ -92,7 +102,13 @@ def read_mesh_file(path: Path, mm_per_unit: float) -> MeshFile:
 
 
 def _read(path: Path) -> meshio.Mesh:
+    check_regular(path)
+    if path.suffix.lower() not in SUFFIXES:  # others are read from several files
+        raise InputError(
+            f"{path} is no mesh of a kind that is read: expected {', '.join(SUFFIXES)}."
+        )
     check_deck(path)
+    check_counts(path)
     said = io.StringIO()
     try:
         # meshio prints what went wrong, and takes the header of a text for a count.
@@ -130,7 +146,7 @@ def _points(path: Path, mesh: meshio.Mesh, mm_per_unit: float) -> FloatArray:
     points = np.asarray(mesh.points, np.float64) * mm_per_unit
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"{path} is flat: its points have {points.shape[-1]} coordinates, not 3.")
-    return points
+    return np.where(np.abs(points) <= FARTHEST_MM, points, np.nan)
 
 
 def _checked(path: Path, kind: str, data: Indices, points: FloatArray) -> Indices:
@@ -146,7 +162,7 @@ def _checked(path: Path, kind: str, data: Indices, points: FloatArray) -> Indice
     if lost.any():
         raise InputError(
             f"{path}: the point {data[lost][0]}, counted from 0, has coordinates that are no "
-            "finite numbers. Export it again."
+            f"finite numbers, or further than {FARTHEST_MM:g} mm from 0. Export it again."
         )
     return data
 
@@ -228,6 +244,8 @@ def _surface(path: Path, points: FloatArray, blocks: list[tuple[str, Indices]]) 
         ]
     ).astype(np.int64)
     used, index = np.unique(points[triangles].reshape(-1, 3), axis=0, return_inverse=True)
+    if not np.ptp(used, axis=0).all():
+        raise InputError(f"{path} is flat: all its facets are in one plane. Export it again.")
     kept = _once(index.reshape(-1, 3))
     twice = len(triangles) - len(kept)
     notes = (f"{twice} facets of {path.name} are there twice and counted once.",) if twice else ()

@@ -1,0 +1,89 @@
+"""Files of a user are opened, resolved and explained in one place."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from palpate.storage.errors import InputError, StoreError
+from palpate.workers.input_files import (
+    check_regular,
+    confined_to,
+    named_by,
+    read_bytes,
+    read_text,
+    reading,
+)
+from palpate.workers.tasks.sources import open_source, understood
+
+
+def test_named_files_stay_in_the_folder_of_an_upload(tmp_path: Path) -> None:
+    folder = tmp_path / "upload"
+    folder.mkdir()
+    (tmp_path / "secret.csv").write_text("secret")
+    (folder / "link.csv").symlink_to(tmp_path / "secret.csv")
+    case = folder / "case.yaml"
+    outside = ("../secret.csv", str(tmp_path / "secret.csv"), "link.csv", "a/../../secret.csv")
+    for name in outside:
+        assert named_by(case, name).name.endswith(".csv")
+    with confined_to(folder):
+        assert named_by(case, "a.csv") == folder / "a.csv"
+        for name in outside:
+            with pytest.raises(InputError, match="outside of the uploaded folder"):
+                named_by(case, name)
+        with pytest.raises(InputError, match="outside of the uploaded folder"):
+            read_bytes(tmp_path / "secret.csv", 100)
+    with pytest.raises(InputError, match="cannot be the name"):
+        named_by(case, "a\0b")
+
+
+def test_only_regular_files_of_a_limited_size_are_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(InputError, match="a pipe or a device"):
+            read_bytes(path, 100)
+        with pytest.raises(InputError, match="a pipe or a device"):
+            check_regular(path)
+    (tmp_path / "text").write_bytes("\ufeffa\r\nb".encode())
+    assert read_text(tmp_path / "text") == "a\nb"
+    with pytest.raises(InputError, match="the most that is read"):
+        read_bytes(tmp_path / "text", 3)
+    with pytest.raises(IsADirectoryError):
+        read_bytes(tmp_path, 3)
+
+
+def test_whatever_a_reader_raises_becomes_one_message() -> None:
+    class UnprintableError(ValueError):
+        def __str__(self) -> str:
+            return str(10**5000)
+
+    raised = [
+        KeyError("x"),
+        ZeroDivisionError("division by zero\nof a line"),
+        OverflowError(),
+        RecursionError(),
+        MemoryError(),
+        UnprintableError(),
+        UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte"),
+        OSError(5, "Input/output error"),
+        ValueError("x" * 100_000),
+    ]
+    for error in raised:
+        with pytest.raises(InputError) as caught, reading(Path("a.nrrd"), "NRRD"):
+            raise error
+        text = str(caught.value)
+        assert text.startswith("a.nrrd ")
+        assert "\n" not in text
+        assert len(text) < 500
+    with pytest.raises(StoreError, match="full"), reading("a", "NRRD"):
+        raise StoreError("full")
+    with pytest.raises(KeyboardInterrupt), reading("a", "NRRD"):
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("name", ["case.yaml", "case.json", "case.yml"])
+def test_a_pipe_is_no_case(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    for read in (open_source, understood):
+        with pytest.raises(InputError, match="a pipe or a device"):
+            read(tmp_path / name)

@@ -104,7 +104,7 @@ def _check_size(text: str, where: str) -> None:
         elif isinstance(event, yaml.AliasEvent):
             if any(anchor == event.anchor for anchor, _ in open_nodes):
                 raise InputError(f"{where}: the value {event.anchor!r} contains itself.")
-            nodes += sizes.get(event.anchor, 0)
+            nodes += sizes.get(event.anchor or "", 0)
         nodes += 1
         if len(open_nodes) > DEEPEST:
             raise InputError(f"{where} is nested too deeply.")

@@ -240,9 +240,10 @@ class BodiesView(BaseModel):
 
 
 class SessionView(BaseModel):
-    """Who asks, and whether reading needs a token, too; ``owner`` is empty for a stranger."""
+    """Who asks, and whether reading needs a token, too; a stranger has no owner and no role."""
 
     owner: str
+    role: str = ""
     read_token: bool
 
 

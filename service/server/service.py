@@ -9,7 +9,7 @@ from palpate.service.server.jobs.home import ServiceHome
 from palpate.service.server.jobs.limits import Limits
 from palpate.service.server.jobs.queue import Queue
 from palpate.service.server.jobs.runner import OpenCluster, Runner
-from palpate.service.server.jobs.tokens import Tokens
+from palpate.service.server.jobs.tokens import Tokens, take_token
 from palpate.service.server.jobs.uploads import Uploads
 from palpate.service.server.live.bodies import BodiesMaker
 from palpate.service.server.live.cluster_load import ClusterLoad
@@ -76,6 +76,7 @@ def open_service(
     StoreError
         If folder or store cannot be used, or another service uses them.
     """
+    given = take_token()  # before any process inherits it
     limits, root = limits or Limits(), root.expanduser().absolute()
     home = ServiceHome(root, place_of(store or root / "store"))
     home.make()
@@ -86,7 +87,7 @@ def open_service(
         runner = Runner(
             home, queue, uploads, open_cluster, tasks=tasks, at_once=at_once, reports=reports
         )
-        tokens, bodies = Tokens(home.tokens), BodiesMaker()
+        tokens, bodies = Tokens(home.tokens, given), BodiesMaker()
         runner.start()
         try:
             yield Service(

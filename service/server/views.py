@@ -6,6 +6,7 @@ from palpate.service.server.api import Best, Evaluations, JobView, Phase, State
 from palpate.service.server.jobs.home import inside
 from palpate.service.server.jobs.queue import Job
 from palpate.service.server.live.job_progress import JobProgress
+from palpate.service.server.public_text import public
 from palpate.service.server.service import Service
 from palpate.service.study.count import left_s
 from palpate.storage.errors import PalpateError, StoreError
@@ -29,8 +30,8 @@ def job_view(service: Service, job: Job) -> JobView:
         owner=job.owner,
         priority=job.priority,
         state=state_of(service, job),
-        reason=job.reason,
-        note=service.runner.note(job.id) if job.state == "waiting" else "",
+        reason=public(job.reason),
+        note=public(service.runner.note(job.id)) if job.state == "waiting" else "",
         submitted=job.submitted,
         changed=job.changed,
     )
@@ -38,7 +39,7 @@ def job_view(service: Service, job: Job) -> JobView:
     try:
         progress = service.progress.of(folder)
     except PalpateError as error:
-        return view.model_copy(update={"reason": str(error)})
+        return view.model_copy(update={"reason": public(str(error))})
     view.sessions, view.journal_bytes = progress.sessions, progress.bytes_read
     view.stopped = progress.stopped
     view.files = [name for name in FILES[job.kind] if _is_offered(service, job, name)]

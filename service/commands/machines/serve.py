@@ -75,7 +75,7 @@ def serve(
             ) as service,
         ):
             if not service.tokens:
-                token = service.tokens.new("first")
+                token = service.tokens.new("first", "admin")
                 typer.echo(f"token (shown once; `palpate token` makes others): {token}")
                 typer.echo(f"page, signed in: {url_of(listening)}/#token={token}")
             typer.echo(f"serving {service.home.root} at {url_of(listening)}")

@@ -1,7 +1,7 @@
 """`palpate token` makes and removes the tokens of a service."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -17,26 +17,38 @@ NameArgument = Annotated[str, typer.Argument(help="Name of the token's owner.")]
 
 
 @app.command("new")
-def new(name: NameArgument, home: HomeOption = RUNS, as_json: JsonOption = False) -> None:
+def new(
+    name: NameArgument,
+    home: HomeOption = RUNS,
+    role: Annotated[
+        Literal["read", "submit", "admin"],
+        typer.Option(
+            help="What the token allows: read; submit, and change one's own jobs; or admin, "
+            "change the jobs of others."
+        ),
+    ] = "submit",
+    as_json: JsonOption = False,
+) -> None:
     """Create a token and show it once.
 
     A running service accepts it immediately.
     """
-    token = _tokens(home, make=True).new(name)
+    token = _tokens(home, make=True).new(name, role)
     if as_json:
-        print_json({"name": name, "token": token})
+        print_json({"name": name, "role": role, "token": token})
     else:
         typer.echo(token)
 
 
 @app.command("list")
 def list_(home: HomeOption = RUNS, as_json: JsonOption = False) -> None:
-    """List the names of all tokens."""
-    names = _tokens(home).names
+    """List the names and roles of all tokens."""
+    roles = _tokens(home).roles
     if as_json:
-        print_json({"tokens": names})
+        print_json({"tokens": list(roles), "roles": roles})
     else:
-        typer.echo("\n".join(names) or "There are no tokens.")
+        lines = [f"{name}  {role}" for name, role in roles.items()]
+        typer.echo("\n".join(lines) or "There are no tokens.")
 
 
 @app.command("remove")

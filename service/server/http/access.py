@@ -6,6 +6,8 @@ from fastapi import Depends, HTTPException, Request, Response
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from palpate.service.server.api import SignIn
+from palpate.service.server.jobs.queue import Job
+from palpate.service.server.jobs.tokens import Owner
 from palpate.service.server.service import Service
 
 COOKIE = "palpate_token"
@@ -26,14 +28,14 @@ Here = Annotated[Service, Depends(service_of)]
 
 def owner_of(
     request: Request, service: Service, credentials: HTTPAuthorizationCredentials | None
-) -> str | None:
+) -> Owner | None:
     """Return who asks; None for a stranger."""
     given = credentials.credentials if credentials else request.cookies.get(COOKIE, "")
-    return service.tokens.owner(given) if given else None
+    return service.tokens.holder(given) if given else None
 
 
-def writer(request: Request, service: Here, credentials: Credentials) -> str:
-    """Return who writes.
+def known(request: Request, service: Here, credentials: Credentials) -> Owner:
+    """Return who asks.
 
     Raises
     ------
@@ -42,14 +44,56 @@ def writer(request: Request, service: Here, credentials: Credentials) -> str:
     """
     owner = owner_of(request, service, credentials)
     if owner is None:
-        known = credentials or request.cookies.get(COOKIE)
-        what = "This token is not known" if known else "This needs a token"
+        given = credentials or request.cookies.get(COOKIE)
+        what = "This token is not known" if given else "This needs a token"
         raise HTTPException(
             401,
             f"{what}: send `Authorization: Bearer TOKEN`. `palpate token new NAME` makes one.",
             {"WWW-Authenticate": "Bearer"},
         )
     return owner
+
+
+def writer(owner: Annotated[Owner, Depends(known)]) -> Owner:
+    """Return who writes.
+
+    Raises
+    ------
+    HTTPException
+        401 without a token that is known, 403 with one that may only read.
+    """
+    if not owner.submits:
+        raise HTTPException(
+            403,
+            f"The token {owner.name} may only read. `palpate token new NAME --role submit` makes "
+            "one that may upload and submit.",
+        )
+    return owner
+
+
+def check_may_change(owner: Owner, job: Job) -> None:
+    """Refuse whoever neither submitted a job nor is an admin.
+
+    Raises
+    ------
+    HTTPException
+        403
+    """
+    if not owner.may_change(job.owner):
+        raise HTTPException(
+            403,
+            f"{job.id} was submitted by {job.owner}: only that token, or one with the role admin, "
+            "may change it.",
+        )
+
+
+def still_reads(request: Request, service: Service) -> bool:
+    """Return whether a request that is being answered would still be allowed to read."""
+    if not service.read_token:
+        return True
+    scheme, _, given = request.headers.get("Authorization", "").partition(" ")
+    token = given.strip() if scheme.lower() == "bearer" else request.cookies.get(COOKIE, "")
+    return bool(token) and service.tokens.owner(token) is not None
 
 
 def reader(request: Request, service: Here, credentials: Credentials) -> None:
@@ -61,10 +105,10 @@ def reader(request: Request, service: Here, credentials: Credentials) -> None:
         401 without a token that is known.
     """
     if service.read_token:
-        writer(request, service, credentials)
+        known(request, service, credentials)
 
 
-Writer = Annotated[str, Depends(writer)]
+Writer = Annotated[Owner, Depends(writer)]
 
 
 def sign_in(service: Service, given: SignIn, response: Response, *, secure: bool) -> None:

@@ -30,6 +30,7 @@ from palpate.service.server.http.access import (
     reader,
     sign_in,
 )
+from palpate.service.server.http.connections import RequestLimit
 from palpate.service.server.http.guard import Guard
 from palpate.service.server.http.metrics import metrics
 from palpate.service.server.http.strict_json import StrictRoute
@@ -37,6 +38,7 @@ from palpate.service.server.jobs.home import NAME_PATTERN
 from palpate.service.server.jobs.queue import StateError
 from palpate.service.server.jobs.uploads import ConflictError, TooLargeError
 from palpate.service.server.jobs.yaml import texts
+from palpate.service.server.public_text import public
 from palpate.service.server.service import Service
 from palpate.service.versions import palpate_version
 from palpate.storage.errors import InputError, PalpateError
@@ -82,6 +84,7 @@ def create_app(
     app.include_router(_uploads(service), prefix=PREFIX)
     app.include_router(_about(), prefix=PREFIX)
     app.add_api_route("/metrics", _metrics, tags=["service"], response_class=PlainTextResponse)
+    app.add_middleware(RequestLimit)
     app.add_middleware(Guard, hosts=hosts)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(StarletteHTTPException, _refused)
@@ -113,7 +116,7 @@ def _about() -> APIRouter:
         cluster = runner.cluster
         return ClusterView(
             ready=cluster is not None,
-            trouble=runner.trouble,
+            trouble=public(runner.trouble),
             threads=runner.threads,
             tasks=runner.share.held,
             dashboard=cluster.dashboard if cluster else "",
@@ -124,7 +127,11 @@ def _about() -> APIRouter:
     def get_session(service: Here, request: Request, credentials: Credentials) -> SessionView:
         """Say who asks; needs no token."""
         owner = owner_of(request, service, credentials)
-        return SessionView(owner=owner or "", read_token=service.read_token)
+        return SessionView(
+            owner=owner.name if owner else "",
+            role=owner.role if owner else "",
+            read_token=service.read_token,
+        )
 
     @router.post("/session", status_code=204, responses=_problems(413))
     def begin_session(service: Here, request: Request, given: SignIn, response: Response) -> None:
@@ -210,7 +217,7 @@ def _refused_by_palpate(request: Request, error: Exception) -> JSONResponse:
         status = 409
     else:  # a store or a journal that cannot be used as it is
         status = 409
-    return JSONResponse({"error": str(error)}, status)
+    return JSONResponse({"error": public(str(error))}, status)
 
 
 def _crashed(request: Request, error: Exception) -> JSONResponse:

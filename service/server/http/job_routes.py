@@ -22,7 +22,7 @@ from palpate.service.server.api import (
     State,
     StudySubmission,
 )
-from palpate.service.server.http.access import Here, Writer, reader
+from palpate.service.server.http.access import Here, Writer, check_may_change, reader
 from palpate.service.server.http.streams import event_stream
 from palpate.service.server.http.strict_json import StrictRoute
 from palpate.service.server.jobs.home import NAME_PATTERN
@@ -31,6 +31,7 @@ from palpate.service.server.jobs.study_job import study_request
 from palpate.service.server.jobs.submissions import study_from
 from palpate.service.server.live.events import job_events
 from palpate.service.server.live.journal_tail import JournalTail
+from palpate.service.server.public_text import public
 from palpate.service.server.service import Service
 from palpate.service.server.views import ENDED, job_file, job_view, state_of, view_now
 from palpate.storage.backends.layout import StudyLayout
@@ -103,7 +104,7 @@ def submit_study(service: Here, owner: Writer, given: StudySubmission, answer: R
     job, new = service.queue.submit(
         "study",
         spec.name,
-        owner,
+        owner.name,
         study_request(spec, given.accept_new_code, given.anyway),
         priority=given.priority,
         key=given.key,
@@ -133,7 +134,7 @@ def submit_diagnosis(
     job, new = service.queue.submit(
         "diagnosis",
         name,
-        owner,
+        owner.name,
         request | {"name": name},
         priority=given.priority,
         key=given.key,
@@ -172,15 +173,20 @@ def get_job(service: Here, job: Known) -> JobView:
 
 @router.post("/jobs/{job}/{action}", responses=_refusals(404, 409))
 def change_job(
-    service: Here, _: Writer, job: Known, action: Literal["pause", "resume", "cancel"]
+    service: Here, owner: Writer, job: Known, action: Literal["pause", "resume", "cancel"]
 ) -> JobView:
-    """Pause a job, resume one that is paused or has failed, or cancel it for good."""
+    """Pause a job, resume one that is paused or has failed, or cancel it for good.
+
+    Only the token that submitted it may do so, or one with the role admin.
+    """
+    check_may_change(owner, job)
     return job_view(service, service.queue.change(job.id, action))
 
 
 @router.patch("/jobs/{job}", responses=_refusals(404))
-def change_priority(service: Here, _: Writer, job: Known, given: PriorityChange) -> JobView:
+def change_priority(service: Here, owner: Writer, job: Known, given: PriorityChange) -> JobView:
     """Give a job another priority; it counts from the next time that the job is run."""
+    check_may_change(owner, job)
     return job_view(service, service.queue.prioritise(job.id, given.priority))
 
 
@@ -206,7 +212,7 @@ def get_candidate(
     try:
         return candidate_json(candidate_results(_begun(service, job), candidate))
     except InputError as error:
-        raise HTTPException(404, str(error)) from error
+        raise HTTPException(404, public(str(error))) from error
 
 
 @router.get("/jobs/{job}/journal", responses=_refusals(404, 409))

@@ -7,11 +7,11 @@ from contextlib import AbstractContextManager, nullcontext
 import uvicorn
 
 from palpate.service.server.http.app import create_app
+from palpate.service.server.http.connections import Connection, allow_open_files
 from palpate.service.server.http.guard import is_loopback
 from palpate.service.server.service import Service
 from palpate.storage.errors import InputError
 
-CONCURRENT = 512
 GRACE_S = 3
 
 
@@ -80,8 +80,10 @@ def serve(
         access_log=False,
         server_header=False,
         lifespan="off",
-        limit_concurrency=CONCURRENT,
+        http=Connection,
+        ws="none",
         timeout_graceful_shutdown=GRACE_S,
     )
+    allow_open_files()
     server = _Server(config, stop)
     server.run(sockets=[listening])

@@ -5,6 +5,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from fastapi import HTTPException, Request
 from fastapi.responses import StreamingResponse
 
+from palpate.service.server.http.access import still_reads
 from palpate.service.server.service import Service
 
 Gone = Callable[[], Awaitable[bool]]
@@ -25,7 +26,9 @@ def event_stream(
         raise HTTPException(503, "Too many clients follow jobs at this moment: try again later.")
 
     async def gone() -> bool:
-        return state.stopping() or await request.is_disconnected()
+        if state.stopping() or await request.is_disconnected():
+            return True
+        return not still_reads(request, service)
 
     async def stream() -> AsyncIterator[bytes]:
         state.streams += 1

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,6 +19,7 @@ from palpate.storage.backends.places import Location
 from palpate.storage.errors import InputError
 from palpate.storage.records.journal import Journal
 from palpate.storage.records.record import SCHEMA_VERSION
+from palpate.workers.input_files import confined_to
 from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.tasks.diagnosis_store import DiagnosisRequest
 from palpate.workers.tasks.sources import check_source, open_source, source_caveats
@@ -30,15 +32,19 @@ def bring_source(
     effects: tuple[str, ...] | None,
     when: str,
     anyway: bool = False,
+    within: str | None = None,
 ) -> tuple[DiagnosisRequest, Origin, tuple[str, ...]]:
     """Read what is diagnosed into the store; a task, so that a damaged image harms a worker only.
+
+    An upload may name files in its folder `within` only.
 
     Raises
     ------
     InputError
         If it cannot be diagnosed, or an effect is not in its catalogue.
     """
-    opened = open_source(Path(path), store)
+    with nullcontext() if within is None else confined_to(Path(within)):
+        opened = open_source(Path(path), store)
     known = [effect.name for effect in opened.effects]
     for name in effects or ():
         if name not in known:
@@ -73,8 +79,16 @@ def run_diagnosis(
 
         append("session", began=when)
         anyway = bool(request.get("anyway"))
+        within = str(source if source.is_dir() else source.parent)
         asked, origin, caveats = dispatcher.call(
-            bring_source, str(source), str(store), request["nodes"], named, when, anyway
+            bring_source,
+            str(source),
+            str(store),
+            request["nodes"],
+            named,
+            when,
+            anyway,
+            within if request["source"].get("upload") else None,
         )
         stored = finished(asked) is not None
         diagnosis = with_caveats(run_and_tell(asked, dispatcher, folder, observe), caveats)

@@ -22,7 +22,7 @@ from palpate.service.server.jobs.diagnosis_job import run_diagnosis
 from palpate.service.server.jobs.fair_share import FairShare
 from palpate.service.server.jobs.home import ServiceHome, inside
 from palpate.service.server.jobs.queue import Job, Queue, StateError
-from palpate.service.server.jobs.study_job import run_job
+from palpate.service.server.jobs.study_job import ReportError, run_job
 from palpate.service.server.jobs.uploads import Uploads
 from palpate.service.study.loop import Tasks
 from palpate.service.study.observers.dask_records import DaskRecords
@@ -210,6 +210,8 @@ class Runner:
             self._work(job, Session(dispatcher, cluster.dashboard, (records,)))
         except Interrupted:
             return
+        except ReportError as error:
+            self._conclude(job, "finish", f"The page could not be written: {error}.")
         except ClusterError as error:
             self._set_back(job, error, cluster)
         except PalpateError as error:
@@ -272,7 +274,7 @@ class Runner:
         self._setbacks.pop(job.id, None)
         try:
             if action == "finish":
-                self.queue.change(job.id, "finish")
+                self.queue.change(job.id, "finish", reason)
             else:
                 self.queue.change(job.id, "fail", reason)
         except StateError:  # paused or cancelled at this moment: that stays

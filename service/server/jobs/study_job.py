@@ -1,23 +1,28 @@
 """Runs one study of the queue."""
 
-import os
+import logging
 import subprocess
-import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 from palpate.service.run_study import Entrance, run_study
+from palpate.service.server.jobs.helper_process import helper_command, helper_environment
 from palpate.service.study.loop import Study, Tasks
 from palpate.service.study.session import Session
 from palpate.service.study.spec import StudySpec
 from palpate.storage.backends.layout import StudyLayout
 from palpate.storage.backends.places import Location
-from palpate.workers import WORKER_ENVIRONMENT
 from palpate.workers.spec import validated
 
+_log = logging.getLogger(__name__)
+
 REPORT_S = 900.0
+
+
+class ReportError(Exception):
+    """The page of a study could not be written; the study itself has ended well."""
 
 
 def study_request(spec: StudySpec, accept_new_code: bool, anyway: bool = False) -> dict[str, Any]:
@@ -58,6 +63,8 @@ def run_job(
     ------
     PalpateError, Interrupted
         As `service.run_study.run_study`.
+    ReportError
+        If the study has ended and its page could not be written.
     """
     spec = validated(StudySpec, request["spec"], "The study")
     accept = bool(request.get("accept_new_code"))
@@ -75,16 +82,29 @@ def _no_page(folder: Path, quick: bool) -> None:
 def write_report(folder: Path, quick: bool) -> None:
     """Write the page of a study that has ended, in a process of its own, unless there is one.
 
-    A failure is no failure of the study. A study that is stopped has the service's live page.
+    A study that is stopped has the service's live page.
+
+    Raises
+    ------
+    ReportError
+        If it fails, which is no failure of the study.
     """
     if quick or StudyLayout(folder).report.exists():
         return
-    subprocess.run(
-        [sys.executable, "-m", "palpate", "report", str(folder)],
-        env=os.environ | WORKER_ENVIRONMENT,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        timeout=REPORT_S,
-        check=False,
-    )
+    try:
+        ended = subprocess.run(
+            helper_command("palpate", "report", str(folder)),
+            env=helper_environment(),
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            timeout=REPORT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise ReportError(f"it was not finished after {REPORT_S:.0f} s") from None
+    if ended.returncode != 0:
+        lines = ended.stderr.decode(errors="replace").strip().splitlines()
+        _log.error("The page of %s has failed: %s", folder, "\n".join(lines))
+        raise ReportError(lines[-1] if lines else f"its process ended with {ended.returncode}")

@@ -1,11 +1,22 @@
-"""Tokens of a service: whoever has one may write. Only their SHA-256 is kept."""
+"""Tokens of a service and their roles. Only the SHA-256 of a token is kept.
+
+======  ==========================================================
+read    look at jobs, results and files
+submit  also upload and submit; stop and change one's own jobs
+admin   also stop and change the jobs of others
+======  ==========================================================
+
+The token in the variable PALPATE_TOKEN is an admin. A service takes it out of its environment,
+which all its workers and helpers would inherit.
+"""
 
 import hashlib
 import hmac
 import os
 import secrets
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from palpate.service.server.jobs.home import checked_name
 from palpate.storage.backends.atomic import explained, replacing
@@ -14,15 +25,47 @@ from palpate.storage.plain import dumps, loads
 
 ENVIRONMENT = "PALPATE_TOKEN"
 LEAST_LENGTH = 16
+Role = Literal["read", "submit", "admin"]
+ROLES: tuple[Role, ...] = get_args(Role)
+
+
+@dataclass(frozen=True, slots=True)
+class Owner:
+    """Whoever has a token.
+
+    Parameters
+    ----------
+    name : str
+    role : {"read", "submit", "admin"}
+    """
+
+    name: str
+    role: Role
+
+    @property
+    def submits(self) -> bool:
+        """Whether uploads and jobs are accepted from this token."""
+        return self.role != "read"
+
+    def may_change(self, owner: str) -> bool:
+        """Return whether the jobs that a token submitted may be stopped and changed."""
+        return self.role == "admin" or (self.submits and self.name == owner)
+
+
+def take_token() -> str:
+    """Return the token in the environment and remove it there."""
+    return os.environ.pop(ENVIRONMENT, "")
 
 
 class Tokens:
-    """The tokens in a file, and the one of the environment.
+    """The tokens in a file, and one from the environment.
 
     Parameters
     ----------
     path : Path
         Read again when it changes, so that a token can be added while the service runs.
+    given : str, optional
+        The token from the environment; see `take_token`. Default: it is left there.
 
     Raises
     ------
@@ -32,17 +75,18 @@ class Tokens:
         If the token of the environment is too short.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, given: str | None = None) -> None:
         self.path = path
         self._stamp: tuple[int, int] | None = None
-        self._known: dict[str, str] = {}
-        given = os.environ.get(ENVIRONMENT, "")
+        self._known: dict[str, tuple[str, Role]] = {}
+        given = os.environ.get(ENVIRONMENT, "") if given is None else given
         if given and len(given) < LEAST_LENGTH:
             raise InputError(
                 f"{ENVIRONMENT} has {len(given)} characters, expected at least {LEAST_LENGTH}. "
                 "Make one with: python -c 'import secrets; print(secrets.token_urlsafe())'"
             )
-        self._environment = {"environment": _hash(given)} if given else {}
+        first: Role = "admin"
+        self._environment = {"environment": (_hash(given), first)} if given else {}
         self._read()
 
     def __bool__(self) -> bool:
@@ -55,7 +99,13 @@ class Tokens:
         self._read()
         return sorted(self._known | self._environment)
 
-    def new(self, name: str) -> str:
+    @property
+    def roles(self) -> dict[str, Role]:
+        """Return the role of each token, by name."""
+        self._read()
+        return {name: role for name, (_, role) in sorted((self._known | self._environment).items())}
+
+    def new(self, name: str, role: Role = "submit") -> str:
         """Make a token and return it; it is written nowhere.
 
         Raises
@@ -70,7 +120,7 @@ class Tokens:
                 f"{name}`, or choose another name."
             )
         token = secrets.token_urlsafe(32)
-        self._write(self._known | {name: _hash(token)})
+        self._write(self._known | {name: (_hash(token), role)})
         return token
 
     def remove(self, name: str) -> None:
@@ -91,11 +141,16 @@ class Tokens:
 
     def owner(self, token: str) -> str | None:
         """Return the name of a token; None if it is not known."""
+        owner = self.holder(token)
+        return None if owner is None else owner.name
+
+    def holder(self, token: str) -> Owner | None:
+        """Return whoever has a token, with the role; None if it is not known."""
         self._read()
         given, owner = _hash(token), None
-        for name, known in (self._known | self._environment).items():
+        for name, (known, role) in (self._known | self._environment).items():
             if hmac.compare_digest(given, known):
-                owner = name
+                owner = Owner(name, role)
         return owner
 
     def _read(self) -> None:
@@ -108,7 +163,7 @@ class Tokens:
             return
         try:
             known: Any = loads(self.path.read_bytes())["tokens"]
-            self._known = {str(name): str(value) for name, value in known.items()}
+            self._known = {str(name): _entry(value) for name, value in known.items()}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise StoreError(
                 f"{self.path} is damaged ({error!r}). Remove it and make new tokens with "
@@ -116,11 +171,22 @@ class Tokens:
             ) from error
         self._stamp = (stat.st_mtime_ns, stat.st_size)
 
-    def _write(self, known: dict[str, str]) -> None:
+    def _write(self, known: dict[str, tuple[str, Role]]) -> None:
+        tokens = {name: {"sha256": value, "role": role} for name, (value, role) in known.items()}
         with explained(self.path), replacing(self.path) as temporary:
             temporary.touch(mode=0o600)
-            temporary.write_text(dumps({"tokens": known}) + "\n")
+            temporary.write_text(dumps({"tokens": tokens}) + "\n")
         self._read()
+
+
+def _entry(value: Any) -> tuple[str, Role]:
+    """Return hash and role; tokens of older versions have no role and submit."""
+    if isinstance(value, str):
+        return value, "submit"
+    role = value["role"]
+    if role not in ROLES:
+        raise ValueError(f"{role!r} is no role")
+    return str(value["sha256"]), role
 
 
 def _hash(token: str) -> str:

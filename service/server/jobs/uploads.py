@@ -1,21 +1,28 @@
 """Images and cases that clients bring: written whole or not at all, and never changed.
 
-A name is a folder and a file in it. What another file could make a reader open elsewhere
-is refused: detached headers, TIFF files that name others, paths in a case.
+A name is a folder and a file in it. Readers open no second file unless an upload names one
+in its own folder (`workers.input_files`); paths in a case that lead elsewhere are refused here
+too, so that whoever uploads it learns it at once.
+
+Files are hashed, checked and synced in threads. What an upload has written so far counts
+towards the limits while it is running.
 """
 
 import hashlib
 import os
-import re
+import threading
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from anyio import to_thread
+
 from palpate.service.server.jobs.home import checked_name
 from palpate.service.server.jobs.limits import Limits
 from palpate.service.server.jobs.yaml import parsed_text, refuse_paths
 from palpate.storage.backends.atomic import (
+    clean_leftovers,
     discard,
     explained,
     is_temporary,
@@ -23,13 +30,15 @@ from palpate.storage.backends.atomic import (
     temporary_sibling,
 )
 from palpate.storage.errors import InputError, PalpateError
+from palpate.workers.body.images.nrrd_header import check_attached
+from palpate.workers.body.images.tiff_stack import check_one_file
 
 SUFFIXES = (
     ".nrrd", ".nii", ".nii.gz", ".tif", ".tiff", ".npy", ".dcm",
     ".yaml", ".yml", ".json", ".csv", ".txt", ".stl", ".vtk", ".msh",
 )  # fmt: skip
 TEXT_BYTES = 512 * 1024
-_DETACHED = re.compile(rb"^data ?file\s*:", re.IGNORECASE | re.MULTILINE)
+BLOCK_BYTES = 2**20
 
 
 class TooLargeError(PalpateError):
@@ -64,12 +73,21 @@ class Uploads:
     Parameters
     ----------
     root : Path
-        Exists.
+        Exists. What uploads of a killed service have left there is removed.
     limits : Limits
     """
 
     def __init__(self, root: Path, limits: Limits) -> None:
         self.root, self.limits = root, limits
+        self._lock = threading.Lock()
+        for folder in (root, *(path for path in root.iterdir() if path.is_dir())):
+            clean_leftovers(folder, older_than_s=0.0)
+        self._count()
+
+    def _count(self) -> None:
+        """Count files and bytes that are there, and none that are being written."""
+        there = self.list()
+        self._files, self._bytes = len(there), sum(one.size_bytes for one in there)
 
     def list(self) -> list[Uploaded]:
         """Return all uploads."""
@@ -101,26 +119,50 @@ class Uploads:
                 f"{file} is of a kind that cannot be uploaded: expected one of "
                 f"{', '.join(SUFFIXES)}. Write an image as one file, such as NAME.nrrd."
             )
-        others = self.list()
-        held, count = sum(one.size_bytes for one in others), len(others)
-        if count >= self.limits.uploads_files:
-            raise TooLargeError(f"There are {count} uploads already: remove some first.")
-        with explained(path):
-            path.parent.mkdir(exist_ok=True)
+        writing = _Writing(self, file)
         temporary = temporary_sibling(path)
         try:
-            size, sha256 = await self._write(temporary, file, body, held)
-            _check(temporary, file)
-            self._publish(temporary, path, sha256)
+            with explained(path):
+                path.parent.mkdir(exist_ok=True)
+            size, sha256 = await writing.write(temporary, body)
+            await to_thread.run_sync(_check, temporary, file)
+            if await to_thread.run_sync(self._publish, temporary, path, sha256):
+                writing.keep()
         finally:
             discard(temporary)
+            writing.forget()
         return Uploaded(folder, file, size, sha256)
+
+    def take(self, files: int, size: int, file: str) -> None:
+        """Add to what is held, or being written.
+
+        Raises
+        ------
+        TooLargeError
+            If that is more than the limits allow.
+        """
+        with self._lock:
+            if files > 0 and self._files >= self.limits.uploads_files:
+                raise TooLargeError(f"There are {self._files} uploads already: remove some first.")
+            if size > 0 and self._bytes + size > self.limits.uploads_bytes:
+                raise self.too_large(file)
+            self._files += files
+            self._bytes += size
+
+    def too_large(self, file: str) -> TooLargeError:
+        """Return the error about a file that does not fit."""
+        return TooLargeError(
+            f"{file} is too large: one file may have {self.limits.upload_bytes} bytes, "
+            f"all uploads together {self.limits.uploads_bytes}."
+        )
 
     def remove(self, folder: str) -> bool:
         """Remove a folder of uploads; False if there is none."""
         path = self.root / checked_name(folder)
         there = path.is_dir()
+        held = [one for one in self.list() if one.folder == folder]
         discard(path)
+        self.take(-len(held), -sum(one.size_bytes for one in held), folder)
         return there
 
     def resolve(self, name: str) -> Path | None:
@@ -137,23 +179,8 @@ class Uploads:
         path = self.root.joinpath(*(checked_name(part) for part in parts))
         return path if path.exists() else None
 
-    async def _write(
-        self, temporary: Path, file: str, body: AsyncIterator[bytes], held: int
-    ) -> tuple[int, str]:
-        state, size = hashlib.sha256(), 0
-        with explained(temporary.with_name(file)), temporary.open("wb") as out:
-            async for chunk in body:
-                size += len(chunk)
-                if size > self.limits.upload_bytes or held + size > self.limits.uploads_bytes:
-                    raise TooLargeError(
-                        f"{file} is too large: one file may have {self.limits.upload_bytes} "
-                        f"bytes, all uploads together {self.limits.uploads_bytes}."
-                    )
-                state.update(chunk)
-                out.write(chunk)
-        return size, state.hexdigest()
-
-    def _publish(self, temporary: Path, path: Path, sha256: str) -> None:
+    def _publish(self, temporary: Path, path: Path, sha256: str) -> bool:
+        """Give a file its name; False if the same file has it already."""
         with explained(path):
             sync(temporary)
             try:
@@ -161,16 +188,72 @@ class Uploads:
             except FileExistsError:
                 with path.open("rb") as there:
                     if hashlib.file_digest(there, "sha256").hexdigest() == sha256:
-                        return
+                        return False
                 raise ConflictError(
                     f"There is another {path.parent.name}/{path.name}: an upload is never "
                     "changed, for a study may use it. Choose another folder."
                 ) from None
             sync(path.parent)
+        return True
+
+
+class _Writing:
+    """What one upload has written so far, which counts towards the limits.
+
+    Parameters
+    ----------
+    uploads : Uploads
+    file : str
+        Its name, for messages.
+
+    Raises
+    ------
+    TooLargeError
+        If there are too many files.
+    """
+
+    def __init__(self, uploads: Uploads, file: str) -> None:
+        self.uploads, self.file, self.size = uploads, file, 0
+        uploads.take(1, 0, file)
+        self._taken = True
+
+    async def write(self, temporary: Path, body: AsyncIterator[bytes]) -> tuple[int, str]:
+        """Write the stream to a file; return its size and SHA-256."""
+        state, waiting = hashlib.sha256(), bytearray()
+        with explained(temporary.with_name(self.file)), temporary.open("wb") as out:
+
+            def write() -> None:
+                state.update(waiting)
+                out.write(waiting)
+
+            async for chunk in body:
+                self._grow(len(chunk))
+                waiting += chunk
+                if len(waiting) >= BLOCK_BYTES:
+                    await to_thread.run_sync(write)
+                    waiting.clear()
+            await to_thread.run_sync(write)
+        return self.size, state.hexdigest()
+
+    def _grow(self, size: int) -> None:
+        if self.size + size > self.uploads.limits.upload_bytes:
+            raise self.uploads.too_large(self.file)
+        self.uploads.take(0, size, self.file)
+        self.size += size
+
+    def keep(self) -> None:
+        """Let the file count until it is removed."""
+        self._taken = False
+
+    def forget(self) -> None:
+        """Count the file no more, unless it is kept."""
+        if self._taken:
+            self._taken = False
+            self.uploads.take(-1, -self.size, self.file)
 
 
 def _check(path: Path, name: str) -> None:
-    """Refuse a file that makes its reader open others.
+    """Refuse what a reader would refuse at once: see `workers.input_files`.
 
     Raises
     ------
@@ -178,23 +261,11 @@ def _check(path: Path, name: str) -> None:
     """
     lower = name.lower()
     if lower.endswith(".nrrd"):
-        with path.open("rb") as file:
-            header = file.read(TEXT_BYTES).partition(b"\n\n")[0].replace(b"\r", b"")
-        if _DETACHED.search(header):
-            raise InputError(f"{name} names other files for its data: write it as one file.")
+        check_attached(path, name)
     elif lower.endswith((".tif", ".tiff")):
-        _check_tiff(path, name)
+        check_one_file(path, name)
     elif lower.endswith((".yaml", ".yml", ".json")):
         _check_text(path, name)
-
-
-def _check_tiff(path: Path, name: str) -> None:
-    with path.open("rb") as file:
-        overlap, block = b"", file.read(2**20)
-        while block:
-            if b"FileName=" in overlap + block:
-                raise InputError(f"{name} is an OME-TIFF that names files: write it as plain TIFF.")
-            overlap, block = block[-16:], file.read(2**20)
 
 
 def _check_text(path: Path, name: str) -> None:

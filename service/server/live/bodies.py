@@ -4,7 +4,6 @@ A body of 100 Mvoxel takes memory and seconds that the service does not have to 
 was made lies in the folder of the job, named after the candidate that it shows.
 """
 
-import os
 import subprocess
 import sys
 import threading
@@ -16,13 +15,13 @@ from palpate.service.report.study.bodies import Bodies, find_bodies
 from palpate.service.report.study.pictures import body_data, slice_data
 from palpate.service.report.study.sections import difference_legend, present
 from palpate.service.server.api import BodiesView
+from palpate.service.server.jobs.helper_process import helper_command, helper_environment
 from palpate.service.study.log import read_study
 from palpate.service.study.spec import StudySpec
 from palpate.storage.backends.atomic import write_file
 from palpate.storage.backends.layout import StudyLayout
 from palpate.storage.errors import PalpateError, StoreError
 from palpate.storage.records.best_candidate import best_of
-from palpate.workers import WORKER_ENVIRONMENT
 from palpate.workers.spec import validated
 
 NAME = "bodies-{candidate}.json"
@@ -64,15 +63,11 @@ class BodiesMaker:
                 raise StoreError(f"The bodies of {folder.name} cannot be drawn; the log has more.")
             if self._process is None:
                 self._path = path
+                module = "palpate.service.server.live.bodies"
                 self._process = subprocess.Popen(
-                    [
-                        sys.executable,
-                        "-m",
-                        "palpate.service.server.live.bodies",
-                        str(folder),
-                        str(path),
-                    ],
-                    env=os.environ | WORKER_ENVIRONMENT,
+                    helper_command(module, str(folder), str(path)),
+                    env=helper_environment(),
+                    cwd=folder,
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                 )

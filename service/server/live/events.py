@@ -22,6 +22,7 @@ from fastapi.concurrency import run_in_threadpool
 from palpate.service.server.api import JobView
 from palpate.service.server.live.journal_tail import JournalLine, JournalTail
 from palpate.service.server.live.points import points
+from palpate.service.server.public_text import public
 from palpate.storage.errors import PalpateError
 
 TICK_S = 0.25
@@ -59,7 +60,7 @@ async def job_events(
             current = await run_in_threadpool(view) if now - viewed >= VIEW_EVERY_S else None
             lines = await run_in_threadpool(tail.read)
         except PalpateError as error:
-            yield _event("problem", {"error": str(error)})
+            yield _event("problem", {"error": public(str(error))})
             return
         if lines:
             yield _in_brief(lines) if brief else _in_full(lines)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.workers.body.images.claimed_size import BZIP2, DEFLATE, check_stored, claimed_bytes
-from palpate.workers.input_files import check_regular, named_by
+from palpate.workers.input_files import check_regular, named_by, reading
 
 HEADER_SUFFIX = ".nhdr"
 HEADER_BYTES = 4 * 2**20
@@ -70,14 +70,33 @@ def read_nrrd_file(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
         if name is None:
             return _voxels(path, file, header), header
     if path.suffix.lower() != HEADER_SUFFIX:
-        raise InputError(
-            f"{path} names another file for its data, {name[:80]!r}. Save it as one file, or "
-            f"change the suffix of the header to {HEADER_SUFFIX}."
-        )
+        _refuse_other_file(str(path), name)
     data = named_by(path, name)
     check_regular(data)
     with data.open("rb") as file:
         return _voxels(data, file, header), header
+
+
+def check_attached(path: Path, what: str) -> None:
+    """Raise InputError if a file is no NRRD, or names another one for its voxels.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        How to name the file in messages.
+    """
+    with reading(what, "NRRD"), path.open("rb") as file:
+        name = _header(Path(what), file).get(DATA_FILE)
+        if name is not None:
+            _refuse_other_file(what, name)
+
+
+def _refuse_other_file(what: str, name: str) -> NoReturn:
+    raise InputError(
+        f"{what} names another file for its data, {name[:80]!r}. Save it as one file; on your own "
+        f"machine, a header with the suffix {HEADER_SUFFIX} may name one."
+    )
 
 
 def _header(path: Path, file: BinaryIO) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from palpate.workers.body.images.claimed_size import DEFLATE, SLACK_BYTES, claim
 from palpate.workers.body.images.scan import Scan, three_axes
 from palpate.workers.body.images.slice_names import in_order
 from palpate.workers.body.images.tiff_spacing import stated_spacing_mm
+from palpate.workers.input_files import reading
 
 # Kinds of microscopes and scanners, of which some are read from several files.
 _OTHER_KINDS = (
@@ -77,6 +78,24 @@ def _pages(path: Path) -> tuple[NDArray[Any], FloatArray]:
         claimed_bytes(series.shape, series.dtype.itemsize, str(path))
         _check_segments(path, series)
         return np.asarray(series.asarray()), stated_spacing_mm(tiff)
+
+
+def check_one_file(path: Path, what: str) -> None:
+    """Raise InputError if a file is no TIFF, or its metadata name other files.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        How to name the file in messages.
+    """
+    with (
+        reading(what, "TIFF"),
+        tifffile.TiffFile(path, _multifile=False, **_KINDS) as tiff,
+    ):
+        if not len(tiff.pages):
+            raise ValueError("it has no pages")
+        _check_ome(Path(what), tiff)
 
 
 def _check_ome(path: Path, tiff: tifffile.TiffFile) -> None:

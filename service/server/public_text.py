@@ -1,0 +1,27 @@
+"""Messages as clients may read them: no paths of the server and no tracebacks."""
+
+import re
+
+_TRACEBACK = re.compile(r"\s*Traceback \(most recent call last\):.*", re.DOTALL)
+_PATH = re.compile(r"(?<![\w:/.])/(?:[^\s:'\",;()\[\]<>]+/)*([^\s:'\",;()\[\]<>/]*)")
+MOST = 2000
+
+
+def public(text: str) -> str:
+    """Return a message without tracebacks; of absolute paths only the last name is kept.
+
+    Examples
+    --------
+    >>> public("/srv/palpate/runs/.service/uploads/a/scan.nrrd is cut short.")
+    'scan.nrrd is cut short.'
+    >>> public("A task crashed: ValueError\\nTraceback (most recent call last):\\n  File ...")
+    'A task crashed: ValueError'
+    >>> public("GET /api/v1/jobs lists all; see http://localhost:8780/x.")
+    'GET /api/v1/jobs lists all; see http://localhost:8780/x.'
+    """
+    shown = _PATH.sub(_last_name, _TRACEBACK.sub("", text))
+    return shown if len(shown) <= MOST else f"{shown[:MOST]} ..."
+
+
+def _last_name(match: re.Match[str]) -> str:
+    return match[0] if match[0].startswith("/api/") or len(match[0]) < 2 else match[1] or "/"

@@ -27,6 +27,7 @@ from palpate.storage.errors import InputError
 if TYPE_CHECKING:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
+    from distributed import Security
 
 ROLES = ("scheduler", "worker", "client")
 CLOCK_DIFFERENCE = timedelta(hours=1)
@@ -81,7 +82,7 @@ def make_certificates(folder: Path, days: int = 365) -> Certificates:
     Raises
     ------
     InputError
-        If the folder has something in it, or `cryptography` is not installed.
+        If the folder has something in it.
     StoreError
         If it cannot be written.
     """
@@ -91,13 +92,8 @@ def make_certificates(folder: Path, days: int = 365) -> Certificates:
             f"{folder} is there and not empty: certificates are never replaced. Give another "
             "folder, or remove this one; then every process of the cluster needs the new ones."
         )
-    try:
-        from cryptography.hazmat.primitives.asymmetric import ec
-    except ImportError as error:
-        raise InputError(
-            "Certificates are made by `cryptography`, which is not installed: "
-            "pip install 'palpate[tls]'."
-        ) from error
+    from cryptography.hazmat.primitives.asymmetric import ec
+
     made = Certificates(folder)
     ca_key = ec.generate_private_key(ec.SECP256R1())
     ca = _signed("Palpate cluster CA", ca_key, None, ca_key, days)
@@ -111,6 +107,33 @@ def make_certificates(folder: Path, days: int = 365) -> Certificates:
                 _write(temporary, role, _signed(f"Palpate {role}", key, ca, ca_key, days), key)
             (temporary / "dask.yaml").write_text(made.as_yaml())
     return made
+
+
+def temporary_security() -> "Security":
+    """Return certificates in memory, for a cluster that begins and ends with this process.
+
+    As ``distributed.Security.temporary``, with an elliptic curve, which takes milliseconds.
+    """
+    from cryptography.hazmat.primitives import serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from distributed import Security
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    pem = serialization.Encoding.PEM
+    certificate = _signed("Palpate cluster", key, None, key, 365).public_bytes(pem).decode()
+    private = _private(key).decode()
+    roles = {f"tls_{role}_cert": certificate for role in ROLES}
+    roles |= {f"tls_{role}_key": private for role in ROLES}
+    return Security(require_encryption=True, tls_ca_file=certificate, **roles)
+
+
+def _private(key: "EllipticCurvePrivateKey") -> bytes:
+    from cryptography.hazmat.primitives import serialization
+
+    unlocked = serialization.NoEncryption()
+    return key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, unlocked
+    )
 
 
 def _signed(
@@ -167,8 +190,6 @@ def _write(
 
     pem = serialization.Encoding.PEM
     (folder / f"{name}.pem").write_bytes(certificate.public_bytes(pem))
-    unlocked = serialization.NoEncryption()
-    private = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, unlocked)
     handle = os.open(folder / f"{name}.key", os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(handle, "wb") as file:
-        file.write(private)
+        file.write(_private(key))

@@ -18,16 +18,19 @@ from typing import Any
 import dask
 import dask.system
 from distributed import Client, LocalCluster, Security, Status
+from distributed.system import MEMORY_LIMIT
 from tornado.ioloop import PeriodicCallback
 
 from palpate.service.cluster.adaptive import follow_the_work
+from palpate.service.cluster.certificates import temporary_security
+from palpate.service.cluster.dashboard_hosts import answer_to_own_hosts
 from palpate.service.cluster.dask_tab import add_tab
 from palpate.service.cluster.foreign_workers import prepare_workers
 from palpate.service.cluster.fork_server import unheard_interrupts
 from palpate.service.cluster.main_guard import check_main_guard, lacks_guard
 from palpate.service.cluster.scheduler_address import check_reachable
 from palpate.service.cluster.task_failures import sentence
-from palpate.service.cluster.worker_range import WorkerRange, Workers, read_workers
+from palpate.service.cluster.worker_range import WorkerRange, Workers, most_workers, read_workers
 from palpate.service.errors import ClusterError
 from palpate.storage.errors import InputError
 from palpate.workers import WORKER_ENVIRONMENT
@@ -37,6 +40,8 @@ DASHBOARD_PORT = 8787
 MEND_EVERY_S = 5.0
 HANDSHAKE_S = 10.0
 START_ATTEMPTS = 3
+# Of this machine's memory that all workers together may use; the rest is for everything else.
+MEMORY_SHARE = 0.8
 GIVEN_UP = {Status.closed, Status.failed}
 
 # Read by the scheduler when it starts, so they have to be set before.
@@ -54,6 +59,8 @@ CONFIG: dict[str, Any] = {
     "distributed.deploy.lost-worker-timeout": "10000 days",
     "distributed.admin.large-graph-warning-threshold": "1MB",
 }
+# Workers that are spawned import nothing from the folder that they start in.
+SAFE_PATH = {"distributed.nanny.pre-spawn-environ.PYTHONSAFEPATH": "1"}
 
 
 class _SteadyCluster(LocalCluster):
@@ -238,7 +245,7 @@ def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
         scratch = stack.enter_context(
             tempfile.TemporaryDirectory(prefix="palpate-dask-", ignore_cleanup_errors=True)
         )
-        config = CONFIG | {"distributed.scheduler.allowed-failures": allowed_failures}
+        config = CONFIG | SAFE_PATH | {"distributed.scheduler.allowed-failures": allowed_failures}
         stack.enter_context(dask.config.set(config))
         with unheard_interrupts(), warnings.catch_warnings():
             # Somebody may take the port between our look and Dask's; Dask then takes another.
@@ -248,11 +255,15 @@ def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
                     n_workers=count,
                     threads_per_worker=1,
                     processes=True,
+                    protocol="tls://",  # other accounts of this machine reach the port
+                    security=temporary_security(),
+                    memory_limit=worker_memory(most_workers(workers or count)),
                     dashboard_address=f"127.0.0.1:{free_port(DASHBOARD_PORT)}",
                     local_directory=scratch,
                     silence_logs="CRITICAL",
                 )
             )
+        answer_to_own_hosts(cluster.scheduler)
         _require_workers(cluster)
         stack.enter_context(_mended(cluster))
         if isinstance(workers, WorkerRange):
@@ -302,6 +313,11 @@ def _mended(cluster: _SteadyCluster) -> Iterator[None]:
         yield
     finally:
         cluster.loop.add_callback(mending.stop)
+
+
+def worker_memory(workers: int) -> int:
+    """Return the memory limit of each of some workers of this machine, in bytes."""
+    return int(MEMORY_SHARE * MEMORY_LIMIT / workers)
 
 
 def usable_cores() -> int:

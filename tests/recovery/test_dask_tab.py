@@ -113,7 +113,8 @@ def test_the_page_holds_the_steps_of_a_diagnosis(
         place = tmp_path / "patient-7"
         run_and_tell(request, Dispatcher(cluster.client), place, observed.append)
         shown.extend(state_of_diagnosis(url, lambda state: state == "no-gap"))
-        with Client(cluster.client.scheduler.address, set_as_default=False) as other:
+        address, security = cluster.client.scheduler.address, cluster.client.security
+        with Client(address, security=security, set_as_default=False) as other:
             DiagnosisRecords(other, place)
             shown.extend(state_of_diagnosis(url, lambda state: state == "reading"))
         shown.extend(state_of_diagnosis(url, lambda state: state == "interrupted"))

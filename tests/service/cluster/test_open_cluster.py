@@ -6,13 +6,19 @@ import socket
 import time
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
+import httpx
 import pytest
+from distributed import Client
+from distributed.system import MEMORY_LIMIT
 
 from palpate.service.cluster import open as cluster_module
+from palpate.service.cluster.certificates import temporary_security
 from palpate.service.cluster.dispatch import Dispatcher
 from palpate.service.cluster.open import CONFIG, free_port, open_cluster
 from palpate.service.errors import ClusterError, TaskError
+from palpate.service.server.jobs.tokens import take_token
 from palpate.storage.errors import InputError
 
 
@@ -83,3 +89,32 @@ def test_a_taken_port_is_left_to_others() -> None:
         other.bind(("127.0.0.1", 0))
         other.listen()
         assert free_port(other.getsockname()[1]) == 0
+
+
+def worker_environment() -> dict[str, Any]:
+    return {name: os.environ.get(name) for name in ("PALPATE_TOKEN", "PYTHONSAFEPATH")}
+
+
+def test_a_local_cluster_admits_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PALPATE_TOKEN", "x" * 20)
+    take_token()  # as the service does before it opens a cluster
+    with open_cluster(workers=1) as cluster:
+        address = cluster.client.scheduler.address
+        assert address.startswith("tls://127.0.0.1:")
+        strangers = [(address.replace("tls", "tcp"), None), (address, temporary_security())]
+        for place, security in strangers:
+            with pytest.raises((OSError, TypeError)):
+                Client(place, security=security, timeout=2, set_as_default=False)
+        dispatcher = Dispatcher(cluster.client)
+        assert dispatcher.call(worker_environment) == {
+            "PALPATE_TOKEN": None,
+            "PYTHONSAFEPATH": "1",
+        }
+        port = urlsplit(cluster.dashboard).port
+        answers = {
+            host: httpx.get(f"http://127.0.0.1:{port}/health", headers={"Host": host}).status_code
+            for host in (f"127.0.0.1:{port}", "localhost", "evil.example", f"evil.example:{port}")
+        }
+        assert list(answers.values()) == [200, 200, 421, 421]
+        limits = [w["memory_limit"] for w in cluster.client.scheduler_info()["workers"].values()]
+        assert sum(limits) <= 0.8 * MEMORY_LIMIT

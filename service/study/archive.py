@@ -40,6 +40,7 @@ from palpate.storage.plain import dumps, loads
 from palpate.storage.records.journal import Journal
 from palpate.storage.stores.copies import copy_entry, local_copy
 from palpate.storage.stores.store import Store, check_schema, open_store
+from palpate.workers.input_files import check_regular
 
 SCHEMA_VERSION = 1
 MANIFEST = "palpate-study.json"
@@ -152,6 +153,7 @@ def archived_name(archive: Path) -> str:
 
 @contextmanager
 def _reading(archive: Path) -> Iterator[tarfile.TarFile]:
+    check_regular(archive)
     try:
         with tarfile.open(archive, "r:") as tar:
             yield tar

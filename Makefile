@@ -4,6 +4,7 @@
 #   make quick       style and the unit tests that need no cluster, in under two minutes
 #   make test        style, types, import rules and all quick tests
 #   make test-slow   the tests that take minutes or run at full scale
+#   make test-robustness   bad files, attacks over HTTP, kills: some 20 minutes
 #   make bench       figures: how long things take here
 #   make docs        the pages of docs/ as a site in site/, without a network
 #   make lint        style, types and import rules alone
@@ -16,7 +17,7 @@ READY := $(VENV)/.ready
 PYTHON ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-slow bench docs lint format constraints clean
+.PHONY: help demo quick test test-slow test-robustness bench docs lint format constraints clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -34,6 +35,9 @@ test: lint
 
 test-slow: $(READY)
 	$(BIN)/pytest -m slow
+
+test-robustness: $(READY)
+	$(BIN)/python -W ignore -m tests.robustness.run --seed 1
 
 bench: $(READY)
 	$(BIN)/palpate bench --nodes 5000,20000,90000 --spacing 1,0.5,0.2

@@ -153,7 +153,9 @@ def test_the_object_store_and_its_users_agree(compose: dict[str, Any]) -> None:
     assert f"PALPATE_STORE=s3://{bucket}/store docker compose --profile objects up" in text
     port = objects["environment"]["VGW_PORT"]
     assert f"127.0.0.1{port}/health" in objects["healthcheck"]["test"][-1]
-    for service in (services["scheduler"], services["worker"], services["service"]):
+    for name in ("scheduler", "bucket"):  # which read no store
+        assert not [key for key in services[name]["environment"] if key.startswith("AWS_")]
+    for service in (services["driver"], services["worker"], services["service"]):
         assert service["environment"]["AWS_ENDPOINT_URL"] == f"http://objects{port}"
         assert service["environment"]["AWS_ACCESS_KEY_ID"] == ""
     # Both read the same variables, so they cannot differ.
@@ -175,6 +177,7 @@ def test_every_service_is_bounded_and_writes_where_it_may(compose: dict[str, Any
         assert service["read_only"] is True
         assert service["cap_drop"] == ["ALL"]
         assert service["security_opt"] == ["no-new-privileges:true"]
+        assert service["pids_limit"] <= 1024
         assert any(mount.startswith("/tmp") for mount in service["tmpfs"])
         assert name in ENDING or "test" in service["healthcheck"]
         if name not in ("bucket", "objects"):
@@ -210,6 +213,22 @@ def test_addresses_agree(compose: dict[str, Any]) -> None:
 def test_ports_are_open_to_this_machine_only(compose: dict[str, Any]) -> None:
     assert compose["services"]["scheduler"]["ports"] == ["127.0.0.1:8787:8787"]
     assert compose["services"]["service"]["ports"] == ["127.0.0.1:8780:8780"]
+
+
+def test_the_token_is_a_secret_and_the_cluster_has_a_network_of_its_own(
+    compose: dict[str, Any],
+) -> None:
+    assert compose["x-required"][0].startswith("${PALPATE_TOKEN:?")
+    assert compose["secrets"] == {"palpate_token": {"environment": "PALPATE_TOKEN"}}
+    for name, service in compose["services"].items():
+        assert "PALPATE_TOKEN" not in service["environment"], name
+        assert service.get("secrets", []) == (["palpate_token"] if name == "service" else [])
+        published = name in ("scheduler", "service")
+        assert service["networks"] == ["cluster", *(["outside"] if published else [])]
+    assert compose["services"]["service"]["environment"]["PALPATE_TOKEN_FILE"] == (
+        "/run/secrets/palpate_token"
+    )
+    assert compose["networks"]["cluster"] == {"internal": True}
 
 
 def test_a_worker_takes_one_evaluation_and_no_more_memory_than_it_may(

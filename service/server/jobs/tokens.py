@@ -24,6 +24,7 @@ from palpate.storage.errors import InputError, StoreError
 from palpate.storage.plain import dumps, loads
 
 ENVIRONMENT = "PALPATE_TOKEN"
+ENVIRONMENT_FILE = "PALPATE_TOKEN_FILE"
 LEAST_LENGTH = 16
 Role = Literal["read", "submit", "admin"]
 ROLES: tuple[Role, ...] = get_args(Role)
@@ -53,8 +54,25 @@ class Owner:
 
 
 def take_token() -> str:
-    """Return the token in the environment and remove it there."""
-    return os.environ.pop(ENVIRONMENT, "")
+    """Return the token in the environment and remove it there.
+
+    Without one, that in the file which the variable PALPATE_TOKEN_FILE names, such as a secret of
+    Docker.
+
+    Raises
+    ------
+    InputError
+        If that file cannot be read.
+    """
+    given, file = os.environ.pop(ENVIRONMENT, ""), os.environ.pop(ENVIRONMENT_FILE, "")
+    if given or not file:
+        return given
+    try:
+        return Path(file).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{ENVIRONMENT_FILE} names {file}, which cannot be read: {error}."
+        ) from error
 
 
 class Tokens:

@@ -70,11 +70,20 @@ def test_streams_end_with_their_token(tmp_path: Path) -> None:
     assert still_reads(stranger, service)
 
 
-def test_the_token_is_taken_out_of_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_token_is_taken_out_of_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PALPATE_TOKEN", "x" * 20)
     assert take_token() == "x" * 20
     assert "PALPATE_TOKEN" not in os.environ
     assert take_token() == ""
+    (tmp_path / "token").write_text("y" * 20 + "\n")
+    monkeypatch.setenv("PALPATE_TOKEN_FILE", str(tmp_path / "token"))
+    assert take_token() == "y" * 20
+    assert "PALPATE_TOKEN_FILE" not in os.environ
+    monkeypatch.setenv("PALPATE_TOKEN_FILE", str(tmp_path / "nothing"))
+    with pytest.raises(InputError, match="PALPATE_TOKEN_FILE"):
+        take_token()
 
 
 def test_messages_show_no_path_and_no_traceback() -> None:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from palpate.service import cli
 from palpate.service.cluster import open as cluster_module
@@ -20,7 +19,7 @@ from tests.robustness.mutations import damaged
 from tests.robustness.outcome import SECRET, Outcome, outcome_of, with_secret
 from tests.robustness.seeds import SEEDS, Seed, labels
 
-MUTATIONS = 12  # of each valid file
+MUTATIONS = 6  # of each valid file
 ACCEPTED = "accepted: workers would begin now"
 LABELS = "0=air,1=fat,2=glandular"
 CORNEA = """
@@ -165,6 +164,8 @@ def command(one: Seed, path: Path) -> list[str]:
         study = path.with_name("eye.yaml")
         study.write_text(CORNEA.format(name=path.name))
         return ["run", str(study), *where]
+    if one.name == "law.csv":
+        return ["fit-law", str(path)]
     if one.name == "study.yaml":
         return ["run", str(path), *where]
     return ["diagnose", str(path.with_name("experiment.yaml")), *where]
@@ -175,10 +176,7 @@ def outcome(bad: BadFile, folder: Path) -> Outcome:
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "work").mkdir(parents=True)
     with_secret(folder / "work")
-    try:
-        arguments = bad.prepare(folder / "work")
-    finally:
-        pass
+    arguments = bad.prepare(folder / "work")
     said = folder / "said.txt"
     found = outcome_of(lambda: _run(arguments, folder / "work", said))
     text = said.read_text(errors="replace") if said.exists() else ""
@@ -224,7 +222,6 @@ def _run(arguments: list[str], folder: Path, said: Path) -> Ended:
 
 def run(seed: int, folder: Path, log: Callable[[str], object]) -> list[tuple[BadFile, Outcome]]:
     """Try all bad inputs and return the outcomes."""
-    yaml.safe_load("")
     results = []
     for bad in bad_files(seed):
         found = outcome(bad, folder)

@@ -22,7 +22,7 @@ SIGNED = {"Authorization": f"Bearer {TOKEN}"}
 HEALTH_S = 2.0
 UP = (
     "..", "%2e%2e", "%2E%2E%2F", "..%2f", "..%5c", "....//", "%252e%252e", "..;", "%00",
-    ".service", "%c0%ae%c0%ae", "a%00b", "CON", "~", "*", "-rf", "a" * 300, "%ff", "\\\\host",
+    ".service", "%c0%ae%c0%ae", "a%00b", "~", "*", "-rf", "a" * 300, "%ff", "\\\\host",
     "x%0d%0aSet-Cookie:",
 )  # fmt: skip
 PATHS = ("/jobs/{}/journal", "/jobs/{}/files/x.txt", "/uploads/{}/a.csv")

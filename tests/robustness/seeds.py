@@ -23,6 +23,7 @@ from palpate.service.study.archive import MANIFEST, import_study
 from palpate.service.study.spec import read_spec
 from palpate.workers.body.images.label_files import read_label_file
 from palpate.workers.body.images.read import read_volume
+from palpate.workers.mechanics.materials.table_file import read_tables
 from palpate.workers.organs.cornea.frames.picture import read_picture
 from palpate.workers.organs.specimen.block import lattice
 from palpate.workers.organs.specimen.readings.mesh_file import read_mesh_file
@@ -41,6 +42,7 @@ search:
   parameters: {E_fat_kpa: [5, 20], eta_fat_kpa: [50, 200]}
   population: 12
 """
+LAW_TABLE = "stretch,stress_kpa\n1.0,0\n1.1,2.1\n1.2,4.5\n1.3,7.2\n"
 
 
 @dataclass(frozen=True)
@@ -226,6 +228,7 @@ SEEDS = (
     Seed("mesh", "a.inp", mesh_file(), lambda path: read_mesh_file(path, 1.0)),
     Seed("mesh", "a.stl", surface_file, lambda path: read_mesh_file(path, 1.0)),
     Seed("CSV", "a.csv", lambda path: experiment_with(path, "a.csv"), in_experiment),
+    Seed("CSV", "law.csv", lambda path: path.write_text(LAW_TABLE), read_tables),
     Seed("YAML", "experiment.yaml", lambda path: experiment_with(path, ""), in_experiment),
     Seed("YAML", "study.yaml", lambda path: path.write_text(STUDY), read_spec),
     Seed("labels", "a.json", lambda p: p.write_text('{"fat": 1, "gland": 2}'), read_label_file),

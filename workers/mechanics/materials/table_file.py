@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.storage.errors import InputError
+from palpate.workers.input_files import read_text, reading
 from palpate.workers.mechanics.materials.homogeneous_deformation import POWERS, Mode, Table
 
 DEFORMATION: Mapping[str, Callable[[float], float]] = {
@@ -33,8 +34,13 @@ def read_tables(path: Path) -> list[Table]:
     InputError
         If the file cannot be read or a column or a number is missing.
     """
+    with reading(path, "a table of stress and stretch"):
+        return _tables(path)
+
+
+def _tables(path: Path) -> list[Table]:
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path).splitlines()
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:

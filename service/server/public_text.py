@@ -8,13 +8,13 @@ MOST = 2000
 
 
 def public(text: str) -> str:
-    """Return a message without tracebacks; of absolute paths only the last name is kept.
+    r"""Return a message without tracebacks; of absolute paths only the last name is kept.
 
     Examples
     --------
     >>> public("/srv/palpate/runs/.service/uploads/a/scan.nrrd is cut short.")
     'scan.nrrd is cut short.'
-    >>> public("A task crashed: ValueError\\nTraceback (most recent call last):\\n  File ...")
+    >>> public("A task crashed: ValueError\nTraceback (most recent call last):\n  File ...")
     'A task crashed: ValueError'
     >>> public("GET /api/v1/jobs lists all; see http://localhost:8780/x.")
     'GET /api/v1/jobs lists all; see http://localhost:8780/x.'

@@ -10,7 +10,7 @@ from pathlib import Path
 from palpate.storage.errors import InputError
 from palpate.storage.values import Volume
 from palpate.workers.documents import parse_yaml
-from palpate.workers.input_files import named_by
+from palpate.workers.input_files import named_by, read_text
 from palpate.workers.organs.registry import organ_names
 from palpate.workers.organs.specimen.readings.experiment_table import understood
 from palpate.workers.organs.specimen.readings.marker_data import observed
@@ -63,7 +63,7 @@ class ExperimentReader:
         if path.suffix not in (".yaml", ".yml") or not path.is_file():
             return False
         try:
-            data = parse_yaml(path.read_text(encoding="utf-8-sig"), str(path))
+            data = parse_yaml(read_text(path), str(path))
         except (OSError, UnicodeDecodeError, InputError):
             return True  # reading it will name the mistake
         # An organ that is scanned is no specimen on a bench.

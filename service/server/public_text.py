@@ -14,7 +14,7 @@ def public(text: str) -> str:
     --------
     >>> public("/srv/palpate/runs/.service/uploads/a/scan.nrrd is cut short.")
     'scan.nrrd is cut short.'
-    >>> public("A task crashed: ValueError\\nTraceback (most recent call last):\\n  File ...")
+    >>> public("A task crashed: ValueError\nTraceback (most recent call last):\n  File ...")
     'A task crashed: ValueError'
     >>> public("GET /api/v1/jobs lists all; see http://localhost:8780/x.")
     'GET /api/v1/jobs lists all; see http://localhost:8780/x.'

@@ -31,7 +31,12 @@ _OTHER_KINDS = (
     "avs", "bif", "eer", "fluoview", "indica", "lsm", "mdgel", "mmstack", "ndpi", "ndtiff", "nih",
     "philips", "qpi", "scanimage", "scn", "sis", "stk", "svs",
 )  # fmt: skip
-_KINDS = {f"is_{kind}": False for kind in _OTHER_KINDS if kind in tifffile.TIFF.FILE_FLAGS}
+_KINDS = {
+    f"is_{kind}": False
+    for kind in _OTHER_KINDS
+    if kind in tifffile.TIFF.FILE_FLAGS
+    and not isinstance(getattr(tifffile.TiffFile, f"is_{kind}", None), property)
+}
 _OME_FILE = re.compile(r"""<(?:\w+:)?UUID\b[^>]*?\bFileName=["']([^"']*)["'][^>]*>([^<]*)""")
 _OME_NUMBER = re.compile(
     r"""\b(Size[XYZCT]|NumPlanes|PlaneCount|IFD|First[ZCT])=["']\s*([^"']*)["']"""
@@ -100,6 +105,8 @@ def check_one_file(path: Path, what: str) -> None:
 
 def _check_ome(path: Path, tiff: tifffile.TiffFile) -> None:
     """Raise InputError if OME metadata name other files, or state more than a file can hold."""
+    if getattr(tiff, "is_mmstack", False) or getattr(tiff, "is_ndtiff", False):
+        raise InputError(f"{path} is part of an image in several files. Save it as one TIFF file.")
     text = tiff.ome_metadata if tiff.is_ome else None
     if not text:
         return

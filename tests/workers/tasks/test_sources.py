@@ -121,7 +121,8 @@ def test_the_code_of_a_diagnosis_is_all_that_it_imports(kind: str) -> None:
         "palpate.workers.diagnosis.settings.values",
         "palpate.workers.diagnosis.fits.gauss_newton",
         "palpate.workers.mechanics.fem.equilibrium.solve",
-        "palpate.workers.mechanics.effects.boundary",
+        "palpate.workers.mechanics.effects.base",
+        f"palpate.workers.organs.{organ}.effects",
         "palpate.workers.comparison.observation.noise",
         "palpate.storage.records.typed_json",
     }

@@ -32,7 +32,7 @@ CORNEA_CASE = {"mesh": {"elements": 100}}
 
 @pytest.mark.parametrize(
     "effect",
-    [GRAVITY_CHANGE, WALL_HOLD, FRICTION, COMPRESSIBILITY, RIGID_MOTION, SEGMENTATION_OFFSET],
+    [WALL_HOLD, FRICTION, COMPRESSIBILITY, RIGID_MOTION, SEGMENTATION_OFFSET],
     ids=lambda e: e.name,
 )
 def test_effects_that_ship_pass(effect: Any) -> None:

@@ -160,7 +160,7 @@ def test_score_prints_figures_and_writes_the_page(
     call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "palpate.service.blind.scoring.score.score_sets", lambda *_: scored(cases())
+        "palpate.service.commands.validation.blind.score_sets", lambda *_: scored(cases())
     )
     code, out, _ = call("blind", "score", "set", "--page", "page.html")
     assert code == 0

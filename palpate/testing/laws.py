@@ -69,7 +69,7 @@ def _check_rest(law: Isochoric, name: str, mu: float) -> None:
     d = rest
     linear = np.einsum("ik,jl->ijkl", d, d) + np.einsum("il,jk->ijkl", d, d)
     linear -= 2 / 3 * np.einsum("ij,kl->ijkl", d, d)
-    text = f"{name}: its stiffness at rest is not that of its shear modulus, {mu:g} MPa"
+    text = f"{name}: its tangent at rest does not match its shear modulus of {mu:g} MPa"
     _close(law.tangent(d)[None], mu * linear[None], mu, text)
 
 

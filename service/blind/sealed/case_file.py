@@ -12,7 +12,7 @@ ALONG_Y = ("y", [0, 1, 0])
 
 
 def read_case_settings(case: Path) -> dict[str, Any]:
-    """Return what the file of a case states.
+    """Return the settings in a case file.
 
     Raises
     ------

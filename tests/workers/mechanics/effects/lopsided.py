@@ -1,8 +1,8 @@
-"""A small breast without any symmetry."""
+"""Problems of the small breast of `palpate.testing`."""
 
-import numpy as np
-
-from palpate.storage.values import Tissue, Volume
+from palpate.storage.values import Tissue
+from palpate.testing.bodies import HALF_MM, NU
+from palpate.testing.bodies import small_breast as volume
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
     Constants,
     Membrane,
@@ -10,21 +10,7 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
 )
 from palpate.workers.mechanics.fem.problem.loads import Device, ForceControl, Load, Plate, Wall
 
-HALF_MM = np.array([38.0, 32.0, 40.0])
-NU = 0.49
-
-
-def volume(spacing: float = 2.0) -> Volume:
-    """Half an ellipsoid on the chest wall z = 0, bent to one side, gland off its middle."""
-    axes = [np.arange(-44.0, 44.1, spacing)] * 2 + [np.arange(spacing / 2, 44.0, spacing)]
-    x, y, z = np.meshgrid(*axes, indexing="ij")
-    place = np.stack([x - 0.10 * z, y + 0.06 * z, z], axis=-1)
-    body = ((place / HALF_MM) ** 2).sum(axis=-1) < 1
-    gland = (((place - [7.0, 4.0, 14.0]) / [17.0, 13.0, 13.0]) ** 2).sum(axis=-1) < 1
-    labels = np.where(body, np.where(gland, Tissue.GLANDULAR, Tissue.FAT), Tissue.AIR)
-    return Volume(
-        labels.astype(np.uint8).transpose(2, 1, 0), (spacing,) * 3, (-44.0, -44.0, spacing / 2)
-    )
+__all__ = ["HALF_MM", "busy", "plain", "problem", "volume"]
 
 
 def problem(load: Load, **options: object) -> Problem:

@@ -26,7 +26,7 @@ from palpate.service.cluster.certificates import temporary_security
 from palpate.service.cluster.dashboard_hosts import answer_to_own_hosts
 from palpate.service.cluster.dask_tab import add_tab
 from palpate.service.cluster.foreign_workers import prepare_workers
-from palpate.service.cluster.fork_server import unheard_interrupts
+from palpate.service.cluster.fork_server import SAFE_PATH, unheard_interrupts
 from palpate.service.cluster.main_guard import check_main_guard, lacks_guard
 from palpate.service.cluster.scheduler_address import check_reachable
 from palpate.service.cluster.task_failures import sentence
@@ -60,7 +60,7 @@ CONFIG: dict[str, Any] = {
     "distributed.admin.large-graph-warning-threshold": "1MB",
 }
 # Workers that are spawned import nothing from the folder that they start in.
-SAFE_PATH = {"distributed.nanny.pre-spawn-environ.PYTHONSAFEPATH": "1"}
+SAFE_PATH_SETTING = {f"distributed.nanny.pre-spawn-environ.{SAFE_PATH}": "1"}
 
 
 class _SteadyCluster(LocalCluster):
@@ -240,12 +240,17 @@ def _unlogged(name: str) -> Iterator[None]:
 def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
     count = workers.least if isinstance(workers, WorkerRange) else workers or usable_cores()
     check_main_guard()
-    os.environ.update(WORKER_ENVIRONMENT)  # inherited by the workers, before they load NumPy
     with ExitStack() as stack:
+        stack.enter_context(_restored_environment())
+        os.environ.update(WORKER_ENVIRONMENT)  # inherited by the workers, before they load NumPy
         scratch = stack.enter_context(
             tempfile.TemporaryDirectory(prefix="palpate-dask-", ignore_cleanup_errors=True)
         )
-        config = CONFIG | SAFE_PATH | {"distributed.scheduler.allowed-failures": allowed_failures}
+        config = (
+            CONFIG
+            | SAFE_PATH_SETTING
+            | {"distributed.scheduler.allowed-failures": allowed_failures}
+        )
         stack.enter_context(dask.config.set(config))
         with unheard_interrupts(), warnings.catch_warnings():
             # Somebody may take the port between our look and Dask's; Dask then takes another.
@@ -270,6 +275,20 @@ def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
             follow_the_work(cluster, workers)
         client = stack.enter_context(Client(cluster, set_as_default=False))
         yield Cluster(client, cluster.dashboard_link or "", local=True)
+
+
+@contextmanager
+def _restored_environment() -> Iterator[None]:
+    """Undo afterwards what is set for the workers, by us and by Dask, in this process too."""
+    before = {name: os.environ.get(name) for name in (*WORKER_ENVIRONMENT, SAFE_PATH)}
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def _require_workers(cluster: _SteadyCluster) -> None:

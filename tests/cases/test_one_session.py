@@ -234,8 +234,11 @@ def interruptible_exit() -> Iterator[None]:
 @pytest.mark.parametrize(
     ("command", "work"),
     [
-        (["profile", "demo", "E_fat"], "palpate.service.results.profile.profile_of"),
-        (["thesis", "coefficients", "--sketch"], "palpate.service.thesis.run.run_thesis"),
+        (["profile", "demo", "E_fat"], "palpate.service.commands.studies.profile.profile_of"),
+        (
+            ["thesis", "coefficients", "--sketch"],
+            "palpate.service.commands.validation.thesis.run_thesis",
+        ),
     ],
 )
 def test_long_commands_stop_at_ctrl_c_with_how_to_continue(

@@ -45,7 +45,7 @@ def has_ended(group: int, within_s: float) -> bool:
 def printed(folder: Path, script: str) -> Any:
     """Run a script in a folder; what it prints as JSON."""
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script)],
+        [sys.executable, "-P", "-c", textwrap.dedent(script)],  # as in the command `palpate`
         cwd=folder,
         capture_output=True,
         text=True,
@@ -63,7 +63,6 @@ def test_workers_begin_with_imports_and_so_does_one_that_replaces_another(tmp_pa
         tmp_path,
         f"""
         import json, os, signal, sys
-        sys.path.remove("")  # as in the command `palpate`
         from palpate.service.cluster.open import open_cluster
         from palpate.service.cluster.fork_server import forked_workers
 

@@ -95,6 +95,15 @@ def worker_environment() -> dict[str, Any]:
     return {name: os.environ.get(name) for name in ("PALPATE_TOKEN", "PYTHONSAFEPATH")}
 
 
+def test_what_is_set_for_workers_does_not_outlive_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    with open_cluster(workers=1) as cluster:
+        assert Dispatcher(cluster.client).call(worker_environment)["PYTHONSAFEPATH"] == "1"
+    assert worker_environment()["PYTHONSAFEPATH"] is None
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+
+
 def test_a_local_cluster_admits_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PALPATE_TOKEN", "x" * 20)
     take_token()  # as the service does before it opens a cluster

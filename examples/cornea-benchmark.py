@@ -21,7 +21,7 @@ from palpate.service.cluster.open import open_cluster
 from palpate.service.results.read import study_results
 from palpate.service.study.loop import Study
 from palpate.workers.organs.cornea.solver.cohort import TABLE_5_1, TABLE_5_2
-from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.registry import organ_named, organ_spec
 
 CASE: dict[str, Any] = {"organ": "cornea", "mesh": {"elements": 960}}
 REPEATS = 5
@@ -48,7 +48,7 @@ def main() -> None:
 def candidate_lines() -> list[str]:
     """Return the seconds of a candidate: prestress and jet, and those with derivatives."""
     organ = organ_named("cornea")
-    case = organ.case_spec.model_validate(CASE)
+    case = organ_spec("cornea").case.model_validate(CASE)
     body = organ.make_body(case.reference)
     mesh = organ.make_mesh(body, case)
     model, middle = organ.prepare(mesh), organ.landmarks(body, case)

@@ -1,7 +1,7 @@
 """The constants and effects that a study may hold or search."""
 
 from palpate.workers.mechanics.parameters import Parameter
-from palpate.workers.organs.registry import DEFAULT, organ_named
+from palpate.workers.organs.registry import DEFAULT, organ_spec
 
 
 def parameters(organ: str = DEFAULT) -> dict[str, Parameter]:
@@ -17,4 +17,4 @@ def parameters(organ: str = DEFAULT) -> dict[str, Parameter]:
     InputError
         If there is no such organ.
     """
-    return {parameter.door_name: parameter for parameter in organ_named(organ).parameters}
+    return {parameter.door_name: parameter for parameter in organ_spec(organ).parameters}

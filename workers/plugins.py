@@ -131,8 +131,13 @@ def lacking_plugins(wanted: Iterable[Plugin]) -> list[str]:
     return lacking
 
 
+@cache
+def _entry_points() -> Any:
+    return entry_points()  # reads the metadata of every distribution
+
+
 def _installed(group: Group) -> Iterator[Plugin]:
-    for point in entry_points(group=f"palpate.{group}"):
+    for point in _entry_points().select(group=f"palpate.{group}"):
         offered = point.dist
         yield Plugin(
             group,

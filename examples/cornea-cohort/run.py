@@ -36,7 +36,7 @@ from palpate.workers.organs.cornea.solver.cohort import (
     OgdenConstants,
 )
 from palpate.workers.organs.organ import Scores
-from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.registry import organ_named, organ_spec
 
 # A cornea is thicker at the limbus; the table prints the centre alone.
 THICKER_AT_LIMBUS_MM = 0.105
@@ -169,7 +169,7 @@ def average_table(eyes: tuple[CohortEye, ...]) -> Iterator[str]:
 def average_score(eye: CohortEye) -> Scores | None:
     """Return how alike an eye is to itself with the average constants; None if one diverges."""
     organ = organ_named("cornea")
-    case = organ.case_spec.model_validate(case_of(eye))
+    case = organ_spec("cornea").case.model_validate(case_of(eye))
     body = organ.make_body(case.reference)
     mesh = organ.make_mesh(body, case)
     model, middle = organ.prepare(mesh), organ.landmarks(body, case)
@@ -180,7 +180,7 @@ def average_score(eye: CohortEye) -> Scores | None:
         if not solution.outcome.converged:
             return None
         deformed.append(organ.deform(body, mesh, solution.displacement_mm))
-    return organ.scorer(deformed[0], organ.score_spec()).score(deformed[1]).as_dict()
+    return organ.scorer(deformed[0], organ_spec("cornea").score()).score(deformed[1]).as_dict()
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame, frame_of
-from palpate.workers.organs.registry import catalogue_of, organ_named, organ_names
+from palpate.workers.organs.registry import catalogue_of, organ_names, organ_spec
 
 FRAME = Frame((1.0, -2.0, 20.0), (float(HALF_MM[0]), float(HALF_MM[1]), float(HALF_MM[2])))
 NODES = 500
@@ -70,7 +70,7 @@ def _check_names(effect: Effect) -> None:
     for organ in organ_names():
         others = [e for e in catalogue_of(organ).effects if e.name != effect.name]
         taken = {name for e in others for name in e.names}
-        constants = {p.name for p in organ_named(organ).parameters} - set(names)
+        constants = {p.name for p in organ_spec(organ).parameters} - set(names)
         both = (taken | constants) & set(names)
         claim(not both, f"{effect.name} has parameters of {organ} in use: {sorted(both)}.")
 

@@ -11,10 +11,11 @@ from palpate.storage.records.tasks import FreeParameter
 from palpate.storage.values import Volume
 from palpate.testing.claims import claim
 from palpate.workers.organs.organ import CheckingOrgan, DifferentiableOrgan, Organ
+from palpate.workers.organs.organ_spec import OrganSpec
 from palpate.workers.organs.plugin import OrganPlugin, resolve
 from palpate.workers.spec import CaseSpec, validated
 
-REFERENCES = ("checks", "findings", "study_source", "effects")
+REFERENCES = ("spec", "organ", "checks", "findings", "study_source", "effects")
 # A Gauss-Newton step from constants that are off by 30 % leaves less than this part of the squares.
 GAIN = 0.3
 
@@ -44,9 +45,10 @@ def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str
     organ: Organ[Any, Any, Any] = resolve(plugin.organ)
     name = plugin.name
     claim(organ.name == name, f"The organ calls itself {organ.name!r}, its plug-in {name!r}.")
-    spec = validated(organ.case_spec, {"organ": name, **case}, "The case")
+    stated: OrganSpec = resolve(plugin.spec)
+    spec = validated(stated.case, {"organ": name, **case}, "The case")
     claim(spec.organ == name, f"A case of {name} says that its organ is {spec.organ!r}.")
-    doors = [p.door_name for p in organ.parameters]
+    doors = [p.door_name for p in stated.parameters]
     claim(len(set(doors)) == len(doors), f"{name} has a parameter twice.")
     body = organ.make_body(spec.reference)
     mesh = organ.make_mesh(body, spec)
@@ -56,7 +58,7 @@ def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str
     if isinstance(organ, CheckingOrgan):
         organ.check(spec, body, facts)
     claim(isinstance(organ.picture(body), Volume), f"{name} has no picture of its body.")
-    _check_solution(organ, spec, body, mesh)
+    _check_solution(organ, stated, spec, body, mesh)
     if free:
         _check_fit(organ, spec, body, mesh, free)
 
@@ -86,7 +88,9 @@ def _check_store(organ: Organ[Any, Any, Any], body: Any, mesh: Any) -> None:
     )
 
 
-def _check_solution(organ: Organ[Any, Any, Any], spec: CaseSpec, body: Any, mesh: Any) -> None:
+def _check_solution(
+    organ: Organ[Any, Any, Any], stated: OrganSpec, spec: CaseSpec, body: Any, mesh: Any
+) -> None:
     name = organ.name
     constants, where = spec.complete(), organ.landmarks(body, spec)
 
@@ -103,7 +107,7 @@ def _check_solution(organ: Organ[Any, Any, Any], spec: CaseSpec, body: Any, mesh
     )
     claim(np.abs(first.displacement_mm).max() > 0, f"The load of the case moves no node of {name}.")
     deformed = organ.deform(body, mesh, first.displacement_mm)
-    scorer = organ.scorer(deformed, organ.score_spec())
+    scorer = organ.scorer(deformed, stated.score())
     own, before = (scorer.score(one).as_dict()["gsf"] for one in (deformed, body))
     claim(
         own < before,

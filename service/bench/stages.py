@@ -29,11 +29,11 @@ from palpate.workers.mechanics.fem.elements.model import prepare
 from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium
 from palpate.workers.mechanics.fem.problem.fields import frame_of
-from palpate.workers.organs.registry import catalogue_of, organ_named
+from palpate.workers.organs.registry import catalogue_of, organ_named, organ_spec
 from palpate.workers.spec import validated
 from palpate.workers.tasks.body_store import BodyStore
 
-BREAST = organ_named("breast")
+BREAST, SPEC = organ_named("breast"), organ_spec("breast")
 STAGES = ("phantom", "mesh", "prepare", "solve", "tangent", "tangents", "warp", "score")
 REPEATED = {"solve": 3, "tangent": 3, "tangents": 3}
 # Ten parameters whose forces are of every kind: loads, plates, stiffness, fibres.
@@ -180,7 +180,7 @@ class Bench:
 
     def __init__(self, spacing_mm: float, nodes: int, store: Path) -> None:
         self.case = validated(
-            BREAST.case_spec,
+            SPEC.case,
             {
                 "reference": {"phantom": {"spacing_mm": spacing_mm}},
                 "mesh": {"nodes": nodes},
@@ -275,7 +275,7 @@ class Bench:
     def _score(self) -> Any:
         target = self._deformation(TRUE_MPA)()
         candidate = self._deformation(OTHER_MPA)()
-        against = BREAST.scorer(target, BREAST.score_spec())
+        against = BREAST.scorer(target, SPEC.score())
         against.score(candidate)  # the target's distance map is made once for all candidates
         return lambda: against.score(candidate)
 

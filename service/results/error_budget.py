@@ -21,7 +21,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import expit
 
 from palpate.service.search.space import FloatArray
 from palpate.storage.records.tasks import FitJson, MeshFit
@@ -138,8 +137,9 @@ def _group(
     mean = -np.linalg.solve(precision, pull)
     gain = -0.5 * float(pull @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
     always = any(one.always for one in members)
-    # What is always possible needs no support.
-    probability = 1.0 if always else float(expit(gain + np.log(PRIOR_ODDS)))
+    # What is always possible needs no support; else log(1 + 1/odds) is -log(probability).
+    odds = gain + np.log(PRIOR_ODDS)
+    probability = 1.0 if always else float(np.exp(-np.logaddexp(0.0, -odds)))
     spread = np.linalg.cholesky(np.linalg.inv(precision))
     parts = np.column_stack([response @ mean, response @ spread])
     return ErrorSource(name, np.sqrt(probability) * parts, gain)

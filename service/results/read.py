@@ -41,8 +41,7 @@ from palpate.storage.records.best_candidate import best_of, best_searched, best_
 from palpate.storage.records.journal import Journal
 from palpate.storage.records.record import EvaluationRecord
 from palpate.storage.records.seal import unseal
-from palpate.workers.organs.organ import differentiable
-from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.registry import organ_spec
 from palpate.workers.spec import validated
 
 
@@ -211,8 +210,8 @@ def _identification(
     )
     found = log.identification
     if found is not None and found.fit is not None:
-        organ = differentiable(organ_named(spec.case.organ))
-        priors = organ.nuisances(spec.case, spec.target.constants is None)
+        nuisances = organ_spec(spec.case.organ).nuisances
+        priors = nuisances(spec.case, spec.target.constants is None) if nuisances else ()
         others = OtherProblems(found.nuisances, tuple(priors), found.meshes or ())
         derived = [one for one in findings.get("derived", ()) if "mesh_sd" in one]
         return identification_from_tangents(searched, found.candidate, found.fit, others, derived)

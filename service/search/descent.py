@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from palpate.service.search.log_space import LogSpace
 from palpate.service.search.space import FloatArray
@@ -189,6 +188,8 @@ def best_step(
 
     Directions below a `part` of the largest curvature are not followed.
     """
+    from scipy.optimize import lsq_linear  # slow to import, and reading a study takes no step
+
     d = len(at)
     ridge = part * max(float(np.trace(here.hessian)) / d, 1e-300)
     root = np.linalg.cholesky(here.hessian + ridge * np.eye(d)).T

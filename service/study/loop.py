@@ -43,8 +43,8 @@ from palpate.storage.records.record import (
 from palpate.storage.records.seal import seal
 from palpate.storage.records.tasks import FitJson
 from palpate.storage.stores.store import Store, open_store
-from palpate.workers.organs.organ import DifferentiableOrgan, no_derivatives
-from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.organ_spec import no_derivatives
+from palpate.workers.organs.registry import organ_spec
 
 __all__ = ["Conclusion", "Study", "Tasks"]
 
@@ -267,9 +267,9 @@ class _Run:
 
     def _identify(self, best: EvaluationRecord, evaluation: EvaluationRun) -> None:
         """Find out what the image tells of the constants, from the tangents at the best one."""
-        organ = organ_named(self.spec.case.organ)
-        differentiable = isinstance(organ, DifferentiableOrgan)
-        reason = "" if differentiable else no_derivatives(organ.name)
+        organ = self.spec.case.organ
+        differentiable = organ_spec(organ).nuisances is not None
+        reason = "" if differentiable else no_derivatives(organ)
         fit = best.fit
         if fit is None and differentiable:
             ending = evaluation.differentiate(best.candidate)

@@ -17,8 +17,7 @@ from palpate.storage.records.tasks import (
     Scores,
 )
 from palpate.storage.stores.store import Store
-from palpate.workers.organs.organ import differentiable
-from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.registry import organ_spec
 from palpate.workers.tasks import evaluation as evaluation_tasks
 from palpate.workers.tasks.deadline import evaluate_within
 from palpate.workers.tasks.findings import find
@@ -118,7 +117,10 @@ class StudyWork:
         names = {p["name"] for p in searched}
         stated = case.parameters.from_door(case.constants)
         imaged = self.spec.target.constants is None
-        known = differentiable(organ_named(case.organ)).nuisances(case, imaged)
+        nuisances = organ_spec(case.organ).nuisances
+        if nuisances is None:
+            return None
+        known = nuisances(case, imaged)
         free = [nuisance.free for nuisance in known if nuisance.name not in names]
         free = [p for p in free if not stated.get(p["name"])]
         if not free:

@@ -31,8 +31,8 @@ from palpate.workers.documents import parse_yaml
 from palpate.workers.input_files import read_text, reading
 from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.missing_keys import missing
-from palpate.workers.organs.organ import DifferentiableOrgan, no_derivatives
-from palpate.workers.organs.registry import DEFAULT, organ_named, organ_names
+from palpate.workers.organs.organ_spec import no_derivatives
+from palpate.workers.organs.registry import DEFAULT, organ_names, organ_spec
 from palpate.workers.spec import (
     CaseSpec,
     Door,
@@ -114,8 +114,7 @@ class StudySpec(Door):
 
     @model_validator(mode="after")
     def _organ_has_derivatives(self) -> Self:
-        organ = organ_named(self.case.organ)
-        if self.search.by_derivatives and not isinstance(organ, DifferentiableOrgan):
+        if self.search.by_derivatives and organ_spec(self.case.organ).nuisances is None:
             reason = no_derivatives(self.case.organ)
             raise ValueError(f"search.strategy {self.search.strategy}: {reason}")
         return self
@@ -225,13 +224,13 @@ def study_of(organ: str) -> type[StudySpec]:
     InputError
         If there is no such organ.
     """
-    doors = organ_named(organ)
+    doors = organ_spec(organ)
     made: type[StudySpec] = create_model(
         f"{organ.capitalize()}Study",
         __base__=StudySpec,
-        case=(doors.case_spec, StudySpec.model_fields["case"]),
-        target=(doors.target_spec, StudySpec.model_fields["target"]),
-        score=(doors.score_spec, doors.score_spec()),
+        case=(doors.case, StudySpec.model_fields["case"]),
+        target=(doors.target, StudySpec.model_fields["target"]),
+        score=(doors.score, doors.score()),
     )
     return made
 

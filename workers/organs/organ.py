@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from palpate.storage.errors import InputError
 from palpate.storage.records.tasks import FreeParameter
 from palpate.storage.values import FloatArray, Volume
-from palpate.workers.mechanics.parameters import Vocabulary
 from palpate.workers.mechanics.pressed import Pressed
 from palpate.workers.organs.normal_equations import NormalEquations
-from palpate.workers.organs.nuisances import Nuisance
-from palpate.workers.spec import CaseSpec, Door, ScoreSpec, TargetSpec
+from palpate.workers.organs.organ_spec import no_derivatives
+from palpate.workers.spec import CaseSpec, Door
 
 Arrays = dict[str, NDArray[Any]]
 Facts = Mapping[str, Any]
@@ -113,30 +112,15 @@ def logarithmic(parameter: FreeParameter) -> bool:
 
 
 class Organ(Protocol[Body, Mesh, Model]):
-    """What every organ needs: its keys, its bodies and meshes, its model and its score.
+    """What every organ needs: its bodies and meshes, its model and its score.
 
-    What only some organs can do is said by the protocols below.
+    What may be stated of it is an `OrganSpec`; what only some organs can do is said by the
+    protocols below.
     """
 
     @property
     def name(self) -> str:
         """The name that a case states under ``organ``."""
-
-    @property
-    def case_spec(self) -> type[CaseSpec]:
-        """What may be stated under ``case``."""
-
-    @property
-    def target_spec(self) -> type[TargetSpec]:
-        """What may be stated under ``target``."""
-
-    @property
-    def score_spec(self) -> type[ScoreSpec]:
-        """What may be stated under ``score``."""
-
-    @property
-    def parameters(self) -> Vocabulary:
-        """All that a study may hold or search, effects of the model included."""
 
     @property
     def picture_labels(self) -> Mapping[int, str]:
@@ -247,15 +231,6 @@ class AligningOrgan(Protocol):
 class DifferentiableOrgan(Protocol):
     """An organ whose constants can be fitted by derivatives."""
 
-    def nuisances(self, case: Any, imaged: bool) -> Sequence[Nuisance]:
-        """Return the parameters that intervals allow for in addition to those searched.
-
-        Parameters
-        ----------
-        imaged : bool
-            Whether the target is an image; the place, scale and force of a simulated one are exact.
-        """
-
     def coarse_case(self, case: Any, nodes: int) -> CaseSpec:
         """Return the case with a mesh of about so many nodes."""
 
@@ -295,11 +270,6 @@ def differentiable(organ: Organ[Any, Any, Any]) -> DifferentiableOrgan:
     if not isinstance(organ, DifferentiableOrgan):
         raise InputError(no_derivatives(organ.name))
     return organ
-
-
-def no_derivatives(organ: str) -> str:
-    """Return the sentence for an organ whose constants cannot be fitted by derivatives."""
-    return f"the organ {organ} has no derivatives; use the strategy genetic or cma"
 
 
 @runtime_checkable

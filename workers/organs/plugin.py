@@ -39,6 +39,8 @@ class OrganPlugin:
     ----------
     name : str
         What a case states under ``organ``.
+    spec : str
+        The `workers.organs.organ_spec.OrganSpec`.
     organ : str
         The `workers.organs.organ.Organ`.
     checks : str
@@ -60,6 +62,7 @@ class OrganPlugin:
     """
 
     name: str
+    spec: str
     organ: str
     checks: str = ""
     findings: str = ""

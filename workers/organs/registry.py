@@ -10,6 +10,7 @@ from palpate.storage.records.tasks import FreeParameter
 from palpate.workers import plugins
 from palpate.workers.mechanics.pressed import Pressed
 from palpate.workers.organs.organ import Organ, PressedOrgan
+from palpate.workers.organs.organ_spec import OrganSpec
 from palpate.workers.organs.plugin import OrganPlugin, module_of, resolve
 from palpate.workers.spec import CaseSpec
 
@@ -63,9 +64,16 @@ def organ_plugin(name: str) -> OrganPlugin:
     return plugin
 
 
-def organ_module(name: str) -> str:
-    """Return the dotted name of an organ's module; see `organ_plugin`."""
-    return module_of(organ_plugin(name).organ)
+def organ_modules(name: str) -> tuple[str, str]:
+    """Return the dotted names of the modules of an organ and its keys; see `organ_plugin`."""
+    plugin = organ_plugin(name)
+    return module_of(plugin.organ), module_of(plugin.spec)
+
+
+def organ_spec(name: str) -> OrganSpec:
+    """Return what may be stated of an organ; see `organ_plugin`."""
+    spec: OrganSpec = resolve(organ_plugin(name).spec)
+    return spec
 
 
 def organ_named(name: str) -> Organ[Any, Any, Any]:

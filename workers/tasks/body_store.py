@@ -32,7 +32,7 @@ from palpate.workers.organs.organ import (
     VoxelOrgan,
     differentiable,
 )
-from palpate.workers.organs.registry import organ_module
+from palpate.workers.organs.registry import organ_modules
 from palpate.workers.resources import CACHE
 from palpate.workers.spec import CaseSpec, Door, ScoreSpec
 from palpate.workers.tasks.code_version import code_version
@@ -251,7 +251,7 @@ class BodyStore:
         return digest(kind, {key: array_digest(a) for key, a in arrays.items()})
 
     def _request(self, kind: str, *parts: Any) -> str:
-        return digest(f"{kind} request", *parts, code_version(organ_module(self.organ.name)))
+        return digest(f"{kind} request", *parts, code_version(*organ_modules(self.organ.name)))
 
     def _made(self, request: str, has: Callable[[str], bool], make: Callable[[], str]) -> str:
         """Return the name of what a request has made; make it unless the store has it."""

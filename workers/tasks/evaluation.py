@@ -43,7 +43,8 @@ from palpate.workers.organs.organ import (
     differentiable,
     scores_by_part,
 )
-from palpate.workers.organs.registry import DEFAULT, organ_module, organ_named
+from palpate.workers.organs.organ_spec import OrganSpec
+from palpate.workers.organs.registry import DEFAULT, organ_modules, organ_named, organ_spec
 from palpate.workers.plugins import plugin
 from palpate.workers.resources import worker_name
 from palpate.workers.spec import CaseSpec, ScoreSpec, validated
@@ -64,6 +65,11 @@ def case_organ(case: SpecJson) -> Organ[Any, Any, Any]:
     return organ_named(str(case.get("organ", DEFAULT)))
 
 
+def spec_of(case: SpecJson) -> OrganSpec:
+    """Return what may be stated of the organ that a case is about; see `case_organ`."""
+    return organ_spec(str(case.get("organ", DEFAULT)))
+
+
 def case_of(case: SpecJson) -> CaseSpec:
     """Return a case as its organ understands it.
 
@@ -72,7 +78,7 @@ def case_of(case: SpecJson) -> CaseSpec:
     InputError
         If it makes no sense.
     """
-    return validated(case_organ(case).case_spec, case, "The case")
+    return validated(spec_of(case).case, case, "The case")
 
 
 def prepare_case(case: SpecJson, store: str) -> PreparedBody:
@@ -134,7 +140,7 @@ def make_target(case: SpecJson, target: SpecJson, store: str) -> PreparedTarget:
         If the target makes no sense, or its simulation does not converge.
     """
     organ = case_organ(case)
-    wanted = validated(organ.target_spec, target, "The target")
+    wanted = validated(spec_of(case).target, target, "The target")
     if wanted.constants is None:
         bodies = BodyStore(open_store(store), organ)
         name = bodies.bring_body(wanted)
@@ -246,7 +252,7 @@ def evaluation_digest(
 ) -> str:
     """Return the name of an evaluation: all that its result depends on, the code included."""
     spec = case_of(case)
-    how = validated(case_organ(case).score_spec, score or {}, "The score")
+    how = validated(spec_of(case).score, score or {}, "The score")
     parts = _dependencies(spec, prepared, spec.complete(constants), how)
     more = [list(free)] if free else []
     return digest("evaluation", *parts, target, how.model_dump(mode="json"), *more)
@@ -291,7 +297,7 @@ def score_bodies(
 ) -> Mapping[str, Scores]:
     """Compare two stored bodies part by part; see `scores_by_part`."""
     organ = case_organ(case)
-    how = validated(organ.score_spec, score or {}, "The score")
+    how = validated(spec_of(case).score, score or {}, "The score")
     bodies = BodyStore(open_store(store), organ)
     return scores_by_part(organ, bodies.body(target), bodies.body(candidate), how)
 
@@ -307,7 +313,7 @@ def _dependencies(
     others = [*(acting.module for acting in acting_plugins(values)), *spec.plugged_modules]
     if score is not None:
         others.append(plugin("scores", score.objective).module)
-    code = code_version(__name__, organ_module(spec.organ), *others)
+    code = code_version(__name__, *organ_modules(spec.organ), *others)
     return [prepared["volume"], prepared["mesh"], settings, without_idle_plugins(values), code]
 
 
@@ -316,8 +322,8 @@ def _digests(prepared: PreparedBody) -> dict[str, str]:
 
 
 def _score_of(request: EvaluationRequest) -> ScoreSpec:
-    organ = case_organ(request["case"])
-    return validated(organ.score_spec, request.get("score") or {}, "The score")
+    spec = spec_of(request["case"])
+    return validated(spec.score, request.get("score") or {}, "The score")
 
 
 def _checked_digest(request: EvaluationRequest) -> str:

@@ -8,7 +8,7 @@ from palpate.storage.stores.store import open_store
 from palpate.workers.organs.registry import findings_of
 from palpate.workers.spec import validated
 from palpate.workers.tasks.body_store import BodyStore
-from palpate.workers.tasks.evaluation import case_of, case_organ
+from palpate.workers.tasks.evaluation import case_of, case_organ, spec_of
 
 
 def find(request: EvaluationRequest) -> dict[str, Any]:
@@ -17,7 +17,7 @@ def find(request: EvaluationRequest) -> dict[str, Any]:
     module = findings_of(spec.organ)
     if module is None:
         return {}
-    score = validated(organ.score_spec, request.get("score") or {}, "The score")
+    score = validated(spec_of(request["case"]).score, request.get("score") or {}, "The score")
     body, mesh = request["prepared"]["volume"], request["prepared"]["mesh"]
     bodies = BodyStore(open_store(request["store"]), organ)
     values = spec.complete(request["constants"])

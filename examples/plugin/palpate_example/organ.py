@@ -1,8 +1,10 @@
 """An organ: a phantom of gel in the shape of a breast."""
 
+from dataclasses import replace
 from typing import Literal
 
 from palpate.workers.organs.breast.organ import Breast
+from palpate.workers.organs.breast.organ_spec import SPEC as BREAST_SPEC
 from palpate.workers.organs.breast.spec import BreastCase, MeshSpec
 from palpate.workers.organs.plugin import Fact, OrganPlugin
 
@@ -18,13 +20,14 @@ class Gel(Breast):
     """A breast under another name, with defaults of its own."""
 
     name = "gel"
-    case_spec = GelCase
 
 
 ORGAN = Gel()
+SPEC = replace(BREAST_SPEC, case=GelCase)
 
 GEL = OrganPlugin(
     name="gel",
+    spec="palpate_example.organ:SPEC",
     organ="palpate_example.organ:ORGAN",
     effects="palpate.workers.organs.breast.effects:CATALOGUE",
     load_direction="The plates press along y.",

@@ -27,7 +27,7 @@ from palpate.workers.body.images.labels import summarise
 from palpate.workers.body.images.named_labels import read_tissues
 from palpate.workers.body.images.orient import anatomical_directions
 from palpate.workers.body.images.tiff_stack import slices_read
-from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.registry import organ_spec
 from palpate.workers.organs.study_checks import caveats_of
 from palpate.workers.spec import Door, Name, validated
 from palpate.workers.tasks.study_checks import imported_findings
@@ -89,9 +89,8 @@ def import_image(
         name: Name
 
     validated(Wanted, {"name": name}, "The name (letters, digits, '.', '_' and '-')")
-    breast = organ_named("breast")
     spec: Any = validated(
-        breast.target_spec,
+        organ_spec("breast").target,
         {
             "volume": str(path),
             "labels": parse_labels(labels),
@@ -103,7 +102,7 @@ def import_image(
     check_suffix(picture, (".png",), "--picture ")
     read = read_tissues(path, spec.labels, spacing_mm=spec.spacing_mm, axes=spec.axes)
     volume = read.volume
-    findings = imported_findings(breast.name, volume, path.name, anyway=anyway)
+    findings = imported_findings("breast", volume, path.name, anyway=anyway)
     opened = open_store(store_place(store))
     digest_of_image = _keep(opened, name, volume, path.name, replace=replace)
     letters = anatomical_directions(axes) if read.image.anatomical else None

@@ -10,7 +10,7 @@ from palpate.service.commands.settings import store_place
 from palpate.service.export import TISSUE_NAMES, VOLUME_SUFFIXES, check_suffix, export_volume
 from palpate.storage.stores.store import open_store
 from palpate.workers.body.images.labels import summarise
-from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.registry import organ_named, organ_spec
 from palpate.workers.spec import validated
 from palpate.workers.tasks.body_store import BodyStore
 
@@ -44,7 +44,7 @@ def phantom(
     }
     settings = {name: value for name, value in options.items() if value is not None}
     breast = organ_named("breast")
-    case = validated(breast.case_spec, {"reference": {"phantom": settings}}, "The phantom")
+    case = validated(organ_spec("breast").case, {"reference": {"phantom": settings}}, "The phantom")
     bodies = BodyStore(open_store(store_place(store)), breast)
     name = bodies.bring_body(case.reference)
     volume = bodies.body(name)

@@ -8,7 +8,7 @@ from palpate.service.commands.common import JsonOption, print_json
 from palpate.service.commands.tables import echo_table
 from palpate.storage.errors import InputError
 from palpate.workers.mechanics.materials.law_plugins import law_named, law_names
-from palpate.workers.organs.registry import catalogue_of, organ_named
+from palpate.workers.organs.registry import catalogue_of, organ_spec
 
 HEADINGS = ("name", "known interval", "neutral", "description")
 
@@ -31,9 +31,10 @@ def parameters(
     """List an organ's constants and effects for study files."""
     known = catalogue_of(organ)
     of_effects = {name for e in known.effects for name in e.names}
-    vocabulary = organ_named(organ).parameters
+    spec = organ_spec(organ)
+    vocabulary = spec.parameters
     in_studies = {p.name for p in vocabulary}
-    tissues = organ_named(organ).case_spec.law_tissues
+    tissues = spec.case.law_tissues
     laws = list(law_names()) if tissues else []
     if law is not None and not laws:
         raise InputError(f"A {organ} has one law, which a study does not choose: omit --law.")

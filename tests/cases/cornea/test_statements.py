@@ -22,7 +22,8 @@ from palpate.workers.organs.cornea.comparison.identifiability import uniaxial_st
 from palpate.workers.organs.cornea.findings.doubts import derived
 from palpate.workers.organs.cornea.findings.mesh_shift import refitted_constants
 from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.cornea.organ import EYE_MOTION, ORGAN
+from palpate.workers.organs.cornea.organ import ORGAN
+from palpate.workers.organs.cornea.organ_spec import EYE_MOTION, nuisances
 from palpate.workers.organs.cornea.parameters import CORNEA
 from palpate.workers.organs.cornea.problem import candidate_of, constants_of
 from palpate.workers.organs.cornea.section.outline import Section
@@ -243,9 +244,9 @@ def test_a_motion_of_the_whole_eye_contradicts_the_estimates(motion: RigidMotion
             }
             problems.append(fit)
         searched = SearchedConstants(CORNEA, {p["name"]: (p["lower"], p["upper"]) for p in FREE})
-        others = OtherProblems(problems[1], ORGAN.nuisances(case, True))
+        others = OtherProblems(problems[1], nuisances(case, True))
         return identification_from_tangents(searched, 0, problems[0], others).supported
 
     assert supported(deformed) == ()
     assert supported(motion.of_section(deformed)) == (EYE_MOTION[0].group,)
-    assert ORGAN.nuisances(case, False) == ()
+    assert nuisances(case, False) == ()

@@ -51,6 +51,20 @@ def test_the_list_of_commands_imports_none() -> None:
         assert command.summary in done.stdout
 
 
+@pytest.mark.parametrize("organ", ["breast", "cornea"])
+def test_a_study_is_read_without_its_solver(organ: str) -> None:
+    code = (
+        "import sys\n"
+        "import palpate.service.commands.studies.status\n"
+        "from palpate.service.study.spec import study_of\n"
+        f"study_of({organ!r})\n"
+        "names = {'scipy', 'numba', 'nibabel', 'pydicom', 'matplotlib', 'distributed'}\n"
+        "sys.exit(str(sorted(names & set(sys.modules)) or '') or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_misspelt_command_is_suggested(call: Callable[..., tuple[int, str, str]]) -> None:
     code, _, err = call("statsu")
     assert code == 2

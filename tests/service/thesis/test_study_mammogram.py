@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.registry import organ_named
+from palpate.workers.organs.registry import organ_spec
 from palpate.workers.spec import validated
 from palpate.workers.tasks.mammogram import take_view
 from palpate.workers.thesis.identification import TARGETS, case_of
@@ -19,13 +19,13 @@ def case() -> dict[str, Any]:
     told = case_of("X1", 3, "sketch")
     told["reference"]["phantom"]["spacing_mm"] = 2.0
     told["mesh"] = {"nodes": 1100}
-    spec = validated(organ_named("breast").case_spec, told, "The case")
+    spec = validated(organ_spec("breast").case, told, "The case")
     return dict(spec.model_dump(mode="json"))
 
 
 @pytest.fixture(scope="module")
 def found() -> dict[str, float]:
-    parameters = organ_named("breast").parameters
+    parameters = organ_spec("breast").parameters
     return dict(parameters.from_door(TARGETS["X1"]))
 
 

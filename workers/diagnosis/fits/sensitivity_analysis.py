@@ -19,9 +19,8 @@ from palpate.workers.diagnosis.problem.scan_prediction import (
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect, Place, one_sided
 from palpate.workers.mechanics.fem.elements.external_forces import spring_stiffness
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 
 
 @dataclass(frozen=True, eq=False)

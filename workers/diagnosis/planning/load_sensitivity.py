@@ -33,8 +33,8 @@ from palpate.workers.diagnosis.problem.scan_prediction import PredictedScan, col
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.fem.elements.model import LevelModel
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change
 from palpate.workers.mechanics.fem.problem.loads import NoPlates
 
 # The number of the row that is the plates' distance, among interfaces.

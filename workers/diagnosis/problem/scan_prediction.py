@@ -15,9 +15,9 @@ from palpate.workers.diagnosis.problem.inverse_problem import (
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.effects.observation import rigid_columns, rigidly_moved
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import RELATIVE_ERROR, Change
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import RELATIVE_ERROR
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame
 
 

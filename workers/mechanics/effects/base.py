@@ -16,8 +16,7 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.parameters import Parameter, Vocabulary
 from palpate.workers.mechanics.readings import AS_IS, Reading

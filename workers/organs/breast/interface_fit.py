@@ -34,9 +34,9 @@ from palpate.workers.diagnosis.algebra.linearisation import factored
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.fem.elements.model import Model
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change, tangents
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.fem.problem.fields import frame_of
 from palpate.workers.mechanics.fem.problem.outcome import Solution
 from palpate.workers.organs.breast.effects import CATALOGUE

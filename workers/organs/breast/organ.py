@@ -31,14 +31,12 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import frame_of
 from palpate.workers.mechanics.fem.problem.outcome import Solution
 from palpate.workers.mechanics.pressed import Pressed
-from palpate.workers.organs.breast.effects import BREAST_MODEL
 from palpate.workers.organs.breast.interface_fit import (
     BreastObservation,
     FittedBreast,
     fit_interfaces,
     observe_target,
 )
-from palpate.workers.organs.breast.nuisances import nuisances
 from palpate.workers.organs.breast.plausibility.alignment import aligned, study_load
 from palpate.workers.organs.breast.problem import (
     Extent,
@@ -57,7 +55,6 @@ from palpate.workers.organs.breast.spec import (
     PhantomSpec,
     ReferenceSpec,
 )
-from palpate.workers.organs.nuisances import Nuisance
 from palpate.workers.organs.organ import Arrays, Facts, Scores
 from palpate.workers.spec import Door
 
@@ -68,10 +65,6 @@ class Breast:
     """See `workers.organs.organ.Organ`; a body is a `Volume` of `Tissue` labels."""
 
     name = "breast"
-    case_spec = BreastCase
-    target_spec = BreastTarget
-    score_spec = BreastScore
-    parameters = BREAST_MODEL
     picture_labels: Mapping[int, str] = {int(t): t.name.lower() for t in Tissue if t}
 
     def body_files(self, spec: Door) -> Sequence[Path]:
@@ -209,11 +202,6 @@ class Breast:
     def solve(self, model: Model, problem: Problem) -> Solution:
         """See `Organ.solve`."""
         return solve(model, problem)
-
-    def nuisances(self, case: BreastCase, imaged: bool) -> Sequence[Nuisance]:
-        """See `DifferentiableOrgan.nuisances`."""
-        found = nuisances(case.load, imaged)
-        return tuple(n for n in found if not case.unused_parameter(n.name))
 
     def coarse(self, body: Volume, spacing_mm: float) -> Volume:
         """See `VoxelOrgan.coarse`."""

@@ -4,6 +4,7 @@ from palpate.workers.organs.plugin import Fact, OrganPlugin
 
 BREAST_PLUGIN = OrganPlugin(
     name="breast",
+    spec="palpate.workers.organs.breast.organ_spec:SPEC",
     organ="palpate.workers.organs.breast.organ:ORGAN",
     checks="palpate.workers.organs.breast.study_checks:CHECKS",
     study_kind="breast study",

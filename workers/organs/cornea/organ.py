@@ -19,7 +19,6 @@ from palpate.workers.organs.cornea.mesh.deformed_section import deformed_section
 from palpate.workers.organs.cornea.mesh.quality import t6_quality
 from palpate.workers.organs.cornea.mesh.section_mesh import mesh_section
 from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
-from palpate.workers.organs.cornea.parameters import CORNEA
 from palpate.workers.organs.cornea.problem import candidate_of, jet_nodes_x_mm, middle_of
 from palpate.workers.organs.cornea.section.contour_distance import distances
 from palpate.workers.organs.cornea.section.generated import generated_section
@@ -38,19 +37,11 @@ from palpate.workers.organs.cornea.spec import (
     GeneratedSectionSpec,
     MeshSpec,
 )
-from palpate.workers.organs.nuisances import Nuisance
 from palpate.workers.organs.organ import Arrays, Facts
 from palpate.workers.spec import Door
 
 # Of a mesh on which constants are fitted first.
 FEWEST_ELEMENTS = 60
-# The eye gives way under a jet by tenths of a millimetre, and looks aside by degrees.
-_MOTION = "the place of the eye, which moves as a whole"
-EYE_MOTION = (
-    Nuisance("eye_shift_x", _MOTION, 0.1, -0.5, 0.5),
-    Nuisance("eye_shift_y", _MOTION, 0.2, -0.5, 0.5),
-    Nuisance("eye_tilt", _MOTION, 1.0, -3.0, 3.0),
-)
 _MESH_ARRAYS = ("nodes_mm", "triangles", "anterior", "posterior", "left", "right")
 
 
@@ -58,10 +49,6 @@ class Cornea:
     """See `workers.organs.organ.Organ`; a body is a `Section`."""
 
     name = "cornea"
-    case_spec = CorneaCase
-    target_spec = CorneaTarget
-    score_spec = CorneaScore
-    parameters = CORNEA
     picture_labels: Mapping[int, str] = {CORNEA_LABEL: "cornea"}
 
     def body_files(self, spec: Door) -> Sequence[Path]:
@@ -160,10 +147,6 @@ class Cornea:
     def solve(self, model: MeshForModels, problem: Candidate) -> CorneaOutcome:
         """See `Organ.solve`."""
         return CorneaOutcome(solve_prepared(problem.prepared, problem.constants, problem.load))
-
-    def nuisances(self, case: CorneaCase, imaged: bool) -> Sequence[Nuisance]:
-        """See `DifferentiableOrgan.nuisances`: between two frames the whole eye may move."""
-        return EYE_MOTION if imaged else ()
 
     def coarse_case(self, case: CorneaCase, nodes: int) -> CorneaCase:
         """See `DifferentiableOrgan.coarse_case`: an element brings two nodes, about."""

@@ -4,6 +4,7 @@ from palpate.workers.organs.plugin import Fact, OrganPlugin
 
 CORNEA_PLUGIN = OrganPlugin(
     name="cornea",
+    spec="palpate.workers.organs.cornea.organ_spec:SPEC",
     organ="palpate.workers.organs.cornea.organ:ORGAN",
     checks="palpate.workers.organs.cornea.study_checks:CHECKS",
     findings="palpate.workers.organs.cornea.findings.study",

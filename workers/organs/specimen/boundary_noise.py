@@ -21,8 +21,8 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
 from palpate.workers.diagnosis.problem.forward import Forward
 from palpate.workers.mechanics.fem.elements.model import Model
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import RELATIVE_ERROR, Change
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import RELATIVE_ERROR
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.fem.problem.loads import DisplacementField, Hold
 
 # Singular values below this part of the largest are those of points in a plane.

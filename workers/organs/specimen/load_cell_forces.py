@@ -8,13 +8,9 @@ import numpy as np
 
 from palpate.storage.values import BoolArray, FloatArray
 from palpate.workers.diagnosis.problem.forward import Tetrahedra
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import (
-    Change,
-    reactions,
-    tangents_with_reactions,
-)
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import reactions, tangents_with_reactions
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.fem.problem.outcome import Solution
 from palpate.workers.mechanics.fem.problem.regions import nodes_in
 from palpate.workers.organs.specimen.load_cells import LoadCell

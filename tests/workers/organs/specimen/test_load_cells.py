@@ -8,13 +8,9 @@ import pytest
 from palpate.storage.errors import InputError
 from palpate.workers.diagnosis.fits.calibration import calibrate
 from palpate.workers.diagnosis.outcome.summarise import summarise
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import (
-    Change,
-    reactions,
-    tangents_with_reactions,
-)
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import reactions, tangents_with_reactions
 from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Constants
 from palpate.workers.organs.specimen.experiment_files import read_experiment
 from palpate.workers.organs.specimen.prediction import posterior_factor
 from palpate.workers.tasks.diagnosis import model_displacements

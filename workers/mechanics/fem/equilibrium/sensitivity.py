@@ -41,19 +41,10 @@ from palpate.workers.mechanics.fem.equilibrium.stress_free_shape import (
 from palpate.workers.mechanics.fem.linear import sparse_products
 from palpate.workers.mechanics.fem.linear.level import Energy, Level, Tangent
 from palpate.workers.mechanics.fem.linear.multigrid import linear_solver, solver_factory
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 
 # Of the linear solves.
 RELATIVE_ERROR = 1e-5
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Change:
-    """Two problems on either side of the present one, `step` apart in a parameter."""
-
-    plus: Problem
-    minus: Problem
-    step: float
 
 
 def tangents(

@@ -191,3 +191,12 @@ class Problem:
     def __post_init__(self) -> None:
         if self.plain_elements and any(c.growth != 1 for c in self.constants.values()):
             raise InputError("Plain elements do not grow; leave out plain_elements, or growth.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """Two problems on either side of the present one, `step` apart in a parameter."""
+
+    plus: Problem
+    minus: Problem
+    step: float

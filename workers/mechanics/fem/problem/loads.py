@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import RBFInterpolator
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, Triple
@@ -144,6 +143,8 @@ class DisplacementField:
 
     def at(self, points: FloatArray) -> FloatArray:
         """Return the displacement at points, (k, 3) in and out, in mm."""
+        from scipy.interpolate import RBFInterpolator  # slow to import, and rarely needed
+
         known, moved = np.array(self.points_mm), np.array(self.displacement_mm)
         middle = known.mean(axis=0)
         affine = np.linalg.lstsq(_with_one(known - middle), moved)[0]

@@ -8,7 +8,7 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change
 from palpate.workers.organs.cornea.material.model import CorneaModel
 from palpate.workers.organs.cornea.solver.candidate import Candidate
 from palpate.workers.organs.cornea.solver.prepared_mesh import prepare

@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 
 from palpate.storage.values import FloatArray
 from palpate.workers.comparison.observation.noise import SegmentationNoise
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change
 from palpate.workers.organs.cornea.diagnosis.diagnosed_problem import CorneaForward, CorneaProblem
 from palpate.workers.organs.cornea.solver.candidate import Candidate
 from palpate.workers.organs.cornea.solver.prepared_mesh import prepare

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.mesh.t6_geometry import QUADRATURE
+from palpate.workers.organs.cornea.mesh.quadrature import QUADRATURE
 
 Kind = Literal["plane stress", "plane strain", "axisymmetric"]
 PrestressMethod = Literal["additive", "mulf", "inverse", "none"]

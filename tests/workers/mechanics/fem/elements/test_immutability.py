@@ -8,10 +8,10 @@ import pytest
 from palpate.storage.values import Tissue
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.elements.states import State
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change, tangents
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
 from palpate.workers.mechanics.fem.linear.level import Level
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Constants, Problem
 from palpate.workers.mechanics.fem.problem.loads import (
     Device,
     ForceControl,

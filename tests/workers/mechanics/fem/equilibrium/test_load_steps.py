@@ -10,9 +10,9 @@ import pytest
 from palpate.storage.values import Tissue
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.equilibrium import load_schedule, load_stepping
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change, tangents
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium, solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Constants, Problem
 from palpate.workers.mechanics.fem.problem.loads import (
     Device,
     DistanceControl,

@@ -8,10 +8,10 @@ import pytest
 from palpate.storage.values import Tissue
 from palpate.workers.mechanics.fem.elements.model import Model, reshaped
 from palpate.workers.mechanics.fem.equilibrium import stress_free_shape
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import Change, tangents
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium, solve
 from palpate.workers.mechanics.fem.equilibrium.stress_free_shape import stress_free
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Constants, Problem
 from palpate.workers.mechanics.fem.problem.loads import NoPlates, Wall
 from tests.workers.mechanics.fem.solids import body, box
 

@@ -45,6 +45,8 @@ class JudgedConstant:
     @property
     def text(self) -> str:
         """Return the value with its interval and unit, such as ``8.1 (7.7 to 8.5) kPa``."""
+        if not self.answer.estimated:
+            return "no estimate"
         ends = self.interval
         shown = "" if ends is None else f" ({number(ends[0], 3)} to {number(ends[1], 3)})"
         return f"{number(self.value, 3)}{shown} {self.unit}".rstrip()
@@ -91,6 +93,7 @@ def _judged(summary: Summary, name: str, constant: ConstantEstimate) -> JudgedCo
         interval=interval,
         identifiable=_identifiable(value, interval),
         converged=constant.converged is not False,
+        no_better_than="the undeformed body" if summary.gap_mm.fits_no_better_than_rest else "",
         contradictions=_contradictions(summary, constant),
     )
     answer = quotability(facts)

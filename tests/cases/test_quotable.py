@@ -9,6 +9,8 @@ import pytest
 
 from palpate.service.commands.studies.report import derived_text
 from palpate.service.diagnosis.quotability import judged_constants, summary_json
+from palpate.service.formatting import NONE
+from palpate.service.report.diagnosis.tables import constants
 from palpate.service.results.as_json import study_json
 from palpate.service.results.error_budget import DECISIVE, MESH, in_words
 from palpate.service.results.identification import Identification, identification_from_tangents
@@ -331,6 +333,21 @@ def test_a_fit_that_has_not_converged_withholds_the_interval_of_a_diagnosis() ->
     found = judged_constants(diagnosed(converged=False))["E_gl_kpa"]
     assert found.interval is None
     assert found.answer.reasons == ("the search has not converged",)
+
+
+def test_a_diagnosis_that_fits_no_better_than_the_body_at_rest_has_no_estimate() -> None:
+    summary = diagnosed()
+    for fitted_mm, estimated in ((2.5, True), (4.0, False)):
+        gap = replace(summary.gap_mm, fitted_mm=fitted_mm, undeformed_mm=4.0)
+        worse = replace(summary, gap_mm=gap)
+        found = judged_constants(worse)["E_gl_kpa"]
+        assert found.answer.quotable is estimated
+        assert (found.text == "no estimate") is not estimated
+        shown = [row.before for row in constants(worse)]
+        assert (shown == [NONE]) is not estimated
+    reason = "the best fit is no better than the undeformed body"
+    assert found.answer.reasons == (reason,)
+    assert summary_json(worse)["constants"]["E_gl_kpa"]["reasons"] == [reason]
 
 
 def test_intervals_cover_the_truth_of_linear_problems_with_a_hidden_force() -> None:

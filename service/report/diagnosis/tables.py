@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from palpate.service.diagnosis.quotability import judged_constants, unit_of
+from palpate.service.diagnosis.quotability import JudgedConstant, judged_constants, unit_of
 from palpate.service.diagnosis.words import (
     bayes_factor,
     likely,
@@ -82,19 +82,23 @@ class OverlapRow:
 
 def constants(summary: schema.Summary) -> list[ConstantRow]:
     """Return a row for each constant, of the nominal model and with the effect."""
-    judged = judged_constants(summary)
     return [
-        ConstantRow(
-            symbol(name, "kPa"),
-            number(value.before),
-            number(value.after),
-            percent(signed_error(value.after, value.before)),
-            unit_of(name) or "none",
-            _interval(judged[name].interval),
-            "yes" if judged[name].answer.quotable else "no",
-        )
-        for name, value in summary.constants.items()
+        _constant(name, summary.constants[name], judged)
+        for name, judged in judged_constants(summary).items()
     ]
+
+
+def _constant(name: str, value: schema.ConstantEstimate, judged: JudgedConstant) -> ConstantRow:
+    before, after = (value.before, value.after) if judged.answer.estimated else (None, None)
+    return ConstantRow(
+        symbol(name, "kPa"),
+        number(before),
+        number(after),
+        percent(signed_error(after, before)),
+        unit_of(name) or "none",
+        _interval(judged.interval),
+        "yes" if judged.answer.quotable else "no",
+    )
 
 
 def _interval(ends: Bounds | None) -> str:

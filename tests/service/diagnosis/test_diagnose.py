@@ -88,6 +88,10 @@ def test_the_tilt_and_the_constants_are_found(
     gap = summary.gap_mm
     assert gap.after is not None
     assert gap.after.gap_mm < 0.7 * gap.before.gap_mm
+    assert gap.fitted_mm is not None
+    assert gap.undeformed_mm is not None
+    assert gap.after.gap_mm < gap.fitted_mm < 0.5  # noise included
+    assert 2 < gap.undeformed_mm < 20  # plates press by some 15 mm
 
 
 def test_tasks_and_store_say_what_one_process_says(

@@ -179,7 +179,19 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
     noise_mm = gap(registered, inverse.is_place).noise_mm
     floor_mm = _floor_mm(inverse, analysis.linear)
     before = _drawn_gap(drawn.before_mm, noise_mm, len(drawn.before))
-    alone = GapSummary(before, noise_mm, floor_mm, None, None, None)
+    fitted_mm, undeformed_mm = _distances_mm(
+        inverse, analysis.nominal if best is None else best.fit
+    )
+    alone = GapSummary(
+        before,
+        noise_mm,
+        floor_mm,
+        None,
+        None,
+        None,
+        fitted_mm=fitted_mm,
+        undeformed_mm=undeformed_mm,
+    )
     if best is None or drawn.after_mm is None:
         return alone
     after = _drawn_gap(drawn.after_mm, noise_mm, len(drawn.before))
@@ -193,6 +205,19 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
     comparison = Comparison(*fits, seed, floor_mm=floor_mm, registered=poses, judged=place)
     inside = replace(alone, after=after, share=share)
     return known_shares(_with_held_out(inside, inverse, comparison), diagnosis.verdict.set90)
+
+
+def _distances_mm(inverse: InverseProblem, fit: Fit) -> tuple[float, float]:
+    """Return how far the scans are from a fit and from the body at rest; see `GapSummary`."""
+    rest = [
+        scan.compare(inverse.followed(scan).points, inverse.points)[0] for scan in inverse.scans
+    ]
+    fitted = [one.residual for one in fit.predictions]
+
+    def rms(residuals: list[FloatArray]) -> float:
+        return float(np.sqrt(np.mean(np.concatenate(residuals)[inverse.is_place] ** 2)))
+
+    return rms(fitted), rms(rest)
 
 
 def _drawn_gap(draws_mm: FloatArray, noise_mm: float, points: int) -> GapEstimate:

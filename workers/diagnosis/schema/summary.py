@@ -75,6 +75,9 @@ class GapSummary:
         By the name of the scan.
     not_judged : tuple of str
         Scans that are not judged by a fit to the others, for these do not hold what moves them.
+    fitted_mm, undeformed_mm : float, optional
+        Root mean square distance of the scans from the best fit and from the body at rest, noise
+        included. None in records of earlier versions.
     """
 
     before: GapEstimate
@@ -88,6 +91,15 @@ class GapSummary:
     held_out: str | None = None
     held_out_each: Mapping[str, GapShrinkage] | None = None
     not_judged: tuple[str, ...] = ()
+    fitted_mm: float | None = None
+    undeformed_mm: float | None = None
+
+    @property
+    def fits_no_better_than_rest(self) -> bool:
+        """Whether the body at rest explains the scans as well as the best fit does."""
+        if self.fitted_mm is None or self.undeformed_mm is None:
+            return False
+        return self.fitted_mm >= self.undeformed_mm
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,6 +66,9 @@ class Strategy:
         Whether it needs the derivatives of each candidate.
     coarse_first : bool
         Whether it starts in coarser resolutions when the study names none.
+    settings : tuple of str
+        The keys under ``search`` that it uses, beside ``parameters`` and ``strategy``; others are
+        pointed out. Default empty: it uses any.
     """
 
     name: str
@@ -74,6 +77,7 @@ class Strategy:
     most_generations: Callable[[SearchRequest], int]
     by_derivatives: bool = False
     coarse_first: bool = False
+    settings: tuple[str, ...] = ()
 
 
 def strategy_named(name: str) -> Strategy:
@@ -100,17 +104,23 @@ def _fit_generations(asked: SearchRequest) -> int:
     return asked.search.fit_evaluations * (1 + asked.levels)
 
 
+_OF_FITS = ("starts", "levels", "fit_evaluations")
+_OF_GENERATIONS = ("population", "generations", "stall")
+_OF_BREEDING = (*_OF_GENERATIONS, "elite", "crossover_fraction", "mutation", "initial")
+
 GENETIC = Strategy(
     "genetic",
     make=_genetic,
     most_evaluations=lambda asked: asked.search.settings.most_evaluations,
     most_generations=lambda asked: asked.search.generations,
+    settings=(*_OF_BREEDING, "mode", "in_flight"),
 )
 CMA = Strategy(
     "cma",
     make=lambda asked: CmaSearch(asked.search.space, asked.search.cma_settings, asked.seed),
     most_evaluations=lambda asked: asked.search.cma_settings.most_evaluations,
     most_generations=lambda asked: asked.search.generations,
+    settings=_OF_GENERATIONS,
 )
 LEAST_SQUARES = Strategy(
     "least-squares",
@@ -119,6 +129,7 @@ LEAST_SQUARES = Strategy(
     most_generations=_fit_generations,
     by_derivatives=True,
     coarse_first=True,
+    settings=_OF_FITS,
 )
 POLISHED = Strategy(
     "genetic+least-squares",
@@ -128,4 +139,5 @@ POLISHED = Strategy(
     ),
     most_generations=lambda asked: asked.search.generations + _fit_generations(asked),
     by_derivatives=True,
+    settings=(*_OF_BREEDING, *_OF_FITS),
 )

@@ -9,7 +9,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from palpate.service.formatting import number
+from palpate.service.formatting import listed, number
+from palpate.service.search.strategies import strategy_named
 from palpate.service.study.spec import StudySpec
 from palpate.storage.backends.places import Place, place_of
 from palpate.workers.mechanics.parameters import Bounds, Parameter
@@ -22,6 +23,8 @@ OTHER_UNIT = 30.0
 # A search of a thesis' size is 84 x 15; the second one takes a year of a hundred cores.
 MANY_EVALUATIONS = 20_000
 TOO_MANY_EVALUATIONS = 1_000_000
+# Settings that make a search large.
+_SIZES = ("population", "generations", "starts", "fit_evaluations")
 GIB = 1024**3
 SCARCE_BYTES = GIB
 # A displacement in double precision; the record of an evaluation.
@@ -74,6 +77,7 @@ def preflight(
 def _of_the_file(spec: StudySpec, store: Place) -> Iterator[Finding]:
     yield from _intervals(spec)
     yield from _evaluations(spec)
+    yield from _idle_settings(spec)
     yield from _space(spec, store)
     if spec.identifiable == "ratio":
         yield Finding(
@@ -132,15 +136,33 @@ def _far(where: str, parameter: Parameter, bounds: Bounds) -> str:
 
 
 def _evaluations(spec: StudySpec) -> Iterator[Finding]:
-    most = spec.search.settings.most_evaluations
+    most = spec.most_evaluations
     if most <= MANY_EVALUATIONS:
         return
+    used = strategy_named(spec.search.strategy).settings
+    sizes = [name for name in _SIZES if name in used]
     yield Finding(
         "implausible" if most > TOO_MANY_EVALUATIONS else "warning",
-        f"search: {most:,} evaluations at most ({spec.search.population:,} candidates in "
-        f"{spec.search.generations:,} generations); a usual search has some 1,000. Choose a "
-        "smaller population or fewer generations.",
+        f"search: {most:,} evaluations at most, in {spec.most_generations:,} generations; a usual "
+        f"search has some 1,000. Lower {listed(sizes or _SIZES)}.",
     )
+
+
+def _idle_settings(spec: StudySpec) -> Iterator[Finding]:
+    """Point out keys that were given and that the strategy does not use."""
+    search = spec.search
+    used = strategy_named(search.strategy).settings
+    idle = [
+        name
+        for name in type(search).model_fields
+        if used and name in search.model_fields_set - {"parameters", "strategy", *used}
+    ]
+    if idle:
+        yield Finding(
+            "warning",
+            f"search: strategy {search.strategy} does not use {listed(idle)}. It uses "
+            f"{listed(used)}.",
+        )
 
 
 def _space(spec: StudySpec, store: Place) -> Iterator[Finding]:

@@ -305,3 +305,31 @@ def test_only_ratios_is_a_warning_at_run(tmp_path: Path) -> None:
     spec = parse_spec(ALL_FOUR, "study.yaml", Path())
     (found,) = preflight(spec, tmp_path / "store")
     assert "only ratios of the stiffnesses can be found" in found.text
+
+
+@pytest.mark.parametrize(
+    ("given", "idle"),
+    [
+        ("strategy: genetic", None),
+        ("strategy: genetic, starts: 5", "starts"),
+        ("strategy: cma, elite: 2", "elite"),
+        ("strategy: least-squares, generations: 9", "population and generations"),
+        ("strategy: genetic+least-squares, starts: 2", None),
+    ],
+)
+def test_settings_that_the_strategy_does_not_use_are_pointed_out(
+    tmp_path: Path, given: str, idle: str | None
+) -> None:
+    spec = drawn("population: 12", f"population: 12, {given}")
+    texts = [found.text for found in preflight(spec, tmp_path / "store")]
+    said = [text for text in texts if "does not use" in text]
+    assert len(said) == (idle is not None)
+    assert idle is None or f"does not use {idle}." in said[0]
+
+
+def test_evaluations_of_least_squares_are_those_of_its_descents(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"search: 600,000,000 evaluations.*Lower starts and fit"):
+        preflight(
+            drawn("population: 12", "strategy: least-squares, fit_evaluations: 200000000"),
+            tmp_path / "store",
+        )

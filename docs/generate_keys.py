@@ -1,17 +1,19 @@
 """The reference of the files' keys: name, type, default and description, from the models."""
 
 import inspect
-import re
 import types
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 
+from palpate.workers.key_descriptions import key_descriptions
+
 HEAD = """# Keys of the files
 
 Every key of a study, a diagnosis and a bench experiment, generated from the models that check the
-files. A key that is not listed is refused. `palpate new` writes a file of each kind with comments;
+files; `palpate schema` prints them as JSON schema. A key that is not listed is refused.
+`palpate new` writes a file of each kind with comments;
 `palpate parameters` lists the constants and effects that a study may hold or search.
 """
 
@@ -19,14 +21,15 @@ files. A key that is not listed is refused. `palpate new` writes a file of each 
 def keys_page() -> str:
     """Return the keys of every kind of file as Markdown."""
     from palpate.service.study.spec import study_of
-    from palpate.workers.organs.breast.case.spec import CaseFile
-    from palpate.workers.organs.specimen.spec import SpecimenSpec
+    from palpate.workers.organs.plugin import resolve
+    from palpate.workers.organs.source_registry import file_keys
 
+    models = {name: resolve(keys) for name, keys in file_keys().items()}
     files = (
         ("A study of a breast", study_of("breast")),
         ("A study of a cornea", study_of("cornea")),
-        ("A diagnosis of scans", CaseFile),
-        ("A bench experiment", SpecimenSpec),
+        ("A diagnosis of scans", models["diagnosis"]),
+        ("A bench experiment", models["experiment"]),
     )
     lines = [HEAD]
     for title, model in files:
@@ -36,7 +39,7 @@ def keys_page() -> str:
 
 
 def _rows(model: type[BaseModel], prefix: str) -> Iterator[str]:
-    described = _described(model)
+    described = key_descriptions(model)
     for name, field in model.model_fields.items():
         key = f"{prefix}{field.alias or name}"
         inner = _model_in(field.annotation)
@@ -46,7 +49,7 @@ def _rows(model: type[BaseModel], prefix: str) -> Iterator[str]:
             else _text(field.get_default(call_default_factory=True))
         )
         kind = "" if inner else _kind(field.annotation)
-        yield f"| `{key}` | {kind} | {default} | {described.get(name, '')} |"
+        yield f"| `{key}` | {kind} | {default} | {_cell(described.get(name, ''))} |"
         if inner is not None:
             yield from _rows(inner, f"{key}{_many(field.annotation)}.")
 
@@ -57,6 +60,11 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
         return annotation
     found = (_model_in(part) for part in get_args(annotation) if part is not type(None))
     return next((model for model in found if model is not None), None)
+
+
+def _cell(text: str) -> str:
+    """Return a text with Markdown's quotes that fits a cell of a table."""
+    return text.replace("``", "`").replace("|", "\\|")
 
 
 def _many(annotation: Any) -> str:
@@ -87,18 +95,3 @@ def _text(value: Any) -> str:
     if isinstance(value, BaseModel):
         return ""
     return f"`{value}`" if not isinstance(value, bool) else f"`{str(value).lower()}`"
-
-
-def _described(model: type[BaseModel]) -> dict[str, str]:
-    """Return the descriptions in the parameters section of a docstring, by name."""
-    text = inspect.getdoc(model) or ""
-    section = re.search(r"Parameters\n-+\n(?P<body>.*?)(?:\n\n[A-Z]\w+\n-+|\Z)", text, re.DOTALL)
-    found: dict[str, str] = {}
-    names: list[str] = []
-    for line in section["body"].splitlines() if section else ():
-        if line and not line.startswith(" "):
-            names = [name.strip() for name in line.split(" : ")[0].split(",")]
-            continue
-        for name in names:
-            found[name] = f"{found.get(name, '')} {line.strip()}".strip().replace("|", "\\|")
-    return found

@@ -70,6 +70,9 @@ COMMANDS = {
     "parameters": LazyCommand(
         "studies.parameters:parameters", "List an organ's constants and effects for study files."
     ),
+    "schema": LazyCommand(
+        "studies.schema:schema", "Print the keys of a file as JSON schema, with meanings."
+    ),
     "fit-law": LazyCommand(
         "studies.fit_law:fit_law", "Fit material laws to stress-stretch tables of one material."
     ),

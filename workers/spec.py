@@ -110,6 +110,15 @@ class CaseSpec(Door):
 
     ``constants`` are those that are not searched; what is missing there keeps its
     neutral value.
+
+    Parameters
+    ----------
+    organ
+        Name of the organ.
+    reference
+        The undeformed body.
+    constants
+        Values of constants that are held, such as ``nu: 0.49``.
     """
 
     organ: str

@@ -24,7 +24,18 @@ StrategyName = Annotated[str, AfterValidator(lambda name: checked_name("searches
 
 
 class StallSpec(Door):
-    """When to stop because nothing gets better; see `service.search.stall`."""
+    """When to stop because nothing gets better; see `service.search.stall`.
+
+    Parameters
+    ----------
+    generations
+        Number of generations that are looked at.
+    tolerance
+        Least change of the best score that counts as an improvement.
+    rule
+        ``relative``: the mean relative change over the generations; ``weighted``: recent changes
+        count more.
+    """
 
     generations: Annotated[int, Field(ge=1)] = 5
     tolerance: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-6
@@ -32,7 +43,15 @@ class StallSpec(Door):
 
 
 class LevelSpec(Door):
-    """A coarser resolution in which constants are fitted first."""
+    """A coarser resolution in which constants are fitted first.
+
+    Parameters
+    ----------
+    nodes
+        Approximate number of nodes of the mesh.
+    spacing_mm
+        Size of the voxels, in mm.
+    """
 
     nodes: Annotated[int, Field(ge=100, le=5_000_000)]
     spacing_mm: Positive
@@ -47,6 +66,38 @@ class SearchSpec(Door):
     ``mode: steady`` has no barrier between generations: a candidate is bred as soon as one has
     ended, up to `in_flight` of them at once (default: a population); see
     `service.search.steady`.
+
+    Parameters
+    ----------
+    strategy
+        ``genetic`` (as in the thesis), ``cma``, ``least-squares``, ``genetic+least-squares``, or
+        the name of a plug-in.
+    starts
+        Descents by derivatives that begin at different points.
+    levels
+        Coarser resolutions in which constants are fitted first, coarse to fine. Default: 5,000 and
+        20,000 nodes where the case has at least twice as many; none for ``genetic+least-squares``.
+    fit_evaluations
+        Largest number of evaluations of one descent on one level.
+    population
+        Candidates of a generation.
+    generations
+        Largest number of generations, including the initial population.
+    elite
+        Best candidates of a generation that are kept unchanged.
+    crossover_fraction
+        Share of the other candidates that is bred by crossover; the rest are mutations.
+    mutation
+        ``adaptive-feasible`` stays within the bounds; ``gaussian`` adds normal steps that shrink.
+    initial
+        How the first candidates are drawn within the bounds.
+    stall
+        When to stop because the best score no longer improves; null: never.
+    mode
+        ``barrier``: one generation after the other; ``steady``: a new candidate as soon as one has
+        ended.
+    in_flight
+        Candidates at once with ``mode: steady``. Default: `population`.
     """
 
     parameters: Annotated[dict[str, Bounds], Field(min_length=1)] = Field(

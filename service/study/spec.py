@@ -52,6 +52,19 @@ class StudySpec(Door):
     gives one of `study_of` that organ. ``keep`` says which deformed bodies stay in the
     store beside those of the target and of the best candidate. An evaluation that takes longer
     than ``deadline_s`` is tried once more, then it has failed; see `workers.tasks.deadline`.
+
+    Parameters
+    ----------
+    score
+        How the deformed body is compared with the target.
+    seed
+        Of the search; the same seed gives the same candidates.
+    keep
+        Deformed bodies that stay in the store, beside those of the target and of the best
+        candidate.
+    deadline_s
+        Longest time of one evaluation, in s. One that takes longer is tried once more, then it has
+        failed. Default: no limit.
     """
 
     name: Name = Field(description="the study's folder is runs/NAME")

@@ -86,10 +86,16 @@ class SourcePlugin:
         From each kind of content to what makes its source again.
     reader : str
         What reads a source from files; see `workers.organs.source_registry.Reader`.
+    file : str
+        What its file is called, such as ``"experiment"``; empty where it has no keys of its own.
+    keys : str
+        The pydantic model of that file.
     """
 
     kinds: Mapping[str, str]
     reader: str
+    file: str = ""
+    keys: str = ""
 
 
 def module_of(reference: str) -> str:

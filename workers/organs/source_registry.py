@@ -71,6 +71,12 @@ def source_plugin(name: str) -> SourcePlugin:
     return plugin
 
 
+def file_keys() -> dict[str, str]:
+    """Return the model of each file that describes a source, ``"module:class"``, by its name."""
+    found = [source_plugin(name) for name in plugins.plugins("sources")]
+    return {plugin.file: plugin.keys for plugin in found if plugin.file}
+
+
 def source_module(kind: str) -> str:
     """Return the dotted name of the module that makes a kind of source.
 

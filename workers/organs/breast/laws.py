@@ -26,7 +26,13 @@ NO_STIFFENING = (
 
 
 class TissueLaws(Door):
-    """The law of each tissue, without its fibres; ligaments and muscle follow that of fat."""
+    """The law of each tissue, without its fibres; ligaments and muscle follow that of fat.
+
+    Parameters
+    ----------
+    fat, glandular : str
+        Name of a law; `palpate parameters` lists them.
+    """
 
     fat: LawName = Field(default=DEFAULT_LAW, description="neo-hookean, yeoh, fung, ...")
     glandular: LawName = DEFAULT_LAW

@@ -49,7 +49,10 @@ def _ascending(record: BaseModel, low: str, high: str, why: str) -> None:
         raise ValueError(f"{low} ({below:g}) must be less than {high} ({above:g}): {why}")
 
 
-SpacingMm = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
+SpacingMm = Annotated[
+    tuple[Positive, Positive, Positive],
+    BeforeValidator(_three, json_schema_input_type=Positive | tuple[Positive, Positive, Positive]),
+]
 Axes = Annotated[str, checked(parse_axes)]
 TissueName = Annotated[
     str, StringConstraints(to_lower=True, strip_whitespace=True), checked(tissue_named)
@@ -72,6 +75,31 @@ class PhantomSpec(Door):
     """A generated breast: a preset, some of its settings changed, and a seed.
 
     The settings are those of `workers.body.phantom.settings.BreastPhantom`.
+
+    Parameters
+    ----------
+    preset
+        ``445ml`` or ``250ml``, as in the thesis.
+    seed
+        Each seed gives a different breast.
+    spacing_mm
+        Size of a voxel, in mm.
+    glandular_fraction
+        Share of glandular tissue in the volume inside the skin, 0.07 to 0.35.
+    lower_mm
+        Extent below the nipple, along x, in mm.
+    upper_mm
+        Extent above the nipple, along x, in mm.
+    half_width_mm
+        Half the width along y, the direction of compression, in mm.
+    depth_mm
+        Depth from the chest wall to the nipple, along z, in mm.
+    skin_mm
+        Thickness of the skin, in mm.
+    ligament_mm
+        Thickness of the ligaments between compartments, in mm.
+    compartments
+        Number of compartments of glandular tissue.
     """
 
     preset: str = "445ml"
@@ -102,7 +130,19 @@ class PhantomSpec(Door):
 
 
 class ImageSpec(Door):
-    """The keys that say how an image is read; see `workers.body.images.read.read_volume`."""
+    """The keys that say how an image is read; see `workers.body.images.read.read_volume`.
+
+    Parameters
+    ----------
+    labels
+        What each label of the image is: ``{1: fat, 2: glandular}``, by number or by segment name;
+        or a file of label names. Default: the names in the image.
+    spacing_mm
+        Size of a voxel along x, y and z, in mm, for formats that do not state it.
+    axes
+        How the image is turned into the frame of the body: ``-x,y,-z``, or anatomical directions
+        such as ``L S A``. Default: as it is.
+    """
 
     volume: str | None = Field(
         default=None, description="the segmented image: a file, a folder or a name in the store"
@@ -135,7 +175,15 @@ class ReferenceSpec(ImageSpec):
 
 
 class MeshSpec(Door):
-    """How fine the tetrahedra are: about so many nodes, or of this size."""
+    """How fine the tetrahedra are: about so many nodes, or of this size.
+
+    Parameters
+    ----------
+    nodes
+        Approximate number of nodes.
+    element_size_mm
+        Edge length of the elements, in mm.
+    """
 
     exactly_one: ClassVar[Pairs] = (("nodes", "element_size_mm"),)
 
@@ -148,6 +196,15 @@ class ModelSpec(Door):
 
     Parameters
     ----------
+    skin
+        ``none`` (skin is fat), ``membrane`` (without bending stiffness) or ``layer`` (elements;
+        needs a fine mesh).
+    skin_thickness_mm
+        Thickness of the skin, in mm.
+    fibres
+        ``tension-only``, or ``literal``: the published formula, in compression too.
+    fibre_invariant
+        ``I4``, or ``isochoric``: the stretch without the change of volume.
     law : str or mapping
         The law of the tissue without its fibres, such as yeoh: one for all, or
         {fat: yeoh, glandular: neo-hookean}. Its shape constants, such as yeoh_c2_fat, can be held
@@ -168,7 +225,19 @@ class ModelSpec(Door):
 
 
 class PlateDistanceSpec(Door):
-    """Where the plates end: at a distance, or at two positions along y."""
+    """Where the plates end: at a distance, or at two positions along y.
+
+    Parameters
+    ----------
+    initial
+        Distance of the plates before compression, in mm, if known.
+    final
+        Distance of the plates under compression, in mm.
+    lower
+        Final position of the lower plate along y, in mm.
+    upper
+        Final position of the upper plate along y, in mm.
+    """
 
     initial: Positive | None = None
     final: Positive | None = None
@@ -195,6 +264,14 @@ class LoadSpec(Door):
 
     ``oblique_deg`` turns the direction of compression about z, from y towards -x: 0 is
     cranio-caudal, 45 mediolateral oblique.
+
+    Parameters
+    ----------
+    oblique_deg
+        Direction of compression, turned about z from y towards -x, in degrees: 0 is cranio-caudal,
+        45 mediolateral oblique.
+    moving
+        Whether the upper plate moves, or both.
     """
 
     exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
@@ -222,7 +299,19 @@ _WALL = wall_text(physics.WALL_HELD, physics.WALL_SPRING_KPA_PER_MM, physics.WAL
 
 
 class BreastCase(CaseSpec):
-    """A breast, its mesh, its model and its load."""
+    """A breast, its mesh, its model and its load.
+
+    Parameters
+    ----------
+    organ
+        Name of the organ.
+    mesh
+        How fine the mesh is. Default: 20,000 nodes.
+    model
+        The law of the tissue, and the skin.
+    load
+        What presses. Default: a force of 100 N; a study of images has to state it.
+    """
 
     law_tissues: ClassVar[tuple[str, ...]] = LAW_TISSUES
 
@@ -330,6 +419,13 @@ class BreastTarget(ImageSpec, TargetSpec):
 
     With ``align: rigid`` an image is first moved into the frame of the reference; see
     `workers.organs.breast.plausibility.rigid_motion`.
+
+    Parameters
+    ----------
+    mesh
+        A mesh of its own for a simulated target, such as a finer one.
+    align
+        ``rigid``: an image is first moved into the frame of the reference. Default: it is there.
     """
 
     exactly_one: ClassVar[Pairs] = (("constants", "volume"),)
@@ -357,7 +453,15 @@ class BreastTarget(ImageSpec, TargetSpec):
 
 
 class BreastScore(ScoreSpec):
-    """Which tissues are compared, and which of their voxels measure the distance."""
+    """Which tissues are compared, and which of their voxels measure the distance.
+
+    Parameters
+    ----------
+    labels
+        Tissues that are compared.
+    surface
+        Voxels between which distances are measured: those of the ``boundary``, or ``all``.
+    """
 
     labels: Annotated[tuple[TissueName, ...], Field(min_length=1)] = ("glandular",)
     surface: Literal["boundary", "all"] = "boundary"

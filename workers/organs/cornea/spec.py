@@ -21,7 +21,21 @@ Interval = tuple[Finite, Finite]
 
 
 class GeneratedSectionSpec(Door):
-    """A generated section; see `workers.organs.cornea.section.generated`."""
+    """A generated section; see `workers.organs.cornea.section.generated`.
+
+    Parameters
+    ----------
+    radius_mm
+        Radius of the anterior surface, in mm.
+    chord_mm
+        Width of the section, in mm.
+    central_mm
+        Thickness in the middle, in mm.
+    peripheral_mm
+        Thickness at the limbus, in mm.
+    asphericity
+        Q of the anterior conic; 0 is a circle.
+    """
 
     radius_mm: Positive = 7.8
     chord_mm: Positive = 11.7
@@ -31,7 +45,15 @@ class GeneratedSectionSpec(Door):
 
 
 class RefractionSpec(Door):
-    """How the camera saw the posterior surface; see `workers.organs.cornea.section.refraction`."""
+    """How the camera saw the posterior surface; see `workers.organs.cornea.section.refraction`.
+
+    Parameters
+    ----------
+    index
+        Refractive index of the cornea.
+    camera_angle_deg
+        Angle between slit and camera, in degrees.
+    """
 
     index: Annotated[float, Field(ge=1, allow_inf_nan=False)] = CORNEA_INDEX
     camera_angle_deg: Annotated[float, Field(gt=0, lt=80)] = CAMERA_ANGLE_DEG
@@ -42,6 +64,14 @@ class FrameSpec(Door):
 
     ``first_pixel`` is the column and row of its first pixel in the raster that both frames
     of a pair share. ``refraction: null`` leaves the posterior surface where it appears.
+
+    Parameters
+    ----------
+    first_pixel
+        Column and row of the first pixel of the file in the raster that both frames of a pair
+        share.
+    refraction
+        Corrects where the posterior surface appears; null: leaves it there.
     """
 
     file: str = Field(description="the picture of the section")
@@ -62,7 +92,13 @@ class CorneaReference(Door):
 
 
 class MeshSpec(Door):
-    """How many 6-node triangles there are, about."""
+    """How many 6-node triangles there are, about.
+
+    Parameters
+    ----------
+    elements
+        Approximate number of 6-node triangles.
+    """
 
     elements: Annotated[int, Field(ge=8, le=100_000)] = 960
 
@@ -72,6 +108,17 @@ class ModelSpec(Door):
 
     Two terms of the law that change places are the same cornea. ``order_terms_by`` says by
     which constant they are put in order, least first, before they are simulated and reported.
+
+    Parameters
+    ----------
+    kind
+        Out-of-plane behaviour of the section.
+    convention
+        How mu and alpha of the Ogden law enter its energy.
+    prestress
+        How the shape without pressure is taken into account.
+    order_terms_by
+        Constant by which the terms of the law are put in order, least first.
     """
 
     kind: Kind = "plane stress"
@@ -81,7 +128,15 @@ class ModelSpec(Door):
 
 
 class JetProfileSpec(Door):
-    """Pressure of the jet over the distance from its centre, as a part of the whole."""
+    """Pressure of the jet over the distance from its centre, as a part of the whole.
+
+    Parameters
+    ----------
+    r_mm
+        Distances from the centre of the jet, in mm, ascending.
+    fraction
+        Pressure at these distances, as a part of the whole.
+    """
 
     r_mm: Annotated[tuple[Zero, ...], Field(min_length=1)]
     fraction: tuple[Zero, ...]
@@ -106,6 +161,19 @@ class JetSpec(Door):
     ``centre_mm`` is measured from the middle of the section. The default of 15 kPa is the
     reading of the thesis' "15 mmHg" with which its corneas turn concave; see
     `workers.organs.cornea.material.load.CorneaLoad`.
+
+    Parameters
+    ----------
+    pressure_kpa
+        Pressure at its centre, in kPa.
+    pressure_mmhg
+        Pressure at its centre, in mmHg.
+    diameter_mm
+        Diameter of a jet of uniform pressure, in mm.
+    centre_mm
+        Position of its centre from the middle of the section, in mm.
+    profile
+        Pressure over the distance from the centre. Default: uniform.
     """
 
     exactly_one: ClassVar[Pairs] = (("pressure_kpa", "pressure_mmhg"),)
@@ -130,7 +198,15 @@ class JetSpec(Door):
 
 
 class LoadSpec(Door):
-    """The pressure of the eye and the air jet."""
+    """The pressure of the eye and the air jet.
+
+    Parameters
+    ----------
+    iop_mmhg
+        Intra-ocular pressure, in mmHg.
+    jet
+        The air jet.
+    """
 
     iop_mmhg: Zero = 10.5
     jet: JetSpec = JetSpec(pressure_kpa=15)
@@ -141,6 +217,15 @@ class FindingsSpec(Door):
 
     ``profiles`` takes about a minute. ``jet_fractions`` are the pressures, as parts of the
     full one, whose images would be taken together. ``not_measured`` names what was assumed.
+
+    Parameters
+    ----------
+    profiles
+        Whether profiles of the constants are computed, which takes about a minute.
+    jet_fractions
+        Pressures, as parts of the full one, of images that would be taken together.
+    not_measured
+        What was assumed, not measured.
     """
 
     profiles: bool = False
@@ -149,7 +234,21 @@ class FindingsSpec(Door):
 
 
 class CorneaCase(CaseSpec):
-    """A section of a cornea, its mesh, its model and its load."""
+    """A section of a cornea, its mesh, its model and its load.
+
+    Parameters
+    ----------
+    organ
+        Name of the organ.
+    mesh
+        How fine the mesh is.
+    model
+        How the section is modelled.
+    load
+        The pressure of the eye and the air jet.
+    findings
+        What the report says of the fitted eye.
+    """
 
     organ: Literal["cornea"]
     reference: CorneaReference = CorneaReference(section=GeneratedSectionSpec())
@@ -212,7 +311,13 @@ def _pairs(mu: str, alpha: str) -> list[tuple[str, str]]:
 
 
 class CorneaTarget(TargetSpec):
-    """The deformed section to be explained: simulated with hidden constants, or an image."""
+    """The deformed section to be explained: simulated with hidden constants, or an image.
+
+    Parameters
+    ----------
+    mesh
+        A mesh of its own for a simulated target, such as a finer one.
+    """
 
     exactly_one: ClassVar[Pairs] = (("constants", "frame"),)
 
@@ -235,6 +340,13 @@ class CorneaScore(ScoreSpec):
     """How two sections are compared: in pixels of this size, between two vertical lines.
 
     ``window_mm`` cuts both sections; an image shows less of a cornea than is simulated.
+
+    Parameters
+    ----------
+    pixel_um
+        Size of the pixels in which sections are compared, in um.
+    window_mm
+        Left and right end of what is compared, in mm from the middle.
     """
 
     pixel_um: Positive = 2.0

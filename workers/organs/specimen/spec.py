@@ -40,6 +40,17 @@ class BodySpec(Door):
     with voxels of ``voxel_mm`` and meshed like a scan. ``mm_per_unit`` is 1000 for metres.
     ``labels`` says which material the cells of a volume carry; ``label_array`` names the
     data that hold them.
+
+    Parameters
+    ----------
+    mm_per_unit
+        Length of one unit of the mesh file, in mm: 1000 for metres.
+    voxel_mm
+        Size of the voxels that fill a body from a file, in mm: about a tenth of its thinnest part.
+    labels
+        The material of each cell label of a volume.
+    label_array
+        Name of the cell data that hold the labels.
     """
 
     exactly_one: ClassVar[Pairs] = (("box_mm", "mesh"),)
@@ -81,7 +92,15 @@ class PlaneSpec(Door):
 
 
 class RegionSpec(Door):
-    """A place on the body: a box or a plane."""
+    """A place on the body: a box or a plane.
+
+    Parameters
+    ----------
+    box_mm
+        All points between two corners.
+    plane
+        All points of a plane normal to an axis.
+    """
 
     exactly_one: ClassVar[Pairs] = (("box_mm", "plane"),)
 
@@ -97,6 +116,14 @@ class MaterialSpec(Door):
     fit does not leave. ``constants`` are shape constants of the law, such as ``yeoh_c2: 0.5`` or
     ``yeoh_c2: [0.1, 2]``, an interval in which it is expected; one that is not named is 0, or what
     makes the law neo-Hookean.
+
+    Parameters
+    ----------
+    law
+        The material law; `palpate parameters --law NAME` lists its constants.
+    constants
+        Shape constants of the law, held (``yeoh_c2: 0.5``) or with an interval in which each is
+        expected (``yeoh_c2: [0.1, 2]``).
     """
 
     law: LawName = DEFAULT_LAW
@@ -158,7 +185,13 @@ class MaterialSpec(Door):
 
 
 class HoldSpec(Door):
-    """Where the body is held, and along which axes."""
+    """Where the body is held, and along which axes.
+
+    Parameters
+    ----------
+    axes
+        Axes along which the region is held.
+    """
 
     region: str = Field(description="the name of a region that is held")
     axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ("x", "y", "z")
@@ -175,7 +208,19 @@ class ForceSpec(Door):
 
 
 class MoveSpec(Door):
-    """A displacement prescribed on a region: one for all of it, or what the field shows there."""
+    """A displacement prescribed on a region: one for all of it, or what the field shows there.
+
+    Parameters
+    ----------
+    region
+        The name of the region that is moved.
+    displacement_mm
+        Displacement along x, y and z, in mm.
+    measured
+        Whether the displacement is what `field` shows there.
+    axes
+        Axes along which it is prescribed.
+    """
 
     region: str
     displacement_mm: FinitePoint | None = None
@@ -190,7 +235,19 @@ class MoveSpec(Door):
 
 
 class ReactionSpec(Door):
-    """The force that moves a region along an axis, as a load cell reads it: that on the body."""
+    """The force that moves a region along an axis, as a load cell reads it: that on the body.
+
+    Parameters
+    ----------
+    region
+        The name of the region that is moved.
+    axis
+        Axis of the load cell.
+    force_n
+        Its reading, in N: the force on the body.
+    sd_n
+        Standard deviation of the reading, in N.
+    """
 
     region: str
     axis: Axis
@@ -199,7 +256,15 @@ class ReactionSpec(Door):
 
 
 class LoadsSpec(Door):
-    """What acts in one state; gravity is said once for all of them."""
+    """What acts in one state; gravity is said once for all of them.
+
+    Parameters
+    ----------
+    forces
+        Forces and hung masses.
+    moves
+        Prescribed displacements.
+    """
 
     forces: tuple[ForceSpec, ...] = ()
     moves: tuple[MoveSpec, ...] = ()
@@ -211,7 +276,13 @@ class LoadsSpec(Door):
 
 
 class StateSpec(LoadsSpec):
-    """One loaded state: what acts, and the files that say what was seen, one a repeat."""
+    """One loaded state: what acts, and the files that say what was seen, one a repeat.
+
+    Parameters
+    ----------
+    reactions
+        Readings of load cells, the same ones in all states.
+    """
 
     name: Annotated[str, Field(min_length=1)] = Field(description="a name for the report")
     files: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
@@ -234,7 +305,13 @@ class StateSpec(LoadsSpec):
 
 
 class PredictSpec(LoadsSpec):
-    """A state that was not measured, or is kept aside."""
+    """A state that was not measured, or is kept aside.
+
+    Parameters
+    ----------
+    name
+        A name for the report.
+    """
 
     name: Annotated[str, Field(min_length=1)]
 
@@ -244,6 +321,11 @@ class MarkerSpec(Door):
 
     ``outward`` is the normal of the surface there; without it that of the nearest face
     counts.
+
+    Parameters
+    ----------
+    outward
+        Normal of the surface at the marker. Default: that of the nearest face.
     """
 
     at_mm: FinitePoint = Field(description="[x, y, z] in mm on the surface of the body at rest")
@@ -261,6 +343,11 @@ class FrameSpec(Door):
 
     Places in the frame of the body that markers have at rest, the base included; a rigid
     motion is fitted to them.
+
+    Parameters
+    ----------
+    at_rest_mm
+        Positions of at least three markers in the frame of the body, [x, y, z] in mm at rest.
     """
 
     at_rest_mm: Annotated[dict[str, FinitePoint], Field(min_length=3)]
@@ -277,6 +364,23 @@ class MarkersSpec(Door):
     zero count from the end of the recording. An empty cell, nan, and whatever a tracker writes for
     a marker that it has lost, is a missing value. ``noise_confirmed: true`` accepts repeats that
     scatter by far more than ``sd_mm``.
+
+    Parameters
+    ----------
+    time
+        Column of the time in s.
+    column
+        Names of the other columns, with ``{marker}`` and ``{axis}``.
+    mm_per_unit
+        Length of one unit of the recordings, in mm.
+    frame
+        The position of the cameras. Default: recordings are in the frame of the body.
+    sd_mm
+        Error of one component of one marker, standard deviation in mm.
+    common_sd_mm
+        Error that all markers of a recording share, standard deviation in mm.
+    noise_confirmed
+        Accepts repeats that scatter by far more than `sd_mm`.
     """
 
     time: str = "t_s"
@@ -320,6 +424,16 @@ class FieldSpec(Door):
     ``sd_mm`` is the standard deviation of one component of one point, ``common_sd_mm`` of an
     error that all points of a recording share, such as a motion of the camera.
     ``noise_confirmed: true`` accepts repeats that scatter by far more than that.
+
+    Parameters
+    ----------
+    sd_mm
+        Error of one component of one point, standard deviation in mm.
+    common_sd_mm
+        Error that all points of a recording share, such as a motion of the camera, standard
+        deviation in mm.
+    noise_confirmed
+        Accepts repeats that scatter by far more than `sd_mm`.
     """
 
     sd_mm: Positive
@@ -328,7 +442,23 @@ class FieldSpec(Door):
 
 
 class SpecimenSpec(Door):
-    """A bench experiment."""
+    """A bench experiment.
+
+    Parameters
+    ----------
+    organ
+        Kind of the experiment.
+    gravity
+        Whether the weight of the body acts.
+    holds
+        Regions that are held.
+    markers
+        Recordings of markers.
+    field
+        Recordings of displacement fields.
+    predict
+        States to predict, not measured or kept aside.
+    """
 
     exactly_one: ClassVar[Pairs] = (("markers", "field"),)
 

@@ -8,4 +8,6 @@ SCANS_PLUGIN = SourcePlugin(
         "planned case": "palpate.workers.organs.breast.case.source:PlannedCaseSource",
     },
     reader="palpate.workers.organs.breast.case.files:READER",
+    file="diagnosis",
+    keys="palpate.workers.organs.breast.case.spec:CaseFile",
 )

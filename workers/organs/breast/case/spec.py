@@ -76,7 +76,12 @@ def _law(given: Any) -> Any:
 
 CASE_TISSUES = ("air", "fat", "glandular")
 Constant = Annotated[float | tuple[float, float], BeforeValidator(_constant)]
-Axis = Annotated[tuple[Finite, Finite, Finite], BeforeValidator(_axis)]
+Axis = Annotated[
+    tuple[Finite, Finite, Finite],
+    BeforeValidator(
+        _axis, json_schema_input_type=Literal["x", "y"] | tuple[Finite, Finite, Finite]
+    ),
+]
 
 
 class CaseModel(Door):
@@ -100,7 +105,7 @@ class CaseModel(Door):
     law: Annotated[
         Annotated[physics.Law, Tag("name")] | Annotated[TissueLaws, Tag("tissues")],
         Discriminator(lambda law: "name" if isinstance(law, str) else "tissues"),
-        BeforeValidator(_law),
+        BeforeValidator(_law, json_schema_input_type=str | TissueLaws),
     ] = physics.LAW
     nu: Annotated[float, Field(gt=0, lt=0.5)] = physics.NU
     fibres: physics.Fibres = physics.FIBRES
@@ -132,6 +137,17 @@ class CaseWall(Door):
     Away from the wall nothing moves. Along it the body is held, or on springs: force per
     area and displacement, of which zero lets it slide. Without `z_mm` the wall is where the
     body begins in the scan at rest, as in a study.
+
+    Parameters
+    ----------
+    z_mm
+        Position of the wall along z, in mm. Default: where the body begins in the scan at rest.
+    held
+        Whether the body is held along the wall.
+    kx_kpa_per_mm
+        Stiffness of springs along x, in kPa per mm.
+    ky_kpa_per_mm
+        Stiffness of springs along y, in kPa per mm.
     """
 
     z_mm: Finite | None = None
@@ -147,7 +163,16 @@ class CaseWall(Door):
 
 
 class CasePlates(Door):
-    """Where the plates start along the direction of compression; by default at the body."""
+    """Where the plates start along the direction of compression; by default at the body.
+
+    Parameters
+    ----------
+    lower_mm
+        Initial position of the lower plate along the direction of compression, in mm. Default: at
+        the body.
+    upper_mm
+        Initial position of the upper plate, in mm. Default: at the body.
+    """
 
     lower_mm: Finite | None = None
     upper_mm: Finite | None = None
@@ -167,6 +192,11 @@ class CaseNoise(Door):
     """How segmentations err: a smooth field of signed distances.
 
     `in_scans` says which of them err: all, or only the loaded ones.
+
+    Parameters
+    ----------
+    in_scans
+        Which scans have this error: ``all``, or only the ``loaded`` ones.
     """
 
     sd_mm: Positive = Field(description="error of a drawn boundary, standard deviation in mm")
@@ -180,6 +210,15 @@ class CaseLoad(Door):
     Plates start at `lower_mm` and `upper_mm` along their axis if the force is known; without
     them where `plates` says, or at the body in the scan at rest. With `plate_distance_mm` they
     end there; by default where the body in the scan does.
+
+    Parameters
+    ----------
+    axis
+        Direction of compression: ``x``, ``y`` or a direction across z such as ``[1, 1, 0]``.
+    lower_mm
+        Initial position of the lower plate for this load, in mm; with a distance, the final one.
+    upper_mm
+        Initial position of the upper plate for this load, in mm; with a distance, the final one.
     """
 
     exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
@@ -230,6 +269,25 @@ class CaseScans(Door):
     files, or volumes of the store by their names; `labels`, `axes` and `spacing_mm` state how the
     files are read, as in a study. With ``align: rigid`` each loaded scan is first moved into the
     frame of the scan at rest; see `workers.organs.breast.plausibility.rigid_motion`.
+
+    Parameters
+    ----------
+    reference_repeat
+        A second segmentation of the body at rest, which shows the noise.
+    pose_sd_mm
+        How far a loaded scan may lie from where its header puts it, along each axis, standard
+        deviation in mm. Default: 0.3.
+    pose_sd_deg
+        The same about each axis, in degrees. Default: 0.3.
+    align
+        ``rigid``: each loaded scan is first moved into the frame of the scan at rest. Default: it
+        is there.
+    labels
+        What each label of the scans is; as in a study.
+    axes
+        How the scans are turned into the frame of the body; as in a study.
+    spacing_mm
+        Size of a voxel along x, y and z, in mm, for formats that do not state it.
     """
 
     reference: str = Field(description="the labels of the body at rest")
@@ -257,7 +315,21 @@ class CaseScans(Door):
 
 
 class CaseFile(Door):
-    """A breast that was scanned at rest and under load, to be diagnosed."""
+    """A breast that was scanned at rest and under load, to be diagnosed.
+
+    Parameters
+    ----------
+    organ
+        Name of the organ.
+    model
+        The law of the tissue.
+    wall
+        The chest wall.
+    plates
+        Where the plates begin, for all loads. Default: at the body.
+    noise
+        How segmentations err. Default: learnt from the scans.
+    """
 
     organ: Literal["breast"] = "breast"
     name: Annotated[str, Field(min_length=1)] = Field(description="a name for the report")

@@ -1,0 +1,58 @@
+"""`palpate schema` prints what a file may say, as a JSON schema for editors and programs."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import BaseModel
+
+from palpate.service.study.spec import study_of
+from palpate.storage.backends.atomic import write_file
+from palpate.storage.errors import InputError
+from palpate.workers.key_descriptions import described_schema
+from palpate.workers.mechanics.parameters import unknown_name
+from palpate.workers.organs.plugin import resolve
+from palpate.workers.organs.source_registry import file_keys
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+STUDY = "study"
+
+
+def schema(
+    kind: Annotated[
+        str,
+        typer.Argument(
+            help="Kind of file: study, diagnosis or experiment.",
+            autocompletion=lambda: [STUDY, *file_keys()],
+        ),
+    ],
+    organ: Annotated[
+        str, typer.Option(help="Organ of a study: breast, cornea or that of a plug-in.")
+    ] = "breast",
+    out: Annotated[
+        Path | None, typer.Option(help="Write to this file instead of standard output.")
+    ] = None,
+) -> None:
+    """Print the keys of a file as JSON schema, with meanings.
+
+    An editor that knows YAML schemas then completes and checks the file.
+    """
+    made = {"$schema": DIALECT} | described_schema(_model(kind, organ))
+    text = json.dumps(made, indent=2, ensure_ascii=False)
+    if out is None:
+        typer.echo(text)
+        return
+    write_file(out, f"{text}\n".encode())
+    typer.echo(f"Wrote {out}. First line of a file that follows it:")
+    typer.echo(f"# yaml-language-server: $schema={out}")
+
+
+def _model(kind: str, organ: str) -> type[BaseModel]:
+    if kind == STUDY:
+        return study_of(organ)
+    files = file_keys()
+    if kind not in files:
+        raise InputError(unknown_name("kind of file", kind, [STUDY, *files]))
+    model: type[BaseModel] = resolve(files[kind])
+    return model

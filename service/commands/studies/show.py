@@ -1,11 +1,12 @@
 """`palpate show` prints one candidate."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import AllOption, JsonOption, StudyArgument, print_json
+from palpate.service.commands.common import AllOption, JsonOption, print_json
 from palpate.service.commands.named_study import find_study
 from palpate.service.commands.tables import echo_table
 from palpate.service.quantities import Quantity, named_quantity
@@ -13,10 +14,19 @@ from palpate.service.results.as_json import candidate_json
 from palpate.service.results.read import candidate_results
 from palpate.storage.errors import InputError
 
+BEST = "best"
+
 
 def show(
-    candidate: Annotated[str, typer.Argument(help="Candidate number, or best.")],
-    study: StudyArgument = None,
+    words: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="[STUDY] CANDIDATE",
+            help="Study folder, file or name (default: the study in runs/ that ran last), then the "
+            "candidate's number, or best.",
+            show_default=False,
+        ),
+    ],
     everything: AllOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -24,9 +34,7 @@ def show(
 
     For a failed candidate, show the reason.
     """
-    if candidate != "best" and not candidate.isdecimal():
-        raise InputError(f"{candidate!r} is no candidate: give its number, or best.")
-    number = None if candidate == "best" else int(candidate)
+    study, number = _study_and_candidate(words)
     record = candidate_json(candidate_results(find_study(study), number), everything=everything)
     if as_json:
         print_json(record)
@@ -35,6 +43,25 @@ def show(
     echo_table(None, list(_rows(record)))
     if traceback:
         typer.echo(f"\n{traceback.rstrip()}")
+
+
+def _study_and_candidate(words: Sequence[str]) -> tuple[Path | None, int | None]:
+    """Return the study, if one is named, and the number of the candidate; None is the best.
+
+    The candidate may come first, as it did in earlier versions.
+    """
+    if len(words) > 2:
+        raise InputError(f"Expected a study and a candidate, found {len(words)} words.")
+    *study, candidate = words
+    if study and not _is_candidate(candidate) and _is_candidate(study[0]):
+        study, candidate = [candidate], study[0]
+    if not _is_candidate(candidate):
+        raise InputError(f"{candidate!r} is no candidate: give its number, or best.")
+    return (Path(study[0]) if study else None), None if candidate == BEST else int(candidate)
+
+
+def _is_candidate(word: str) -> bool:
+    return word == BEST or word.isdecimal()
 
 
 def _rows(record: Mapping[str, Any], indent: str = "") -> Iterator[tuple[str, str]]:

@@ -102,5 +102,5 @@ def _print_failures(console: Console, results: StudyResults, most: int) -> None:
     print_table(console, ("candidate", "generation", "status", "reason"), rows, right=(0, 1))
     if len(failures) > most:
         console.print(f"the last {most} of {len(failures)}; see all with --failures")
-    show = join(["palpate", "show", str(failures[-1].candidate), str(results.folder)])
+    show = join(["palpate", "show", str(results.folder), str(failures[-1].candidate)])
     console.print(f"details: {show}")

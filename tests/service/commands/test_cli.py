@@ -96,7 +96,10 @@ def test_show_gives_genes_score_and_reason(call: Call, study: Path) -> None:
     assert "no equilibrium at 60 N" in out
     best = json.loads(call("show", "best", "--json")[1])
     assert best["status"] == "done"
+    assert json.loads(call("show", "demo", "best", "--json")[1]) == best
+    assert json.loads(call("show", "best", "demo", "--json")[1]) == best  # as in earlier versions
     assert call("show", 999)[0] == 2
+    assert "found 3 words" in call("show", "demo", "best", "2")[2]
 
 
 def test_report_prints_estimates_and_json(call: Call, study: Path) -> None:

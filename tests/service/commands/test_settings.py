@@ -1,5 +1,6 @@
 """What holds where an option is not given, and what a command says of itself."""
 
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -198,7 +199,8 @@ def test_the_failures_of_a_study_elsewhere_are_shown_from_there(
     assert main(["status", "my runs/demo"]) == 0
     said = capsys.readouterr().out
     hint = said[said.index("palpate show ") :].splitlines()[0]
-    assert hint.endswith(f"'{folder}'")
+    assert f" '{folder}' " in hint
+    assert main(shlex.split(hint)[1:]) == 0
 
 
 def test_only_ratios_are_reported_where_plates_stand_at_a_distance(

@@ -16,6 +16,7 @@ import typer
 
 from palpate.service.commands.lazy_group import LazyCommand, lazy_group, list_commands
 from palpate.service.commands.settings import remember_command
+from palpate.service.commands.verbosity import Level, set_verbosity
 from palpate.storage.errors import PalpateError
 
 USERS_FAULT = 2
@@ -136,8 +137,18 @@ def _options(
             "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
         ),
     ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Show results, warnings and errors alone.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Show log messages: --log-level info.")
+    ] = False,
+    log_level: Annotated[
+        Level | None,
+        typer.Option(help="Show log messages from this level on.", show_default=False),
+    ] = None,
 ) -> None:
-    pass
+    set_verbosity(quiet=quiet, level=log_level or ("info" if verbose else None))
 
 
 list_commands(app, COMMANDS)

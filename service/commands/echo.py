@@ -4,7 +4,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from palpate.service.commands.tables import make_console, print_table
+from palpate.service.commands.tables import print_table, progress_console
 from palpate.service.study.spec import StudySpec
 from palpate.workers.tasks.sources import understood
 
@@ -20,7 +20,7 @@ def print_understood(source: Path) -> None:
     rows = understood(source)
     if not rows:
         return
-    print_table(make_console(stderr=True), None, rows, title="Understood:")
+    print_table(progress_console(), None, rows, title="Understood:")
 
 
 def print_understood_study(spec: StudySpec, console: Console) -> None:

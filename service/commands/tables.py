@@ -5,11 +5,25 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
+from palpate.service.commands.verbosity import is_quiet
+
 Row = Sequence[str]
 
 GAP = 2
 # A last column narrower than this is not worth wrapping: the row is written as a record.
 NARROWEST_TEXT = 24
+
+
+def progress_console(*, stderr: bool = True) -> Console:
+    """Return a console for what is said beside the result; see `service.commands.verbosity`."""
+    return Console(
+        stderr=stderr,
+        quiet=is_quiet(),
+        highlight=False,
+        markup=False,
+        emoji=False,
+        soft_wrap=True,
+    )
 
 
 def make_console(*, stderr: bool = False) -> Console:

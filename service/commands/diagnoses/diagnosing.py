@@ -16,7 +16,8 @@ from palpate.service.commands.common import (
 from palpate.service.commands.diagnoses.planning import planned
 from palpate.service.commands.echo import folder_name, print_understood
 from palpate.service.commands.settings import RUNS, store_place
-from palpate.service.commands.tables import make_console, print_table
+from palpate.service.commands.tables import make_console, print_table, progress_console
+from palpate.service.commands.verbosity import note
 from palpate.service.diagnosis.advice import next_acquisitions, undecided, worth
 from palpate.service.diagnosis.dask_observer import run_and_tell
 from palpate.service.diagnosis.experiment import experiment_lines
@@ -94,11 +95,11 @@ def _diagnosed(
     """Return the diagnosis, from the store if it is there."""
     stored = finished(request)
     if stored is not None:
-        typer.echo("The store holds this diagnosis: nothing to compute.", err=True)
+        note("The store holds this diagnosis: nothing to compute.")
         return stored
     with (
         session(scheduler, workers) as opened,
-        DiagnosisProgress(Console(stderr=True, highlight=False)) as progress,
+        DiagnosisProgress(progress_console()) as progress,
     ):
         return run_and_tell(request, opened.dispatcher, source, progress)
 

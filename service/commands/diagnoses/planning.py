@@ -14,7 +14,8 @@ from palpate.service.commands.common import (
 )
 from palpate.service.commands.echo import folder_name, print_understood
 from palpate.service.commands.settings import RUNS, store_place
-from palpate.service.commands.tables import make_console, print_table
+from palpate.service.commands.tables import make_console, print_table, progress_console
+from palpate.service.commands.verbosity import note
 from palpate.service.diagnosis.plan_words import (
     WHY,
     amounts,
@@ -74,10 +75,10 @@ def planned(
     """Return the plan, from the store if it is there."""
     done = stored_plan(request)
     if done is not None:
-        typer.echo("The store holds this plan: nothing to compute.", err=True)
+        note("The store holds this plan: nothing to compute.")
         return done
     with session(scheduler, workers) as opened:
-        progress = _Progress(Console(stderr=True, highlight=False))
+        progress = _Progress(progress_console())
         return run_plan(request, opened.dispatcher, progress)
 
 

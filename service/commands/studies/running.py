@@ -16,7 +16,8 @@ from palpate.service.commands.echo import print_understood_study
 from palpate.service.commands.named_study import load_spec
 from palpate.service.commands.settings import RUNS, stated_store
 from palpate.service.commands.studies.report import print_report
-from palpate.service.commands.tables import make_console
+from palpate.service.commands.tables import make_console, progress_console
+from palpate.service.commands.verbosity import note
 from palpate.service.report.study.live import LivePage
 from palpate.service.report.study.page import write_report
 from palpate.service.results.as_json import study_json
@@ -45,7 +46,7 @@ def run_and_print(
     """Run a study to its end and print its results."""
     spec = load_spec(study)
     home = wanted.folder or (study if study.is_dir() else RUNS / spec.name)
-    progress, page = progress_observer(make_console(stderr=wanted.as_json)), LivePage(home)
+    progress, page = progress_observer(progress_console(stderr=wanted.as_json)), LivePage(home)
     opened = Study(
         spec,
         home,
@@ -54,9 +55,9 @@ def run_and_print(
         accept_new_code=wanted.accept_new_code,
     )
     if opened.ended:
-        typer.echo(f"{home} is complete: nothing to run.", err=True)
+        note(f"{home} is complete: nothing to run.")
     elif not opened.begun:
-        print_understood_study(spec, make_console(stderr=True))
+        print_understood_study(spec, progress_console())
     entrance = Entrance(
         anyway=wanted.anyway,
         elsewhere=scheduler is not None,
@@ -82,7 +83,7 @@ def _shown(progress: Progress, page: LivePage) -> Iterator[None]:
 def _write_page(home: Path, quick: bool) -> None:
     """Write the page at the end of a run; a failure is no failure of the search."""
     try:
-        typer.echo(f"page: {write_report(home, quick=quick)}", err=True)
+        note(f"page: {write_report(home, quick=quick)}")
     except PalpateError as error:
         typer.echo(f"The page was not written. {error}", err=True)
 

@@ -33,7 +33,7 @@ from palpate.service.commands.common import (
 )
 from palpate.service.commands.interrupts import interruptible
 from palpate.service.commands.settings import cluster_options, store_place
-from palpate.service.commands.tables import make_console, print_table
+from palpate.service.commands.tables import make_console, print_table, progress_console
 from palpate.service.study.session import session
 from palpate.storage.backends.atomic import write_file
 from palpate.storage.errors import InputError
@@ -228,7 +228,7 @@ def _with_workers(
 ) -> None:
     """Do something with a cluster; leave with 130 if the user asks to stop."""
     with interruptible(), session(scheduler, workers) as opened:
-        work(opened.dispatcher, Console(stderr=True, highlight=False))
+        work(opened.dispatcher, progress_console())
 
 
 def _directions(which: Which) -> str:

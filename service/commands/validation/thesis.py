@@ -17,7 +17,8 @@ from palpate.service.commands.common import (
 )
 from palpate.service.commands.interrupts import interruptible
 from palpate.service.commands.settings import RUNS, cluster_options, store_place
-from palpate.service.commands.tables import make_console, print_table
+from palpate.service.commands.tables import make_console, print_table, progress_console
+from palpate.service.commands.verbosity import note
 from palpate.service.study.session import session
 from palpate.service.thesis.estimate import estimate
 from palpate.service.thesis.experiments import EXPERIMENTS
@@ -73,9 +74,11 @@ def thesis(
     scheduler, processes = cluster_options(scheduler, workers)
     request = _request(name, full, sketch, out, strategy, store)
     about = estimate(request, most_workers(processes or usable_cores()))
-    typer.echo(f"thesis {name}, {request.scale} scale: {about.sentence}", err=True)
+    text = f"thesis {name}, {request.scale} scale: {about.sentence}"
     if dry_run:
+        typer.echo(text, err=True)
         return
+    note(text)
     if about.missing:
         with interruptible():
             _complete(request, processes, scheduler)
@@ -107,7 +110,7 @@ def _complete(request: ThesisRequest, workers: Workers | None, scheduler: str | 
     """Run the missing parts to the end."""
     with (
         session(scheduler, workers) as opened,
-        ThesisProgress(Console(stderr=True, highlight=False)) as progress,
+        ThesisProgress(progress_console()) as progress,
     ):
         run_thesis(request, opened.dispatcher, progress)
 

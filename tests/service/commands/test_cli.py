@@ -116,6 +116,7 @@ def test_a_finished_study_is_reported_without_a_cluster(call: Call, study: Path)
     assert code == 0
     assert "complete: nothing to run" in err
     assert json.loads(out)["stopped"]
+    assert call("-q", "run", study, "--json") == (0, out, "")
 
 
 def test_a_damaged_journal_is_named(call: Call, study: Path) -> None:

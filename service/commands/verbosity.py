@@ -1,0 +1,43 @@
+"""How much a command says beside its result: `palpate -q`, `-v` and `--log-level`."""
+
+import logging
+from typing import Literal
+
+import typer
+
+Level = Literal["debug", "info", "warning", "error"]
+FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+
+_quiet = False
+
+
+def set_verbosity(*, quiet: bool, level: Level | None) -> None:
+    """Set for this command whether progress is shown, and from which level on log messages are.
+
+    Parameters
+    ----------
+    quiet : bool
+        No progress and no notes; results, warnings and errors remain.
+    level : {"debug", "info", "warning", "error"} or None
+        None leaves messages to the log file of a study.
+    """
+    global _quiet
+    _quiet = quiet
+    if level is None:
+        return
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter(FORMAT))
+    logger = logging.getLogger("palpate")
+    logger.handlers = [handler]
+    logger.setLevel(level.upper())
+
+
+def is_quiet() -> bool:
+    """Return whether the user asked for results alone."""
+    return _quiet
+
+
+def note(text: str) -> None:
+    """Print what is good to know on standard error; nothing where only results are wanted."""
+    if not _quiet:
+        typer.echo(text, err=True)

@@ -20,6 +20,7 @@ def text_of(notebook: nbformat.NotebookNode) -> str:
     return "\n".join(parts)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_the_notebook_runs_and_finds_the_constants(tmp_path: Path) -> None:
     notebook = nbformat.read(NOTEBOOK, as_version=4)

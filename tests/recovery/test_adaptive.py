@@ -60,6 +60,7 @@ def assert_as_calm(folder: Path, calm: Path) -> None:
     assert {record.attempts for record in endings} == {1}
 
 
+@pytest.mark.slow
 def test_workers_come_with_the_work_and_go_when_it_is_done(tmp_path: Path) -> None:
     calm, folder = tmp_path / "calm" / "demo", tmp_path / "runs" / "demo"
     run(calm, Inline())

@@ -68,6 +68,7 @@ def sources_at_the_end(url: str, reason: str) -> dict[str, dict[str, Any]]:
     return sources
 
 
+@pytest.mark.slow
 def test_the_page_holds_the_evaluations_of_a_study(tmp_path: Path) -> None:
     with open_cluster(workers=2) as cluster:
         url = page_of(cluster.dashboard)

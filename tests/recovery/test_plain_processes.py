@@ -5,10 +5,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.recovery.processes import kill_and_finish, plain_cluster
 from tests.recovery.stand_ins import Inline, executions, run, told
 
 
+@pytest.mark.slow
 def test_drivers_come_and_go_beside_a_running_scheduler(tmp_path: Path) -> None:
     run(tmp_path / "undisturbed" / "demo", Inline())
     folder = tmp_path / "runs" / "demo"

@@ -117,6 +117,7 @@ def test_another_order_is_not_taken_for_this_search(tmp_path: Path) -> None:
         list(replayed(small_spec(STEADY).steady_search, moved))
 
 
+@pytest.mark.slow
 def test_a_real_cluster_takes_it(client: Any, tmp_path: Path) -> None:
     set_manners(tmp_path / "store", crash_above=0.019, seconds=0.01)
     conclusion = run(tmp_path / "study", Dispatcher(client), small_spec(STEADY))

@@ -373,6 +373,7 @@ def test_waiting_for_workers_has_an_end(client: Any, folder: Path) -> None:
         client.cluster.scale(2)
 
 
+@pytest.mark.slow
 def test_a_long_study_holds_the_endings_of_one_generation(folder: Path) -> None:
     held = []
 

@@ -78,6 +78,7 @@ def at_coarsest(nodes: FloatArray, moved: FloatArray) -> FloatArray:
     return moved - moved.mean(axis=0) * [1, 0, 0]
 
 
+@pytest.mark.slow
 def test_a_smooth_displacement_tends_to_that_of_mixed_hexahedra() -> None:
     """Their own error falls with the square of the cell size and is extrapolated away."""
     coarse, fine = (at_coarsest(*slumped_hexahedra(cells)) for cells in (6, 9))

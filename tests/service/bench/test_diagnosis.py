@@ -17,6 +17,7 @@ def test_tasks_go_to_whoever_is_free_first() -> None:
     assert projected([phase, PhaseTimes("weighing", (4.0,))], 12) == 9.0
 
 
+@pytest.mark.slow
 def test_the_tasks_of_a_diagnosis_are_timed(tmp_path: Path) -> None:
     case, ended = write_case(tmp_path / "tilted", {"tilt_depth": 8.0}), []
     phases = measure_diagnosis(case, tmp_path / "store", 500, ended.append)

@@ -53,6 +53,7 @@ def test_the_solver_at_two_sizes(
     assert large[1].over == f"{small[0].nodes} nodes"
 
 
+@pytest.mark.slow
 def test_processes_that_begin_together_tell_their_rows(tmp_path: Path) -> None:
     first, second = _in_processes("solve", 2.0, 1000, tmp_path, 2)
     for row in (first, second):

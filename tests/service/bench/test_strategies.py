@@ -96,6 +96,7 @@ class Here:
         pass
 
 
+@pytest.mark.slow
 def test_a_study_that_has_ended_is_read_and_not_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -124,6 +124,7 @@ def test_nothing_is_imported_for_workers_elsewhere() -> None:
         assert dask.config.get(METHOD) == "spawn"
 
 
+@pytest.mark.slow
 def test_a_refused_case_leaves_no_process(tmp_path: Path) -> None:
     with started(tmp_path, "diagnose", "nothing") as refused:
         _, said = refused.communicate(timeout=60)
@@ -134,7 +135,9 @@ def test_a_refused_case_leaves_no_process(tmp_path: Path) -> None:
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("when", ["Understood", "measuring distances"])
+@pytest.mark.parametrize(
+    "when", ["Understood", pytest.param("measuring distances", marks=pytest.mark.slow)]
+)
 def test_a_diagnosis_stopped_by_ctrl_c_leaves_no_process(tmp_path: Path, when: str) -> None:
     """As a terminal stops it: all processes are told, the command alone answers."""
     case = write_case(tmp_path / "case", {})

@@ -173,6 +173,7 @@ def test_the_doctor_says_whether_conditions_are_honoured(
         assert "ignores If-None-Match" in problem
 
 
+@pytest.mark.slow
 def test_damage_is_set_aside_and_garbage_removed(call: Call, study: Path, bucket: str) -> None:
     place = f"{bucket}/store"
     code, out, _ = call("store", "check", "--store", place)

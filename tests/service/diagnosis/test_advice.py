@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 
 from palpate.service.cli import main
 from palpate.service.diagnosis.advice import next_acquisitions, undecided, worth
+from palpate.service.diagnosis.run import request_for
 from palpate.storage.errors import InputError
 from palpate.storage.records.typed_json import from_json
 from palpate.workers.diagnosis.schema.summary import NextAcquisition
@@ -47,6 +49,18 @@ def test_what_decides_between_the_suspects_comes_first() -> None:
     assert worth(found[2]) == "the smallest magnitudes found become 0.90 times as large"
     assert undecided(TOLD)
     assert not undecided(replace(TOLD, verdict="effect"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_suspects() -> Iterator[None]:
+    """The diagnosis suspects two effects; the plan has the whole catalogue."""
+
+    def few(source: Any, store: Any, nodes: int) -> Any:
+        return request_for(source, store, nodes, effects=("plate_tilt", "fibre_fan"))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("palpate.service.commands.diagnoses.diagnosing.request_for", few)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -94,6 +94,7 @@ def test_the_tilt_and_the_constants_are_found(
     assert 2 < gap.undeformed_mm < 20  # plates press by some 15 mm
 
 
+@pytest.mark.slow
 def test_tasks_and_store_say_what_one_process_says(
     tilted: Path, diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis]
 ) -> None:
@@ -180,6 +181,7 @@ def by_two_workers(
         return folder, request, run(request, Dispatcher(cluster.client))
 
 
+@pytest.mark.slow
 def test_two_workers_say_the_same_to_the_last_bit(
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
     by_two_workers: tuple[Path, DiagnosisRequest, FinishedDiagnosis],
@@ -200,6 +202,7 @@ def test_workers_need_the_store_and_nothing_else(
     assert found.summary == diagnosed[1].summary
 
 
+@pytest.mark.slow
 def test_the_order_of_tasks_leaves_no_trace(
     tilted: Path,
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],

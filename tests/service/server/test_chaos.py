@@ -1,6 +1,6 @@
 """Everything dies: workers, also while they start, the scheduler once, the service twice.
 
-With a store in a bucket, as the quick suite runs it, its server is away for 10 s, too.
+With a store in a bucket its server is away for 10 s, too.
 
 300 evaluations through the real path, with tasks that take no time. Every evaluation ends
 exactly once, and the journal says the same as that of a calm run.
@@ -91,8 +91,9 @@ def endings(home: Path) -> int:
     return sum(j.read_bytes().count(b'"kind":"evaluation"') for j in journals if j.exists())
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)  # a minute
-@pytest.mark.parametrize("place", [pytest.param("folder", marks=pytest.mark.slow), "bucket"])
+@pytest.mark.parametrize("place", ["folder", "bucket"])
 def test_every_evaluation_ends_exactly_once(
     place: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

@@ -19,6 +19,7 @@ from palpate.storage.errors import InputError
 PALPATE = [sys.executable, "-m", "palpate"]
 
 
+@pytest.mark.slow
 def test_serve_prints_a_token_once_and_ends_with_ctrl_c(tmp_path: Path) -> None:
     command = [*PALPATE, "serve", "runs", "--scheduler", "tcp://127.0.0.1:9", "--port", "0"]
     said: list[list[str]] = []

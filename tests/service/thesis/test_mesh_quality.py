@@ -57,6 +57,7 @@ def test_two_materials_keep_only_fat_and_gland(phantom: Phantom) -> None:
     assert np.array_equal(found == Tissue.GLANDULAR, phantom.labels.values == Tissue.GLANDULAR)
 
 
+@pytest.mark.slow
 def test_meshes_are_good_and_homogeneous_ones_more_regular(
     rows: tuple[QualityRow, QualityRow],
 ) -> None:

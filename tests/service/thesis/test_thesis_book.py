@@ -41,6 +41,7 @@ def page(store: str) -> Page:
     return Page(render(whole(), store))
 
 
+@pytest.mark.slow
 def test_it_needs_no_other_file(page: Page, store: str) -> None:
     assert all(a.startswith(("data:", "#")) for a in page.addresses)
     assert {a[1:] for a in page.addresses if a.startswith("#")} <= set(page.ids)

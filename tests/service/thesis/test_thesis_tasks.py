@@ -62,6 +62,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> str:
     return folder
 
 
+@pytest.mark.slow
 def test_a_mesh_is_measured_with_its_histograms(store: str) -> None:
     request = Measure(store, "sketch", 3, "homogeneous")
     measure_mesh(request)

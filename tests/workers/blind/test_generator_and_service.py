@@ -51,7 +51,7 @@ def service_problem(truth, load, frame):
     return Problem(tissue, plates, isochoric_fibre=True, wall=wall)
 
 
-@pytest.mark.parametrize("number", [0, 2])
+@pytest.mark.parametrize("number", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_control_moves_as_the_solver_of_the_diagnosis_says(truth, body, number):
     load = truth.loads[number]
     ours = solve_scene(truth.scene, topology_of(body.mesh), body.labels, [load])[0]

@@ -110,6 +110,7 @@ def test_a_tether_holds_what_it_is_tied_to(truth, body, pressed, control):
     assert with_it.mean() < 0.4 * without.mean()
 
 
+@pytest.mark.slow
 def test_a_swollen_gland_makes_the_body_larger_by_what_it_has_taken_up(body, pressed, control):
     inside = body.labels.values[body.labels.values != Tissue.AIR]
     share = np.mean(inside == Tissue.GLANDULAR)

@@ -15,6 +15,7 @@ FILE = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not FILE.exists(), reason="the CT volume is not on this machine")
 def test_ct_breast():
     nrrd = pytest.importorskip("nrrd")

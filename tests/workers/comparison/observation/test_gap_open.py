@@ -26,6 +26,7 @@ def points(reference):
     return interface_points(reference, BOTH, spacing_mm=3.0, wall_margin_mm=5.0)
 
 
+@pytest.mark.slow
 def test_the_reference_against_itself(reference, points):
     r, _ = residual(points.points, points, observe(reference, BOTH))
     assert abs(r.mean()) < 0.003 and r.std() < 0.015 and np.abs(r).max() < 0.25

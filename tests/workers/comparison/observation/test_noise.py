@@ -39,6 +39,7 @@ def replicates(labels, points):
     )
 
 
+@pytest.mark.slow
 def test_replicates_have_the_covariance_of_the_model(points, replicates):
     model = covariance(points, SegmentationNoise(0.3, 4.0, 0.0, NOISE.nugget_mm), 1)
     assert abs(replicates.mean()) < 0.02

@@ -57,7 +57,12 @@ def learnt_slopes(parts, residual):
 
 
 @pytest.mark.parametrize(
-    ("scale", "slopes"), [(1.0, (0.0, 0.0, 0.0)), (0.5, (0.0, 0.0, 0.25)), (2.0, (-0.2, 0.1, 0.0))]
+    ("scale", "slopes"),
+    [
+        pytest.param(1.0, (0.0, 0.0, 0.0), marks=pytest.mark.slow),
+        (0.5, (0.0, 0.0, 0.25)),
+        pytest.param(2.0, (-0.2, 0.1, 0.0), marks=pytest.mark.slow),
+    ],
 )
 def test_slopes_are_learnt_whatever_is_stated(scale, slopes):
     """Mean over six bodies within 0.05."""

@@ -38,6 +38,7 @@ class Both:
         return ATTACHED.apply(tilted, rest, frame)
 
 
+@pytest.mark.slow
 def test_a_second_effect_is_looked_for_in_what_the_first_leaves():
     """The tilt is louder: nothing of the place is known before it is taken off."""
     true = {"tilt_depth": 6.0, "tilt_across": 0.0}

@@ -41,6 +41,7 @@ def test_pressure_all_round_changes_the_volume_alone(pressure_mpa):
     )
 
 
+@pytest.mark.slow
 def test_overlapping_regions_add_up():
     model = body([(3, 3, 3)], box(10.0, 10.0, 10.0), wall=False)
     c = {Tissue.FAT: Constants(0.05, 0.3)}

@@ -65,7 +65,13 @@ def test_reactions_are_those_of_uniaxial_stress(tmp_path):
     assert not found[between].any()
 
 
-@pytest.mark.parametrize("strain", [1.0, 40.0], ids=["0.4 percent", "16 percent"])
+@pytest.mark.parametrize(
+    "strain",
+    [
+        pytest.param(1.0, id="0.4 percent"),
+        pytest.param(40.0, id="16 percent", marks=pytest.mark.slow),
+    ],
+)
 def test_derivatives_of_reactions_are_those_of_solved_neighbours(tmp_path, strain):
     """By stiffness, by Poisson's ratio and by how far the ends move, against differences."""
     model, problem = block(tmp_path)
@@ -94,6 +100,7 @@ def test_derivatives_of_reactions_are_those_of_solved_neighbours(tmp_path, strai
         assert u == pytest.approx(places, abs=1e-3 * np.abs(places).max() + 1e-6)
 
 
+@pytest.mark.slow
 def test_forces_tell_stiffness_and_the_field_tells_the_rest(tmp_path):
     """Both ends move as measured: without the force, nothing would say how stiff it is."""
     source = read_experiment(write(tmp_path, with_reactions(experiment(tmp_path))))
@@ -110,6 +117,7 @@ def test_forces_tell_stiffness_and_the_field_tells_the_rest(tmp_path):
     assert np.sqrt((spread[0] ** 2).sum()) == pytest.approx(found.unknowns.sd[0], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_reading_counts_as_much_as_its_noise_says(tmp_path):
     """Two cells that disagree, at both ends: their weighted mean."""
     data = with_reactions(experiment(tmp_path, nu=NU))

@@ -155,6 +155,7 @@ def test_a_move_is_stated_or_measured(tmp_path):
         read_experiment(write(tmp_path, experiment(tmp_path, nu=(0.4, 0.3))))
 
 
+@pytest.mark.slow
 def test_noise_of_the_boundary_moves_all_points_as_is_said(tmp_path):
     """Against bodies solved with 40 draws of it, at points two layers or more above the slab."""
     sd_mm, rng = 0.01, np.random.default_rng(5)

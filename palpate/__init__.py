@@ -54,8 +54,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from palpate.client import Job, Service, connect
     from palpate.diagnosis import Diagnosis, diagnose
+    from palpate.search import Search
     from palpate.service.results.record import StudyResults
-    from palpate.service.study.observers.hooks import Observer
+    from palpate.service.study.observers.hooks import Observer, StopSearch
     from palpate.service.study.spec import StudySpec
     from palpate.storage.errors import InputError, PalpateError, StoreError
     from palpate.storage.values import TetMesh, Tissue, Volume
@@ -78,6 +79,8 @@ _HOMES = {
     "study_spec": "palpate.study",
     "read_volume": "palpate.volumes",
     "write_volume": "palpate.volumes",
+    "Search": "palpate.search",
+    "StopSearch": "palpate.service.study.observers.hooks",
     "Observer": "palpate.service.study.observers.hooks",
     "StudyResults": "palpate.service.results.record",
     "StudySpec": "palpate.service.study.spec",
@@ -95,7 +98,9 @@ __all__ = [
     "Job",
     "Observer",
     "PalpateError",
+    "Search",
     "Service",
+    "StopSearch",
     "StoreError",
     "Study",
     "StudyResults",

@@ -41,6 +41,8 @@ class Generation:
     fits : tuple of FitJson or None
         The least-squares problem of each candidate, None for one that failed; empty where the
         search needs no derivatives.
+    evaluated : int
+        How many candidates were evaluated for it; the others were carried over.
 
     Raises
     ------
@@ -51,6 +53,7 @@ class Generation:
     genes: FloatArray
     scores: FloatArray
     fits: tuple[FitJson | None, ...] = ()
+    evaluated: int = 0
 
     def __post_init__(self) -> None:
         genes, scores = _frozen(self.genes), _frozen(self.scores)
@@ -150,7 +153,7 @@ class Proposal:
         ]
         known = fits or {}
         kept = tuple(known.get(i) for i in self.to_evaluate) if self.derivatives else ()
-        return Generation(self.genes, np.asarray(values, dtype=np.float64), kept)
+        return Generation(self.genes, np.asarray(values, dtype=np.float64), kept, len(expected))
 
 
 @dataclass(frozen=True)

@@ -32,11 +32,14 @@ class CmaSettings:
         At most.
     stall : Stall or None
         When to stop early.
+    start : tuple of float or None
+        Genes around which the first candidates are drawn. Default: the middle.
     """
 
     population: int = 12
     generations: int = 60
     stall: Stall | None = field(default_factory=lambda: Stall(CMA_STALL_GENERATIONS))
+    start: tuple[float, ...] | None = None
 
     @property
     def most_evaluations(self) -> int:
@@ -84,7 +87,13 @@ class CmaSearch:
         }
         import cma  # a second, which other searches and commands need not wait
 
-        return cma.CMAEvolutionStrategy([0.5] * self.space.dimension, FIRST_SIGMA, options)
+        return cma.CMAEvolutionStrategy(self._middle(), FIRST_SIGMA, options)
+
+    def _middle(self) -> list[float]:
+        if self.settings.start is None:
+            return [0.5] * self.space.dimension
+        at, logs = self.logs.coordinates(np.asarray(self.settings.start)), self.logs
+        return [float(x) for x in (at - logs.lower) / (logs.upper - logs.lower)]
 
     def _reason_to_stop(self, bests: FloatArray) -> str | None:
         if len(bests) and np.isneginf(bests[-1]):

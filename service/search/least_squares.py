@@ -20,6 +20,7 @@ from palpate.service.search.base import Generation, Proposal, Stopped
 from palpate.service.search.descent import Descent, SquaredSum, Tolerance, advance, begin
 from palpate.service.search.log_space import LogSpace
 from palpate.service.search.space import FloatArray, Space
+from palpate.service.search.start_points import with_start
 from palpate.storage.errors import InputError
 from palpate.storage.records.tasks import FitJson
 
@@ -49,11 +50,14 @@ class LeastSquaresSettings:
         Resolutions that are coarser than the study's own.
     evaluations : int
         Of one descent on one level, at most.
+    start : tuple of tuple of float
+        Genes at which the first descents begin.
     """
 
     starts: int = 3
     levels: int = 0
     evaluations: int = 20
+    start: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         if self.starts < 1 or self.levels < 0 or self.evaluations < 2:
@@ -149,7 +153,7 @@ class LeastSquaresSearch:
         strata = np.stack([rng.permutation(n - 1) for _ in range(d)], axis=1) + 0.5
         around = low + (high - low) * strata / max(1, n - 1)
         unit = np.concatenate([np.full((1, d), 0.5), around])
-        return self.logs.genes(self.logs.point(unit))
+        return with_start(self.logs.genes(self.logs.point(unit)), self.settings.start)
 
     def _begun_elsewhere(self, i: int, failed: Descent) -> Descent:
         """Return descent `i` from another start: anywhere, not in logarithms."""

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from palpate.service.search.base import Generation, Proposal, Stopped
-from palpate.service.search.genetic import GeneticSearch
+from palpate.service.search.base import Generation, Proposal, Search, Stopped
 from palpate.service.search.least_squares import LeastSquaresSearch
 from palpate.service.search.space import FloatArray
 
@@ -14,18 +13,19 @@ SAME_START = 0.05
 
 
 class PolishedSearch:
-    """A `Search`: generations of a `GeneticSearch`, then descents from its best few.
+    """A `Search`: generations of a genetic search, then descents from its best few.
 
     The genetic part proposes what it would propose alone, to the last bit.
 
     Parameters
     ----------
-    genetic : GeneticSearch
+    genetic : Search
+        Proposes the generations.
     polish : LeastSquaresSearch
         Its `starts` say how many candidates are fitted.
     """
 
-    def __init__(self, genetic: GeneticSearch, polish: LeastSquaresSearch) -> None:
+    def __init__(self, genetic: Search, polish: LeastSquaresSearch) -> None:
         self.genetic, self.polish = genetic, polish
 
     def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
@@ -47,7 +47,7 @@ class PolishedSearch:
         """Return the best candidates that are not alike, best first, shape (n, d)."""
         genes = np.concatenate([g.genes for g in searched])
         scores = np.concatenate([g.scores for g in searched])
-        space, few = self.genetic.space, self.polish.settings.starts
+        space, few = self.polish.space, self.polish.settings.starts
         chosen: list[FloatArray] = []
         for i in np.argsort(scores, kind="stable"):
             if len(chosen) == few or np.isposinf(scores[i]):

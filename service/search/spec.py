@@ -1,8 +1,10 @@
 """What a study file says of its search: the strategy and its settings."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     Field,
@@ -12,13 +14,17 @@ from pydantic import (
 )
 
 from palpate.service.search.cma_search import CMA_STALL_GENERATIONS, CmaSettings
+from palpate.service.search.constraints import Constraint, Constraints
 from palpate.service.search.genetic import GeneticSettings
-from palpate.service.search.operators import INITIAL, MUTATIONS
+from palpate.service.search.log_scale import LogScale
+from palpate.service.search.operators import INITIAL, MUTATIONS, Initial
 from palpate.service.search.space import Space
 from palpate.service.search.stall import Stall
+from palpate.service.search.start_points import StartingAt, genes_of
 from palpate.service.search.strategies import strategy_named
+from palpate.storage.errors import InputError
 from palpate.workers.mechanics.parameters import Bounds
-from palpate.workers.spec import Door, Positive, checked_name
+from palpate.workers.spec import Door, Finite, Positive, checked_name
 
 StrategyName = Annotated[str, AfterValidator(lambda name: checked_name("searches", name))]
 
@@ -55,6 +61,28 @@ class LevelSpec(Door):
 
     nodes: Annotated[int, Field(ge=100, le=5_000_000)]
     spacing_mm: Positive
+
+
+class StopSpec(Door):
+    """When to stop, whatever the strategy says; at the end of a generation.
+
+    Parameters
+    ----------
+    score
+        Once the objective has this value or a better one, such as -8 for GSF.
+    evaluations
+        Before a generation that would exceed so many evaluations.
+    hours
+        Once the study has run for so long, all its runs together.
+    """
+
+    score: Finite | None = None
+    evaluations: Annotated[int, Field(ge=1)] | None = None
+    hours: Positive | None = None
+
+
+# Keys that older studies do not have: left out at their defaults, or digests would change.
+LATER = ("mode", "in_flight", "start", "stop", "scale", "constraints")
 
 
 class SearchSpec(Door):
@@ -98,6 +126,17 @@ class SearchSpec(Door):
         ended.
     in_flight
         Candidates at once with ``mode: steady``. Default: `population`.
+    start
+        Points to begin with, such as ``[{E_fat_kpa: 8, E_glandular_kpa: 30}]``: the first
+        candidates, the first descents, or the middle of ``cma``.
+    stop
+        When to stop, whatever the strategy says.
+    scale
+        ``log`` or ``linear`` for each parameter of a genetic search. Default: linear. The other
+        strategies search the logarithm of every parameter whose lower bound is above zero.
+    constraints
+        Inequalities between parameters, such as ``E_glandular_kpa > 2 * E_fat_kpa``; for
+        ``genetic`` and ``cma``.
     """
 
     parameters: Annotated[dict[str, Bounds], Field(min_length=1)] = Field(
@@ -118,18 +157,26 @@ class SearchSpec(Door):
     stall: StallSpec | None = StallSpec()
     mode: Literal["barrier", "steady"] = "barrier"
     in_flight: Annotated[int, Field(ge=1)] | None = None
+    start: tuple[dict[str, Finite], ...] = ()
+    stop: StopSpec | None = None
+    scale: dict[str, Literal["linear", "log"]] = Field(default_factory=dict)
+    constraints: tuple[str, ...] = ()
 
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what older studies do not have, or their digests would change."""
         values: dict[str, Any] = handler(self)
-        later = {"mode": "barrier", "in_flight": None}
-        return {k: v for k, v in values.items() if k not in later or v != later[k]}
+        later = [name for name in LATER if getattr(self, name) == _default(type(self), name)]
+        return {k: v for k, v in values.items() if k not in later}
 
     @model_validator(mode="after")
     def _steady_is_genetic(self) -> Self:
         if self.steady and self.strategy != "genetic":
             raise ValueError(f"mode: steady needs strategy: genetic, got {self.strategy}")
+        if self.steady and (self.log_scaled or self.constraints or self._stops_by_candidates):
+            raise ValueError(
+                "scale, constraints, stop.score and stop.evaluations need mode: barrier"
+            )
         if self.in_flight is not None and not self.steady:
             raise ValueError("in_flight needs mode: steady")
         return self
@@ -157,6 +204,52 @@ class SearchSpec(Door):
             return {"population": 12, "generations": 60, "stall": patience, **data}
         return data
 
+    @model_validator(mode="after")
+    def _points_and_inequalities_make_sense(self) -> Self:
+        strategy = strategy_named(self.strategy)
+        for key in ("constraints", "scale"):
+            if getattr(self, key) and strategy.settings and key not in strategy.settings:
+                raise ValueError(f"{key}: strategy {self.strategy} cannot take it into account")
+        most = {"cma": 1, "least-squares": self.starts}.get(self.strategy, self.population)
+        if len(self.start) > most:
+            raise ValueError(
+                f"start: {len(self.start)} points, but strategy {self.strategy} begins at {most}"
+            )
+        try:
+            _ = self.start_genes, self.log_scale, self.inequalities
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    @property
+    def start_genes(self) -> tuple[tuple[float, ...], ...]:
+        """Return the points of `start`, in the order of the parameters."""
+        return genes_of(self.start, self.space) if self.start else ()
+
+    @property
+    def log_scaled(self) -> frozenset[str]:
+        """Return the parameters whose logarithm a genetic search searches."""
+        return frozenset(name for name, scale in self.scale.items() if scale == "log")
+
+    @property
+    def log_scale(self) -> LogScale | None:
+        """Return the scales of a genetic search; None if all are linear."""
+        unknown = [name for name in self.scale if name not in self.parameters]
+        if unknown:
+            raise InputError(f"scale: {unknown[0]} is not searched")
+        return LogScale(self.space, self.log_scaled) if self.log_scaled else None
+
+    @property
+    def inequalities(self) -> Constraints | None:
+        """Return the constraints; None if there are none."""
+        parsed = [Constraint.parse(text) for text in self.constraints]
+        return Constraints(self.space, parsed) if parsed else None
+
+    @property
+    def _stops_by_candidates(self) -> bool:
+        stop = self.stop or StopSpec()
+        return stop.score is not None or stop.evaluations is not None
+
     @property
     def by_derivatives(self) -> bool:
         """Return whether the strategy needs derivatives."""
@@ -165,7 +258,8 @@ class SearchSpec(Door):
     @property
     def cma_settings(self) -> CmaSettings:
         """Return the settings of `CmaSearch`."""
-        return CmaSettings(self.population, self.generations, self.settings.stall)
+        start = self.start_genes[0] if self.start else None
+        return CmaSettings(self.population, self.generations, self.settings.stall, start)
 
     @property
     def settings(self) -> GeneticSettings:
@@ -178,13 +272,27 @@ class SearchSpec(Door):
             crossover_fraction=self.crossover_fraction,
             stall=None if stall is None else Stall(**stall.model_dump()),
             mutation=MUTATIONS[self.mutation],
-            initial=INITIAL[self.initial],
+            initial=self._initial(),
         )
+
+    def settings_on(self, scale: LogScale) -> GeneticSettings:
+        """Return the settings of a `GeneticSearch` that works on other scales."""
+        return replace(self.settings, initial=self._initial(scale))
+
+    def _initial(self, scale: LogScale | None = None) -> Initial:
+        drawn, points = INITIAL[self.initial], self.start_genes
+        if points and scale is not None:
+            points = tuple(map(tuple, scale.to_inner(np.array(points)).tolist()))
+        return StartingAt(points, drawn) if points else drawn
 
     @property
     def space(self) -> Space:
         """Return the box that is searched, in the units at the door."""
         return Space.from_bounds(self.parameters)
+
+
+def _default(model: type[Door], name: str) -> Any:
+    return model.model_fields[name].get_default(call_default_factory=True)
 
 
 # Elements of about 5 and 3 mm in a breast of 445 ml; voxels with a fifth of that.

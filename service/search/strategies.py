@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 
 from palpate.service.search.base import Search
 from palpate.service.search.cma_search import CmaSearch
+from palpate.service.search.constraints import ConstrainedSearch
 from palpate.service.search.genetic import GeneticSearch
 from palpate.service.search.least_squares import (
     FittedNames,
     LeastSquaresSearch,
     LeastSquaresSettings,
 )
+from palpate.service.search.log_scale import LogScaledSearch
 from palpate.service.search.polished import PolishedSearch
 from palpate.workers.plugins import load
 
@@ -47,7 +49,8 @@ class SearchRequest:
     def fit(self) -> LeastSquaresSettings:
         """The settings of a fit by derivatives."""
         search = self.search
-        return LeastSquaresSettings(search.starts, self.levels, search.fit_evaluations)
+        start = search.start_genes if search.strategy == LEAST_SQUARES.name else ()
+        return LeastSquaresSettings(search.starts, self.levels, search.fit_evaluations, start)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +95,26 @@ def strategy_named(name: str) -> Strategy:
     return found
 
 
-def _genetic(asked: SearchRequest) -> GeneticSearch:
-    return GeneticSearch(asked.search.space, asked.search.settings, asked.seed)
+def _genetic(asked: SearchRequest) -> Search:
+    search, scale = asked.search, asked.search.log_scale
+    if scale is None:
+        return GeneticSearch(search.space, search.settings, asked.seed)
+    inner = GeneticSearch(scale.inner, search.settings_on(scale), asked.seed)
+    return LogScaledSearch(inner, scale)
+
+
+def _cma(asked: SearchRequest) -> CmaSearch:
+    return CmaSearch(asked.search.space, asked.search.cma_settings, asked.seed)
+
+
+def _constrained(make: Callable[[SearchRequest], Search]) -> Callable[[SearchRequest], Search]:
+    """Return a maker of the same searches, within the constraints of a study."""
+
+    def made(asked: SearchRequest) -> Search:
+        constraints, search = asked.search.inequalities, make(asked)
+        return search if constraints is None else ConstrainedSearch(search, constraints)
+
+    return made
 
 
 def _least_squares(asked: SearchRequest) -> LeastSquaresSearch:
@@ -104,23 +125,24 @@ def _fit_generations(asked: SearchRequest) -> int:
     return asked.search.fit_evaluations * (1 + asked.levels)
 
 
+_OF_ALL = ("start", "stop")
 _OF_FITS = ("starts", "levels", "fit_evaluations")
 _OF_GENERATIONS = ("population", "generations", "stall")
 _OF_BREEDING = (*_OF_GENERATIONS, "elite", "crossover_fraction", "mutation", "initial")
 
 GENETIC = Strategy(
     "genetic",
-    make=_genetic,
+    make=_constrained(_genetic),
     most_evaluations=lambda asked: asked.search.settings.most_evaluations,
     most_generations=lambda asked: asked.search.generations,
-    settings=(*_OF_BREEDING, "mode", "in_flight"),
+    settings=(*_OF_ALL, *_OF_BREEDING, "mode", "in_flight", "scale", "constraints"),
 )
 CMA = Strategy(
     "cma",
-    make=lambda asked: CmaSearch(asked.search.space, asked.search.cma_settings, asked.seed),
+    make=_constrained(_cma),
     most_evaluations=lambda asked: asked.search.cma_settings.most_evaluations,
     most_generations=lambda asked: asked.search.generations,
-    settings=_OF_GENERATIONS,
+    settings=(*_OF_ALL, *_OF_GENERATIONS, "constraints"),
 )
 LEAST_SQUARES = Strategy(
     "least-squares",
@@ -129,7 +151,7 @@ LEAST_SQUARES = Strategy(
     most_generations=_fit_generations,
     by_derivatives=True,
     coarse_first=True,
-    settings=_OF_FITS,
+    settings=(*_OF_ALL, *_OF_FITS),
 )
 POLISHED = Strategy(
     "genetic+least-squares",
@@ -139,5 +161,5 @@ POLISHED = Strategy(
     ),
     most_generations=lambda asked: asked.search.generations + _fit_generations(asked),
     by_derivatives=True,
-    settings=(*_OF_BREEDING, *_OF_FITS),
+    settings=(*_OF_ALL, *_OF_BREEDING, *_OF_FITS, "scale"),
 )

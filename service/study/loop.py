@@ -184,8 +184,12 @@ class _Run:
         """Evaluate one generation after the other."""
         search = SearchReplay(self.spec.search_strategy, self.spec.search.space)
         while isinstance(pending := search.propose(), PendingGeneration):
+            begun = pending.number in self.log.proposals
+            reason = None if begun else self._reason_to_stop()
+            if reason is not None:
+                return Stopped(reason), tuple(search.history)
             self.hooks.generation_begun(pending.number, len(pending.candidates))
-            if pending.number not in self.log.proposals:
+            if not begun:
                 self._append(pending.record())
             evaluation.evaluate(pending)
             generation = search.complete(pending, self.endings)
@@ -198,10 +202,21 @@ class _Run:
 
     def _search_steadily(self, evaluation: EvaluationRun) -> tuple[Stopped, tuple[Generation, ...]]:
         """Evaluate without a barrier between generations."""
-        search = SteadyRun(self.spec.steady_search, evaluation, self._generation_ended)
+        search = SteadyRun(
+            self.spec.steady_search, evaluation, self._generation_ended, self._reason_to_stop
+        )
         found = search.to_the_end(self.log.endings)
         evaluation.keep_best()
         return found
+
+    def _reason_to_stop(self) -> str | None:
+        """Return why no further candidates are wanted; None if they are."""
+        stop = self.spec.search.stop
+        if stop is not None and stop.hours is not None:
+            ran_s = sum(self.log.session_seconds) + self._elapsed_s()
+            if ran_s >= 3600 * stop.hours:
+                return f"the {stop.hours:g} h of search.stop.hours are over"
+        return self.hooks.stop_reason
 
     def _generation_ended(self, number: int, generation: Generation, replayed: bool) -> None:
         if not replayed:

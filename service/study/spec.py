@@ -22,6 +22,7 @@ from palpate.service.search.base import Search
 from palpate.service.search.least_squares import FittedNames
 from palpate.service.search.spec import COARSE_LEVELS, LevelSpec, SearchSpec
 from palpate.service.search.steady import SteadyGenetic
+from palpate.service.search.stop_rules import StoppingSearch, StopRules
 from palpate.service.search.strategies import SearchRequest, Strategy, strategy_named
 from palpate.storage.digest import digest
 from palpate.storage.errors import InputError
@@ -135,7 +136,12 @@ class StudySpec(Door):
     @property
     def search_strategy(self) -> Search:
         """Return the search, ready to propose."""
-        return self._strategy.make(self._asked)
+        search, stop = self._strategy.make(self._asked), self.search.stop
+        if stop is None:
+            return search
+        score = None if stop.score is None else self.objective.minimised(stop.score)
+        goal = "" if stop.score is None else self.objective.text({self.objective.name: stop.score})
+        return StoppingSearch(search, StopRules(score, stop.evaluations, goal))
 
     @property
     def steady_search(self) -> SteadyGenetic:
@@ -149,7 +155,8 @@ class StudySpec(Door):
         """Return the number of evaluations if the search never stops early."""
         if self.search.steady:
             return self.search.population * self.search.generations
-        return self._strategy.most_evaluations(self._asked)
+        most, stop = self._strategy.most_evaluations(self._asked), self.search.stop
+        return most if stop is None or stop.evaluations is None else min(most, stop.evaluations)
 
     @property
     def most_generations(self) -> int:

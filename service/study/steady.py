@@ -26,11 +26,18 @@ class SteadyRun:
     evaluation : EvaluationRun
     block_ended : callable
         See `BlockEnded`.
+    reason_to_stop : callable
+        Returns why no further candidates are wanted, or None.
     """
 
     def __init__(
-        self, search: SteadyGenetic, evaluation: EvaluationRun, block_ended: BlockEnded
+        self,
+        search: SteadyGenetic,
+        evaluation: EvaluationRun,
+        block_ended: BlockEnded,
+        reason_to_stop: Callable[[], str | None],
     ) -> None:
+        self._reason_to_stop = reason_to_stop
         self._evaluation, self._block_ended = evaluation, block_ended
         self._replay = SteadyReplay(search)
         self._size = search.settings.population
@@ -68,7 +75,7 @@ class SteadyRun:
 
     def _calls(self) -> Iterator[Any]:
         """Yield what is to be evaluated, `NOT_YET` while the next one has to wait."""
-        while not isinstance(pending := self._replay.propose(), Stopped):
+        while not isinstance(pending := self._proposed(), Stopped):
             if pending is None:
                 if len(self._crashed) == len(self._sharing):  # nothing else is under way
                     self._write_down_crashed()
@@ -76,6 +83,10 @@ class SteadyRun:
             else:
                 yield from self._call(pending)
         self._stopped = pending
+
+    def _proposed(self) -> PendingGeneration | Stopped | None:
+        reason = self._reason_to_stop()
+        return self._replay.propose() if reason is None else Stopped(reason)
 
     def _call(self, pending: PendingGeneration) -> Iterator[Any]:
         evaluation, candidate = self._evaluation, pending.first

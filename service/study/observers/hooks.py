@@ -58,8 +58,19 @@ class StudyFacts:
     objective: Objective = GSF
 
 
+class StopSearch(Exception):  # noqa: N818 - a wish, no error
+    """Raised by an observer to end a search; its text becomes the reason.
+
+    The generation that is under way is finished first, so that the study has a score for each of
+    its candidates.
+    """
+
+
 class Observer:
-    """Receives the events of a study; override those of interest."""
+    """Receives the events of a study; override those of interest.
+
+    A method that raises `StopSearch` ends the search.
+    """
 
     def started(self, facts: StudyFacts) -> None:
         """Note that the loop begins."""
@@ -83,10 +94,17 @@ class Observer:
 
 
 class Hooks(Observer):
-    """Passes everything on to all observers; one that fails is dropped, not the study."""
+    """Passes everything on to all observers; one that fails is dropped, not the study.
+
+    Attributes
+    ----------
+    stop_reason : str or None
+        Why an observer wants the search to end.
+    """
 
     def __init__(self, observers: Iterable[Observer] = ()) -> None:
         self._observers = list(observers)
+        self.stop_reason: str | None = None
 
     def add(self, observer: Observer) -> None:
         """Pass everything on to one more."""
@@ -96,6 +114,8 @@ class Hooks(Observer):
         for observer in list(self._observers):
             try:
                 getattr(observer, hook)(*args)
+            except StopSearch as wish:
+                self.stop_reason = str(wish) or f"{type(observer).__name__} has stopped the search"
             except Exception:
                 _log.exception("The observer %r failed in %s and is dropped.", observer, hook)
                 self._observers.remove(observer)

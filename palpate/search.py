@@ -1,0 +1,115 @@
+"""A search that asks for candidates and is told their scores, whoever computes them."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from palpate.service.search.base import Generation, Proposal, Stopped
+from palpate.service.search.least_squares import FittedNames
+from palpate.service.search.spec import SearchSpec
+from palpate.service.search.strategies import SearchRequest, strategy_named
+from palpate.storage.errors import InputError
+from palpate.workers.spec import validated
+
+
+class Search:
+    """A strategy of Palpate for any function of some parameters.
+
+    Candidates depend on the settings, the seed and the scores alone.
+
+    Parameters
+    ----------
+    parameters : mapping of str to (float, float)
+        Bounds by name.
+    strategy : str
+        ``"genetic"``, ``"cma"`` or that of a plug-in without derivatives.
+    seed : int
+        0 <= seed < 2**32.
+    **settings
+        Further keys under ``search`` of a study file, such as ``population``.
+
+    Raises
+    ------
+    InputError
+        If a key or a value makes no sense, or the strategy needs derivatives.
+
+    Examples
+    --------
+    >>> search = Search({"x": (0, 4), "y": (0, 4)}, population=20, generations=40)
+    >>> while candidates := search.ask():
+    ...     search.tell([(c["x"] - 1) ** 2 + (c["y"] - 3) ** 2 for c in candidates])
+    >>> round(search.best["x"], 1), round(search.best["y"], 1)
+    (1.0, 3.0)
+    """
+
+    def __init__(
+        self,
+        parameters: Mapping[str, Sequence[float]],
+        strategy: str = "genetic",
+        seed: int = 1,
+        **settings: Any,
+    ) -> None:
+        given = {"parameters": dict(parameters), "strategy": strategy, **settings}
+        self._spec = validated(SearchSpec, given, "The search")
+        if self._spec.by_derivatives or self._spec.steady:
+            raise InputError(
+                "A search that is told scores alone has no derivatives and mode: barrier. Use "
+                "strategy genetic or cma, or a palpate.Study."
+            )
+        names = FittedNames(self._spec.space.names, (1.0,) * self._spec.space.dimension)
+        asked = SearchRequest(self._spec, names, 0, seed)
+        self._search = strategy_named(strategy).make(asked)
+        self._history: list[Generation] = []
+        self._proposed = self._search.propose(self._history)
+
+    def ask(self) -> list[dict[str, float]]:
+        """Return the candidates whose scores are wanted, by name; none when the search has ended.
+
+        The same until `tell` is called.
+        """
+        if isinstance(self._proposed, Stopped):
+            return []
+        space, genes = self._spec.space, self._proposed.genes
+        return [space.as_dict(genes[i]) for i in self._proposed.to_evaluate]
+
+    def tell(self, scores: Sequence[float]) -> None:
+        """Take the scores of all candidates of the last `ask`, in its order.
+
+        Parameters
+        ----------
+        scores : sequence of float
+            Lower is better; ``inf`` or ``nan`` for a candidate that failed.
+
+        Raises
+        ------
+        InputError
+            If there are more or fewer scores than candidates.
+        """
+        wanted = self._proposed.to_evaluate if isinstance(self._proposed, Proposal) else ()
+        if len(scores) != len(wanted) or isinstance(self._proposed, Stopped):
+            raise InputError(f"Expected {len(wanted)} scores, found {len(scores)}.")
+        told = {i: _ranked(score) for i, score in zip(wanted, scores, strict=True)}
+        self._history.append(self._proposed.complete(told, self._history))
+        self._proposed = self._search.propose(self._history)
+
+    @property
+    def stopped(self) -> str:
+        """Why the search has ended; empty while it goes on."""
+        return self._proposed.reason if isinstance(self._proposed, Stopped) else ""
+
+    @property
+    def best(self) -> dict[str, float]:
+        """The candidate with the lowest score so far, by name; empty before the first score."""
+        if not self._history:
+            return {}
+        found = min(self._history, key=lambda generation: float(generation.scores.min()))
+        return self._spec.space.as_dict(found.genes[found.best])
+
+    @property
+    def best_score(self) -> float:
+        """The lowest score so far; ``inf`` before the first."""
+        return min((float(g.scores.min()) for g in self._history), default=math.inf)
+
+
+def _ranked(score: float) -> float:
+    return math.inf if math.isnan(score) else float(score)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from palpate.service.quantities import Quantity, not_neutral, quantities_inside
 from palpate.service.results.identification import Identification
+from palpate.service.results.posterior import Posterior
 from palpate.service.results.quotability import ends, study_quotability
 from palpate.service.results.quotable import Quotability
 from palpate.service.results.ratios import RatioEstimate, ratio_estimates
@@ -190,6 +191,8 @@ class StudyResults:
         The candidate with the lowest GSF where that is not the best one.
     best_note : str
         Why the best candidate has not the lowest GSF; empty if it has.
+    posterior : Posterior or None
+        The distribution behind the intervals; None without the derivatives of the best candidate.
     """
 
     folder: Path
@@ -216,6 +219,7 @@ class StudyResults:
     caveats: tuple[str, ...] = ()
     lowest_gsf: EvaluationRecord | None = None
     best_note: str = ""
+    posterior: Posterior | None = None
 
     @property
     def name(self) -> str:

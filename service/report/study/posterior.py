@@ -1,5 +1,6 @@
 """The corner plot of a study: its constants as its image determines them."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from palpate.service.formatting import label, number
@@ -13,13 +14,13 @@ if TYPE_CHECKING:
 DRAWS = 20_000
 
 
-def posterior_figure(results: StudyResults, constants: list[str] | None = None) -> "Figure":
+def posterior_figure(results: StudyResults, constants: Sequence[str] | None = None) -> "Figure":
     """Draw the posterior of the constants as a corner plot.
 
     Parameters
     ----------
     results : StudyResults
-    constants : list of str, optional
+    constants : sequence of str, optional
         Default: all searched ones.
 
     Raises

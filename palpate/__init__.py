@@ -11,10 +11,17 @@ Run a study and read what it has found::
     if __name__ == "__main__":                      # workers are processes of their own
         study = palpate.Study.from_file("demo.yaml")
         results = study.run(workers=2)
-        results.estimates["E_fat"].estimate         # in kPa, see .unit
-        study.candidates()["gsf"]                   # an array, one number a candidate
-        study.table()                               # the same as a pandas table
+        fat = results.estimates["E_fat"]
+        fat.estimate, fat.interval, fat.unit        # such as 10.1, (9.8, 10.4), "kPa"
+        fat.quotable, fat.reasons                   # whether it may be quoted, and why not
+        results.samples(1000)["E_fat_kpa"]          # draws from the posterior
+        results.to_frame()                          # every evaluation, a pandas table
+        results.plot_posterior()                    # a Matplotlib figure
         study.volume("best")                        # labels of the deformed body
+
+Compare studies that have run::
+
+    palpate.compare("runs/a", "runs/b").write_page("comparison.html")
 
 Diagnose what a folder of scans, a study or a bench experiment lacks::
 
@@ -53,16 +60,29 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from palpate.client import Job, Service, connect
+    from palpate.comparison import Comparison, compare
     from palpate.diagnosis import Diagnosis, diagnose
+    from palpate.results import StudyResults
     from palpate.search import Search
-    from palpate.service.results.record import StudyResults
+    from palpate.service.errors import ClusterError, GenerationCrashError, TaskError
+    from palpate.service.remote.client import JobEvent
+    from palpate.service.results.record import ParameterEstimate
+    from palpate.service.results.samples import Samples
+    from palpate.service.server.api import ClusterView, JobView
     from palpate.service.study.observers.hooks import Observer, StopSearch
     from palpate.service.study.spec import StudySpec
-    from palpate.storage.errors import InputError, PalpateError, StoreError
-    from palpate.storage.values import TetMesh, Tissue, Volume
+    from palpate.storage.errors import (
+        InputError,
+        JournalError,
+        NewerSchemaError,
+        PalpateError,
+        StoreError,
+    )
+    from palpate.storage.values import Tissue
     from palpate.study import Study, study_spec
     from palpate.vocabulary import parameters
-    from palpate.volumes import read_volume, write_volume
+    from palpate.volumes import Volume, read_volume, write_volume
+    from palpate.workers.mechanics.parameters import Parameter
 
     __version__: str
 
@@ -72,6 +92,8 @@ _HOMES = {
     "Diagnosis": "palpate.diagnosis",
     "diagnose": "palpate.diagnosis",
     "parameters": "palpate.vocabulary",
+    "Comparison": "palpate.comparison",
+    "compare": "palpate.comparison",
     "Job": "palpate.client",
     "Service": "palpate.client",
     "connect": "palpate.client",
@@ -81,23 +103,44 @@ _HOMES = {
     "write_volume": "palpate.volumes",
     "Search": "palpate.search",
     "StopSearch": "palpate.service.study.observers.hooks",
+    "StudyResults": "palpate.results",
+    "Volume": "palpate.volumes",
     "Observer": "palpate.service.study.observers.hooks",
-    "StudyResults": "palpate.service.results.record",
+    "ParameterEstimate": "palpate.service.results.record",
+    "Samples": "palpate.service.results.samples",
     "StudySpec": "palpate.service.study.spec",
+    "ClusterView": "palpate.service.server.api",
+    "JobView": "palpate.service.server.api",
+    "JobEvent": "palpate.service.remote.client",
+    "Parameter": "palpate.workers.mechanics.parameters",
+    "Tissue": "palpate.storage.values",
     "InputError": "palpate.storage.errors",
+    "JournalError": "palpate.storage.errors",
+    "NewerSchemaError": "palpate.storage.errors",
     "PalpateError": "palpate.storage.errors",
     "StoreError": "palpate.storage.errors",
-    "TetMesh": "palpate.storage.values",
-    "Tissue": "palpate.storage.values",
-    "Volume": "palpate.storage.values",
+    "ClusterError": "palpate.service.errors",
+    "GenerationCrashError": "palpate.service.errors",
+    "TaskError": "palpate.service.errors",
 }
 
 __all__ = [
+    "ClusterError",
+    "ClusterView",
+    "Comparison",
     "Diagnosis",
+    "GenerationCrashError",
     "InputError",
     "Job",
+    "JobEvent",
+    "JobView",
+    "JournalError",
+    "NewerSchemaError",
     "Observer",
     "PalpateError",
+    "Parameter",
+    "ParameterEstimate",
+    "Samples",
     "Search",
     "Service",
     "StopSearch",
@@ -105,10 +148,11 @@ __all__ = [
     "Study",
     "StudyResults",
     "StudySpec",
-    "TetMesh",
+    "TaskError",
     "Tissue",
     "Volume",
     "__version__",
+    "compare",
     "connect",
     "diagnose",
     "parameters",

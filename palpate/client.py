@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
 
+from palpate.service.extras import frame_type
 from palpate.service.remote.client import Client, JobEvent
 from palpate.service.remote.uploads import with_uploaded_images
 from palpate.service.server.api import ClusterView, JobView
@@ -245,17 +246,14 @@ class Job:
         InputError
             If pandas is not installed.
         """
-        try:
-            from pandas import DataFrame
-        except ImportError:
-            raise InputError("A table needs pandas: run `pip install pandas`.") from None
         rows = [
             {key: r[key] for key in ("candidate", "generation", "status", "reason")}
             | dict(r["genes"])
             | dict(r["score"] or {})
             for r in self.candidates()
         ]
-        return DataFrame(rows).set_index("candidate")
+        made: DataFrame = frame_type()(rows).set_index("candidate")
+        return made
 
     def download(self, name: str, folder: str | Path = ".") -> Path:
         """Write one of its files, such as report.html, into a folder; return its path."""

@@ -3,18 +3,52 @@
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from palpate.service.diagnosis.dask_observer import run_and_tell
-from palpate.service.diagnosis.run import FinishedDiagnosis as Diagnosis
-from palpate.service.diagnosis.run import finished, request_for, with_caveats
+from palpate.service.diagnosis.run import (
+    FinishedDiagnosis,
+    finished,
+    request_for,
+    with_caveats,
+)
+from palpate.service.diagnosis.words import sentence
 from palpate.service.errors import Interrupted
 from palpate.service.report.diagnosis.page import render
+from palpate.service.report.notebook import diagnosis_html
 from palpate.service.study.session import session
 from palpate.storage.backends.atomic import write_file
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.tasks.sources import check_source, open_source, source_caveats
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["Diagnosis", "diagnose"]
+
+
+class Diagnosis(FinishedDiagnosis):
+    """A diagnosis that has ended; see `diagnose`.
+
+    - ``summary``: ``verdict``, ``primary`` (the accused effects), ``effects`` with their
+      probabilities and magnitudes, ``constants`` and ``gap_mm``,
+    - ``maps``: arrays of the points on the interfaces and their residuals in mm,
+    - ``scans``: the names of the loaded scans.
+    """
+
+    def plot_gap(self) -> "Figure":
+        """Plot the gap with and without the accused effects, and the residuals of all points."""
+        # These load matplotlib, which most uses do without.
+        from palpate.service.report.diagnosis.figures import gap_figure
+        from palpate.service.report.drawing.canvas import on_white
+
+        return on_white(gap_figure(self))
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {self.summary.case}: {sentence(self.summary)}"[:498] + ">"
+
+    def _repr_html_(self) -> str:
+        return diagnosis_html(self)
 
 
 def diagnose(
@@ -73,16 +107,14 @@ def diagnose(
     for finding in findings:
         warnings.warn(finding.text, stacklevel=2)
     request = request_for(opened, store, nodes, effects=effects)
-    diagnosis = finished(request)
-    if diagnosis is None:
+    found = finished(request)
+    if found is None:
         try:
             with session(scheduler, workers) as at_hand:
-                diagnosis = run_and_tell(
-                    request, at_hand.dispatcher, Path(source), lambda step: None
-                )
+                found = run_and_tell(request, at_hand.dispatcher, Path(source), lambda step: None)
         except Interrupted:
             raise KeyboardInterrupt from None
-    diagnosis = with_caveats(diagnosis, source_caveats(opened, findings))
+    found = with_caveats(found, source_caveats(opened, findings))
     if page is not None:
-        write_file(Path(page), render(diagnosis).encode())
-    return diagnosis
+        write_file(Path(page), render(found).encode())
+    return Diagnosis(found.summary, found.maps, found.scans)

@@ -5,15 +5,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-import numpy as np
 from numpy.typing import NDArray
 
 from palpate.diagnosis import Diagnosis, diagnose
+from palpate.results import StudyResults
 from palpate.service.errors import Interrupted
+from palpate.service.report.notebook import spec_html
 from palpate.service.report.study.data import read_study_data
 from palpate.service.report.study.page import write_report
-from palpate.service.results.read import study_results
-from palpate.service.results.record import StudyResults
+from palpate.service.results.columns import evaluation_columns
 from palpate.service.run_study import Entrance, run_study
 from palpate.service.study.log import read_study
 from palpate.service.study.loop import Study as StudyLoop
@@ -23,13 +23,11 @@ from palpate.service.study.session import session
 from palpate.service.study.spec import StudySpec, read_spec
 from palpate.storage.backends.layout import StudyLayout
 from palpate.storage.errors import InputError
-from palpate.storage.values import Volume
+from palpate.volumes import Volume
 from palpate.workers.spec import validated
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-SCORES = ("jc", "mhd_mm", "gsf")
 
 
 def study_spec(spec: Mapping[str, Any]) -> StudySpec:
@@ -166,7 +164,7 @@ class Study:
         InputError
             If it has not begun.
         """
-        return study_results(self.folder)
+        return StudyResults.read(self.folder)
 
     def candidates(self) -> dict[str, NDArray[Any]]:
         """Return every evaluation that has ended as arrays of equal length.
@@ -178,19 +176,7 @@ class Study:
             names with units; ``jc``, ``mhd_mm`` and ``gsf``, NaN without a score; ``reason``.
         """
         _, log = read_study(self.folder)
-        records = [record for _, record in sorted(log.endings.items())]
-        columns: dict[str, NDArray[Any]] = {
-            "candidate": np.array([r.candidate for r in records], dtype=np.int64),
-            "generation": np.array([r.generation for r in records], dtype=np.int64),
-            "status": np.array([str(r.status) for r in records]),
-        }
-        for name in self.spec.search.parameters:
-            columns[name] = np.array([r.genes[name] for r in records], dtype=np.float64)
-        for name in SCORES:
-            values = [np.nan if r.score is None else float(r.score[name]) for r in records]
-            columns[name] = np.array(values, dtype=np.float64)
-        columns["reason"] = np.array([r.reason for r in records])
-        return columns
+        return evaluation_columns(log.endings, self.spec.search.parameters)
 
     def table(self) -> "DataFrame":
         """Return `candidates` as a pandas table.
@@ -200,14 +186,7 @@ class Study:
         InputError
             If pandas is not installed.
         """
-        try:
-            from pandas import DataFrame
-        except ImportError:
-            raise InputError(
-                "A table needs pandas, which is not installed: run `pip install pandas`, or use "
-                "candidates(), which gives the same as arrays."
-            ) from None
-        return DataFrame(self.candidates()).set_index("candidate")
+        return self.results.to_frame()
 
     def volume(self, which: Literal["reference", "target", "best"]) -> Volume:
         """Return a body of the study as labels.
@@ -223,10 +202,10 @@ class Study:
             If the store does not have it.
         """
         bodies = read_study_data(self.folder).bodies
-        volume: Volume | None = getattr(bodies, which)
+        volume = getattr(bodies, which)
         if volume is None:
             raise InputError(f"The study has no {which} volume. {' '.join(bodies.missing)}")
-        return volume
+        return Volume.of(volume)
 
     def report(self) -> Path:
         """Write the report page and return its path."""
@@ -235,3 +214,12 @@ class Study:
     def diagnose(self, **options: Any) -> Diagnosis:
         """Find out what the model of this study lacks; see `palpate.diagnose`."""
         return diagnose(self.folder, **options)
+
+    def __repr__(self) -> str:
+        searched = ", ".join(self.spec.search.parameters)
+        return f"<Study {self.spec.name} in {self.folder}: {searched}"[:498] + ">"
+
+    def _repr_html_(self) -> str:
+        if StudyLayout(self.folder).journal.is_file():
+            return self.results._repr_html_()
+        return spec_html(self.spec, f"not begun; its folder will be {self.folder}")

@@ -2,10 +2,54 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Self
 
 from palpate.service.export import export_volume
-from palpate.storage.values import Volume
+from palpate.service.report.notebook import volume_html
+from palpate.storage import values
 from palpate.workers.body.images import read
+
+
+class Volume(values.Volume):
+    """Voxels with a place in space; a notebook shows three sections through the middle.
+
+    Parameters
+    ----------
+    values : ndarray, shape (nz, ny, nx)
+        Labels (``uint8``, see `Tissue`), compartment ids (``uint16``) or grey values.
+    spacing_mm : tuple of float
+        Distance of voxel centres along x, y and z; > 0.
+    origin_mm : tuple of float
+        Centre of the voxel ``values[0, 0, 0]`` as (x, y, z).
+    frame_uid : str
+        Frame of reference of these coordinates, as DICOM names it; empty if the file names none.
+    place_known : bool
+        Whether the file states where its voxels are.
+
+    Raises
+    ------
+    InputError
+        If the array is not 3-D or a spacing is not a positive number.
+    """
+
+    @classmethod
+    def of(cls, volume: values.Volume) -> Self:
+        """Return the same volume, which a notebook can show."""
+        return cls(
+            volume.values,
+            volume.spacing_mm,
+            volume.origin_mm,
+            volume.frame_uid,
+            volume.place_known,
+        )
+
+    def __repr__(self) -> str:
+        shape = " x ".join(map(str, self.shape_xyz))
+        spacing = " x ".join(f"{mm:.4g}" for mm in self.spacing_mm)
+        return f"<Volume of {shape} voxels of {spacing} mm (x, y, z), {self.values.dtype}>"
+
+    def _repr_html_(self) -> str:
+        return volume_html(self, repr(self)[1:-1])
 
 
 def read_volume(
@@ -36,10 +80,12 @@ def read_volume(
     InputError
         If it cannot be read or understood.
     """
-    return read.read_volume(Path(path), spacing_mm=spacing_mm, axes=axes)
+    return Volume.of(read.read_volume(Path(path), spacing_mm=spacing_mm, axes=axes))
 
 
-def write_volume(path: str | Path, volume: Volume, names: Mapping[int, str] | None = None) -> None:
+def write_volume(
+    path: str | Path, volume: values.Volume, names: Mapping[int, str] | None = None
+) -> None:
     """Write a volume as NRRD.
 
     Parameters

@@ -49,6 +49,9 @@ COMMANDS = {
     "report": LazyCommand(
         "studies.report:report", "Print a study's results and write report.html to its folder."
     ),
+    "compare": LazyCommand(
+        "studies.compare:compare", "Compare the results and settings of several studies."
+    ),
     "profile": LazyCommand(
         "studies.profile:profile", "Show how well the image is fitted as one constant varies."
     ),

@@ -161,12 +161,20 @@ class LocalModel:
 
     def ends(self, i: int) -> FloatArray:
         """Return the interval of a constant, inside units."""
+        return self.moved(i, np.array(self.coordinate_ends(i)))
+
+    def coordinate_ends(self, i: int) -> tuple[float, float]:
+        """Return the interval of a coordinate, from the candidate."""
         unseen = float((self.unseen_root[i] ** 2).sum())
         variance = unseen + sum(source.sd[i] ** 2 for source in self.sources)
         reach = DEVIATIONS * float(np.sqrt(variance))
         step = float(self.step[i])
-        low, high = min(0.0, step) - reach, max(0.0, step) + reach
-        return np.array([self.moved(i, low), self.moved(i, high)])
+        return min(0.0, step) - reach, max(0.0, step) + reach
+
+    @property
+    def error_root(self) -> FloatArray:
+        """Return a root of the covariance of all errors, shape (p, k)."""
+        return np.column_stack([*(source.root for source in self.sources), self.unseen_root])
 
     def relative_interval(
         self,
@@ -237,11 +245,11 @@ class LocalModel:
         mesh = mesh_source(here, others.meshes)
         return tuple(found) if mesh is None else (*found, mesh)
 
-    def moved(self, i: int, by: float) -> float:
-        """Return the value of a constant at a distance from the candidate, inside units."""
+    def moved(self, i: int, by: FloatArray) -> FloatArray:
+        """Return values of a constant at distances from the candidate, inside units."""
         if self.logarithmic[i]:
-            return float(self.values[i] * np.exp(np.clip(by, -50.0, 50.0)))
-        return float(self.values[i] + self.scale[i] * by)
+            return np.asarray(self.values[i] * np.exp(np.clip(by, -50.0, 50.0)))
+        return np.asarray(self.values[i] + self.scale[i] * by)
 
     def ratio_ends(self, i: int, j: int) -> tuple[float, float]:
         """Return the interval of constant i over constant j, both logarithmic.

@@ -16,7 +16,8 @@ from palpate.service.results.identification import (
     identification_from_scatter,
     identification_from_tangents,
 )
-from palpate.service.results.local_model import OtherProblems, SearchedConstants
+from palpate.service.results.local_model import LocalModel, OtherProblems, SearchedConstants
+from palpate.service.results.posterior import Posterior
 from palpate.service.results.record import (
     CandidateResults,
     EvaluationCounts,
@@ -59,6 +60,7 @@ def study_results(folder: Path) -> StudyResults:
     spec = validated(StudySpec, study.spec, f"The study in {folder}")
     ranked, session, end = best_so_far(log.endings.values()), log.last_session, log.end
     best, findings = ranked.record, findings_of(folder)
+    identification, posterior = _identification(spec, log, best, findings)
     endings = [record for _, record in sorted(log.endings.items())]
     return StudyResults(
         folder=folder.absolute(),
@@ -80,11 +82,12 @@ def study_results(folder: Path) -> StudyResults:
         versions=study.versions if session is None else session.versions,
         store=None if session is None else session.store,
         findings=findings,
-        identification=_identification(spec, log, best, findings),
+        identification=identification,
         unverified_records=log.unverified,
         caveats=log.caveats,
         lowest_gsf=ranked.lowest_gsf,
         best_note=ranked.note,
+        posterior=posterior,
     ).judged
 
 
@@ -199,10 +202,10 @@ def _identification(
     log: StudyLog,
     best: EvaluationRecord | None,
     findings: Mapping[str, Any],
-) -> Identification | None:
+) -> tuple[Identification | None, Posterior | None]:
     """Return what the image tells of the constants, once the search has stopped."""
     if best is None or log.end is None:
-        return None
+        return None, None
     searched = SearchedConstants(
         spec.case.parameters,
         spec.case.parameters.bounds_from_door(spec.search.parameters),
@@ -214,13 +217,14 @@ def _identification(
         priors = nuisances(spec.case, spec.target.constants is None) if nuisances else ()
         others = OtherProblems(found.nuisances, tuple(priors), found.meshes or ())
         derived = [one for one in findings.get("derived", ()) if "mesh_sd" in one]
-        return identification_from_tangents(searched, found.candidate, found.fit, others, derived)
+        known = identification_from_tangents(searched, found.candidate, found.fit, others, derived)
+        return known, Posterior(LocalModel(found.fit, searched, others), searched)
     note = "the study ran before there were tangents" if found is None else found.reason
     alike, here = (
         [spec.constants_of(spec.case.canonical(record.genes)) for record in records]
         for records in (equally_good(log.endings, best, spec.objective.equally_good), [best])
     )
-    return identification_from_scatter(searched, best.candidate, here[0], alike, note)
+    return identification_from_scatter(searched, best.candidate, here[0], alike, note), None
 
 
 def _generations(spec: StudySpec, log: StudyLog) -> Iterable[GenerationResult]:

@@ -8,8 +8,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from markupsafe import Markup
+
+from palpate.service.formatting import bare, number, symbol
 from palpate.service.quantities import Quantity, not_neutral, quantities_inside
 from palpate.service.results.identification import Identification
+from palpate.service.results.posterior import Posterior
 from palpate.service.results.quotability import ends, study_quotability
 from palpate.service.results.quotable import Quotability
 from palpate.service.results.ratios import RatioEstimate, ratio_estimates
@@ -23,14 +27,14 @@ StudyState = Literal["running", "stopped", "interrupted"]
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """One searched parameter, in its unit at the door.
+    """The estimate of one searched parameter, with its interval and whether it may be quoted.
 
     Parameters
     ----------
     gene : str
         Its name in the study file, which may end with the unit.
     unit : str
-        Such as kPa; empty for a pure number.
+        Of all values; such as kPa, empty for a pure number.
     lower, upper : float
         Bounds of the search.
     estimate : float or None
@@ -73,6 +77,23 @@ class ParameterEstimate:
         if self.estimate is None or not self.target:
             return None
         return abs(self.estimate - self.target) / self.target
+
+    def __str__(self) -> str:
+        if self.estimate is None:
+            return f"{self.gene} not estimated"
+        between = "" if self.interval is None else f" ({' to '.join(map(number, self.interval))})"
+        return f"{bare(self.gene, self.unit)} {number(self.estimate)}{between} {self.unit}".rstrip()
+
+    def __repr__(self) -> str:
+        answer = "" if self.quotability is None else f"; {self.quotability.sentence}"
+        return f"<Estimate {self}{answer}"[:498] + ">"
+
+    def _repr_html_(self) -> str:
+        name = symbol(self.gene, self.unit)
+        between = "" if self.interval is None else f" ({' to '.join(map(number, self.interval))})"
+        value = f" {number(self.estimate)}{between} {self.unit}".rstrip()
+        answer = "" if self.quotability is None else f". {self.quotability.sentence}."
+        return Markup("{}{}{}").format(name, value, answer)
 
 
 @dataclass(frozen=True)
@@ -190,6 +211,8 @@ class StudyResults:
         The candidate with the lowest GSF where that is not the best one.
     best_note : str
         Why the best candidate has not the lowest GSF; empty if it has.
+    posterior : Posterior or None
+        The distribution behind the intervals; None without the derivatives of the best candidate.
     """
 
     folder: Path
@@ -216,6 +239,7 @@ class StudyResults:
     caveats: tuple[str, ...] = ()
     lowest_gsf: EvaluationRecord | None = None
     best_note: str = ""
+    posterior: Posterior | None = None
 
     @property
     def name(self) -> str:

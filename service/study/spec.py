@@ -4,7 +4,7 @@ Case, target and score are checked by `workers.spec`; this file adds the search,
 reads YAML, and says in which keys two studies differ.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from shlex import quote
@@ -44,6 +44,9 @@ from palpate.workers.spec import (
     TargetSpec,
     validated,
 )
+
+# Stands for a key that a study does not have.
+ABSENT = "absent"
 
 
 class StudySpec(Door):
@@ -229,6 +232,11 @@ class StudySpec(Door):
         """Return the score that the search optimises."""
         return objective_named(self.score.objective)
 
+    def __repr__(self) -> str:
+        names = list(self.search.parameters)
+        shown = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
+        return f"<Study file {self.name}: {self.case.organ}, {shown} by {self.search.strategy}>"
+
     @property
     def digest(self) -> str:
         """Return a short name of everything that the study file says."""
@@ -327,13 +335,24 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     >>> differences({"seed": 1, "search": {"elite": 2}}, {"seed": 1, "search": {"elite": 3}})
     ['search.elite: 2 before, 3 now']
     """
-    old, new = dict(_leaves(before)), dict(_leaves(now))
-    keys = [*old, *(key for key in new if key not in old)]
     return [
-        f"{key}: {old.get(key, 'absent')} before, {new.get(key, 'absent')} now"
-        for key in keys
-        if old.get(key, "absent") != new.get(key, "absent")
+        f"{key}: {old} before, {new} now"
+        for key, (old, new) in differing_settings([before, now]).items()
     ]
+
+
+def differing_settings(studies: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
+    """Return the keys in which studies differ, each with its value in every study.
+
+    Examples
+    --------
+    >>> differing_settings([{"seed": 1, "a": {"b": 2}}, {"seed": 1, "a": {"b": 3}}, {"seed": 1}])
+    {'a.b': (2, 3, 'absent')}
+    """
+    each = [dict(_leaves(study)) for study in studies]
+    keys = dict.fromkeys(key for one in each for key in one)
+    values = {key: tuple(one.get(key, ABSENT) for one in each) for key in keys}
+    return {key: found for key, found in values.items() if any(v != found[0] for v in found)}
 
 
 def _leaves(value: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:

@@ -2,13 +2,17 @@
 
 import doctest
 import inspect
+import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
 
 import palpate
+from palpate.service import errors as cluster_errors
+from palpate.storage import errors
 
 EXAMPLE: dict[str, Any] = {
     "name": "small",
@@ -31,6 +35,38 @@ def test_every_public_name_is_documented(name: str) -> None:
         for attribute, value in vars(getattr(palpate, name)).items():
             if inspect.isfunction(value) and not attribute.startswith("_"):
                 assert inspect.getdoc(value), f"{name}.{attribute}"
+
+
+def test_every_error_is_public() -> None:
+    for module in (errors, cluster_errors):
+        for name, value in vars(module).items():
+            if inspect.isclass(value) and issubclass(value, palpate.PalpateError):
+                assert getattr(palpate, name) is value
+
+
+def returned_types(value: Any) -> Iterator[type]:
+    """Types of this project that a public function, or the methods of a public class, return."""
+    functions = [value] if inspect.isfunction(value) else []
+    if inspect.isclass(value) and value.__module__.count(".") == 1:
+        members = [m.fget if isinstance(m, property) else m for m in vars(value).values()]
+        functions = [m for m in members if inspect.isfunction(m) and not m.__name__.startswith("_")]
+    optional = dict.fromkeys(("DataFrame", "Figure"), object)
+    for function in functions:
+        hints = get_type_hints(function, vars(sys.modules[function.__module__]) | optional)
+        waiting = [hints.get("return")]
+        while waiting:
+            one = waiting.pop()
+            waiting += get_args(one)
+            if inspect.isclass(one) and one.__module__.startswith("palpate"):
+                yield one
+
+
+def test_every_returned_type_is_public() -> None:
+    public = {name: getattr(palpate, name) for name in palpate.__all__}
+    returned = {one for value in public.values() for one in returned_types(value)}
+    assert returned <= set(public.values())
+    assert palpate.Samples in returned
+    assert not hasattr(palpate, "TetMesh")  # which nothing returns
 
 
 def test_the_types_are_shipped() -> None:

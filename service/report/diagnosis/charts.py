@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from palpate.service.diagnosis.words import length, likely
 from palpate.service.formatting import MINUS
 from palpate.service.report.drawing.svg import Mark, Scale, Svg, horizontal_axis, legend, text_width
-from palpate.workers.diagnosis.schema.summary import GapEstimate
+from palpate.workers.diagnosis.schema.summary import GapEstimate, Summary
 
 NARROW = 600.0
 # What numbers at the end of a bar need.
@@ -48,6 +48,15 @@ class Cause:
     title: str
     probability: float
     credible: bool
+
+
+def gap_rows(summary: Summary) -> list[Judged]:
+    """Return the gap of all scans, and of each scan judged by a fit to the others."""
+    gap, loaded = summary.gap_mm, "scans" if summary.markers is None else "states"
+    rows = [Judged(f"all {loaded}, whatever the cause", gap.before, gap.after)]
+    for name, held in (gap.held_out_each or {}).items():
+        rows.append(Judged(f"{name}, not fitted to it", held.before, held.after))
+    return rows
 
 
 def gaps(rows: Sequence[Judged], noise_mm: float, effect: str, width: float) -> Svg:

@@ -25,8 +25,8 @@ from palpate.service.report.diagnosis.arrows import arrow_pictures
 from palpate.service.report.diagnosis.charts import (
     Cause,
     Evidence,
-    Judged,
     evidence,
+    gap_rows,
     gaps,
     probabilities,
 )
@@ -231,10 +231,7 @@ def _warnings(summary: Summary) -> Iterator[str]:
 
 
 def _gap_picture(summary: Summary, accused: str) -> Picture:
-    gap = summary.gap_mm
-    rows = [Judged(f"all {_loaded(summary)}, whatever the cause", gap.before, gap.after)]
-    for name, held in (gap.held_out_each or {}).items():
-        rows.append(Judged(f"{name}, not fitted to it", held.before, held.after))
+    gap, rows = summary.gap_mm, gap_rows(summary)
     said = "; ".join(
         f"{r.title}: {millimetres(r.before)} with the nominal model"
         + (f", {millimetres(r.after)} with {accused}" if r.after is not None else "")

@@ -22,6 +22,7 @@ FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 
 TEXT_PT = 10.0
 SMALL_PT = 9.0
 GRID_EDGE = "#aab2bd"
+NOTEBOOK_DPI = 110
 # Colours of a figure, and the variables of the style sheet that follow light and dark.
 _THEMED = {
     INK: "ink",
@@ -42,11 +43,26 @@ _NAMED = re.compile(r'\bid="([a-z][0-9a-f]{10})"')
 _FONT_LIST = re.compile(r"'DejaVu Sans'(?:, (?:'[^']*'|[\w-]+))*")
 
 
+class ShownFigure(Figure):
+    """A figure that notebooks show even where pyplot was never imported."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=NOTEBOOK_DPI)
+        return buffer.getvalue()
+
+
 def figure(width_in: float, height_in: float) -> Figure:
     """Return an empty figure on whatever the page is made of."""
-    made = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="none")
+    made = ShownFigure(figsize=(width_in, height_in), layout="constrained", facecolor="none")
     FigureCanvasSVG(made)
     return made
+
+
+def on_white(drawn: Figure) -> Figure:
+    """Return the figure with a white background, for a notebook of any colour."""
+    drawn.set_facecolor("white")
+    return drawn
 
 
 def calm(axes: Axes, *, grid: str = "y") -> Axes:

@@ -36,6 +36,7 @@ from palpate.service.report.study.pictures import (
     slice_data,
     stage_picture,
 )
+from palpate.service.report.study.posterior import posterior_picture
 from palpate.service.report.study.provenance import study_provenance
 from palpate.service.report.study.sections import difference_legend, present
 from palpate.service.results.as_json import study_json
@@ -199,6 +200,7 @@ def _parameters(data: StudyData) -> dict[str, Any]:
     return {
         "about_parameters": about,
         "about_intervals": about_intervals(data.results.identification),
+        "posterior": None if data.quick else posterior_picture(data.results),
         "directions": [d.words for d in _directions(data)],
         "ranges": range_picture(parameters, best_tenth(points)) if data.results.best else None,
         "parameters": study_tables.parameters(estimates, data.results.identification),

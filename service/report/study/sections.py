@@ -24,8 +24,8 @@ from palpate.storage.values import Tissue, Triple
 
 PANEL_PX = 230.0
 WIDE = 1.4
-_TISSUES = palette.lookup({int(t): c for t, c in palette.TISSUES.items()})
-_DIFFERENCES = palette.lookup({int(d): c for d, c in palette.DIFFERENCES.items()})
+TISSUE_COLOURS = palette.lookup({int(t): c for t, c in palette.TISSUES.items()})
+DIFFERENCE_COLOURS = palette.lookup({int(d): c for d, c in palette.DIFFERENCES.items()})
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def side_by_side(
         Where the planes pass: through the undeformed body, and through target and best
         candidate; see `middles`.
     """
-    shown = _sections(bodies, view, tissues, middle)
+    shown = cut_bodies(bodies, view, tissues, middle)
     if not shown:
         return None
     left, right, bottom, top = frame_mm([cut for _, cut, _ in shown])
@@ -93,12 +93,16 @@ def difference_legend() -> list[tuple[str, str]]:
     return [(palette.DIFFERENCES[kind], text) for kind, text in meaning.items()]
 
 
-def _sections(
+def cut_bodies(
     bodies: Bodies,
     view: View,
     tissues: Sequence[int],
     middle: tuple[Triple | None, Triple | None],
 ) -> list[tuple[str, Section, bool]]:
+    """Return the title and section of every body that is there, and of their difference.
+
+    The third value is True for the difference.
+    """
     undeformed, deformed = middle
     shown = []
     cuts: dict[str, Section] = {}
@@ -131,7 +135,7 @@ def _panel(
     a, b, c, d = shown.extent_mm
     svg.add(
         "image",
-        href=png_uri(shown.values, _DIFFERENCES if differs else _TISSUES),
+        href=png_uri(shown.values, DIFFERENCE_COLOURS if differs else TISSUE_COLOURS),
         preserveAspectRatio="none",
         class_="voxels",
         x=across.at(a),

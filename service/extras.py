@@ -1,0 +1,37 @@
+"""Optional packages, loaded where a user asks for what needs them."""
+
+from importlib import import_module
+from typing import Any
+
+from palpate.storage.errors import InputError
+
+
+def frame_type() -> Any:
+    """Return `pandas.DataFrame`.
+
+    Raises
+    ------
+    InputError
+        If pandas is not installed.
+    """
+    return _loaded("pandas", "A table").DataFrame
+
+
+def xarray() -> Any:
+    """Return the module `xarray`.
+
+    Raises
+    ------
+    InputError
+        If xarray is not installed.
+    """
+    return _loaded("xarray", "A data set")
+
+
+def _loaded(module: str, what: str) -> Any:
+    try:
+        return import_module(module)
+    except ImportError:
+        raise InputError(
+            f"{what} needs {module}, which is not installed: run `pip install 'palpate[data]'`."
+        ) from None

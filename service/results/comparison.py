@@ -1,0 +1,169 @@
+"""Several studies side by side: constants, scores, settings that differ, convergence."""
+
+import csv
+import io
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+from palpate.service.results.as_json import study_json
+from palpate.service.results.read import study_results
+from palpate.service.results.record import ParameterEstimate, StudyResults
+from palpate.service.study.log import read_study
+from palpate.service.study.spec import ABSENT, differing_settings
+from palpate.storage.errors import InputError
+from palpate.storage.plain import to_plain
+from palpate.storage.records.best_candidate import score_of
+from palpate.storage.records.record import EvaluationRecord
+
+# Of the record of a study that `palpate report --json` prints.
+SHARED_KEYS = (
+    "study", "folder", "state", "stopped", "caveats", "identifiable", "ratios", "estimates",
+    "score", "evaluations", "seconds",
+)  # fmt: skip
+SCORES = ("jc", "mhd_mm", "gsf")
+TABLE = (
+    "study", "quantity", "unit", "value", "lower", "upper", "target", "quotable", "reasons",
+)  # fmt: skip
+# A name is told apart elsewhere.
+UNTOLD = frozenset({"name"})
+GSF_AXIS = "GSF"
+# A part of the file that some studies leave out and others set to nothing.
+EMPTY = frozenset({str(None), ABSENT})
+
+
+@dataclass(frozen=True)
+class ComparedStudy:
+    """One of the studies of a comparison.
+
+    Parameters
+    ----------
+    label : str
+        Its name, or its folder where two studies have the same name.
+    results : StudyResults
+    lowest_scores : tuple of float
+        The lowest score after 1, 2, 3 ... evaluations; +inf until one has a score.
+    """
+
+    label: str
+    results: StudyResults
+    lowest_scores: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class StudyComparison:
+    """Several studies side by side.
+
+    Parameters
+    ----------
+    studies : tuple of ComparedStudy
+        In the order in which they were given.
+    settings : mapping of str to tuple
+        Keys of the study file that differ, each with its value in every study; ``absent`` where a
+        study does not have it.
+    axis : str
+        The score of `lowest_scores`: what the studies minimise, or GSF where they differ in that.
+    """
+
+    studies: tuple[ComparedStudy, ...]
+    settings: Mapping[str, tuple[Any, ...]]
+    axis: str
+
+    @property
+    def genes(self) -> tuple[str, ...]:
+        """Return the constants that any of the studies searched, by their names in its file."""
+        return tuple(
+            dict.fromkeys(e.gene for s in self.studies for e in s.results.estimates.values())
+        )
+
+    def estimate(self, study: ComparedStudy, gene: str) -> ParameterEstimate | None:
+        """Return the estimate of a constant in a study; None where it was not searched."""
+        return next((e for e in study.results.estimates.values() if e.gene == gene), None)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the record that `palpate compare --json` prints."""
+        studies = []
+        for study in self.studies:
+            whole = study_json(study.results)
+            own = {key: whole[key] for key in SHARED_KEYS}
+            studies.append({"label": study.label} | own | {"lowest_scores": study.lowest_scores})
+        return dict(
+            to_plain({"studies": studies, "settings": self.settings, "minimised": self.axis})
+        )
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield a row for each constant and score of each study, with the keys of `TABLE`."""
+        for study in self.studies:
+            for e in study.results.estimates.values():
+                lower, upper = e.interval or (None, None)
+                yield _row(
+                    study.label, e.gene, e.unit, e.estimate, lower, upper, e.target, e.quotable,
+                    "; ".join(e.reasons),
+                )  # fmt: skip
+            for name, value in (study.results.best_score or {}).items():
+                if name in SCORES:
+                    unit = "mm" if name.endswith("_mm") else ""
+                    yield _row(study.label, name, unit, value, None, None, None, None, "")
+
+    def as_csv(self) -> str:
+        """Return `rows` as CSV with a line of headings; what is not known is empty."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, TABLE, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows())
+        return text.getvalue()
+
+
+def compare_studies(folders: Sequence[Path]) -> StudyComparison:
+    """Read several studies and compare them; some may be running meanwhile.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, one is given twice, or a folder holds no study.
+    JournalError
+        If a journal is damaged.
+    """
+    if len(folders) < 2:
+        raise InputError(f"A comparison needs at least two studies, got {len(folders)}.")
+    resolved = [folder.resolve() for folder in folders]
+    twice = [str(f) for f, times in Counter(resolved).items() if times > 1]
+    if twice:
+        raise InputError(f"{twice[0]} is given twice: compare different studies.")
+    found = [study_results(folder) for folder in folders]
+    names = Counter(results.name for results in found)
+    labels = [
+        results.name if names[results.name] == 1 else str(folder)
+        for results, folder in zip(found, folders, strict=True)
+    ]
+    objectives = {results.spec.objective.name for results in found}
+    same = len(objectives) == 1
+    studies = tuple(
+        ComparedStudy(label, results, _lowest(folder, same))
+        for label, results, folder in zip(labels, found, folders, strict=True)
+    )
+    settings = differing_settings([results.spec.as_dict() for results in found])
+    differing = {
+        key: values
+        for key, values in settings.items()
+        if key not in UNTOLD and not set(map(str, values)) <= EMPTY
+    }
+    return StudyComparison(studies, differing, found[0].spec.objective.axis if same else GSF_AXIS)
+
+
+def _row(*values: object) -> dict[str, Any]:
+    return dict(zip(TABLE, values, strict=True))
+
+
+def _lowest(folder: Path, minimised: bool) -> tuple[float, ...]:
+    _, log = read_study(folder)
+    score = score_of if minimised else _gsf
+    return tuple(accumulate((score(r) for _, r in sorted(log.endings.items())), min))
+
+
+def _gsf(record: EvaluationRecord) -> float:
+    return math.inf if record.score is None else float(record.score["gsf"])

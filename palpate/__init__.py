@@ -54,6 +54,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from palpate.client import Job, Service, connect
     from palpate.diagnosis import Diagnosis, diagnose
+    from palpate.forward import Breast
+    from palpate.service.forward.simulation import Simulation
     from palpate.service.results.record import StudyResults
     from palpate.service.study.observers.hooks import Observer
     from palpate.service.study.spec import StudySpec
@@ -61,7 +63,7 @@ if TYPE_CHECKING:
     from palpate.storage.values import TetMesh, Tissue, Volume
     from palpate.study import Study, study_spec
     from palpate.vocabulary import parameters
-    from palpate.volumes import read_volume, write_volume
+    from palpate.volumes import phantom, read_volume, write_volume
 
     __version__: str
 
@@ -70,12 +72,15 @@ if TYPE_CHECKING:
 _HOMES = {
     "Diagnosis": "palpate.diagnosis",
     "diagnose": "palpate.diagnosis",
+    "Breast": "palpate.forward",
+    "Simulation": "palpate.service.forward.simulation",
     "parameters": "palpate.vocabulary",
     "Job": "palpate.client",
     "Service": "palpate.client",
     "connect": "palpate.client",
     "Study": "palpate.study",
     "study_spec": "palpate.study",
+    "phantom": "palpate.volumes",
     "read_volume": "palpate.volumes",
     "write_volume": "palpate.volumes",
     "Observer": "palpate.service.study.observers.hooks",
@@ -90,12 +95,14 @@ _HOMES = {
 }
 
 __all__ = [
+    "Breast",
     "Diagnosis",
     "InputError",
     "Job",
     "Observer",
     "PalpateError",
     "Service",
+    "Simulation",
     "StoreError",
     "Study",
     "StudyResults",
@@ -107,6 +114,7 @@ __all__ = [
     "connect",
     "diagnose",
     "parameters",
+    "phantom",
     "read_volume",
     "study_spec",
     "write_volume",

@@ -62,9 +62,11 @@ if TYPE_CHECKING:
     from palpate.client import Job, Service, connect
     from palpate.comparison import Comparison, compare
     from palpate.diagnosis import Diagnosis, diagnose
+    from palpate.forward import Breast
     from palpate.results import StudyResults
     from palpate.search import Search
     from palpate.service.errors import ClusterError, GenerationCrashError, TaskError
+    from palpate.service.forward.simulation import Simulation
     from palpate.service.remote.client import JobEvent
     from palpate.service.results.record import ParameterEstimate
     from palpate.service.results.samples import Samples
@@ -81,7 +83,7 @@ if TYPE_CHECKING:
     from palpate.storage.values import Tissue
     from palpate.study import Study, study_spec
     from palpate.vocabulary import parameters
-    from palpate.volumes import Volume, read_volume, write_volume
+    from palpate.volumes import Volume, phantom, read_volume, write_volume
     from palpate.workers.mechanics.parameters import Parameter
 
     __version__: str
@@ -91,6 +93,8 @@ if TYPE_CHECKING:
 _HOMES = {
     "Diagnosis": "palpate.diagnosis",
     "diagnose": "palpate.diagnosis",
+    "Breast": "palpate.forward",
+    "Simulation": "palpate.service.forward.simulation",
     "parameters": "palpate.vocabulary",
     "Comparison": "palpate.comparison",
     "compare": "palpate.comparison",
@@ -99,6 +103,7 @@ _HOMES = {
     "connect": "palpate.client",
     "Study": "palpate.study",
     "study_spec": "palpate.study",
+    "phantom": "palpate.volumes",
     "read_volume": "palpate.volumes",
     "write_volume": "palpate.volumes",
     "Search": "palpate.search",
@@ -125,6 +130,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "Breast",
     "ClusterError",
     "ClusterView",
     "Comparison",
@@ -143,6 +149,7 @@ __all__ = [
     "Samples",
     "Search",
     "Service",
+    "Simulation",
     "StopSearch",
     "StoreError",
     "Study",
@@ -156,6 +163,7 @@ __all__ = [
     "connect",
     "diagnose",
     "parameters",
+    "phantom",
     "read_volume",
     "study_spec",
     "write_volume",

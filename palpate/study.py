@@ -19,7 +19,7 @@ from palpate.service.study.log import read_study
 from palpate.service.study.loop import Study as StudyLoop
 from palpate.service.study.observers.hooks import Observer
 from palpate.service.study.observers.progress import progress_observer
-from palpate.service.study.session import session
+from palpate.service.study.session import chosen_session
 from palpate.service.study.spec import StudySpec, read_spec
 from palpate.storage.backends.layout import StudyLayout
 from palpate.storage.errors import InputError
@@ -27,6 +27,7 @@ from palpate.volumes import Volume
 from palpate.workers.spec import validated
 
 if TYPE_CHECKING:
+    from distributed import Client
     from pandas import DataFrame
 
 
@@ -100,6 +101,8 @@ class Study:
         *,
         workers: int | str | None = None,
         scheduler: str | None = None,
+        client: "Client | None" = None,
+        in_process: bool = False,
         store: str | Path | None = None,
         progress: bool = False,
         observers: Iterable[Observer] = (),
@@ -114,6 +117,11 @@ class Study:
             many as fit.
         scheduler : str, optional
             Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
+        client : distributed.Client, optional
+            A connected client whose workers are used instead; it stays open. Its workers should
+            have one thread each.
+        in_process : bool
+            Evaluate in this process, one candidate after the other. No main guard is needed.
         store : str or Path, optional
             Store of volumes and evaluations that all workers see, a folder or
             ``s3://BUCKET/PREFIX``. Default: that of the last run, else the folder
@@ -140,17 +148,20 @@ class Study:
 
         from rich.console import Console
 
+        opened = chosen_session(
+            workers=workers, scheduler=scheduler, client=client, in_process=in_process
+        )
         bar = progress_observer(Console(stderr=True)) if progress else None
         shown = [] if bar is None else [bar]
         loop = StudyLoop(self.spec, self.folder, store, observers=[*shown, *observers])
         entrance = Entrance(
             anyway=anyway,
-            elsewhere=scheduler is not None,
+            elsewhere=scheduler is not None or client is not None,
             warn=lambda text: warnings.warn(text, stacklevel=6),
             shown=bar or nullcontext(),
         )
         try:
-            run_study(loop, session(scheduler, workers), entrance)
+            run_study(loop, opened, entrance)
         except Interrupted:
             raise KeyboardInterrupt from None
         return self.results

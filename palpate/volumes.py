@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from palpate.service.export import export_volume
+from palpate.service.forward.case_keys import case_from_keys
 from palpate.service.report.notebook import volume_html
 from palpate.storage import values
 from palpate.workers.body.images import read
+from palpate.workers.organs.registry import DEFAULT, organ_named
 
 
 class Volume(values.Volume):
@@ -81,6 +83,34 @@ def read_volume(
         If it cannot be read or understood.
     """
     return Volume.of(read.read_volume(Path(path), spacing_mm=spacing_mm, axes=axes))
+
+
+def phantom(preset: str = "445ml", seed: int = 1, **settings: Any) -> Volume:
+    """Generate a virtual breast.
+
+    Parameters
+    ----------
+    preset : str
+        ``"445ml"`` or ``"250ml"``.
+    seed : int
+        Each seed gives a different breast.
+    **settings
+        Keys of ``case.reference.phantom`` in a study file, such as ``spacing_mm=2`` or
+        ``glandular_fraction=0.2``.
+
+    Returns
+    -------
+    Volume
+        Labels of `Tissue`, indexed ``[z, y, x]``; x is vertical, y the direction of compression,
+        z runs from the chest wall to the nipple.
+
+    Raises
+    ------
+    InputError
+        If a setting is unknown or impossible.
+    """
+    case = case_from_keys(DEFAULT, {"phantom": {"preset": preset, "seed": seed, **settings}})
+    return Volume.of(organ_named(DEFAULT).make_body(case.reference))
 
 
 def write_volume(

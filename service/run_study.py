@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from palpate.service.cluster.dispatch import TaskRunner
 from palpate.service.errors import GenerationCrashError, Interrupted
 from palpate.service.report.study.page import write_report
 from palpate.service.study.loop import Conclusion, Study
@@ -59,7 +60,7 @@ class Entrance:
 
 
 def run_study(
-    study: Study, opened: AbstractContextManager[Session], entrance: Entrance
+    study: Study, opened: AbstractContextManager[Session[TaskRunner]], entrance: Entrance
 ) -> Conclusion | None:
     """Run a study to its end, or continue it.
 
@@ -104,7 +105,7 @@ def run_study(
 
 
 def _checked_run(
-    study: Study, opened: AbstractContextManager[Session], entrance: Entrance
+    study: Study, opened: AbstractContextManager[Session[TaskRunner]], entrance: Entrance
 ) -> Conclusion:
     to_check = not study.begun
     if to_check and not entrance.on_a_worker:

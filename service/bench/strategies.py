@@ -221,7 +221,7 @@ def _measure_one(
     home = folder / spec.name
     study = Study(spec, home, folder / "store")
     if not study.ended:
-        study.run(OneCore())  # type: ignore[arg-type]
+        study.run(OneCore())
     return reached(home, strategy, target, constants)
 
 

@@ -22,7 +22,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Protocol, TypeVar
 from uuid import uuid4
 
 from distributed import Client, Future, KilledWorker
@@ -46,7 +46,7 @@ from palpate.service.cluster.task_failures import (
 from palpate.service.errors import ClusterError, Interrupted, TaskError
 from palpate.storage.errors import PalpateError
 
-__all__ = ["NOT_YET", "Dispatcher", "Ending", "TaskCalls", "value_of"]
+__all__ = ["NOT_YET", "Dispatcher", "Ending", "TaskCalls", "TaskRunner", "value_of"]
 
 Task = Callable[..., Any]
 """A function that workers can import: small arguments, a small record back."""
@@ -86,6 +86,26 @@ class Ending:
     reason: str = ""
     traceback: str = ""
     attempts: int = 1
+
+
+class TaskRunner(Protocol):
+    """Runs tasks: a `Dispatcher`, or this process; see `service.cluster.single_process`."""
+
+    @property
+    def threads(self) -> int:
+        """Return how many tasks can run at once."""
+
+    def call(self, task: Callable[..., Returned], *arguments: Any) -> Returned:
+        """See `Dispatcher.call`."""
+
+    def all(self, task: Callable[..., Returned], calls: TaskCalls) -> list[Returned]:
+        """See `Dispatcher.all`."""
+
+    def everywhere(self, task: Callable[..., Returned], *arguments: Any) -> dict[str, Returned]:
+        """See `Dispatcher.everywhere`."""
+
+    def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
+        """See `Dispatcher.run`."""
 
 
 _Arrived = queue.SimpleQueue[Submission]

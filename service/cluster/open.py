@@ -170,11 +170,22 @@ def open_cluster(
         else _local(workers, allowed_failures)
     )
     with opened as cluster:
-        prepare_workers(cluster.client)
-        if cluster.dashboard:
-            with _unlogged("distributed"):
-                add_tab(cluster.client)
+        prepare_client(cluster.client)
         yield cluster
+
+
+def prepare_client(client: Client) -> None:
+    """Limit workers to one thread, and add our tab to the dashboard where there is one.
+
+    Raises
+    ------
+    ClusterError
+        If scheduler or workers cannot import Palpate.
+    """
+    prepare_workers(client)
+    if client.dashboard_link:
+        with _unlogged("distributed"):
+            add_tab(client)
 
 
 @contextmanager

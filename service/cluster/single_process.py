@@ -12,9 +12,12 @@ Returned = TypeVar("Returned")
 
 
 class SingleProcess:
-    """Runs tasks here, in order; has the methods of `cluster.dispatch.Dispatcher` for a study."""
+    """Runs tasks here, in order; a `service.cluster.dispatch.TaskRunner`."""
 
-    threads = 1
+    @property
+    def threads(self) -> int:
+        """Return how many tasks run at once."""
+        return 1
 
     def call(self, task: Callable[..., Returned], *arguments: object) -> Returned:
         """Run one task; what it raises goes up unchanged."""

@@ -3,9 +3,11 @@
 from pathlib import Path
 
 from palpate.service.commands.settings import RUNS
+from palpate.service.study.case_file import NamedCase, read_case
 from palpate.service.study.spec import StudySpec, read_spec
 from palpate.storage.backends.layout import StudyLayout
 from palpate.storage.errors import InputError
+from palpate.workers.spec import CaseSpec
 
 
 def find_study(given: Path | None) -> Path:
@@ -39,7 +41,18 @@ def load_spec(given: Path) -> StudySpec:
     return read_spec(StudyLayout(given).study if given.is_dir() else given)
 
 
-def constants_option(spec: StudySpec, given: list[str]) -> dict[str, float]:
+def load_case(given: Path) -> NamedCase:
+    """Read the case in a file, which need not state a target or a search, or in a study's folder.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it makes no sense.
+    """
+    return read_case(StudyLayout(given).study if given.is_dir() else given)
+
+
+def constants_option(case: CaseSpec, given: list[str]) -> dict[str, float]:
     """Convert ``E_fat_kpa=12`` to inside names and units, for one simulation.
 
     Raises
@@ -56,7 +69,7 @@ def constants_option(spec: StudySpec, given: list[str]) -> dict[str, float]:
             equals = ""
         if not equals:
             raise InputError(f"--set {text}: expected NAME=VALUE, such as --set E_fat_kpa=12.")
-    return spec.case.parameters.from_door(stated)
+    return case.parameters.from_door(stated)
 
 
 def _latest() -> Path:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from palpate.service.cluster.dispatch import Dispatcher, Ending
+from palpate.service.cluster.dispatch import Ending, TaskRunner
 from palpate.service.search.base import Generation
 from palpate.service.study.endings import (
     blame_cluster_if_many,
@@ -49,7 +49,7 @@ class EvaluationRun:
     _earlier: set[str] = field(default_factory=set)  # digests of what was forgotten
 
     @property
-    def dispatcher(self) -> Dispatcher:
+    def dispatcher(self) -> TaskRunner:
         """Return what sends tasks."""
         return self.work.dispatcher
 

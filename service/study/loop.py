@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.dispatch import TaskRunner
 from palpate.service.search.base import Generation, Stopped
 from palpate.service.study.error_sources import Lost, mesh_fits, nuisance_fit
 from palpate.service.study.evaluations import EvaluationRun
@@ -125,7 +125,7 @@ class Study:
         self.store = place_of(store or self.folder.default_store(log))
         self._given_store = store
 
-    def run(self, dispatcher: Dispatcher, dashboard: str = "") -> Conclusion:
+    def run(self, dispatcher: TaskRunner, dashboard: str = "") -> Conclusion:
         """Run the study to its end, from wherever it stands.
 
         Raises
@@ -149,7 +149,7 @@ class _Run:
     """One run of a study, its journal locked."""
 
     def __init__(
-        self, study: Study, journal: Journal, log: StudyLog, store: Store, dispatcher: Dispatcher
+        self, study: Study, journal: Journal, log: StudyLog, store: Store, dispatcher: TaskRunner
     ) -> None:
         self.study, self.spec, self.tasks, self.hooks = study, study.spec, study.tasks, study.hooks
         self.journal, self.log, self.store, self.dispatcher = journal, log, store, dispatcher

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from palpate.service.cluster.dispatch import Dispatcher, Task
+from palpate.service.cluster.dispatch import Task, TaskRunner
 from palpate.service.study.spec import StudySpec
 from palpate.storage.records.tasks import (
     BodyFacts,
@@ -57,7 +57,7 @@ class StudyWork:
     spec : StudySpec
     tasks : Tasks
     store : Store
-    dispatcher : Dispatcher
+    dispatcher : TaskRunner
     body : PreparedBody
     target : str
         Digest.
@@ -68,7 +68,7 @@ class StudyWork:
         spec: StudySpec,
         tasks: Tasks,
         store: Store,
-        dispatcher: Dispatcher,
+        dispatcher: TaskRunner,
         body: PreparedBody,
         target: str,
     ) -> None:

@@ -1,25 +1,32 @@
 """Workers for one piece of work: opened, told to stop by Ctrl-C, closed again."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
+from distributed import Client
+
+from palpate.service.cluster.dispatch import Dispatcher, TaskRunner
+from palpate.service.cluster.open import open_cluster, prepare_client
+from palpate.service.cluster.single_process import SingleProcess
 from palpate.service.cluster.worker_range import Workers
 from palpate.service.errors import Interrupted
 from palpate.service.interrupts import stop_requests
 from palpate.service.study.observers.dask_records import DaskRecords
 from palpate.service.study.observers.hooks import Observer
+from palpate.storage.errors import InputError
+
+Runner = TypeVar("Runner", bound=TaskRunner, covariant=True)
 
 
 @dataclass(frozen=True)
-class Session:
+class Session(Generic[Runner]):
     """Workers that are at hand.
 
     Parameters
     ----------
-    dispatcher : Dispatcher
+    dispatcher : TaskRunner
         Sends tasks to them.
     dashboard : str
         Address of Dask's page; empty if there is none.
@@ -27,7 +34,7 @@ class Session:
         Of a study that runs on them.
     """
 
-    dispatcher: Dispatcher
+    dispatcher: Runner
     dashboard: str = ""
     observers: tuple[Observer, ...] = ()
 
@@ -35,7 +42,7 @@ class Session:
 @contextmanager
 def session(
     scheduler: str | None = None, workers: Workers | str | None = None
-) -> Iterator[Session]:
+) -> Iterator[Session[Dispatcher]]:
     """Open the workers of this machine or connect to a scheduler, until the work is done.
 
     Ctrl-C and SIGTERM stop the dispatcher; the signals of a program that handles them itself
@@ -59,3 +66,61 @@ def session(
         with open_cluster(scheduler, workers) as cluster:
             dispatcher = Dispatcher(cluster.client, stop=lambda: bool(requests))
             yield Session(dispatcher, cluster.dashboard, (DaskRecords(cluster.client),))
+
+
+@contextmanager
+def client_session(client: Client) -> Iterator[Session[Dispatcher]]:
+    """Use the workers of a client, which stays open; Ctrl-C and SIGTERM as in `session`.
+
+    Raises
+    ------
+    Interrupted
+        If the user asks to stop; finished tasks are saved.
+    ClusterError
+        If scheduler or workers cannot import Palpate.
+    """
+    with stop_requests(respect_handlers=True) as requests:
+        prepare_client(client)
+        dispatcher = Dispatcher(client, stop=lambda: bool(requests))
+        yield Session(dispatcher, client.dashboard_link or "", (DaskRecords(client),))
+
+
+@contextmanager
+def in_process_session() -> Iterator[Session[SingleProcess]]:
+    """Run all tasks in this process, one after the other; Ctrl-C stops the one that is running."""
+    yield Session(SingleProcess())
+
+
+def chosen_session(
+    *,
+    workers: Workers | str | None = None,
+    scheduler: str | None = None,
+    client: Client | None = None,
+    in_process: bool = False,
+) -> AbstractContextManager[Session[TaskRunner]]:
+    """Return the session of the workers that a caller has chosen.
+
+    Parameters
+    ----------
+    workers, scheduler
+        See `session`, which is the default.
+    client : distributed.Client, optional
+    in_process : bool
+
+    Raises
+    ------
+    InputError
+        If more than one is chosen.
+    """
+    choices = {
+        "workers": workers is not None,
+        "scheduler": scheduler is not None,
+        "client": client is not None,
+        "in_process": in_process,
+    }
+    chosen = [name for name, is_chosen in choices.items() if is_chosen]
+    if len(chosen) > 1:
+        raise InputError(f"Give one of {' and '.join(chosen)}: each says where the work is done.")
+    if client is not None:
+        return client_session(client)
+    return in_process_session() if in_process else session(scheduler, workers)

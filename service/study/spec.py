@@ -86,14 +86,14 @@ class StudySpec(Door):
         cls, data: Any, handler: ModelWrapValidatorHandler[Self]
     ) -> Self:
         if cls is StudySpec and isinstance(data, Mapping):
-            study: Any = study_of(_organ_in(data)).model_validate(data)
+            study: Any = study_of(organ_in(data)).model_validate(data)
             return cast(Self, study)
         return handler(data)
 
     @classmethod
     def record_for(cls, data: Any) -> type[Door]:
         """Return the study of the organ that `data` names."""
-        return study_of(_organ_in(data)) if isinstance(data, Mapping) else cls
+        return study_of(organ_in(data)) if isinstance(data, Mapping) else cls
 
     @model_validator(mode="after")
     def _load_is_stated_for_an_image(self) -> Self:
@@ -263,7 +263,7 @@ def study_of(organ: str) -> type[StudySpec]:
     return made
 
 
-def _organ_in(data: Mapping[str, Any]) -> str:
+def organ_in(data: Mapping[str, Any]) -> str:
     """Return the organ that a study names; the default where that makes no sense."""
     case = data.get("case")
     named = case.get("organ", DEFAULT) if isinstance(case, Mapping) else DEFAULT
@@ -282,12 +282,23 @@ def read_spec(path: Path) -> StudySpec:
     InputError
         If there is no such file, it is no YAML, or a key or value makes no sense.
     """
+    return parse_spec(study_text(path), str(path), path.resolve().parent)
+
+
+def study_text(path: Path) -> str:
+    """Return the text of a study file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is no text.
+    """
     if path.is_dir():
         raise InputError(
             f"{path} is a folder; expected a study file such as {path / 'study.yaml'}."
         )
     try:
-        text = read_text(path)
+        return read_text(path)
     except FileNotFoundError:
         raise InputError(
             f"There is no study file {path}. Write one with `palpate new breast "
@@ -295,7 +306,6 @@ def read_spec(path: Path) -> StudySpec:
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path} cannot be read as text: {error}.") from error
-    return parse_spec(text, str(path), path.resolve().parent)
 
 
 def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
@@ -307,14 +317,25 @@ def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
         If it is no YAML, or a key or value makes no sense.
     """
     with reading(where, "a study"):
-        data = parse_yaml(text, where)
-        if not isinstance(data, dict):
-            kind = "nothing" if data is None else type(data).__name__
-            raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")
-        _make_absolute(data.get("target"), folder)
-        case = data.get("case")
-        _make_absolute(case.get("reference") if isinstance(case, dict) else None, folder)
-        return validated(StudySpec, data, where)
+        return validated(StudySpec, study_keys(text, where, folder), where)
+
+
+def study_keys(text: str, where: str, folder: Path) -> dict[str, Any]:
+    """Return the keys of a study as they are written, paths of volumes made absolute.
+
+    Raises
+    ------
+    InputError
+        If the text is no YAML, or holds no keys.
+    """
+    data = parse_yaml(text, where)
+    if not isinstance(data, dict):
+        kind = "nothing" if data is None else type(data).__name__
+        raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")
+    _make_absolute(data.get("target"), folder)
+    case = data.get("case")
+    _make_absolute(case.get("reference") if isinstance(case, dict) else None, folder)
+    return data
 
 
 def _make_absolute(image: object, folder: Path) -> None:

@@ -180,7 +180,7 @@ def intervals_of(kind_name: str, number: int, out: Path) -> list[Interval]:
     folder = out / name
     if not (folder / "study").exists() or study_results(folder / "study").state != "stopped":
         spec = study_of(name, number, KINDS[kind_name], folder)
-        Study(spec, folder / "study", out / "store").run(SingleProcess())  # type: ignore[arg-type]
+        Study(spec, folder / "study", out / "store").run(SingleProcess())
     results = study_results(folder / "study")
     record, truth = study_json(results), _law(TABLE_5_2[number])
     found = []

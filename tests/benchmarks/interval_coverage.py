@@ -213,7 +213,7 @@ def intervals_of(kind_name: str, seed: int, out: Path) -> list[Interval]:
     folder = out / name
     if not _has_ended(folder / "study"):
         spec = study_of(name, seed, KINDS[kind_name], folder)
-        Study(spec, folder / "study", out / "store").run(SingleProcess())  # type: ignore[arg-type]
+        Study(spec, folder / "study", out / "store").run(SingleProcess())
     record = study_json(study_results(folder / "study"))
     return [
         _interval(kind_name, seed, true_constants(seed)[f"{constant}_kpa"], constant, record)

@@ -144,7 +144,7 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
         return Study(*arguments, tasks=TASKS, **more)
 
     monkeypatch.setattr(palpate.study, "StudyLoop", loop)
-    monkeypatch.setattr(palpate.study, "session", lambda *_: at_hand(Inline()))
+    monkeypatch.setattr(palpate.study, "chosen_session", lambda **_: at_hand(Inline()))
 
 
 @pytest.mark.usefixtures("in_process")
@@ -166,10 +166,10 @@ def test_python_raises_keyboard_interrupt_and_continues(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = palpate.Study(small_spec(), tmp_path / "demo")
-    monkeypatch.setattr(palpate.study, "session", lambda *_: at_hand(Stopped(after=15)))
+    monkeypatch.setattr(palpate.study, "chosen_session", lambda **_: at_hand(Stopped(after=15)))
     with pytest.raises(KeyboardInterrupt):
         own.run()
-    monkeypatch.setattr(palpate.study, "session", lambda *_: at_hand(Inline()))
+    monkeypatch.setattr(palpate.study, "chosen_session", lambda **_: at_hand(Inline()))
     assert own.run().stop_reason == "all 5 generations are done"
 
 

@@ -50,7 +50,7 @@ def returned_types(value: Any) -> Iterator[type]:
     if inspect.isclass(value) and value.__module__.count(".") == 1:
         members = [m.fget if isinstance(m, property) else m for m in vars(value).values()]
         functions = [m for m in members if inspect.isfunction(m) and not m.__name__.startswith("_")]
-    optional = dict.fromkeys(("DataFrame", "Figure"), object)
+    optional = dict.fromkeys(("Client", "DataFrame", "Figure"), object)
     for function in functions:
         hints = get_type_hints(function, vars(sys.modules[function.__module__]) | optional)
         waiting = [hints.get("return")]

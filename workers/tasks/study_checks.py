@@ -116,15 +116,18 @@ def check_case(case: CaseSpec, store: str | None = None, *, anyway: bool = False
     InputError
         With every reason.
     """
+    found = case_findings(case)
+    if store is not None and not any(finding.severity == "impossible" for finding in found):
+        bodies = BodyStore(open_store(store), organ_named(case.organ))
+        reference = _imaged(bodies, case.reference, False)
+        found = found if reference is None else case_findings(case, reference)
+    return accept(found, "The case", anyway=anyway)
+
+
+def case_findings(case: CaseSpec, body: Any | None = None) -> list[Finding]:
+    """Return the findings about a case without a target, and about its body where it is given."""
     checks = _checks(case, {})
     if checks is None:
         return []
     found: list[Finding] = list(checks.of_case(case))
-    if store is not None and not any(finding.severity == "impossible" for finding in found):
-        reference = _imaged(
-            BodyStore(open_store(store), organ_named(case.organ)), case.reference, False
-        )
-        found += (
-            checks.of_bodies(case, None, None, reference, None) if reference is not None else []
-        )
-    return accept(found, "The case", anyway=anyway)
+    return found if body is None else [*found, *checks.of_bodies(case, None, None, body, None)]

@@ -79,9 +79,8 @@ def _constants(
 ) -> tuple[dict[str, float], str]:
     """Return constants by their inside names, and whose they are in words."""
     if candidate is None:
-        return constants_option(
-            spec, given
-        ), "the constants given" if given else "its own constants"
+        whose = "the constants given" if given else "its own constants"
+        return constants_option(spec.case, given), whose
     if given:
         raise InputError("--candidate and --set exclude each other: a candidate has its constants.")
     if not study.is_dir():

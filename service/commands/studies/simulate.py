@@ -13,7 +13,7 @@ from palpate.service.commands.common import (
     print_findings,
     print_json,
 )
-from palpate.service.commands.named_study import constants_option, load_spec
+from palpate.service.commands.named_study import constants_option, load_case
 from palpate.service.commands.settings import store_place
 from palpate.service.commands.tables import echo_table
 from palpate.service.export.formats import export_solved
@@ -40,7 +40,10 @@ from palpate.workers.tasks.study_checks import check_case
 
 
 def simulate(
-    study: Annotated[Path, typer.Argument(help="Study file or study folder.")],
+    study: Annotated[
+        Path,
+        typer.Argument(help="Study file or study folder; a file with only name and case will do."),
+    ],
     constants: Annotated[
         list[str] | None,
         typer.Option(
@@ -65,12 +68,12 @@ def simulate(
     from their neutral values are printed.
     """
     check_suffix(out, solved_suffixes())
-    spec = load_spec(study)
+    named = load_case(study)
     place = store_place(store)
-    findings = check_case(spec.case, str(place), anyway=anyway)
+    findings = check_case(named.case, str(place), anyway=anyway)
     print_findings(findings)
-    case = spec.case.model_dump(mode="json")
-    stated = constants_option(spec, constants or [])
+    case = named.case.model_dump(mode="json")
+    stated = constants_option(named.case, constants or [])
     opened = open_store(place)
     result = simulate_once(case, stated, str(opened))
     volume = result.get("volume")
@@ -78,9 +81,9 @@ def simulate(
         if out.suffix.lower() in VOLUME_SUFFIXES:
             export_volume(out, load_volume(opened, volume), TISSUE_NAMES)
         else:
-            export_solved([out], solve_body(case, stated, str(opened), spec.name))
-    vocabulary = spec.case.vocabulary
-    held = spec.case.parameters.from_door(spec.case.constants)
+            export_solved([out], solve_body(case, stated, str(opened), named.name))
+    vocabulary = named.case.vocabulary
+    held = named.case.parameters.from_door(named.case.constants)
     kept = not_neutral(vocabulary, result["constants"], {*held, *stated})
     shown = quantities_inside(vocabulary, result["constants"] if everything else kept)
     if as_json:

@@ -226,7 +226,7 @@ class Runner:
         finally:
             slots.leave()
 
-    def _work(self, job: Job, session: Session) -> None:
+    def _work(self, job: Job, session: Session[Dispatcher]) -> None:
         folder = inside(self.home.root, self.home.job(job.id))
         store = self.home.store
         if job.kind == "study":

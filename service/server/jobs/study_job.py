@@ -7,6 +7,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+from palpate.service.cluster.dispatch import TaskRunner
 from palpate.service.run_study import Entrance, run_study
 from palpate.service.server.jobs.helper_process import helper_command, helper_environment
 from palpate.service.study.loop import Study, Tasks
@@ -41,7 +42,7 @@ def run_job(
     request: Mapping[str, Any],
     folder: Path,
     store: Location,
-    session: Session,
+    session: Session[TaskRunner],
     tasks: Tasks | None = None,
     *,
     reports: bool = True,

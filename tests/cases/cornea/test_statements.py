@@ -68,7 +68,7 @@ def studied(folder: Path, evaluations: int, **changed: Any) -> StudyResults:
         "search": search | changed,
     }
     study = Study(validated(StudySpec, spec, "eye"), folder / "eye", folder / "store")
-    study.run(SingleProcess())  # type: ignore[arg-type]
+    study.run(SingleProcess())
     return study_results(folder / "eye")
 
 
@@ -157,7 +157,7 @@ def test_the_interval_of_a_constant_is_that_of_its_estimate(tmp_path: Path) -> N
         },
     }
     study = Study(validated(StudySpec, spec, "eye"), tmp_path / "eye", tmp_path / "store")
-    study.run(SingleProcess())  # type: ignore[arg-type]
+    study.run(SingleProcess())
     results = study_results(tmp_path / "eye")
     assert results.identification is not None
     for name, truth in (("mu1", 35_000), ("alpha1", 80)):

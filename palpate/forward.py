@@ -1,0 +1,109 @@
+"""Forward models: from a body and its constants to a deformation, as arrays."""
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from palpate.service.forward.case_keys import case_from_keys
+from palpate.service.forward.organ_model import OrganModel
+from palpate.service.forward.simulation import Simulation
+from palpate.storage import values
+from palpate.volumes import Volume
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["Breast", "Simulation"]
+
+GIVEN = "the given volume"
+
+
+class Breast:
+    """A breast between two plates, ready to be simulated with any constants.
+
+    The mesh is made at the first simulation and kept. Nothing is written to disk, and no cluster
+    is needed.
+
+    Parameters
+    ----------
+    body : Volume, str, Path or mapping
+        Labels as `read_volume` and `phantom` return them, a file, or the keys of
+        ``case.reference`` in a study file.
+    anyway : bool
+        Simulate even though the body or the load looks implausible.
+    **keys
+        Keys below ``case`` in a study file, without their section: ``nodes`` or
+        ``element_size_mm``; ``force_n`` or ``plate_distance_mm``, ``oblique_deg``, ``moving``;
+        ``skin``, ``skin_thickness_mm``, ``fibres``, ``fibre_invariant``, ``law``; ``labels`` of a
+        volume; and constants that are held, such as ``nu=0.48``. Defaults are those of a study.
+
+    Raises
+    ------
+    InputError
+        Naming every key that makes no sense, or the reason why the body cannot be simulated.
+
+    Examples
+    --------
+    >>> import palpate
+    >>> model = palpate.Breast({"phantom": {"spacing_mm": 2}}, nodes=850)
+    >>> result = model.simulate(E_fat_kpa=8)
+    >>> result.converged, result.displacement_mm.shape == result.nodes_mm.shape
+    (True, True)
+    """
+
+    def __init__(
+        self,
+        body: values.Volume | str | Path | Mapping[str, Any],
+        *,
+        anyway: bool = False,
+        **keys: Any,
+    ) -> None:
+        reference: dict[str, Any] = {}
+        if isinstance(body, Mapping):
+            reference |= body
+        else:
+            reference["volume"] = GIVEN if isinstance(body, values.Volume) else str(body)
+        case = case_from_keys("breast", {"reference": reference} | keys)
+        self._model = OrganModel(case, body if isinstance(body, values.Volume) else None)
+        for finding in self._model.check(anyway=anyway):
+            warnings.warn(finding.text, stacklevel=2)
+
+    @property
+    def case(self) -> Any:
+        """The case as a study file states it, defaults included."""
+        return self._model.case
+
+    @property
+    def body(self) -> Volume:
+        """The undeformed body as labels of `Tissue`."""
+        return Volume.of(self._model.body)
+
+    def simulate(
+        self,
+        *,
+        client: "Client | None" = None,
+        store: str | Path = "runs/store",
+        **constants: float,
+    ) -> Simulation:
+        """Compress the breast once.
+
+        Parameters
+        ----------
+        client : distributed.Client, optional
+            Whose workers simulate. Default: this process. Results are stored and used again.
+        store : str or Path
+            Where the workers of `client` find the body, a folder or ``s3://BUCKET/PREFIX`` that
+            this process and all workers see. Not used without a client.
+        **constants : float
+            Names and units of a study file, such as ``E_fat_kpa=8``; `parameters` lists them.
+            Those left out keep the values of the model.
+
+        Raises
+        ------
+        InputError
+            If a constant is unknown or its value not admissible.
+        """
+        if client is None:
+            return self._model.simulate(constants)
+        return self._model.simulate_on(client, constants, store)

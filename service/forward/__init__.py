@@ -1,0 +1,1 @@
+"""One simulation at a time, as arrays."""

@@ -1,0 +1,87 @@
+"""The derivative of a displacement by a constant of the model."""
+
+from collections.abc import Callable
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
+from palpate.workers.mechanics.parameters import Parameter
+
+# Difference of a constant: of its value, or of its interval where it can be zero.
+STEP = 1e-4
+# The same for a constant on whose path the solution depends: friction saturates quickly.
+PATH_STEP = 0.02
+
+
+def displacement_gradient(
+    at: Equilibrium,
+    problem_at: Callable[[float], Problem],
+    parameter: Parameter,
+    value: float,
+    *,
+    follows_path: bool = False,
+) -> FloatArray:
+    """Differentiate the displacement of an equilibrium by one constant.
+
+    Parameters
+    ----------
+    at : Equilibrium
+    problem_at : callable
+        From a value of the constant, inside units, to the problem.
+    parameter : Parameter
+    value : float
+        Of the constant at the equilibrium, inside units.
+    follows_path : bool
+        Whether the solution depends on the path of the load through this constant, as it does on
+        friction. It is then solved again on both sides; otherwise a linear solve is enough.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        In mm per unit of the constant as it is stated, such as mm per kPa.
+
+    Raises
+    ------
+    InputError
+        If the simulation, or one next to it, did not converge.
+    """
+    ahead, behind = either_side(parameter, value, PATH_STEP if follows_path else STEP)
+    per_unit = parameter.unit.to_inside(1.0)
+    if not follows_path:
+        change = Change(problem_at(ahead), problem_at(behind), ahead - behind)
+        moved: FloatArray = tangents(at, [change])[0]
+        return moved * per_unit
+    ends = [_displacement(at, problem_at(one), parameter) for one in (ahead, behind)]
+    return (ends[0] - ends[1]) * (per_unit / (ahead - behind))
+
+
+def either_side(parameter: Parameter, value: float, step: float) -> tuple[float, float]:
+    """Return admissible values above and below another one; itself where nothing is beyond.
+
+    Examples
+    --------
+    >>> from palpate.workers.mechanics.parameters import BREAST
+    >>> either_side(BREAST["E_fat"], 0.01, 0.5)
+    (0.015, 0.005)
+    """
+    h = step * (value if parameter.lower > 0 else parameter.upper - parameter.lower)
+    return _admissible(parameter, value + h, value), _admissible(parameter, value - h, value)
+
+
+def _admissible(parameter: Parameter, wanted: float, otherwise: float) -> float:
+    try:
+        return parameter.check(wanted)
+    except InputError:
+        return otherwise
+
+
+def _displacement(at: Equilibrium, problem: Problem, parameter: Parameter) -> FloatArray:
+    solution = equilibrium(at.imaged, problem, at).solution
+    if not solution.outcome.converged:
+        raise InputError(
+            f"There is no derivative by {parameter.door_name}: a simulation next to this one "
+            f"diverged: {solution.outcome.reason}."
+        )
+    return solution.displacement_mm

@@ -1,0 +1,301 @@
+"""The result of one simulation of a body of tetrahedra, as arrays."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+
+from palpate.service.export.mesh_file import MeshData, mesh_data
+from palpate.service.forward.gradient import displacement_gradient
+from palpate.storage.errors import InputError
+from palpate.storage.stores.meshes import export_mesh
+from palpate.storage.values import FloatArray, IntArray, TetMesh, Volume
+from palpate.workers.mechanics.fem.elements.element_energy import deformation_gradients
+from palpate.workers.mechanics.fem.elements.model import Model
+from palpate.workers.mechanics.fem.equilibrium.element_fields import ElementFields, element_fields
+from palpate.workers.mechanics.fem.equilibrium.sensitivity import reactions
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.equilibrium.stress_free_shape import stress_free
+from palpate.workers.mechanics.fem.linear.level import Level
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.parameters import Vocabulary
+
+
+@dataclass(frozen=True, eq=False)
+class MeshedBody:
+    """A body of tetrahedra and its model, ready for any constants.
+
+    Parameters
+    ----------
+    model : Model
+        The prepared mesh as imaged.
+    vocabulary : Vocabulary
+        The constants of the model.
+    complete : callable
+        From stated constants to all of them, inside names and units.
+    problem : callable
+        From all constants to the problem.
+    path_dependent : frozenset of str
+        Constants on which the solution depends through the path of the load.
+    deform : callable or None
+        From a displacement, shape (n, 3), to the deformed body in voxels; None where a body has
+        none.
+    """
+
+    model: Model
+    vocabulary: Vocabulary
+    complete: Callable[[Mapping[str, float]], dict[str, float]]
+    problem: Callable[[Mapping[str, float]], Problem]
+    path_dependent: frozenset[str] = frozenset()
+    deform: Callable[[FloatArray], Volume] | None = None
+
+    def simulate(self, stated: Mapping[str, float]) -> "Simulation":
+        """Load the body; not to converge is an ordinary outcome.
+
+        Parameters
+        ----------
+        stated : mapping of str to float
+            Constants inside names and units; those left out take the values of `complete`.
+        """
+        solved = equilibrium(self.model, self.problem(self.complete(stated)))
+        found = solved.solution
+        return self.result(stated, found.displacement_mm, found.outcome.as_dict(), solved)
+
+    def result(
+        self,
+        stated: Mapping[str, float],
+        displacement_mm: FloatArray,
+        outcome: Mapping[str, Any],
+        solved: Equilibrium | None = None,
+    ) -> "Simulation":
+        """Return the result of a simulation whose displacement is known, shape (n, 3)."""
+        values = self.complete(stated)
+        finest = self.model.finest
+        return Simulation(
+            constants=self.vocabulary.to_door(values),
+            converged=bool(outcome["converged"]),
+            reason=str(outcome["reason"]),
+            nodes_mm=finest.nodes,
+            tetrahedra=finest.elements.tets,
+            tissue=finest.fractions.argmax(axis=1).astype(np.int32),
+            displacement_mm=displacement_mm,
+            outcome=outcome,
+            body=self,
+            stated=stated,
+            solved=solved,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """One simulation of a body of n nodes and m linear tetrahedra.
+
+    A simulation that does not converge is an ordinary result: `converged` is False, `reason` says
+    why, and the arrays are those of the last state reached. Strain and stress refer to the
+    stress-free shape, which is `nodes_mm` unless gravity acts in the image.
+
+    Parameters
+    ----------
+    constants : mapping of str to float
+        Every constant of the model, by its name in a study file.
+    converged : bool
+    reason : str
+        Why it did not converge; empty when it did.
+    nodes_mm : ndarray, shape (n, 3)
+        Undeformed nodes (x, y, z) as imaged.
+    tetrahedra : ndarray of int32, shape (m, 4)
+        Nodes of each element.
+    tissue : ndarray of int32, shape (m,)
+        `Tissue` of each element.
+    displacement_mm : ndarray, shape (n, 3)
+    outcome : mapping of str to object
+        Iterations, residual, contact area and other figures of the solver, units in their names.
+    body, stated, solved
+        The model, the stated constants inside, and the state of the solver.
+    """
+
+    constants: Mapping[str, float]
+    converged: bool
+    reason: str
+    nodes_mm: FloatArray
+    tetrahedra: IntArray
+    tissue: IntArray
+    displacement_mm: FloatArray
+    outcome: Mapping[str, Any]
+    body: MeshedBody = field(repr=False)
+    stated: Mapping[str, float] = field(repr=False)
+    solved: Equilibrium | None = field(repr=False, default=None)
+
+    def __repr__(self) -> str:
+        size = f"{len(self.nodes_mm)} nodes, {len(self.tetrahedra)} tetrahedra"
+        end = f"{self.plate_force_n:.4g} N" if self.converged else f"diverged: {self.reason}"
+        return f"<Simulation of {size}: {end}>"
+
+    @property
+    def deformed_nodes_mm(self) -> FloatArray:
+        """Nodes after deformation, shape (n, 3)."""
+        return self.nodes_mm + self.displacement_mm
+
+    @property
+    def deformation_gradient(self) -> FloatArray:
+        """F of each tetrahedron, shape (m, 3, 3)."""
+        elements = self._level.model.elements
+        found: FloatArray = deformation_gradients(self.deformed_nodes_mm, elements)
+        return found
+
+    @property
+    def green_lagrange_strain(self) -> FloatArray:
+        """E = (F^T F - 1) / 2 of each tetrahedron, shape (m, 3, 3)."""
+        return self._fields.green_strain
+
+    @property
+    def cauchy_stress_mpa(self) -> FloatArray:
+        """Cauchy stress of each tetrahedron in MPa, shape (m, 3, 3), tension positive."""
+        return self._fields.cauchy_mpa
+
+    @property
+    def von_mises_mpa(self) -> FloatArray:
+        """Von Mises stress of each tetrahedron in MPa, shape (m,)."""
+        return self._fields.von_mises_mpa
+
+    @property
+    def volume_ratio(self) -> FloatArray:
+        """J of each tetrahedron, shape (m,)."""
+        return self._fields.volume_ratio
+
+    @property
+    def plate_force_n(self) -> float:
+        """Force on the upper plate in N; zero without plates."""
+        return float(self.outcome["plate_force_n"])
+
+    @property
+    def plate_travel_mm(self) -> float:
+        """How far the plates have closed since they touched the body, in mm."""
+        return float(self.outcome["plate_displacement_mm"])
+
+    @property
+    def reaction_n(self) -> FloatArray:
+        """Forces in N that hold the nodes which a wall or a hold keeps in place, shape (n, 3)."""
+        return reactions(self.equilibrium)
+
+    @cached_property
+    def deformed(self) -> Volume:
+        """The deformed body as labelled voxels.
+
+        Raises
+        ------
+        InputError
+            If the body has no voxels, or the simulation did not converge.
+        """
+        if self.body.deform is None:
+            raise InputError("This body is not made of voxels: use deformed_nodes_mm.")
+        if not self.converged:
+            raise InputError(f"There is no deformed body, the simulation diverged: {self.reason}.")
+        return self.body.deform(self.displacement_mm)
+
+    def gradient(self, name: str) -> FloatArray:
+        """Differentiate the displacement by a constant.
+
+        A constant that follows this one where it is not stated, as ``E_muscle_kpa`` follows
+        ``E_fat_kpa``, changes with it. With friction, the slip of earlier load steps is held.
+
+        Parameters
+        ----------
+        name : str
+            As in a study file, such as ``"E_fat_kpa"``.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            In mm per unit of the constant, such as mm per kPa.
+
+        Raises
+        ------
+        InputError
+            If there is no such constant, or the simulation did not converge.
+        """
+        parameter = self.body.vocabulary.at_door(name)
+
+        def problem_at(value: float) -> Problem:
+            stated = {**self.stated, parameter.name: value}
+            return self.body.problem(self.body.complete(stated))
+
+        return displacement_gradient(
+            self.equilibrium,
+            problem_at,
+            parameter,
+            self.body.complete(self.stated)[parameter.name],
+            follows_path=parameter.name in self.body.path_dependent,
+        )
+
+    def to_meshio(self) -> meshio.Mesh:
+        """Return the deformed mesh with displacement, stress and strain as a `meshio.Mesh`.
+
+        The values are those of a ``.vtu`` file that ``palpate export`` writes.
+        """
+        data = self._mesh_data
+        return meshio.Mesh(
+            data.mesh.nodes,
+            [("tetra", data.mesh.tets)],
+            point_data=data.points,
+            cell_data={name: [values] for name, values in data.cells.items()},
+        )
+
+    def to_vtu(self, path: str | Path) -> Path:
+        """Write the mesh of `to_meshio` for ParaView; .vtk and .msh work as well.
+
+        Raises
+        ------
+        InputError
+            If the suffix is not known.
+        StoreError
+            If the file system refuses.
+        """
+        data = self._mesh_data
+        export_mesh(path, data.mesh, data.points, data.cells)
+        return Path(path)
+
+    def to_pyvista(self) -> Any:
+        """Return the mesh of `to_meshio` as a `pyvista.UnstructuredGrid`.
+
+        Raises
+        ------
+        InputError
+            If pyvista is not installed.
+        """
+        try:
+            import pyvista
+        except ImportError:
+            raise InputError(
+                "to_pyvista needs pyvista, which is not installed: pip install 'palpate[pyvista]'."
+            ) from None
+        return pyvista.from_meshio(self.to_meshio())
+
+    @cached_property
+    def equilibrium(self) -> Equilibrium:
+        """The state of the solver; solved once more where the simulation ran elsewhere."""
+        if self.solved is not None:
+            return self.solved
+        return equilibrium(self.body.model, self.body.problem(self.body.complete(self.stated)))
+
+    @cached_property
+    def _level(self) -> Level:
+        if self.solved is not None:
+            return self.solved.levels[-1]
+        model, problem = self.body.model, self.body.problem(self.body.complete(self.stated))
+        if any(problem.imaged_gravity_g):
+            model = stress_free(model, problem)
+        return Level.build(model.finest, problem)
+
+    @cached_property
+    def _fields(self) -> ElementFields:
+        return element_fields(self._level, self.deformed_nodes_mm)
+
+    @property
+    def _mesh_data(self) -> MeshData:
+        deformed = TetMesh(self.deformed_nodes_mm, self.tetrahedra)
+        return mesh_data(deformed, self.displacement_mm, self.tissue, self._fields)

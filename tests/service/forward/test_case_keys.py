@@ -1,0 +1,56 @@
+"""Keys without their sections mean what a study file says."""
+
+import doctest
+
+import pytest
+
+from palpate.service.forward import case_keys, gradient
+from palpate.service.forward.case_keys import case_from_keys
+from palpate.service.study.spec import study_of
+from palpate.storage.errors import InputError
+
+PHANTOM = {"spacing_mm": 2.0}
+
+
+def test_the_examples_are_true() -> None:
+    for module in (case_keys, gradient):
+        assert doctest.testmod(module).attempted
+        assert doctest.testmod(module).failed == 0
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"phantom": PHANTOM},
+        {"reference": {"phantom": PHANTOM}, "element_size_mm": 6, "skin": "membrane"},
+        {"phantom": PHANTOM, "load": {"force_n": 30}, "oblique_deg": 45, "E_skin_kpa": 900},
+    ],
+)
+def test_a_file_would_say_the_same(keys: dict[str, object]) -> None:
+    case = case_from_keys("breast", keys)
+    study = study_of("breast").model_validate(
+        {
+            "name": "same",
+            "case": case.model_dump(mode="json"),
+            "target": {"constants": {"E_fat_kpa": 9}},
+            "search": {"parameters": {"E_fat_kpa": [5, 20]}},
+        }
+    )
+    assert study.case == case
+
+
+def test_no_key_of_a_breast_or_a_cornea_has_two_homes() -> None:
+    from palpate.service.forward.case_keys import _sections
+    from palpate.workers.organs.registry import organ_spec
+
+    for organ in ("breast", "cornea"):
+        spec = organ_spec(organ)
+        keys = [key for door in _sections(spec.case).values() for key in door.model_fields]
+        assert len(keys) == len(set(keys))
+        # The pressure of the eye is a key of the load and a constant: both mean the same.
+        assert set(keys) & set(spec.parameters.door_names) <= {"iop_mmhg"}
+
+
+def test_sections_are_checked() -> None:
+    with pytest.raises(InputError, match="mesh"):
+        case_from_keys("breast", {"phantom": PHANTOM, "mesh": 3})

@@ -10,6 +10,10 @@ import { attempt, connected } from "./trouble.js";
 import { badge, bytes, count, moment, number } from "./words.js";
 
 const FAILURES_AT_FIRST = 30;
+const FILE_WORDS = {
+  "report.html": "report", "study.yaml": "settings (study.yaml)", "journal.jsonl": "journal (journal.jsonl)",
+  "diagnosis.html": "report", "diagnosis.json": "record (diagnosis.json)", "palpate.log": "log (palpate.log)",
+};
 const ENDED = ["finished", "failed", "cancelled"];
 const ACTIONS = {
   pause: ["waiting", "running"], resume: ["paused", "failed"], cancel: ["waiting", "running", "paused", "failed"],
@@ -96,7 +100,7 @@ const headOf = (page, id) => {
     tiles.replaceChildren(...tilesOf(job).map(([term, value, unit]) =>
       make("div", {}, make("dt", {}, term), make("dd", {}, value, unit ? make("small", {}, ` ${unit}`) : ""))));
     const cluster = page.state.cluster;
-    links.replaceChildren(...job.files.flatMap((name) => [make("a", { href: address(`${path(id)}/files/${name}`), target: "_blank", rel: "noopener" }, name), " "]));
+    links.replaceChildren(...job.files.flatMap((name) => [make("a", { href: address(`${path(id)}/files/${name}`), target: "_blank", rel: "noopener", "data-file": name }, FILE_WORDS[name] || name), " "]));
     if (cluster && cluster.dashboard) links.append(make("a", { class: "dask", href: cluster.dashboard, target: "_blank", rel: "noopener" }, "Dask\u2019s dashboard"));
   };
   return { root, update };

@@ -34,12 +34,16 @@ export const leftOf = (job) => {
   return job.state === "running" && job.left_s !== null ? duration(job.left_s) : "";
 };
 
-const rowOf = (job) => {
+const rowOf = (job, isChosen, choose) => {
   const progress = progressOf(job);
   const bar = make("progress", { max: progress.most, value: job.state === "finished" ? progress.most : progress.done, "aria-label": `progress of ${job.id}` });
   const failed = job.evaluations ? job.evaluations.diverged + job.evaluations.crashed + job.evaluations.lost : 0;
   const cell = (is, ...children) => make("td", { "data-is": is }, ...children);
+  const box = make("input", { type: "checkbox", "aria-label": `compare ${job.id}` });
+  box.checked = isChosen;
+  box.addEventListener("change", () => choose(job.id, box.checked));
   return make("tr", { "data-job": job.id },
+    make("td", { class: "choose" }, ...(job.kind === "study" ? [box] : [])),
     make("td", {}, make("a", { href: `#/${encodeURIComponent(job.id)}` }, job.id)),
     cell("State", badge(job.state)),
     cell("Evaluations", bar, make("span", { class: "beside" }, progress.text)),
@@ -52,22 +56,36 @@ const rowOf = (job) => {
 
 export const showJobs = async (page) => {
   const body = make("tbody");
-  const heads = ["Job", "State", "Evaluations", "Failed", "Best score", "Time left, at most", "Owner", "Submitted"];
+  const heads = ["", "Job", "State", "Evaluations", "Failed", "Best score", "Time left, at most", "Owner", "Submitted"];
   const table = make("table", { class: "cards jobs" },
     make("thead", {}, make("tr", {}, ...heads.map((head) => make("th", {}, head)))), body);
-  const none = make("p", { class: "note" }, "Nothing has been submitted yet.");
   const more = make("button", { type: "button", class: "quiet", hidden: "" }, "older ones");
-  page.main.append(make("h1", {}, "Studies and diagnoses"), submission(), none, make("div", { class: "scroll" }, table), more);
+  const study = submission();
+  const diagnosis = diagnosisForm();
+  const none = nothingYet(study, diagnosis);
+  const chosen = new Set();
+  const compare = make("button", { type: "button", class: "quiet", disabled: "" }, "compare the chosen studies");
+  compare.addEventListener("click", () => { location.hash = `#/compare/${[...chosen].map(encodeURIComponent).join(",")}`; });
+  const scroll = make("div", { class: "scroll", hidden: "" }, table);
+  page.main.append(make("h1", {}, "Studies and diagnoses"), none, study, diagnosis, scroll, more, compare);
 
+  const choose = (id, on) => {
+    if (on) chosen.add(id);
+    else chosen.delete(id);
+    compare.disabled = chosen.size < 2;
+  };
   const rows = new Map();
   const show = (job, older = false) => {
     none.hidden = true;
-    const row = rowOf(job);
+    scroll.hidden = false;
+    const row = rowOf(job, chosen.has(job.id), choose);
     if (rows.has(job.id)) rows.get(job.id).replaceWith(row);
     else if (older) body.append(row);
     else body.prepend(row);
     rows.set(job.id, row);
+    compare.hidden = rows.size < 2;
   };
+  compare.hidden = true;
   let before = null;
   const older = async () => {
     const got = await get(`/jobs?limit=50${before === null ? "" : `&before=${before}`}`);
@@ -80,28 +98,95 @@ export const showJobs = async (page) => {
   page.leave.push(follow("/events", { job: (job) => show(job) }, connected));
 };
 
+// What a new user sees: what can be done, with a first step that needs no files.
+const nothingYet = (study, diagnosis) => {
+  const demo = make("button", { type: "button", class: "main needs-token" }, "Start the demo");
+  demo.addEventListener("click", () => attempt(() => submitStudy(EXAMPLE, 0)));
+  const scans = make("button", { type: "button", class: "needs-token" }, "Upload scans");
+  scans.addEventListener("click", () => {
+    diagnosis.open = true;
+    diagnosis.querySelector("input[type=file]").focus();
+  });
+  const own = make("button", { type: "button", class: "needs-token" }, "Use a study file");
+  own.addEventListener("click", () => {
+    study.open = true;
+    study.querySelector("textarea").focus();
+  });
+  return make("div", { class: "empty" },
+    make("p", { class: "note" }, "Nothing has been submitted yet. The demo finds the stiffness of a virtual breast in a few minutes. With a scan at rest and one under load, a diagnosis says what a model of your own body lacks."),
+    make("p", { class: "actions" }, demo, scans, own));
+};
+
+const submitStudy = async (text, priority) => {
+  const job = await send("POST", "/studies", { study: text, priority });
+  location.hash = `#/${encodeURIComponent(job.id)}`;
+};
+
+// A folder of uploads is named after its first file, in letters that the service takes.
+const folderOf = (files) => {
+  const named = files.find((file) => /\.ya?ml$/.test(file.name)) || files[0];
+  const stem = named ? named.name.replace(/\..*$/, "") : "";
+  return stem.replace(/[^A-Za-z0-9._-]+/g, "-").replace(/^[^A-Za-z0-9]+/, "").slice(0, 40);
+};
+
+// Files and the folder that they are uploaded to, which is filled in when they are chosen.
+const uploadFields = (hint) => {
+  const folder = make("input", { type: "text", name: "folder", placeholder: "FOLDER", pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]*" });
+  const files = make("input", { type: "file", multiple: "", "aria-label": hint });
+  files.addEventListener("change", () => { if (!folder.value) folder.value = folderOf([...files.files]); });
+  const send = async () => { for (const file of files.files) await upload(folder.value, file); };
+  return { folder, files, send };
+};
+
 const submission = () => {
   const text = make("textarea", { name: "study", rows: "18", spellcheck: "false", "aria-label": "study file" });
   text.value = EXAMPLE;
   const file = make("input", { type: "file", accept: ".yaml,.yml" });
   file.addEventListener("change", async () => { if (file.files.length) text.value = await file.files[0].text(); });
-  const folder = make("input", { type: "text", name: "folder", placeholder: "FOLDER", pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]*" });
-  const images = make("input", { type: "file", multiple: "" });
+  const images = uploadFields("images of the study");
   const priority = make("input", { type: "number", name: "priority", value: "0", min: "-100", max: "100" });
   const form = make("form", { class: "submission" },
     text,
     make("label", {}, "Read it from a file ", file),
     make("fieldset", {}, make("legend", {}, "Images that it names as FOLDER/FILE"),
-      make("label", {}, "folder ", folder), make("label", {}, "files ", images)),
+      make("label", {}, "files ", images.files), make("label", {}, "folder ", images.folder)),
     make("label", {}, "Priority ", priority),
     make("button", { class: "main" }, "Submit"));
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     attempt(async () => {
-      for (const image of images.files) await upload(folder.value, image);
-      const job = await send("POST", "/studies", { study: text.value, priority: Number(priority.value) });
-      location.hash = `#/${encodeURIComponent(job.id)}`;
+      await images.send();
+      await submitStudy(text.value, Number(priority.value));
     });
   });
   return make("details", { class: "submit needs-token" }, make("summary", {}, "Submit a study"), form);
+};
+
+const diagnosisForm = () => {
+  const scans = uploadFields("case.yaml and scans");
+  scans.files.required = true;
+  scans.folder.required = true;
+  const nodes = make("input", { type: "number", name: "nodes", value: "5000", min: "200", max: "500000" });
+  const button = make("button", { class: "main" }, "Upload and diagnose");
+  const form = make("form", { class: "submission" },
+    make("p", {}, "Choose the scans and the file that describes them, case.yaml. `palpate new diagnosis NAME` writes one to fill in."),
+    make("fieldset", {}, make("legend", {}, "Case and scans"),
+      make("label", {}, "files ", scans.files), make("label", {}, "folder ", scans.folder)),
+    make("label", {}, "Nodes of the mesh ", nodes),
+    button);
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    attempt(async () => {
+      button.disabled = true;
+      try {
+        await scans.send();
+        const source = { upload: scans.folder.value };
+        const job = await send("POST", "/diagnoses", { source, nodes: Number(nodes.value) });
+        location.hash = `#/${encodeURIComponent(job.id)}`;
+      } finally {
+        button.disabled = false;
+      }
+    });
+  });
+  return make("details", { class: "submit needs-token" }, make("summary", {}, "Diagnose scans"), form);
 };

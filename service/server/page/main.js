@@ -1,6 +1,7 @@
 // Shows the list of jobs or one job, says who is signed in and how the cluster is.
 
 import { get, send } from "./api.js";
+import { showComparison } from "./compare.js";
 import { showJob } from "./job.js";
 import { showJobs } from "./jobs.js";
 import { attempt, complain } from "./trouble.js";
@@ -31,11 +32,16 @@ const route = async () => {
     main.append(make("section", {}, make("h1", {}, "Sign in"), make("p", {}, "Reading needs a token here. `palpate token new NAME` makes one.")));
     return;
   }
-  const job = decodeURIComponent(location.hash.replace(/^#\/?/, ""));
-  document.title = job ? `${job} \u00b7 Palpate` : "Palpate";
+  const place = location.hash.replace(/^#\/?/, "");
+  const compared = place.match(/^compare\/(.+)$/);
+  const job = decodeURIComponent(place);
+  document.title = compared ? "Comparison \u00b7 Palpate" : job ? `${job} \u00b7 Palpate` : "Palpate";
   const page = newPage();
   leave = page.end;
-  await attempt(() => (job ? showJob(page, job) : showJobs(page)));
+  await attempt(() => {
+    if (compared) return showComparison(page, compared[1].split(",").map(decodeURIComponent));
+    return job ? showJob(page, job) : showJobs(page);
+  });
   if (!page.ended) scrollTo(0, 0);
 };
 

@@ -252,6 +252,58 @@ def test_bodies_that_are_ahead_of_the_page_are_not_waited_for(
     assert not offer.is_visible()
 
 
+def test_chosen_studies_are_compared(shown: Shown, served: ServiceProcess) -> None:
+    set_manners(served.home / "store")
+    ids = ["one-side", "other-side"]
+    with served.client() as client:
+        for number, name in enumerate(ids):
+            client.submit_study(named(name).replace("seed: 7", f"seed: {20 + number}"))
+            shown.open(name)
+            shown.state("finished")
+        found = [client.results(name)["estimates"]["E_fat"]["estimate"] for name in ids]
+    shown.open()
+    page = shown.page
+    button = page.locator("button:has-text('compare the chosen studies')")
+    assert button.is_disabled()
+    for name in ids:
+        page.check(f"tr[data-job='{name}'] input[type=checkbox]")
+    button.click()
+    page.wait_for_selector("h1:has-text('Studies side by side')")
+    row = page.locator("#constants tbody tr:has-text('E_fat')").inner_text()
+    assert all(f"{value:.4g} " in row for value in found)
+    assert page.locator("#outcomes thead a").all_inner_texts() == ids
+    page.click(f"#outcomes thead a:has-text('{ids[1]}')")
+    page.wait_for_selector(f"h1:has-text('{ids[1]}')")
+    assert page.locator("[data-file='study.yaml']").inner_text() == "settings (study.yaml)"
+
+
+@pytest.mark.parametrize("width", [WIDE, NARROW])
+def test_an_empty_list_offers_a_first_step(browser: Any, tmp_path: Path, width: int) -> None:
+    with running_service(tmp_path / "runs", ["--workers", "1"], threads=1) as empty:
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        page.set_default_timeout(PATIENCE_MS)
+        page.goto(f"{empty.url}/#token={TOKEN}")
+        page.wait_for_selector("text=Nothing has been submitted yet")
+        page.click("button:has-text('Upload scans')")
+        files = page.locator("input[aria-label='case.yaml and scans']")
+        files.set_input_files(
+            [
+                {"name": "rest scan.nrrd", "mimeType": "text/plain", "buffer": b"no scan"},
+                {"name": "Patient 7.yaml", "mimeType": "text/plain", "buffer": b"name: small"},
+            ]
+        )
+        form = page.locator("details:has(summary:has-text('Diagnose scans'))")
+        assert form.locator("input[name=folder]").input_value() == "Patient-7"
+        form.locator("button").click()
+        page.wait_for_selector("#trouble:not([hidden])")
+        wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+        assert page.evaluate(wide) == 0
+        page.click("button:has-text('Start the demo')")
+        page.wait_for_selector("h1:has-text('demo')")
+        page.wait_for_selector("header .badge")
+        page.close()
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(WIDE, "dark"), (NARROW, "light")])
 def test_nothing_is_cut_and_both_schemes_are_known(
     shown: Shown, served: ServiceProcess, width: int, scheme: str
@@ -320,7 +372,7 @@ def look_at_a_real_study(browser: Any, served: ServiceProcess) -> None:
     page.locator('[data-viewer="body"]').get_by_text("gap", exact=True).click()
     assert "outside (+) or inside" in page.inner_text('[data-viewer="body"] .scale')
     with page.expect_popup() as opened:
-        page.click("text=report.html")
+        page.click("[data-file='report.html']")
     opened.value.wait_for_selector("h2:has-text('What was found')")
     page.close()
 

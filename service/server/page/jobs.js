@@ -43,8 +43,7 @@ const rowOf = (job, isChosen, choose) => {
   box.checked = isChosen;
   box.addEventListener("change", () => choose(job.id, box.checked));
   return make("tr", { "data-job": job.id },
-    make("td", { class: "choose" }, ...(job.kind === "study" ? [box] : [])),
-    make("td", {}, make("a", { href: `#/${encodeURIComponent(job.id)}` }, job.id)),
+    make("td", {}, ...(job.kind === "study" ? [box, " "] : []), make("a", { href: `#/${encodeURIComponent(job.id)}` }, job.id)),
     cell("State", badge(job.state)),
     cell("Evaluations", bar, make("span", { class: "beside" }, progress.text)),
     cell("Failed", job.evaluations ? count(failed) : "\u2013"),
@@ -56,7 +55,7 @@ const rowOf = (job, isChosen, choose) => {
 
 export const showJobs = async (page) => {
   const body = make("tbody");
-  const heads = ["", "Job", "State", "Evaluations", "Failed", "Best score", "Time left, at most", "Owner", "Submitted"];
+  const heads = ["Job", "State", "Evaluations", "Failed", "Best score", "Time left, at most", "Owner", "Submitted"];
   const table = make("table", { class: "cards jobs" },
     make("thead", {}, make("tr", {}, ...heads.map((head) => make("th", {}, head)))), body);
   const more = make("button", { type: "button", class: "quiet", hidden: "" }, "older ones");
@@ -169,7 +168,7 @@ const diagnosisForm = () => {
   const nodes = make("input", { type: "number", name: "nodes", value: "5000", min: "200", max: "500000" });
   const button = make("button", { class: "main" }, "Upload and diagnose");
   const form = make("form", { class: "submission" },
-    make("p", {}, "Choose the scans and the file that describes them, case.yaml. `palpate new diagnosis NAME` writes one to fill in."),
+    make("p", {}, "Choose the scans and the file that describes them, case.yaml. ", make("code", {}, "palpate new diagnosis NAME"), " writes one to fill in."),
     make("fieldset", {}, make("legend", {}, "Case and scans"),
       make("label", {}, "files ", scans.files), make("label", {}, "folder ", scans.folder)),
     make("label", {}, "Nodes of the mesh ", nodes),

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from palpate.client import Job, Service, connect
     from palpate.diagnosis import Diagnosis, diagnose
     from palpate.forward import Breast
+    from palpate.service.batch.evaluations import Evaluations
     from palpate.service.forward.simulation import Simulation
     from palpate.service.results.record import StudyResults
     from palpate.service.study.observers.hooks import Observer
@@ -75,6 +76,7 @@ _HOMES = {
     "Breast": "palpate.forward",
     "Simulation": "palpate.service.forward.simulation",
     "parameters": "palpate.vocabulary",
+    "Evaluations": "palpate.service.batch.evaluations",
     "Job": "palpate.client",
     "Service": "palpate.client",
     "connect": "palpate.client",
@@ -97,6 +99,7 @@ _HOMES = {
 __all__ = [
     "Breast",
     "Diagnosis",
+    "Evaluations",
     "InputError",
     "Job",
     "Observer",

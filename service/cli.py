@@ -49,6 +49,10 @@ COMMANDS = {
     "report": LazyCommand(
         "studies.report:report", "Print a study's results and write report.html to its folder."
     ),
+    "evaluate": LazyCommand(
+        "studies.evaluate:evaluate",
+        "Evaluate the candidates of a table or a design against a study's target.",
+    ),
     "profile": LazyCommand(
         "studies.profile:profile", "Show how well the image is fitted as one constant varies."
     ),

@@ -53,6 +53,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from palpate.client import Job, Service, connect
+    from palpate.cornea import Cornea, CorneaSimulation
     from palpate.diagnosis import Diagnosis, diagnose
     from palpate.forward import Breast
     from palpate.service.batch.evaluations import Evaluations
@@ -75,6 +76,8 @@ _HOMES = {
     "diagnose": "palpate.diagnosis",
     "Breast": "palpate.forward",
     "Simulation": "palpate.service.forward.simulation",
+    "Cornea": "palpate.cornea",
+    "CorneaSimulation": "palpate.cornea",
     "parameters": "palpate.vocabulary",
     "Evaluations": "palpate.service.batch.evaluations",
     "Job": "palpate.client",
@@ -98,6 +101,8 @@ _HOMES = {
 
 __all__ = [
     "Breast",
+    "Cornea",
+    "CorneaSimulation",
     "Diagnosis",
     "Evaluations",
     "InputError",

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from palpate.diagnosis import Diagnosis, diagnose
 from palpate.service.batch.evaluations import Evaluations
+from palpate.service.batch.progress import BatchProgress
 from palpate.service.batch.run import evaluate_batch, plan_batch
 from palpate.service.errors import Interrupted
 from palpate.service.report.study.data import read_study_data
@@ -216,7 +217,7 @@ class Study:
         elsewhere = scheduler is not None or client is not None
         for finding in plan.check(anyway=anyway, elsewhere=elsewhere):
             warnings.warn(finding.text, stacklevel=2)
-        bar = progress_observer(Console(stderr=True)) if progress else None
+        bar = BatchProgress(Console(stderr=True)) if progress else None
         try:
             with opened as session, bar or nullcontext():
                 shown = [] if bar is None else [bar]

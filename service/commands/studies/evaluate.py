@@ -65,11 +65,11 @@ def evaluate(
         scheduler, processes = cluster_options(scheduler, workers)
         from palpate.service.batch.candidate_table import read_table
         from palpate.service.batch.evaluations import check_table_suffix
+        from palpate.service.batch.progress import BatchProgress
         from palpate.service.batch.run import evaluate_batch, plan_batch
         from palpate.service.commands.named_study import load_spec
         from palpate.service.commands.tables import progress_console
         from palpate.service.search.designs import design_columns
-        from palpate.service.study.observers.progress import progress_observer
         from palpate.service.study.session import session
 
         table, study = _table_and_study(paths, design)
@@ -85,7 +85,7 @@ def evaluate(
         folder = study if study.is_dir() else RUNS / spec.name
         plan = plan_batch(spec, rows, folder, stated_store(store))
         print_findings(plan.check(anyway=anyway, elsewhere=scheduler is not None))
-        progress = progress_observer(progress_console())
+        progress = BatchProgress(progress_console())
         with session(scheduler, processes) as opened, progress:
             found = evaluate_batch(plan, opened.dispatcher, observers=[progress])
     if out is not None:

@@ -61,10 +61,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from palpate.client import Job, Service, connect
     from palpate.comparison import Comparison, compare
+    from palpate.cornea import Cornea, CorneaSimulation
     from palpate.diagnosis import Diagnosis, diagnose
     from palpate.forward import Breast
     from palpate.results import StudyResults
     from palpate.search import Search
+    from palpate.service.batch.evaluations import Evaluations
     from palpate.service.errors import ClusterError, GenerationCrashError, TaskError
     from palpate.service.forward.simulation import Simulation
     from palpate.service.remote.client import JobEvent
@@ -95,9 +97,12 @@ _HOMES = {
     "diagnose": "palpate.diagnosis",
     "Breast": "palpate.forward",
     "Simulation": "palpate.service.forward.simulation",
+    "Cornea": "palpate.cornea",
+    "CorneaSimulation": "palpate.cornea",
     "parameters": "palpate.vocabulary",
     "Comparison": "palpate.comparison",
     "compare": "palpate.comparison",
+    "Evaluations": "palpate.service.batch.evaluations",
     "Job": "palpate.client",
     "Service": "palpate.client",
     "connect": "palpate.client",
@@ -134,7 +139,10 @@ __all__ = [
     "ClusterError",
     "ClusterView",
     "Comparison",
+    "Cornea",
+    "CorneaSimulation",
     "Diagnosis",
+    "Evaluations",
     "GenerationCrashError",
     "InputError",
     "Job",

@@ -5,16 +5,21 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
+import numpy as np
 from numpy.typing import NDArray
 
 from palpate.diagnosis import Diagnosis, diagnose
 from palpate.results import StudyResults
+from palpate.service.batch.evaluations import Evaluations
+from palpate.service.batch.progress import BatchProgress
+from palpate.service.batch.run import evaluate_batch, plan_batch
 from palpate.service.errors import Interrupted
 from palpate.service.report.notebook import spec_html
 from palpate.service.report.study.data import read_study_data
 from palpate.service.report.study.page import write_report
 from palpate.service.results.columns import evaluation_columns
 from palpate.service.run_study import Entrance, run_study
+from palpate.service.search.designs import design_columns
 from palpate.service.study.log import read_study
 from palpate.service.study.loop import Study as StudyLoop
 from palpate.service.study.observers.hooks import Observer
@@ -165,6 +170,78 @@ class Study:
         except Interrupted:
             raise KeyboardInterrupt from None
         return self.results
+
+    def evaluate(
+        self,
+        table: Any,
+        *,
+        workers: int | str | None = None,
+        scheduler: str | None = None,
+        client: "Client | None" = None,
+        in_process: bool = False,
+        store: str | Path | None = None,
+        progress: bool = False,
+        anyway: bool = False,
+    ) -> Evaluations:
+        """Evaluate candidates of your own against the target of the study.
+
+        Evaluations that the store has are not computed again, so an interrupted call continues
+        when it is repeated, and the study itself shares them. A candidate that does not converge
+        is a row with a reason.
+
+        Parameters
+        ----------
+        table : mapping, DataFrame, structured array, or list of mappings
+            A column for each constant by its name in a study file, such as ``E_fat_kpa``, or a
+            mapping for each candidate; see also `design`. Constants that are left out keep the
+            values of the case.
+        workers, scheduler, client, in_process, store, progress, anyway
+            See `run`.
+
+        Raises
+        ------
+        InputError
+            Before any work starts, naming the row and column of a value that makes no sense.
+        StoreError, ClusterError, KeyboardInterrupt
+            As `run`.
+        """
+        from contextlib import nullcontext
+
+        from rich.console import Console
+
+        opened = chosen_session(
+            workers=workers, scheduler=scheduler, client=client, in_process=in_process
+        )
+        plan = plan_batch(self.spec, table, self.folder, store)
+        elsewhere = scheduler is not None or client is not None
+        for finding in plan.check(anyway=anyway, elsewhere=elsewhere):
+            warnings.warn(finding.text, stacklevel=2)
+        bar = BatchProgress(Console(stderr=True)) if progress else None
+        try:
+            with opened as session, bar or nullcontext():
+                shown = [] if bar is None else [bar]
+                return evaluate_batch(plan, session.dispatcher, observers=shown)
+        except Interrupted:
+            raise KeyboardInterrupt from None
+
+    def design(
+        self, n: int = 64, kind: str = "sobol", seed: int = 1
+    ) -> dict[str, NDArray[np.float64]]:
+        """Return candidates that fill the searched intervals evenly, for `evaluate`.
+
+        Parameters
+        ----------
+        n : int
+            Number of candidates; for a Sobol design a power of two.
+        kind : {"sobol", "halton", "latin-hypercube"}
+        seed : int
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n,)
+            Values of each searched parameter by its name.
+        """
+        return design_columns(self.spec.search.space, kind, n, seed)
 
     @property
     def results(self) -> StudyResults:

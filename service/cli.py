@@ -52,6 +52,10 @@ COMMANDS = {
     "compare": LazyCommand(
         "studies.compare:compare", "Compare the results and settings of several studies."
     ),
+    "evaluate": LazyCommand(
+        "studies.evaluate:evaluate",
+        "Evaluate a table or a design of candidates of a study.",
+    ),
     "profile": LazyCommand(
         "studies.profile:profile", "Show how well the image is fitted as one constant varies."
     ),

@@ -19,7 +19,6 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.organs.organ import CheckingOrgan, Organ, StoredOrgan
 from palpate.workers.organs.registry import catalogue_of, organ_named
 from palpate.workers.organs.study_checks import Finding, accept
-from palpate.workers.spec import CaseSpec
 from palpate.workers.tasks.body_store import BodyStore
 from palpate.workers.tasks.evaluation import prepare_case, simulate_once
 from palpate.workers.tasks.study_checks import case_findings
@@ -41,8 +40,8 @@ class OrganModel:
         If there is no such body.
     """
 
-    def __init__(self, case: CaseSpec, given: Volume | None = None) -> None:
-        self.case = case
+    def __init__(self, case: Any, given: Volume | None = None) -> None:
+        self.case: Any = case
         self.organ: Organ[Any, Any, Any] = organ_named(case.organ)
         self._given = given
         if given is None:

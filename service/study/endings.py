@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 from functools import partial
 
 from palpate.service.cluster.dispatch import Ending
@@ -45,15 +46,35 @@ def evaluation_record(
     pending: PendingGeneration, candidate: int, ending: Ending, reused: bool
 ) -> EvaluationRecord:
     """Make the journal's record of an ending."""
-    record = partial(
-        EvaluationRecord,
+    return ending_record(
+        ending,
         candidate=candidate,
         generation=pending.number,
         genes=pending.genes(candidate),
+        reused=reused,
+        level=pending.proposal.level,
+    )
+
+
+def ending_record(
+    ending: Ending,
+    *,
+    candidate: int,
+    generation: int,
+    genes: Mapping[str, float],
+    reused: bool,
+    level: int | None = None,
+) -> EvaluationRecord:
+    """Make the record of an ending; see `EvaluationRecord`."""
+    record = partial(
+        EvaluationRecord,
+        candidate=candidate,
+        generation=generation,
+        genes=genes,
         digest=ending.key,
         attempts=max(1, ending.attempts),
         reused=reused,
-        level=pending.proposal.level,
+        level=level,
     )
     result: EvaluationResult | None = ending.value
     if result is None:

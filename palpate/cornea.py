@@ -1,0 +1,164 @@
+"""The forward model of a cornea under the pressure of the eye and an air jet."""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from palpate.service.forward.case_keys import case_from_keys, stated_constants
+from palpate.service.forward.organ_model import OrganModel
+from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.organs.cornea.forward import LoadedCornea
+from palpate.workers.organs.cornea.section.outline import Section
+from palpate.workers.organs.cornea.solver.outcome import CorneaOutcome
+
+__all__ = ["Cornea", "CorneaSimulation"]
+
+
+@dataclass(frozen=True, eq=False)
+class CorneaSimulation:
+    """One simulation of a section of n nodes and m triangles of six nodes, q points in each.
+
+    A simulation that does not converge is an ordinary result: `converged` is False, `reason` says
+    why, and the arrays are those of the last state in equilibrium.
+
+    Parameters
+    ----------
+    constants : mapping of str to float
+        Every constant of the model, by its name in a study file.
+    converged : bool
+    reason : str
+        Why it did not converge; empty when it did.
+    nodes_mm : ndarray, shape (n, 2)
+        Undeformed nodes (x, y) as imaged.
+    triangles : ndarray of int32, shape (m, 6)
+        Corners, then the middles of the sides.
+    displacement_mm : ndarray, shape (n, 2)
+    outcome : mapping of str to object
+        Iterations, displacement of the apex and other figures of the solver.
+    deformed : Section
+        Both surfaces after deformation, ``anterior_mm`` and ``posterior_mm``.
+    """
+
+    constants: Mapping[str, float]
+    converged: bool
+    reason: str
+    nodes_mm: FloatArray
+    triangles: IntArray
+    displacement_mm: FloatArray
+    outcome: Mapping[str, Any]
+    deformed: Section
+    model: OrganModel = field(repr=False)
+    loaded: LoadedCornea = field(repr=False)
+
+    def __repr__(self) -> str:
+        size = f"{len(self.nodes_mm)} nodes, {len(self.triangles)} triangles"
+        apex = f"apex {self.apex_displacement_um:.4g} um"
+        return f"<CorneaSimulation of {size}: {apex if self.converged else self.reason}>"
+
+    @property
+    def apex_displacement_um(self) -> float:
+        """Displacement of the apex into the eye, in um."""
+        return float(self.outcome["apex_displacement_um"])
+
+    @property
+    def deformation_gradient(self) -> FloatArray:
+        """F at each point, from the state without stress where the model has one.
+
+        Shape (m, q, 3, 3); the third axis is normal to the section. With the additive prestress,
+        F is measured from the image.
+        """
+        return self.loaded.fields[0]
+
+    @property
+    def cauchy_stress_mpa(self) -> FloatArray:
+        """Cauchy stress at each point in MPa, shape (m, q, 3, 3), tension positive."""
+        return self.loaded.fields[1]
+
+    def gradient(self, name: str) -> FloatArray:
+        """Differentiate the displacement by a constant.
+
+        Parameters
+        ----------
+        name : str
+            As in a study file, such as ``"mu1_pa"``.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+            In mm per unit of the constant, such as mm per Pa.
+
+        Raises
+        ------
+        InputError
+            If there is no such constant, or the simulation did not converge.
+        """
+        return self.loaded.gradient(self.model.case.vocabulary.at_door(name))
+
+
+class Cornea:
+    """A section of a cornea, ready to be simulated with any constants in this process.
+
+    Parameters
+    ----------
+    anyway : bool
+        Simulate even though the section or the load looks implausible.
+    **keys
+        Keys below ``case`` in a study file, without their section: ``section`` or ``frame``;
+        ``elements``; ``kind``, ``convention``, ``prestress``, ``order_terms_by``; ``iop_mmhg``,
+        ``jet``; and constants that are held, such as ``mu1_pa=80``. Defaults are those of a study.
+
+    Raises
+    ------
+    InputError
+        Naming every key that makes no sense, or the reason why the section cannot be simulated.
+
+    Examples
+    --------
+    >>> model = Cornea(elements=200, iop_mmhg=15)
+    >>> result = model.simulate()
+    >>> result.converged, result.apex_displacement_um > 0
+    (True, True)
+    """
+
+    def __init__(self, *, anyway: bool = False, **keys: Any) -> None:
+        self._model = OrganModel(case_from_keys("cornea", keys))
+        for finding in self._model.check(anyway=anyway):
+            warnings.warn(finding.text, stacklevel=2)
+
+    @property
+    def case(self) -> Any:
+        """The case as a study file states it, defaults included."""
+        return self._model.case
+
+    def simulate(self, **constants: float) -> CorneaSimulation:
+        """Load the section once.
+
+        Parameters
+        ----------
+        **constants : float
+            Names and units of a study file, such as ``mu1_pa=80``; ``parameters("cornea")`` lists
+            them. Those left out keep the values of the model.
+
+        Raises
+        ------
+        InputError
+            If a constant is unknown or its value not admissible.
+        """
+        model = self._model
+        values = model.case.complete(stated_constants(model.case, constants))
+        loaded: Any = LoadedCornea(model.model, model.case, values, model.landmarks)
+        solution = loaded.equilibrium.solution
+        mesh, displacement_mm = model.mesh, solution.displacement_mm
+        return CorneaSimulation(
+            constants=model.case.vocabulary.to_door(values),
+            converged=solution.converged,
+            reason=solution.reason,
+            nodes_mm=mesh.nodes_mm,
+            triangles=mesh.triangles,
+            displacement_mm=displacement_mm,
+            outcome=CorneaOutcome(solution).as_dict(),
+            deformed=model.organ.deform(model.body, mesh, displacement_mm),
+            model=model,
+            loaded=loaded,
+        )

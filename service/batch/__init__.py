@@ -1,0 +1,1 @@
+"""Candidates of a table, evaluated as those of a search are."""

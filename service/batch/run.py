@@ -1,0 +1,178 @@
+"""Evaluates candidates that no search has proposed, such as those of a table.
+
+The store is the memory: an evaluation that it has is not computed again, whoever asked for it
+first, and an interrupted batch continues where it stopped.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from palpate.service.batch.candidate_table import Genes, candidates_of
+from palpate.service.batch.evaluations import Evaluations
+from palpate.service.cluster.dispatch import Ending, TaskRunner
+from palpate.service.study.endings import blame_cluster_if_many, ending_record
+from palpate.service.study.folder import StudyFolder
+from palpate.service.study.log import StudyLog
+from palpate.service.study.observers.hooks import Hooks, Observer, StudyFacts
+from palpate.service.study.plugin_use import require_plugins, used_plugins
+from palpate.service.study.preflight import preflight
+from palpate.service.study.requests import StudyWork, Tasks
+from palpate.service.study.spec import StudySpec
+from palpate.storage.backends.places import Location, Place, place_of
+from palpate.storage.records.evaluations import load_evaluation
+from palpate.storage.records.record import EvaluationRecord
+from palpate.storage.records.tasks import EvaluationRequest
+from palpate.storage.stores.store import open_store
+from palpate.workers.organs.study_checks import Finding
+
+
+@dataclass(frozen=True)
+class BatchPlan:
+    """Candidates of a study and the place of their evaluations.
+
+    Parameters
+    ----------
+    spec : StudySpec
+        Its search is not run.
+    candidates : tuple of dict
+        Checked; see `service.batch.candidate_table.candidates_of`.
+    store : Path or ObjectPath
+    is_checked : bool
+        Whether the study has run before, so that its inputs are known to be plausible.
+    """
+
+    spec: StudySpec
+    candidates: tuple[Genes, ...]
+    store: Place
+    is_checked: bool
+
+    def check(self, *, anyway: bool = False, elsewhere: bool = False) -> list[Finding]:
+        """Check that the study is plausible; see `service.study.preflight.preflight`."""
+        if self.is_checked:
+            return []
+        return preflight(self.spec, self.store, anyway=anyway, elsewhere=elsewhere)
+
+
+def plan_batch(
+    spec: StudySpec, table: Any, folder: Path, store: Location | None = None
+) -> BatchPlan:
+    """Check a table before any work starts.
+
+    Parameters
+    ----------
+    spec : StudySpec
+    table : mapping, DataFrame, structured array, or sequence of mappings
+        See `service.batch.candidate_table.candidates_of`.
+    folder : Path
+        Of the study, which need not exist.
+    store : Path, ObjectPath or str, optional
+        Default: that of the study's last run, else the folder ``store`` beside the study's.
+
+    Raises
+    ------
+    InputError
+        Naming the row and column of a value that makes no sense.
+    """
+    candidates = tuple(candidates_of(spec, table))
+    study = StudyFolder(folder, spec, accept_new_code=True)
+    log = StudyLog.read(study.layout.journal)
+    place = place_of(store or study.default_store(log))
+    same = log.study is not None and log.study.spec_digest == spec.digest
+    return BatchPlan(spec, candidates, place, same and bool(log.sessions))
+
+
+def evaluate_batch(
+    plan: BatchPlan,
+    runner: TaskRunner,
+    *,
+    observers: Iterable[Observer] = (),
+    tasks: Tasks | None = None,
+) -> Evaluations:
+    """Evaluate candidates as a search of a study would, and reuse what the store has.
+
+    Parameters
+    ----------
+    plan : BatchPlan
+    runner : TaskRunner
+    observers : iterable of Observer
+        Are called as for a study of one generation.
+    tasks : Tasks, optional
+
+    Raises
+    ------
+    InputError
+        If the case or the target makes no sense.
+    StoreError
+        If the store cannot be used.
+    ClusterError
+        If the workers cannot do the work; what is finished is kept.
+    Interrupted
+        If the runner is told to stop; what is finished is kept.
+    """
+    hooks, candidates = Hooks(observers), plan.candidates
+    work = _prepared(plan, runner, hooks, tasks or Tasks())
+    requests: dict[str, EvaluationRequest] = {}
+    sharing: dict[str, list[int]] = {}  # equal candidates have one evaluation
+    for row, genes in enumerate(candidates):
+        request = work.request(genes)
+        requests[request["digest"]] = request
+        sharing.setdefault(request["digest"], []).append(row)
+    records: dict[int, EvaluationRecord] = {}
+    hooks.generation_begun(0, len(candidates))
+
+    def write_down(ending: Ending, *, reused: bool) -> None:
+        for position, row in enumerate(sharing[ending.key]):
+            records[row] = ending_record(
+                ending,
+                candidate=row,
+                generation=0,
+                genes=candidates[row],
+                reused=reused or position > 0,
+            )
+            hooks.evaluation_ended(records[row], False)
+
+    calls = []
+    for name, request in requests.items():
+        stored = None if request["keep_volume"] else load_evaluation(work.store, name)
+        if stored is None:
+            calls.append((name, work.arguments(request)))
+        else:
+            write_down(Ending(name, "returned", stored), reused=True)
+    lost: list[Ending] = []
+    for ending in runner.run(work.evaluate, calls):
+        if ending.kind == "lost":
+            lost.append(ending)
+            blame_cluster_if_many(lost, len(calls))
+        write_down(ending, reused=_was_reused(ending.value))
+    hooks.stopped("all candidates are evaluated")
+    return Evaluations(
+        tuple(records[row] for row in range(len(candidates))), plan.spec.objective.name
+    )
+
+
+def _was_reused(result: Mapping[str, Any] | None) -> bool:
+    return bool(result and result.get("reused"))
+
+
+def _prepared(plan: BatchPlan, runner: TaskRunner, hooks: Hooks, tasks: Tasks) -> StudyWork:
+    """Bring case and target into the store, which is quick when they are there."""
+    store, spec = open_store(plan.store), plan.spec
+    facts = StudyFacts(
+        name=spec.name,
+        folder=str(store.root),
+        most_evaluations=len(plan.candidates),
+        generations=1,
+        workers=runner.threads,
+        dashboard="",
+        objective=spec.objective,
+    )
+    hooks.started(facts)
+    require_plugins(runner, used_plugins(spec))
+    case = spec.case.model_dump(mode="json")
+    body = runner.call(tasks.prepare, case, str(store.root))
+    hooks.prepared("case", body)
+    target = runner.call(tasks.target, case, spec.target.model_dump(mode="json"), str(store.root))
+    hooks.prepared("target", target)
+    return StudyWork(spec, tasks, store, runner, body, target["target"])

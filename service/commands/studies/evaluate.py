@@ -1,0 +1,128 @@
+"""`palpate evaluate` scores the candidates of a table or a design."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from palpate.service.commands.common import (
+    AnywayOption,
+    JsonOption,
+    SchedulerOption,
+    WorkersOption,
+    print_findings,
+    print_json,
+)
+from palpate.service.commands.interrupts import interruptible
+from palpate.service.commands.settings import RUNS, cluster_options, stated_store
+from palpate.storage.errors import InputError
+
+
+def evaluate(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="[TABLE] STUDY",
+            help="Table of candidates (.csv or .parquet, one column per constant, such as "
+            "E_fat_kpa), then a study file or folder. With --design, the study alone.",
+            show_default=False,
+        ),
+    ],
+    design: Annotated[
+        str | None,
+        typer.Option(
+            help="Fill the searched intervals evenly instead of reading a table: sobol, halton or "
+            "latin-hypercube.",
+            show_default=False,
+        ),
+    ] = None,
+    n: Annotated[int, typer.Option("--n", min=1, help="Number of points of the design.")] = 64,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the design.")] = 1,
+    out: Annotated[
+        Path | None, typer.Option(help="Write all rows to this .csv or .parquet file.")
+    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    store: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FOLDER|s3://BUCKET/PREFIX",
+            help="Store for volumes and evaluations, accessible to all workers. Default: "
+            "$PALPATE_STORE, else the store of the study.",
+            show_default=False,
+        ),
+    ] = None,
+    anyway: AnywayOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Evaluate a table or a design of candidates of a study.
+
+    Constants without a column keep the values of the case. What the store has is not computed
+    again: press Ctrl-C to stop at any time, and the same command continues. Candidates that do not
+    converge are rows with a reason.
+    """
+    with interruptible():  # before the imports, which take a while
+        scheduler, processes = cluster_options(scheduler, workers)
+        from palpate.service.batch.candidate_table import read_table
+        from palpate.service.batch.evaluations import check_table_suffix
+        from palpate.service.batch.progress import BatchProgress
+        from palpate.service.batch.run import evaluate_batch, plan_batch
+        from palpate.service.commands.named_study import load_spec
+        from palpate.service.commands.tables import progress_console
+        from palpate.service.search.designs import design_columns
+        from palpate.service.study.session import session
+
+        table, study = _table_and_study(paths, design)
+        if out is not None:
+            check_table_suffix(out)
+        spec = load_spec(study)
+        rows: Any
+        if design is not None:
+            rows = design_columns(spec.search.space, design, n, seed)
+        else:
+            assert table is not None
+            rows = read_table(table)
+        folder = study if study.is_dir() else RUNS / spec.name
+        plan = plan_batch(spec, rows, folder, stated_store(store))
+        print_findings(plan.check(anyway=anyway, elsewhere=scheduler is not None))
+        progress = BatchProgress(progress_console())
+        with session(scheduler, processes) as opened, progress:
+            found = evaluate_batch(plan, opened.dispatcher, observers=[progress])
+    if out is not None:
+        found.save(out)
+    if as_json:
+        print_json(list(found.rows()))
+        return
+    _print(found, out)
+
+
+def _table_and_study(paths: list[Path], design: str | None) -> tuple[Path | None, Path]:
+    """Return the table, if there is one, and the study; they may come in either order."""
+    if design is not None:
+        if len(paths) != 1:
+            raise InputError("--design makes the table itself: give the study alone.")
+        return None, paths[0]
+    if len(paths) != 2:
+        raise InputError("Give a table and a study, or a study and --design sobol --n 256.")
+    first, second = paths
+    is_swapped = second.suffix.lower() in (".csv", ".parquet")
+    return (second, first) if is_swapped else (first, second)
+
+
+def _print(found: Any, out: Path | None) -> None:
+    from palpate.service.commands.tables import echo_table
+    from palpate.service.formatting import number
+
+    counts = ", ".join(f"{count} {status}" for status, count in found.counts.items())
+    reused = int(found["reused"].sum())
+    typer.echo(f"{len(found)} candidates: {counts}" + (f"; {reused} reused" if reused else ""))
+    best = found.best
+    if best is not None:
+        values = [(name, number(value)) for name, value in best.genes.items()]
+        scores = [(name, number(best.score[name])) for name in ("gsf", "jc", "mhd_mm")]
+        typer.echo(f"best: row {best.candidate + 1}")
+        echo_table(None, [(f"  {name}", text) for name, text in [*values, *scores]])
+    if out is not None:
+        typer.echo(f"table: {out}")
+    else:
+        typer.echo("--out FILE.csv writes all rows.")

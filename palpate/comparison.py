@@ -47,7 +47,7 @@ class Comparison(StudyComparison):
         return f"<Comparison of {len(self.studies)} studies: {labels}"[:498] + ">"
 
     def _repr_html_(self) -> str:
-        return comparison_html(self)
+        return str(comparison_html(self))
 
 
 def compare(*studies: Study | str | Path) -> Comparison:

@@ -48,7 +48,7 @@ class Diagnosis(FinishedDiagnosis):
         return f"<Diagnosis of {self.summary.case}: {sentence(self.summary)}"[:498] + ">"
 
     def _repr_html_(self) -> str:
-        return diagnosis_html(self)
+        return str(diagnosis_html(self))
 
 
 def diagnose(

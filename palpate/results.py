@@ -158,4 +158,4 @@ class StudyResults(record.StudyResults):
         return f"<Results of {self.name}, {self.state}: {found}{more}"[:498] + ">"
 
     def _repr_html_(self) -> str:
-        return results_html(self)
+        return str(results_html(self))

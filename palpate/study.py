@@ -310,4 +310,4 @@ class Study:
     def _repr_html_(self) -> str:
         if StudyLayout(self.folder).journal.is_file():
             return self.results._repr_html_()
-        return spec_html(self.spec, f"not begun; its folder will be {self.folder}")
+        return str(spec_html(self.spec, f"not begun; its folder will be {self.folder}"))

@@ -51,7 +51,7 @@ class Volume(values.Volume):
         return f"<Volume of {shape} voxels of {spacing} mm (x, y, z), {self.values.dtype}>"
 
     def _repr_html_(self) -> str:
-        return volume_html(self, repr(self)[1:-1])
+        return str(volume_html(self, repr(self)[1:-1]))
 
 
 def read_volume(

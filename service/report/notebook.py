@@ -26,7 +26,7 @@ _TISSUES = palette.lookup({int(t): c for t, c in palette.TISSUES.items()})
 _GREYS = np.column_stack([*[np.arange(256)] * 3, np.full(256, 255)]).astype(np.uint8)
 
 
-def spec_html(spec: StudySpec, about: str) -> str:
+def spec_html(spec: StudySpec, about: str) -> Markup:
     """Return the searched parameters of a study, below a line about it."""
     rows = []
     for name, (lower, upper) in spec.search.parameters.items():
@@ -36,7 +36,7 @@ def spec_html(spec: StudySpec, about: str) -> str:
     return _table(title, ("searched", "from", "to", "unit"), rows)
 
 
-def results_html(results: StudyResults) -> str:
+def results_html(results: StudyResults) -> Markup:
     """Return the estimates of a study with their intervals, and why some may not be quoted."""
     rows = [
         (
@@ -56,7 +56,7 @@ def results_html(results: StudyResults) -> str:
     )
 
 
-def comparison_html(comparison: StudyComparison) -> str:
+def comparison_html(comparison: StudyComparison) -> Markup:
     """Return the constants, scores and differing settings of several studies."""
     labels = [study.label for study in comparison.studies]
     return Markup("").join(
@@ -70,7 +70,7 @@ def comparison_html(comparison: StudyComparison) -> str:
     )
 
 
-def diagnosis_html(diagnosis: FinishedDiagnosis) -> str:
+def diagnosis_html(diagnosis: FinishedDiagnosis) -> Markup:
     """Return the verdict of a diagnosis, the most likely causes and the constants."""
     summary = diagnosis.summary
     title = Markup("<p><b>{}</b>: {}</p>").format(summary.case, sentence(summary))
@@ -87,7 +87,7 @@ def diagnosis_html(diagnosis: FinishedDiagnosis) -> str:
     )
 
 
-def volume_html(volume: Volume, about: str) -> str:
+def volume_html(volume: Volume, about: str) -> Markup:
     """Return three sections through the middle of a volume as pictures, below a line about it."""
     views = VIEWS[:1] if volume.values.shape[0] == 1 else VIEWS
     shown, colours = _drawable(volume)

@@ -93,7 +93,7 @@ class ParameterEstimate:
         between = "" if self.interval is None else f" ({' to '.join(map(number, self.interval))})"
         value = f" {number(self.estimate)}{between} {self.unit}".rstrip()
         answer = "" if self.quotability is None else f". {self.quotability.sentence}."
-        return Markup("{}{}{}").format(name, value, answer)
+        return str(Markup("{}{}{}").format(name, value, answer))
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,9 @@ def test_public_objects_are_shown_as_html(folders: Folders) -> None:
     without = {"study file", "samples"}
     for name, value in public_objects(folders).items():
         if name not in without:
-            page = Page(value._repr_html_())
+            html = value._repr_html_()
+            assert type(html) is str  # no markup, which escapes what it is added to
+            page = Page(html)
             assert page.text, name
             assert not page.addresses or set("data:") <= set(page.addresses[0])
     shown = Page(palpate.Study.open(folders["searched"]).results._repr_html_())

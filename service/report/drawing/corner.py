@@ -115,9 +115,9 @@ def _range(one: CornerVariable) -> tuple[float, float]:
 def _label(
     axes: Axes, across: CornerVariable, up: CornerVariable, row: int, column: int, last: bool
 ) -> None:
-    axes.xaxis.set_major_locator(MaxNLocator(3))
+    axes.xaxis.set_major_locator(MaxNLocator(4, prune="both"))
     if row != column:
-        axes.yaxis.set_major_locator(MaxNLocator(3))
+        axes.yaxis.set_major_locator(MaxNLocator(4, prune="both"))
     if last:
         axes.set_xlabel(across.label)
     else:

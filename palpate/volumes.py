@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from palpate.service.export import export_volume
+from palpate.service.export import VOLUME_SUFFIXES, check_suffix, export_volume
 from palpate.storage.values import Volume
 from palpate.workers.body.images import read
 
@@ -40,11 +40,13 @@ def read_volume(
 
 
 def write_volume(path: str | Path, volume: Volume, names: Mapping[int, str] | None = None) -> None:
-    """Write a volume as NRRD.
+    """Write a volume as NRRD or NIfTI.
 
     Parameters
     ----------
     path : str or Path
+        Its suffix chooses the format: ``.nrrd``, ``.seg.nrrd`` (a segmentation in 3D Slicer),
+        ``.nii`` or ``.nii.gz``.
     volume : Volume
     names : mapping of int to str, optional
         Names of its labels, such as ``{1: "Fat", 2: "Glandular"}``, which 3D Slicer and
@@ -52,7 +54,10 @@ def write_volume(path: str | Path, volume: Volume, names: Mapping[int, str] | No
 
     Raises
     ------
+    InputError
+        If the suffix is not known or the folder does not exist.
     StoreError
         If the file system refuses.
     """
+    check_suffix(Path(path), VOLUME_SUFFIXES, "")
     export_volume(Path(path), volume, names)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
-from palpate.service.export import export_volume
+from palpate.service.export import VOLUME_SUFFIXES, check_suffix, export_volume
 from palpate.service.forward.case_keys import case_from_keys
 from palpate.service.report.notebook import volume_html
 from palpate.storage import values
@@ -121,6 +121,8 @@ def write_volume(
     Parameters
     ----------
     path : str or Path
+        Its suffix chooses the format: ``.nrrd``, ``.seg.nrrd`` (a segmentation in 3D Slicer),
+        ``.nii`` or ``.nii.gz``.
     volume : Volume
     names : mapping of int to str, optional
         Names of its labels, such as ``{1: "Fat", 2: "Glandular"}``, which 3D Slicer and
@@ -128,7 +130,10 @@ def write_volume(
 
     Raises
     ------
+    InputError
+        If the suffix is not known or the folder does not exist.
     StoreError
         If the file system refuses.
     """
+    check_suffix(Path(path), VOLUME_SUFFIXES, "")
     export_volume(Path(path), volume, names)

@@ -2,7 +2,8 @@
 
 ::
 
-    .nrrd             label volumes                      stored.py
+    .nrrd .seg.nrrd   label volumes                      stored.py
+    .nii .nii.gz      the same                           nifti_file.py
     .vtu .vtk .msh    meshes, with stress and strain     mesh_file.py
     .stl              the surface                        surface_file.py
     .inp .feb         the whole model, for CalculiX      calculix.py, febio.py

@@ -14,6 +14,7 @@ from palpate.service.export.mesh_file import export_solved_mesh
 from palpate.service.export.solved_body import SolvedBody
 from palpate.service.export.solver_model import comparable, solver_model
 from palpate.service.export.stored import TISSUE_NAMES, export_volume
+from palpate.service.export.suffixes import solved_suffixes, suffix_of
 from palpate.service.export.surface_file import export_surface
 from palpate.workers.body.mesh.boundary import boundary_triangles
 from palpate.workers.plugins import load
@@ -75,7 +76,7 @@ def exporter_of(path: Path) -> Exporter:
     InputError
         If it is not known.
     """
-    found: Exporter = load("exporters", path.suffix.lower().lstrip("."))
+    found: Exporter = load("exporters", suffix_of(path, solved_suffixes()).lstrip("."))
     return found
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 import nrrd
 import numpy as np
 
+from palpate.service.export.nifti_file import export_nifti
+from palpate.service.export.suffixes import NIFTI_SUFFIXES, VOLUME_SUFFIXES, suffix_of
 from palpate.storage.backends.atomic import explained, replacing
 from palpate.storage.stores.meshes import export_mesh, load_mesh
 from palpate.storage.stores.store import Store
@@ -19,27 +21,32 @@ TISSUE_NAMES = {int(tissue): tissue.name.capitalize() for tissue in Tissue if ti
 
 
 def export_volume(path: Path, volume: Volume, names: Mapping[int, str] | None = None) -> None:
-    """Write a volume as NRRD, in LPS as `workers.body.images.read` reads it back.
+    """Write a volume as NRRD or NIfTI, so that `workers.body.images.read` reads it back.
 
     Parameters
     ----------
     path : Path
+        One of `service.export.suffixes.VOLUME_SUFFIXES`; any other suffix is written as NRRD.
     volume : Volume
     names : mapping of int to str, optional
-        Names of its labels, such as `TISSUE_NAMES`; they are written as 3D Slicer does in
-        a ``.seg.nrrd``.
+        Names of its labels, such as `TISSUE_NAMES`. In NRRD they are written as 3D Slicer does
+        in a ``.seg.nrrd``; give the file that name and Slicer opens it as a segmentation.
 
     Raises
     ------
     StoreError
         If the file system refuses.
     """
+    named = _names_present(volume, names or {})
+    if suffix_of(path, VOLUME_SUFFIXES) in NIFTI_SUFFIXES:
+        export_nifti(path, volume, named)
+        return
     header = {
         "space": "left-posterior-superior",
         "space directions": np.diag(volume.spacing_mm),
         "space origin": np.asarray(volume.origin_mm),
         "space units": ["mm", "mm", "mm"],
-        **_segments(volume, names or {}),
+        **_segments(named),
         **({FRAME_KEY: volume.frame_uid} if volume.frame_uid else {}),
         **({} if volume.place_known else {PLACE_KEY: "false"}),
     }
@@ -47,15 +54,19 @@ def export_volume(path: Path, volume: Volume, names: Mapping[int, str] | None = 
         nrrd.write(str(temporary), volume.values, header, index_order="C")
 
 
-def _segments(volume: Volume, names: Mapping[int, str]) -> dict[str, str]:
-    """Return the header fields that name the labels of a volume."""
+def _names_present(volume: Volume, names: Mapping[int, str]) -> dict[int, str]:
+    """Return the names of the labels that have a voxel."""
+    return {k: names[k] for k in label_counts(volume) if k in names} if names else {}
+
+
+def _segments(names: Mapping[int, str]) -> dict[str, str]:
+    """Return the header fields that name labels."""
     fields: dict[str, str] = {}
-    there = [label for label in label_counts(volume) if label in names] if names else []
-    for number, label in enumerate(there):
+    for number, (label, name) in enumerate(names.items()):
         segment = f"Segment{number}"
         fields |= {
-            f"{segment}_ID": f"{segment}_{names[label]}",
-            f"{segment}_Name": names[label],
+            f"{segment}_ID": f"{segment}_{name}",
+            f"{segment}_Name": name,
             f"{segment}_LabelValue": str(label),
             f"{segment}_Layer": "0",
         }

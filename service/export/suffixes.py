@@ -5,13 +5,28 @@ from pathlib import Path
 from palpate.storage.errors import InputError
 from palpate.workers.plugins import plugins
 
-VOLUME_SUFFIXES = (".nrrd",)
+NIFTI_SUFFIXES = (".nii", ".nii.gz")
+VOLUME_SUFFIXES = (".nrrd", *NIFTI_SUFFIXES)
 MESH_SUFFIXES = (".vtu", ".vtk", ".msh")
 
 
 def solved_suffixes() -> tuple[str, ...]:
     """Return the suffixes of the files that a solved body can be written to."""
     return tuple(f".{name}" for name in plugins("exporters"))
+
+
+def suffix_of(path: Path, known: tuple[str, ...]) -> str:
+    """Return the longest of the known suffixes that a name ends with, else its own suffix.
+
+    Examples
+    --------
+    >>> suffix_of(Path("Body.NII.GZ"), VOLUME_SUFFIXES)
+    '.nii.gz'
+    >>> suffix_of(Path("body.seg.nrrd"), VOLUME_SUFFIXES)
+    '.nrrd'
+    """
+    fitting = [suffix for suffix in known if path.name.lower().endswith(suffix)]
+    return max(fitting, key=len, default=path.suffix.lower())
 
 
 def check_suffix(path: Path | None, known: tuple[str, ...], option: str = "--out ") -> None:
@@ -24,9 +39,11 @@ def check_suffix(path: Path | None, known: tuple[str, ...], option: str = "--out
     """
     if path is None:
         return
-    if path.suffix.lower() not in known:
-        suffix = path.suffix or "no suffix"
-        raise InputError(f"{option}{path}: {suffix} is not known, use one of {', '.join(known)}.")
+    suffix = suffix_of(path, known)
+    if suffix not in known:
+        raise InputError(
+            f"{option}{path}: {suffix or 'no suffix'} is not known, use one of {', '.join(known)}."
+        )
     if not path.parent.is_dir():
         raise InputError(f"{option}{path}: the folder {path.parent} does not exist, make it first.")
     if path.is_dir():

@@ -15,6 +15,8 @@ from palpate.storage.stores.store import Store
 from palpate.storage.values import TetMesh
 
 # One file each, and all hold values. Meshio alone would take .msh for the one of Ansys.
+FULL_FROM_SIX = (0, 3, 5, 3, 1, 4, 5, 4, 2)
+"""Where the entries of a 3 x 3 tensor are in xx, yy, zz, xy, yz, xz."""
 FORMATS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
 
 
@@ -63,7 +65,8 @@ def export_mesh(
         Its suffix chooses the format: .vtu or .vtk (ParaView), .msh (Gmsh).
     mesh : TetMesh
     point_data : mapping of str to ndarray, shape (n,), (n, 3) or (n, 6), optional
-        Values at nodes, such as ``displacement_mm``.
+        Values at nodes, such as ``displacement_mm``; six are the components xx, yy, zz, xy, yz,
+        xz of a symmetric tensor, written in full (nine) to .msh.
     cell_data : mapping of str to ndarray, shape (m,), (m, 3) or (m, 6), optional
         Values in tetrahedra, such as ``tissue``.
 
@@ -83,6 +86,9 @@ def export_mesh(
     points, cells = dict(point_data or {}), dict(cell_data or {})
     _check_lengths(points, len(mesh.nodes), "nodes")
     _check_lengths(cells, len(mesh.tets), "tetrahedra")
+    file_format = FORMATS[path.suffix.lower()]
+    if file_format == "gmsh":
+        points, cells = _full_tensors(points), _full_tensors(cells)
     written = meshio.Mesh(
         mesh.nodes,
         [("tetra", mesh.tets)],
@@ -90,7 +96,7 @@ def export_mesh(
         cell_data={name: [_writable(values)] for name, values in cells.items()},
     )
     with explained(path), replacing(path) as temporary:
-        meshio.write(temporary, written, file_format=FORMATS[path.suffix.lower()])
+        meshio.write(temporary, written, file_format=file_format)
 
 
 def _check_lengths(data: Mapping[str, NDArray[Any]], count: int, of: str) -> None:
@@ -100,6 +106,14 @@ def _check_lengths(data: Mapping[str, NDArray[Any]], count: int, of: str) -> Non
                 f"{name!r} has shape {values.shape}, but the mesh has {count} {of}: "
                 f"expected ({count},), ({count}, 3) or ({count}, 6)."
             )
+
+
+def _full_tensors(data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return symmetric tensors of six components with nine, row by row, as Gmsh requires."""
+    return {
+        name: values[:, FULL_FROM_SIX] if values.shape[1:] == (6,) else values
+        for name, values in data.items()
+    }
 
 
 def _writable(values: NDArray[Any]) -> NDArray[Any]:

@@ -29,7 +29,8 @@ def phantom(
     ] = None,
     seed: Annotated[int, typer.Option(help="Random seed; each seed gives a different breast.")] = 1,
     out: Annotated[
-        Path | None, typer.Option(help="Also write the labels to this .nrrd file.")
+        Path | None,
+        typer.Option(help="Also write the labels to this .nrrd, .seg.nrrd, .nii or .nii.gz file."),
     ] = None,
     store: StoreOption = None,
     as_json: JsonOption = False,

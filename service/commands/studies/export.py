@@ -23,7 +23,8 @@ def export(
         list[Path],
         typer.Argument(
             help="Files to write: .vtu .vtk .msh (mesh with stress and strain), .stl (surface), "
-            ".nrrd (labels), .inp (CalculiX, Abaqus), .feb (FEBio)."
+            ".nrrd .seg.nrrd .nii .nii.gz (labels with their names), .inp (CalculiX, "
+            "Abaqus), .feb (FEBio)."
         ),
     ],
     candidate: Annotated[

@@ -23,6 +23,7 @@ from palpate.service.export.suffixes import (
     VOLUME_SUFFIXES,
     check_suffix,
     solved_suffixes,
+    suffix_of,
 )
 from palpate.service.quantities import (
     Quantity,
@@ -53,8 +54,8 @@ def simulate(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File for the deformed mesh (.vtu, .vtk, .msh), volume (.nrrd) or surface (.stl), "
-            "or for the whole model (.inp, .feb); see `palpate export`."
+            help="File for the deformed mesh (.vtu, .vtk, .msh), labels (.nrrd, .seg.nrrd, .nii, "
+            ".nii.gz) or surface (.stl), or for the whole model (.inp, .feb); see `palpate export`."
         ),
     ] = None,
     everything: AllOption = False,
@@ -78,7 +79,7 @@ def simulate(
     result = simulate_once(case, stated, str(opened))
     volume = result.get("volume")
     if out is not None and volume is not None:
-        if out.suffix.lower() in VOLUME_SUFFIXES:
+        if suffix_of(out, VOLUME_SUFFIXES) in VOLUME_SUFFIXES:
             export_volume(out, load_volume(opened, volume), TISSUE_NAMES)
         else:
             export_solved([out], solve_body(case, stated, str(opened), named.name))

@@ -16,25 +16,7 @@ from palpate.service.export.solver_model import SolverModel, comparable, contact
 from palpate.storage.errors import InputError
 from palpate.workers.body.images.read import read_volume
 from palpate.workers.mechanics.fem.elements.external_forces import stated_springs
-
-PHANTOM = {"preset": "445ml", "spacing_mm": 2.0, "seed": 1}
-CASE = {
-    "organ": "breast",
-    "reference": {"phantom": PHANTOM},
-    "mesh": {"nodes": 1000},
-    "load": {"force_n": 60},
-}
-CONSTANTS = {"E_fat": 0.01, "E_glandular": 0.04, "eta_fat": 0.05, "eta_glandular": 0.05}
-
-
-@pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return str(tmp_path_factory.mktemp("store"))
-
-
-@pytest.fixture(scope="module")
-def body(store: str) -> SolvedBody:
-    return solve_body(CASE, CONSTANTS, store, "a small breast")
+from tests.service.export.small_breast import CASE, CONSTANTS
 
 
 def test_a_mesh_file_has_stress_and_strain(body: SolvedBody, tmp_path: Path) -> None:

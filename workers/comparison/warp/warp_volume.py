@@ -171,7 +171,7 @@ def _pull_back(
 
 
 @njit(**EXACT)
-def _runs_and_map(
+def runs_and_map(
     fixed: NDArray[np.int64],
     bits: int,
     nodes: FloatArray,
@@ -217,7 +217,7 @@ def _write_nearest(
     flat = values.reshape(-1)
     m = np.empty((3, 4))
     for t in range(tets.shape[0]):
-        count = _runs_and_map(fixed, bits, nodes, sources, tets, t, runs, m)
+        count = runs_and_map(fixed, bits, nodes, sources, tets, t, runs, m)
         if count == 0:
             continue
         inside = _within(sources, tets, t, values.shape)
@@ -281,7 +281,7 @@ def _write_trilinear(
     nz, ny, nx = values.shape
     m = np.empty((3, 4))
     for t in range(tets.shape[0]):
-        count = _runs_and_map(fixed, bits, nodes, sources, tets, t, runs, m)
+        count = runs_and_map(fixed, bits, nodes, sources, tets, t, runs, m)
         for r in range(count):
             z, y = runs[r, 0], runs[r, 1]
             line = out[z, y]

@@ -24,7 +24,7 @@ from palpate.workers.body.mesh.hierarchy import Hierarchy, from_arrays, to_array
 from palpate.workers.body.mesh.whole_body import mesh_whole_body
 from palpate.workers.body.phantom.breast import generate_breast
 from palpate.workers.comparison.similarity.score import Scorer, Surface, score_labels
-from palpate.workers.comparison.warp.warp_volume import warp_labels
+from palpate.workers.comparison.warp.surface_layer import warp_with_skin
 from palpate.workers.mechanics.fem.elements.model import Model, prepare
 from palpate.workers.mechanics.fem.equilibrium.solve import solve
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
@@ -242,7 +242,7 @@ class Breast:
         target: Volume | None = None,
     ) -> Volume:
         """See `Organ.deform`."""
-        return warp_labels(body, mesh.finest.mesh, displacement_mm, target)
+        return warp_with_skin(body, mesh.finest.mesh, displacement_mm, target)
 
     def scorer(self, target: Volume, spec: BreastScore) -> Scorer:
         """See `Organ.scorer`; candidates lie on the lattice of the target, see `on_lattice`."""

@@ -24,7 +24,7 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Triple, Volume
 from palpate.workers.comparison.observation.interface import Interface
 from palpate.workers.comparison.similarity.score import Score, Scorer
-from palpate.workers.comparison.warp.warp_volume import warp_labels
+from palpate.workers.comparison.warp.surface_layer import warp_with_skin
 from palpate.workers.diagnosis.problem.acquisition import INTERFACES
 
 
@@ -67,7 +67,7 @@ def predict(labels: Volume, mesh: TetMesh, displacement_mm: FloatArray, observed
     InputError
         If the displacement does not fit the mesh or is not finite.
     """
-    found = warp_labels(labels, mesh, displacement_mm, observed)
+    found = warp_with_skin(labels, mesh, displacement_mm, observed)
     x, y, z = found.origin_mm
     below = max(0, round((observed.origin_mm[2] - z) / found.spacing_mm[2]))
     origin_mm = (x, y, z + below * found.spacing_mm[2])

@@ -23,6 +23,12 @@ Compare studies that have run::
 
     palpate.compare("runs/a", "runs/b").write_page("comparison.html")
 
+Simulate once, or evaluate candidates of your own::
+
+    model = palpate.Breast(palpate.phantom(), nodes=5000, force_n=60)
+    model.simulate(E_fat_kpa=8).cauchy_stress_mpa   # shape (elements, 3, 3)
+    study.evaluate({"E_fat_kpa": [8, 10]})["gsf"]
+
 Diagnose what a folder of scans, a study or a bench experiment lacks::
 
     diagnosis = palpate.diagnose("patient-7")

@@ -81,6 +81,7 @@ if TYPE_CHECKING:
     from palpate.service.server.api import ClusterView, JobView
     from palpate.service.study.observers.hooks import Observer, StopSearch
     from palpate.service.study.spec import StudySpec
+    from palpate.specimen import Specimen
     from palpate.storage.errors import (
         InputError,
         JournalError,
@@ -114,6 +115,7 @@ _HOMES = {
     "connect": "palpate.client",
     "Study": "palpate.study",
     "study_spec": "palpate.study",
+    "Specimen": "palpate.specimen",
     "phantom": "palpate.volumes",
     "read_volume": "palpate.volumes",
     "write_volume": "palpate.volumes",
@@ -164,6 +166,7 @@ __all__ = [
     "Search",
     "Service",
     "Simulation",
+    "Specimen",
     "StopSearch",
     "StoreError",
     "Study",

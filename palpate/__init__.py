@@ -23,6 +23,12 @@ Compare studies that have run::
 
     palpate.compare("runs/a", "runs/b").write_page("comparison.html")
 
+Simulate once, or evaluate candidates of your own::
+
+    model = palpate.Breast(palpate.phantom(), nodes=5000, force_n=60)
+    model.simulate(E_fat_kpa=8).cauchy_stress_mpa   # shape (elements, 3, 3)
+    study.evaluate({"E_fat_kpa": [8, 10]})["gsf"]
+
 Diagnose what a folder of scans, a study or a bench experiment lacks::
 
     diagnosis = palpate.diagnose("patient-7")
@@ -75,6 +81,7 @@ if TYPE_CHECKING:
     from palpate.service.server.api import ClusterView, JobView
     from palpate.service.study.observers.hooks import Observer, StopSearch
     from palpate.service.study.spec import StudySpec
+    from palpate.specimen import Specimen
     from palpate.storage.errors import (
         InputError,
         JournalError,
@@ -108,6 +115,7 @@ _HOMES = {
     "connect": "palpate.client",
     "Study": "palpate.study",
     "study_spec": "palpate.study",
+    "Specimen": "palpate.specimen",
     "phantom": "palpate.volumes",
     "read_volume": "palpate.volumes",
     "write_volume": "palpate.volumes",
@@ -158,6 +166,7 @@ __all__ = [
     "Search",
     "Service",
     "Simulation",
+    "Specimen",
     "StopSearch",
     "StoreError",
     "Study",

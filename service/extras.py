@@ -28,10 +28,23 @@ def xarray() -> Any:
     return _loaded("xarray", "A data set")
 
 
+def pyarrow() -> Any:
+    """Return the module `pyarrow` with `pyarrow.parquet`.
+
+    Raises
+    ------
+    InputError
+        If pyarrow is not installed.
+    """
+    _loaded("pyarrow.parquet", "A Parquet file")
+    return import_module("pyarrow")
+
+
 def _loaded(module: str, what: str) -> Any:
     try:
         return import_module(module)
     except ImportError:
+        package = module.partition(".")[0]
         raise InputError(
-            f"{what} needs {module}, which is not installed: run `pip install 'palpate[data]'`."
+            f"{what} needs {package}, which is not installed: run `pip install 'palpate[data]'`."
         ) from None

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from palpate.service.extras import pyarrow
 from palpate.service.study.spec import StudySpec
 from palpate.storage.errors import InputError
 from palpate.workers.input_files import read_text
@@ -24,7 +25,7 @@ def read_table(path: Path) -> dict[str, Sequence[Any]]:
         If it cannot be read, or a line has another number of values than the heading.
     """
     if path.suffix.lower() == ".parquet":
-        table = parquet_module().read_table(path)
+        table = pyarrow().parquet.read_table(path)
         return {name: table.column(name).to_pylist() for name in table.column_names}
     try:
         text = read_text(path)
@@ -42,23 +43,6 @@ def read_table(path: Path) -> dict[str, Sequence[Any]]:
                 f"{path}, row {number}: {len(heading)} columns are named, found {len(line)} values."
             )
     return {name: [line[i] for line in lines[1:]] for i, name in enumerate(heading)}
-
-
-def parquet_module() -> Any:
-    """Return `pyarrow.parquet`.
-
-    Raises
-    ------
-    InputError
-        If pyarrow is not installed.
-    """
-    try:
-        import pyarrow.parquet
-    except ImportError:
-        raise InputError(
-            "Parquet files need pyarrow: pip install 'palpate[tables]', or use a .csv file."
-        ) from None
-    return pyarrow.parquet
 
 
 def candidates_of(spec: StudySpec, table: Any) -> list[Genes]:

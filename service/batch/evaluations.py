@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.service.batch.candidate_table import parquet_module
+from palpate.service.extras import frame_type, pyarrow
 from palpate.storage.backends.atomic import explained, replacing, write_file
 from palpate.storage.errors import InputError
 from palpate.storage.records.best_candidate import score_of
@@ -100,11 +100,8 @@ class Evaluations:
         InputError
             If pandas is not installed.
         """
-        try:
-            from pandas import DataFrame
-        except ImportError:
-            raise InputError("A table needs pandas: pip install 'palpate[tables]'.") from None
-        return DataFrame(self.columns)
+        frame: DataFrame = frame_type()(self.columns)
+        return frame
 
     def save(self, path: str | Path) -> Path:
         """Write the table to a .csv or .parquet file and return its path.
@@ -119,11 +116,9 @@ class Evaluations:
         path = Path(path)
         check_table_suffix(path)
         if path.suffix.lower() == ".parquet":
-            parquet = parquet_module()
-            import pyarrow
-
+            arrow = pyarrow()
             with explained(path), replacing(path) as temporary:
-                parquet.write_table(pyarrow.table(self.columns), temporary)
+                arrow.parquet.write_table(arrow.table(self.columns), temporary)
             return path
         text = io.StringIO()
         writer = csv.DictWriter(text, list(self.columns), lineterminator="\n")
@@ -149,4 +144,4 @@ def check_table_suffix(path: Path) -> None:
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist, make it first.")
     if path.suffix.lower() == ".parquet":
-        parquet_module()
+        pyarrow()

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from palpate.storage.errors import InputError
-from palpate.workers.mechanics.parameters import unknown_name
+from palpate.workers.mechanics.parameters import Vocabulary, unknown_name
 from palpate.workers.organs.registry import organ_spec
 from palpate.workers.spec import CaseSpec, Door, validated
 
@@ -66,8 +66,18 @@ def stated_constants(case: CaseSpec, given: Mapping[str, float]) -> dict[str, fl
             unused = case.unused_parameter(name)
             reason = f" ({unused})" if unused else ""
             raise InputError(f"{unknown_name('constant', name, parameters.door_names)}{reason}")
-    values = {name: _as_number(name, value) for name, value in given.items()}
-    return parameters.from_door(values)
+    return stated_in(parameters, given)
+
+
+def stated_in(vocabulary: Vocabulary, given: Mapping[str, float]) -> dict[str, float]:
+    """Return constants of a vocabulary by their names and in their units inside.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, or a value is no number or not admissible.
+    """
+    return vocabulary.from_door({name: _as_number(name, value) for name, value in given.items()})
 
 
 def _as_number(name: str, value: Any) -> float:

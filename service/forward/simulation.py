@@ -132,8 +132,10 @@ class Simulation:
 
     def __repr__(self) -> str:
         size = f"{len(self.nodes_mm)} nodes, {len(self.tetrahedra)} tetrahedra"
-        end = f"{self.plate_force_n:.4g} N" if self.converged else f"diverged: {self.reason}"
-        return f"<Simulation of {size}: {end}>"
+        if not self.converged:
+            return f"<Simulation of {size}: diverged: {self.reason[:80]}>"
+        farthest_mm = np.linalg.norm(self.displacement_mm, axis=1).max()
+        return f"<Simulation of {size}: moved by up to {farthest_mm:.3g} mm>"
 
     @property
     def deformed_nodes_mm(self) -> FloatArray:

@@ -105,7 +105,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "provenance": diagnosis_provenance(origin.made, versions()),
         "glossary": DIAGNOSIS,
         "body_data": None if summary.markers else body_data(maps, scans, accused, origin.loads),
-        "slice_data": slice_data(maps, scans, accused),
+        "slice_data": slice_data(maps, scans, accused, origin.loads),
         "tiles": _tiles(summary),
         "warnings": list(_warnings(summary)),
         "accused": accused,

@@ -13,6 +13,7 @@ from palpate.service.report.diagnosis.surfaces import FARTHEST_MM
 from palpate.service.report.diagnosis.where import PARTS, on_surfaces
 from palpate.service.report.drawing.packed import script
 from palpate.service.report.drawing.palette import TISSUES
+from palpate.service.report.drawing.plates import plates_touching
 from palpate.service.report.drawing.slices import VIEWS, middle_mm
 from palpate.service.report.viewers.body import BodyScan, BodySurface, body_viewer
 from palpate.service.report.viewers.slices import SlicePanel, SliceSet, slice_viewer
@@ -86,8 +87,16 @@ def body_data(
     return script("body", shown)
 
 
-def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | None:
-    """Return what the slice viewer shows; None if the store has no bodies."""
+def slice_data(
+    found: Arrays, scans: Sequence[str], accused: str, loads: Mapping[str, Pressed]
+) -> Markup | None:
+    """Return what the slice viewer shows; None if the store has no bodies.
+
+    Parameters
+    ----------
+    found, scans, accused, loads
+        As for `body_data`.
+    """
     sets = []
     models: list[tuple[str, str]] = []
     for scan, name in enumerate(scans):
@@ -99,7 +108,12 @@ def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | No
         names = ("scan", *WHEN)[: len(stack)]
         volumes = {n: Volume(v, spacing, (x, y, z)) for n, v in zip(names, stack, strict=True)}
         models = list(titled(dict.fromkeys(names[1:], 0), accused))
-        sets.append(SliceSet(name, volumes, middle_mm(volumes["scan"], (Tissue.GLANDULAR,))))
+        pressed = loads.get(name)
+        plates = (
+            {n: plates_touching(v, pressed.axis) for n, v in volumes.items()} if pressed else {}
+        )
+        at = middle_mm(volumes["scan"], (Tissue.GLANDULAR,))
+        sets.append(SliceSet(name, volumes, at, plates))
     if not sets:
         return None
     gland = (int(Tissue.GLANDULAR),)
@@ -107,7 +121,7 @@ def slice_data(found: Arrays, scans: Sequence[str], accused: str) -> Markup | No
         sets,
         [
             SlicePanel("Scan", "labels", ("scan",)),
-            SlicePanel("Model: $choice", "labels", ("$choice",)),
+            SlicePanel("Model: $choice", "labels", ("$choice",), gland, "scan"),
             SlicePanel("Difference: $choice", "overlay", ("scan", "$choice"), gland),
         ],
         VIEWS[:1] if next(iter(sets[0].volumes.values())).values.shape[0] == 1 else VIEWS,

@@ -5,7 +5,7 @@ What is missing is said in words; a report without pictures is still a report.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,8 +19,9 @@ from palpate.storage.records.tasks import Scores
 from palpate.storage.stores.fields import has_field, load_field
 from palpate.storage.stores.meshes import has_mesh
 from palpate.storage.stores.store import open_store
-from palpate.storage.values import Tissue, Volume
+from palpate.storage.values import FloatArray, TetMesh, Tissue, Volume
 from palpate.workers.body.mesh.hierarchy import Hierarchy
+from palpate.workers.comparison.warp.displacement_image import displacement_image
 from palpate.workers.organs.organ import scores_by_part
 from palpate.workers.organs.registry import findings_of, organ_named, organ_plugin
 from palpate.workers.tasks.body_store import BodyStore
@@ -53,6 +54,8 @@ class Bodies:
         A sentence; see `workers.organs.organ.Organ`.
     surfaces : tuple of StudySurface
         Of a body that has three dimensions; empty where they are not wanted.
+    displacement : Volume or None
+        How far the best candidate has moved its tissue, in mm, nan around it.
     figures : callable
         From findings to their figures; see `workers.organs.registry.Findings`.
     """
@@ -66,6 +69,7 @@ class Bodies:
     labels: Mapping[int, str] = field(default_factory=lambda: TISSUE_NAMES)
     load_direction: str = ""
     surfaces: tuple[StudySurface, ...] = ()
+    displacement: Volume | None = None
     figures: Callable[[Mapping[str, Any]], "Iterable[tuple[Figure, str]]"] = _no_figures
 
 
@@ -132,6 +136,7 @@ def find_bodies(
         organ.picture_labels,
         organ_plugin(spec.case.organ).load_direction,
         surfaces=_surfaces(bodies, session, best, reference, target) if in_3d else (),
+        displacement=_displacement(bodies, session, best, explained) if in_3d else None,
         figures=_no_figures
         if more is None
         else partial(more.figures, spec, (reference, target, explained)),
@@ -148,16 +153,35 @@ def _surfaces(
     """Return the surfaces of a body in three dimensions, moved as the best candidate says."""
     if not isinstance(reference, Volume) or 1 in reference.values.shape:
         return ()
-    store, digest = bodies.store, session.prepared.get("mesh")
-    mesh = displacement_mm = None
-    if best is not None and digest and has_mesh(store, digest) and has_field(store, best):
-        try:
-            mesh, displacement_mm = bodies.mesh(digest), load_field(store, best)
-        except PalpateError:
-            mesh = None
-    tets = mesh.finest.mesh if isinstance(mesh, Hierarchy) else None
+    tets, displacement_mm = _moved_mesh(bodies, session, best) or (None, None)
     observed = target if isinstance(target, Volume) else None
     return study_surfaces(reference, tets, displacement_mm, observed)
+
+
+def _displacement(
+    bodies: BodyStore, session: SessionRecord, best: str | None, explained: Any | None
+) -> Volume | None:
+    """Return how far the best candidate moves its tissue, in voxels of twice the size."""
+    moved = _moved_mesh(bodies, session, best)
+    if moved is None or not isinstance(explained, Volume) or 1 in explained.values.shape:
+        return None
+    dx, dy, dz = explained.spacing_mm
+    coarse = replace(explained, spacing_mm=(2 * dx, 2 * dy, 2 * dz))
+    return displacement_image(*moved, coarse)
+
+
+def _moved_mesh(
+    bodies: BodyStore, session: SessionRecord, best: str | None
+) -> tuple[TetMesh, FloatArray] | None:
+    """Return the mesh and the displacements of the best candidate, if the store has them."""
+    store, digest = bodies.store, session.prepared.get("mesh")
+    if best is None or not digest or not (has_mesh(store, digest) and has_field(store, best)):
+        return None
+    try:
+        mesh, displacement_mm = bodies.mesh(digest), load_field(store, best)
+    except PalpateError:
+        return None
+    return (mesh.finest.mesh, displacement_mm) if isinstance(mesh, Hierarchy) else None
 
 
 def _stored(bodies: BodyStore, digest: str | None, what: str, missing: list[str]) -> Any | None:

@@ -219,15 +219,15 @@ def _bodies(data: StudyData) -> dict[str, Any]:
     after = data.results.best_scores or bodies.scores_after
     before = data.results.undeformed_scores or bodies.scores_before
     compared = data.results.spec.score.compared
+    case = data.results.spec.case
     return {
-        "sections": section_pictures(bodies, labels),
-        "slice_data": _viewer("slices", None if data.quick else slice_data(bodies, labels)),
-        "body_data": _viewer(
-            "body", None if data.quick else body_data(bodies, data.results.spec.case)
-        ),
+        "sections": section_pictures(bodies, labels, case),
+        "slice_data": _viewer("slices", None if data.quick else slice_data(bodies, labels, case)),
+        "body_data": _viewer("body", None if data.quick else body_data(bodies, case)),
         "quick": data.quick,
         "about_sections": f"Sections through the middle of {compared}. "
-        f"{bodies.load_direction} Target and best candidate are cut in the same planes.",
+        f"{bodies.load_direction} Target and best candidate are cut in the same planes. Lines show "
+        "the plates; over the best candidate, a black line is the outline of the target.",
         "tissues": present(bodies),
         "differences": difference_legend(),
         "missing": bodies.missing,

@@ -10,6 +10,7 @@ from palpate.service.formatting import bare, label, number
 from palpate.service.report.drawing.packed import Json, script
 from palpate.service.report.drawing.palette import DIFFERENCES, TISSUES, Difference
 from palpate.service.report.drawing.pictures import Picture, chart, small_chart
+from palpate.service.report.drawing.plates import Plates, plates_touching
 from palpate.service.report.drawing.slices import AXES, VIEWS
 from palpate.service.report.study import charts as study_charts
 from palpate.service.report.study import sections as study_sections
@@ -146,13 +147,14 @@ def scatter_pictures(
     ]
 
 
-def section_pictures(bodies: Bodies, labels: Iterable[str]) -> list[SectionRow]:
+def section_pictures(bodies: Bodies, labels: Iterable[str], case: CaseSpec) -> list[SectionRow]:
     """Draw three views of the bodies that are there."""
+    plates = plates_of(bodies, case)
     tissues = _compared(bodies, labels)
     middle = study_sections.middles(bodies, tissues)
     rows = []
     for view in VIEWS[:1] if _is_flat(bodies) else VIEWS:
-        drawn = study_sections.side_by_side(bodies, view, tissues, middle)
+        drawn = study_sections.side_by_side(bodies, view, tissues, middle, plates)
         if drawn is None:
             continue
         axis = AXES[view.normal]
@@ -167,7 +169,20 @@ def section_pictures(bodies: Bodies, labels: Iterable[str]) -> list[SectionRow]:
     return rows
 
 
-def slice_data(bodies: Bodies, labels: Iterable[str]) -> Json | None:
+def plates_of(bodies: Bodies, case: CaseSpec) -> dict[str, Plates]:
+    """Return the plates at the deformed bodies, by their names in the slice viewer."""
+    pressed = pressed_of(case)
+    if pressed is None:
+        return {}
+    deformed = {"target": bodies.target, BEST: bodies.best}
+    return {
+        name: plates_touching(volume, pressed.axis)
+        for name, volume in deformed.items()
+        if volume is not None
+    }
+
+
+def slice_data(bodies: Bodies, labels: Iterable[str], case: CaseSpec) -> Json | None:
     """Return what the slice viewer shows; None if there is no body."""
     volumes = {
         name: volume
@@ -183,14 +198,15 @@ def slice_data(bodies: Bodies, labels: Iterable[str]) -> Json | None:
     at = deformed or undeformed
     if at is None:
         return None
+    fields = {} if bodies.displacement is None else {"displacement": bodies.displacement}
     names = " + ".join(bodies.labels[t] for t in tissues)
     meaning = dict(zip(Difference, _MEANING, strict=True))
     return slice_viewer(
-        [SliceSet("", volumes, at)],
+        [SliceSet("", volumes, at, plates_of(bodies, case), fields)],
         [
             SlicePanel("Undeformed", "labels", ("reference",)),
             SlicePanel("Target", "labels", ("target",)),
-            SlicePanel("Best candidate", "labels", (BEST,)),
+            SlicePanel("Best candidate", "labels", (BEST,), tuple(tissues), "target", *fields),
             SlicePanel(f"Difference, {names}", "difference", ("target", BEST), tuple(tissues)),
         ],
         VIEWS[:1] if _is_flat(bodies) else VIEWS,

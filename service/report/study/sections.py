@@ -1,12 +1,16 @@
 """Draws reference, target, best candidate and difference side by side along one axis."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from markupsafe import Markup
 
 from palpate.service.report.drawing import palette
+from palpate.service.report.drawing.contours import Line, contours
 from palpate.service.report.drawing.palette import Difference
+from palpate.service.report.drawing.panel import Panel
+from palpate.service.report.drawing.plates import Plates
 from palpate.service.report.drawing.raster import png_uri
 from palpate.service.report.drawing.slices import (
     AXES,
@@ -23,9 +27,12 @@ from palpate.service.report.study.bodies import Bodies
 from palpate.storage.values import Tissue, Triple
 
 PANEL_PX = 230.0
+PLATE_PX = 1.0
 WIDE = 1.4
 TISSUE_COLOURS = palette.lookup({int(t): c for t, c in palette.TISSUES.items()})
 DIFFERENCE_COLOURS = palette.lookup({int(d): c for d, c in palette.DIFFERENCES.items()})
+UNDEFORMED, TARGET, BEST = "Undeformed", "Target", "Best candidate"
+_PLATES_AT = {TARGET: "target", BEST: "best"}
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,7 @@ def side_by_side(
     view: View,
     tissues: Sequence[int],
     middle: tuple[Triple | None, Triple | None],
+    plates: Mapping[str, Plates],
 ) -> SideBySide | None:
     """Draw one view of all bodies that are there; None if there is none.
 
@@ -53,15 +61,25 @@ def side_by_side(
     middle : tuple
         Where the planes pass: through the undeformed body, and through target and best
         candidate; see `middles`.
+    plates : mapping of str to Plates
+        At the ``target`` and the ``best`` candidate.
     """
     shown = cut_bodies(bodies, view, tissues, middle)
     if not shown:
         return None
-    left, right, bottom, top = frame_mm([cut for _, cut, _ in shown])
-    panels = [
-        (title, _panel(cut, (left, right, bottom, top), view, f"{title}, {view.name}", differs))
-        for title, cut, differs in shown
-    ]
+    frame = left, right, bottom, top = frame_mm([cut for _, cut, _ in shown])
+    deformed = middle[1]
+    target = next((cut for title, cut, _ in shown if title == TARGET), None)
+    panels = []
+    for title, cut, differs in shown:
+        touched = plates.get(_PLATES_AT.get(title, ""))
+        lines = []
+        if touched is not None and deformed is not None:
+            outwards_mm = PLATE_PX * (right - left) / PANEL_PX
+            lines = touched.lines(view, deformed[view.normal], frame, outwards_mm)
+        over = target if title == BEST else None
+        svg = _panel(cut, frame, view, differs, lines, _outlines(over, tissues))
+        panels.append((title, svg.markup(f"{title}, {view.name}", "panel")))
     return SideBySide(tuple(panels), right - left > WIDE * (top - bottom))
 
 
@@ -107,23 +125,36 @@ def cut_bodies(
     shown = []
     cuts: dict[str, Section] = {}
     for title, volume, at in (
-        ("Undeformed", bodies.reference, undeformed),
-        ("Target", bodies.target, deformed),
-        ("Best candidate", bodies.best, deformed),
+        (UNDEFORMED, bodies.reference, undeformed),
+        (TARGET, bodies.target, deformed),
+        (BEST, bodies.best, deformed),
     ):
         if volume is not None and at is not None:
             cuts[title] = section(volume, view, at[view.normal])
             shown.append((title, cuts[title], False))
-    if "Target" in cuts and "Best candidate" in cuts:
+    if TARGET in cuts and BEST in cuts:
         names = " + ".join(bodies.labels[t] for t in tissues)
-        compared = difference(cuts["Target"], cuts["Best candidate"], tissues)
+        compared = difference(cuts[TARGET], cuts[BEST], tissues)
         shown.append((f"Difference, {names}", compared, True))
     return shown
 
 
+def _outlines(over: Section | None, tissues: Sequence[int]) -> list[tuple[Section, list[Line]]]:
+    """Return the outline of a body and of its compared tissues in a section."""
+    if over is None:
+        return []
+    masks = (over.values != Tissue.AIR, np.isin(over.values, list(tissues)))
+    return [(over, [line for mask in masks for line in contours(mask)])]
+
+
 def _panel(
-    cut: Section, frame: tuple[float, float, float, float], view: View, alt: str, differs: bool
-) -> Markup:
+    cut: Section,
+    frame: tuple[float, float, float, float],
+    view: View,
+    differs: bool,
+    plates: Sequence[tuple[tuple[float, float], tuple[float, float]]],
+    outlines: Sequence[tuple[Section, list[Line]]],
+) -> Svg:
     """Draw one section in a frame in mm, with ticks along its lower and left edge."""
     left, right, bottom, top = frame
     x0, y0 = 34.0, 6.0
@@ -137,12 +168,19 @@ def _panel(
         "image",
         href=png_uri(shown.values, DIFFERENCE_COLOURS if differs else TISSUE_COLOURS),
         preserveAspectRatio="none",
-        class_="voxels",
+        # Voxels smaller than pixels are averaged, lest thin skin show holes.
+        class_="voxels" if shown.values.shape[1] <= across.at(b) - across.at(a) else "small",
         x=across.at(a),
         y=up.at(d),
         width=across.at(b) - across.at(a),
         height=up.at(c) - up.at(d),
     )
+    panel = Panel(frame, x0, y0, wide / (right - left))
+    for section_of, lines in outlines:
+        panel.lines(svg, lines, section_of.spacing_mm, section_of.origin_mm)
+    for (x1, y1), (x2, y2) in plates:
+        line = f"M{across.at(x1):.1f} {up.at(y1):.1f}L{across.at(x2):.1f} {up.at(y2):.1f}"
+        svg.add("path", d=line, class_="plate")
     for value in across.ticks(4):
         x = across.at(value)
         svg.add("path", d=f"M{x:.1f} {y0 + high:.1f}v3", class_="axis")
@@ -154,4 +192,4 @@ def _panel(
     svg.add("path", d=f"M{x0:.1f} {y0:.1f}V{y0 + high:.1f}H{x0 + wide:.1f}", class_="axis")
     label = f"{AXES[view.across]} and {AXES[view.up]}, mm"
     svg.text(x0 + wide / 2, y0 + high + 29, label, text_anchor="middle", class_="tick")
-    return svg.markup(alt, "panel")
+    return svg

@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from palpate.service.formatting import number
-from palpate.service.report.drawing.colour_scale import SIGNED
+from palpate.service.report.drawing.colour_scale import SEQUENTIAL, SIGNED
 from palpate.service.report.drawing.packed import Json, packed, packed_points, packed_triangles
 from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.mechanics.pressed import Pressed
 
-SEQUENTIAL = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
 # How far plates and wall reach beyond the body, and how long arrows are, as shares of its size.
 BEYOND, ARROW = 0.1, 0.22
 
@@ -57,7 +56,7 @@ def body_viewer(
     choices: Sequence[tuple[str, str]],
     gap_about: str,
     gap_mm: float | None = None,
-    first: str = "loaded",
+    first: str = "displacement",
 ) -> Json:
     """Return what the 3-D viewer shows, which `script` puts into a page as "body".
 
@@ -72,8 +71,8 @@ def body_viewer(
         What the colours of the gap mean.
     gap_mm : float, optional
         End of their scale.
-    first : {"loaded", "gap"}
-        What is shown first: the body under load, or the gap on it.
+    first : {"displacement", "gap"}
+        What colours show first: how far the body has moved, or the gap.
     """
     outline = surfaces[0].vertices
     moved = [m for scan in scans for m in scan.moved[0].values()] if scans else []
@@ -107,8 +106,7 @@ def _colourings(
     gap_mm: float | None,
     first: str,
 ) -> list[Json]:
-    plain: Json = {"key": "plain", "title": "plain"}
-    found = [plain]
+    found: list[Json] = []
     lengths = [
         np.linalg.norm(moved - surface.vertices, axis=1)
         for scan in scans
@@ -137,7 +135,7 @@ def _colourings(
             "about": gap_about,
         }
         found = [gap, *found] if first == "gap" else [*found, gap]
-    return found
+    return [*found, {"key": "plain", "title": "plain"}]
 
 
 def _scan(scan: BodyScan, rest: FloatArray, size: float) -> Json:

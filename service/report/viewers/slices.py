@@ -1,9 +1,14 @@
 """Says what the slice viewer of a page shows; see scripts/slices.js."""
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
+import numpy as np
+
+from palpate.service.report.drawing.colour_scale import SEQUENTIAL
 from palpate.service.report.drawing.packed import Json, body_box_mm, packed_volume, thinned
+from palpate.service.report.drawing.plates import Plates
 from palpate.service.report.drawing.slices import View
 from palpate.storage.values import Triple, Volume
 
@@ -25,21 +30,40 @@ class SlicePanel:
         One, or two that are compared; ``$choice`` as above.
     tissues : tuple of int
         That are compared; of an overlay, the gland.
+    outline : str
+        A volume whose outline, and that of its `tissues`, is drawn over the slice; empty for none.
+    coloured : str
+        A field by which the slice can be coloured instead; empty for none.
     """
 
     title: str
     kind: str
     volumes: tuple[str, ...]
     tissues: tuple[int, ...] = ()
+    outline: str = ""
+    coloured: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class SliceSet:
-    """The volumes of one scan by name, and the place where slices begin, (x, y, z) in mm."""
+    """The volumes of one scan by name, and the place where slices begin, (x, y, z) in mm.
+
+    Parameters
+    ----------
+    name : str
+    volumes : mapping of str to Volume
+    at_mm : tuple of float
+    plates : mapping of str to Plates
+        Between which a volume lies.
+    fields : mapping of str to Volume
+        Lengths in mm, nan where there is no tissue.
+    """
 
     name: str
     volumes: Mapping[str, Volume]
     at_mm: Triple
+    plates: Mapping[str, Plates] = field(default_factory=dict)
+    fields: Mapping[str, Volume] = field(default_factory=dict)
 
 
 def slice_viewer(
@@ -69,7 +93,14 @@ def slice_viewer(
     return {
         "sets": [_set(one) for one in sets],
         "panels": [
-            {"title": p.title, "kind": p.kind, "volumes": p.volumes, "tissues": p.tissues}
+            {
+                "title": p.title,
+                "kind": p.kind,
+                "volumes": p.volumes,
+                "tissues": p.tissues,
+                "outline": p.outline,
+                "coloured": p.coloured,
+            }
             for p in panels
         ],
         "views": [
@@ -80,19 +111,37 @@ def slice_viewer(
         "choices": [list(one) for one in choices],
         "hint": FLAT_HINT if flat else HINT,
         "flat": flat,
+        "stops": SEQUENTIAL,
     }
 
 
 def _set(one: SliceSet) -> Json:
     thin = {name: thinned(volume) for name, volume in one.volumes.items()}
     boxes = [body_box_mm(volume) for volume in thin.values()]
+    steps = next(iter(thin.values())).spacing_mm
+    # Whole voxels: slices are then drawn voxel by voxel, and none is skipped.
+    room = [step * math.ceil(MARGIN_MM / step) for step in steps]
     box = [
-        [min(b[0][k] for b in boxes) - MARGIN_MM, max(b[1][k] for b in boxes) + MARGIN_MM]
+        [min(b[0][k] for b in boxes) - room[k], max(b[1][k] for b in boxes) + room[k]]
         for k in range(3)
     ]
     return {
         "name": one.name,
         "volumes": {name: packed_volume(volume) for name, volume in thin.items()},
+        "plates": {
+            name: {"axis": plates.axis, "heights": plates.heights_mm}
+            for name, plates in one.plates.items()
+        },
+        "fields": {name: _field(lengths) for name, lengths in one.fields.items()},
         "at": list(one.at_mm),
         "box": box,
     }
+
+
+def _field(lengths: Volume) -> Json:
+    """Return lengths in 254 steps from 0 to their end; 0 where they are not known."""
+    known = np.isfinite(lengths.values)
+    end = max(float(lengths.values[known].max(initial=0.0)), 0.01)
+    steps = np.where(known, 1 + np.rint(np.nan_to_num(lengths.values) / end * 254), 0)
+    shown = replace(lengths, values=steps.astype(np.uint8))
+    return packed_volume(shown) | {"end": round(end, 2)}

@@ -124,7 +124,7 @@ def best_bodies(folder: Path) -> BodiesView:
 
 def _shown(bodies: Bodies, spec: StudySpec) -> tuple[Json | None, Json | None]:
     with suppress(PalpateError):  # a body of nothing but air
-        return slice_data(bodies, spec.score.parts), body_data(bodies, spec.case)
+        return slice_data(bodies, spec.score.parts, spec.case), body_data(bodies, spec.case)
     return None, None
 
 

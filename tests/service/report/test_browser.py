@@ -86,7 +86,10 @@ def study() -> Any:
         moved = drawn.vertices * [1.2, 0.6, 1.1]
         gap = 0.02 * drawn.vertices[:, 0]
         surfaces.append(StudySurface(interface.name, *drawn, moved, gap))
-    return study_data(bodies=replace(BODIES, surfaces=tuple(surfaces)))
+    far = np.hypot.reduce(np.mgrid[-8:9, -10:11, -12:13]).astype(np.float32)
+    assert BODIES.best is not None
+    moved = replace(BODIES.best, values=np.where(BODIES.best.values > 0, far, np.nan))
+    return study_data(bodies=replace(BODIES, surfaces=tuple(surfaces), displacement=moved))
 
 
 def diagnosis() -> str:
@@ -173,6 +176,47 @@ def test_a_slice_shows_the_labels_of_its_plane(browser: Any, pages: dict[str, Pa
     told.page.close()
 
 
+def test_slices_show_plates_a_scale_and_the_outline_of_the_target(
+    browser: Any, pages: dict[str, Path]
+) -> None:
+    told = shown(browser, pages["study"])
+    panels = told.page.locator('[data-viewer="slices"] figure.panel')
+    counts = [
+        [panels.nth(k).locator(f"path.{what}").count() for what in ("plate", "interface")]
+        for k in range(panels.count())
+    ]
+    assert counts == [[0, 0], [1, 0], [1, 1], [1, 0]]
+    # A radius of 7.x voxels fills 15 rows; each line is a voxel off the body.
+    lines = panels.nth(1).locator("path.plate").get_attribute("d")
+    low, high = (float(line.split("L")[0].split()[1]) for line in lines.split("M")[1:])
+    assert low - high == pytest.approx(15 + 2)
+    figure = panels.nth(1)
+    bar, slice_ = figure.locator(".scale-bar").bounding_box(), figure.locator("canvas")
+    shown_mm = 2 * float(slice_.get_attribute("width"))
+    length = float(figure.locator(".scale-bar + span").inner_text().split()[0])
+    assert bar["width"] == pytest.approx(
+        slice_.bounding_box()["width"] * length / shown_mm, abs=1.5
+    )
+    told.page.close()
+
+
+def test_the_best_candidate_is_coloured_by_displacement(
+    browser: Any, pages: dict[str, Path]
+) -> None:
+    told = shown(browser, pages["study"])
+    viewer = told.page.locator('[data-viewer="slices"]')
+    canvases = '[data-viewer="slices"] .panels figure:nth-child({}) canvas'
+    before = [told.canvas(canvases.format(k)) for k in (2, 3)]
+    assert not viewer.locator(".scale").is_visible()
+    viewer.get_by_text("displacement", exact=True).click()
+    after = [told.canvas(canvases.format(k)) for k in (2, 3)]
+    assert after[0] == before[0]
+    assert after[1] != before[1]
+    assert viewer.locator(".scale").is_visible()
+    assert told.problems == []
+    told.page.close()
+
+
 @pytest.mark.parametrize("which", ["study", "diagnosis"])
 def test_the_body_turns_by_pointer_and_by_keyboard(
     browser: Any, pages: dict[str, Path], which: str
@@ -207,13 +251,17 @@ def test_colours_and_shapes_of_the_body_are_switched(browser: Any, pages: dict[s
     told = shown(browser, pages["study"])
     pictures = {told.canvas("canvas.body")}
     viewer = told.page.locator('[data-viewer="body"]')
-    for text in ("displacement", "gap", "before", "glandular"):
+    assert viewer.locator(".scale").is_visible()  # displacement is shown first
+    for text in ("gap", "before", "glandular"):
         viewer.get_by_text(text, exact=True).click()
         told.settled()
         pictures.add(told.canvas("canvas.body"))
         assert viewer.locator(".scale").is_visible()
-    assert len(pictures) == 5
     assert "outside (+) or inside" in viewer.inner_text()
+    viewer.get_by_text("plain", exact=True).click()
+    told.settled()
+    assert not viewer.locator(".scale").is_visible()
+    assert len({*pictures, told.canvas("canvas.body")}) == 5
     told.page.close()
 
 

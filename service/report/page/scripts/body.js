@@ -6,7 +6,6 @@
 
 const AMBIENT = 0.55;
 const MOST_PIXELS = 900000;
-const STEPS = 255;
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [
@@ -36,16 +35,6 @@ const normalsOf = (vertices, triangles) => {
     for (let k = 0; k < 3; k++) normals[i + k] /= n;
   }
   return normals;
-};
-
-// A table of STEPS + 1 colours between stops.
-const tableOf = (stops) => {
-  const colours = stops.map(rgba);
-  return Array.from({ length: STEPS + 1 }, (_, k) => {
-    const place = (k / STEPS) * (colours.length - 1);
-    const i = Math.min(Math.floor(place), colours.length - 2);
-    return [0, 1, 2].map((c) => colours[i][c] + (place - i) * (colours[i + 1][c] - colours[i][c]));
-  });
 };
 
 // Pixels with depth. Corners are [x, y, depth, light, value].

@@ -8,6 +8,15 @@ const make = (tag, attributes = {}, ...children) => {
   return element;
 };
 
+// The same of SVG; a page without addresses learns its namespace from the parser.
+const makeSvg = (tag, attributes = {}) => {
+  const holder = make("div");
+  holder.innerHTML = "<svg></svg>";
+  const element = document.createElementNS(holder.firstChild.namespaceURI, tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  return element;
+};
+
 // A row of radio buttons; `choose` is called with the value of the chosen one.
 const switchOf = (title, name, options, choose) => {
   const set = make("fieldset", { class: "switch" }, make("legend", {}, title));
@@ -42,6 +51,18 @@ const rgba = (text) => {
   if (digits.length === 3) digits = [...digits].map((d) => d + d).join("");
   digits = digits.padEnd(8, "f");
   return [0, 2, 4, 6].map((k) => parseInt(digits.slice(k, k + 2), 16));
+};
+
+const STEPS = 255;
+
+// A table of STEPS + 1 colours between stops.
+const tableOf = (stops) => {
+  const colours = stops.map(rgba);
+  return Array.from({ length: STEPS + 1 }, (_, k) => {
+    const place = (k / STEPS) * (colours.length - 1);
+    const i = Math.min(Math.floor(place), colours.length - 2);
+    return [0, 1, 2].map((c) => colours[i][c] + (place - i) * (colours[i + 1][c] - colours[i][c]));
+  });
 };
 
 const rounded = (value, digits) => {

@@ -47,16 +47,64 @@ const overlay = (scan, model, gland) =>
     return label ? BODY : OUTSIDE;
   });
 
+// Edges between pixels inside and outside of a mask, as the data of an SVG path in pixels.
+const edgesOf = (frame, inside) => {
+  const { columns, rows } = frame;
+  const at = (column, row) => column >= 0 && row >= 0 && column < columns && row < rows && inside(row * columns + column);
+  let path = "";
+  for (let row = 0; row <= rows; row++)
+    for (let column = 0; column < columns; column++) {
+      let length = 0;
+      while (column + length < columns && at(column + length, row) !== at(column + length, row - 1)) length++;
+      if (length) path += `M${column} ${rows - row}h${length}`;
+      column += length;
+    }
+  for (let column = 0; column <= columns; column++)
+    for (let row = 0; row < rows; row++) {
+      let length = 0;
+      while (row + length < rows && at(column, row + length) !== at(column - 1, row + length)) length++;
+      if (length) path += `M${column} ${rows - row}v${-length}`;
+      row += length;
+    }
+  return path;
+};
+
+// Where two plates cross a slice, in pixels; a slice along the plates meets none. Lines are drawn
+// just outside of the body, whose skin they would hide.
+const platesOf = (plates, view, atMm, frame) => {
+  const [a, b] = [plates.axis[view.across], plates.axis[view.up]];
+  if (Math.hypot(a, b) < 0.05) return "";
+  const [left, bottom] = frame.start.map((v) => v - frame.step / 2);
+  const pixel = (x, y) => `${(x - left) / frame.step} ${frame.rows - (y - bottom) / frame.step}`;
+  const [right, top] = [left + frame.columns * frame.step, bottom + frame.rows * frame.step];
+  return plates.heights.map((height, k) => {
+    const c = height + (k ? 1 : -1) * frame.step - plates.axis[view.normal] * atMm;
+    return Math.abs(b) >= Math.abs(a)
+      ? `M${pixel(left, (c - a * left) / b)}L${pixel(right, (c - a * right) / b)}`
+      : `M${pixel((c - b * bottom) / a, bottom)}L${pixel((c - b * top) / a, top)}`;
+  }).join("");
+};
+
+// 1, 2 or 5 times a power of ten, about a fifth of a length.
+const roundLength = (mm) => {
+  const power = 10 ** Math.floor(Math.log10(mm / 4));
+  return power * [5, 2, 1].find((k) => k * power <= mm / 4);
+};
+
 const showSlices = async (root, told = payload("slices")) => {
   const sets = await Promise.all(
     told.sets.map(async (set) => {
       const volumes = {};
       for (const [name, v] of Object.entries(set.volumes))
         volumes[name] = { ...v, labels: await unpack(v.labels) };
-      return { ...set, volumes };
+      const fields = {};
+      for (const [name, v] of Object.entries(set.fields))
+        fields[name] = { ...v, labels: await unpack(v.labels) };
+      return { ...set, volumes, fields };
     }),
   );
-  const state = { view: 0, set: 0, choice: told.choices.length ? told.choices[0][0] : "" };
+  const state = { view: 0, set: 0, choice: told.choices.length ? told.choices[0][0] : "", coloured: "" };
+  const lengths = tableOf(told.stops);
   state.at = [...sets[0].at];
   const tissueColours = Object.fromEntries(
     Object.entries(told.labels).map(([label, [, colour]]) => [label, rgba(colour)]),
@@ -90,6 +138,13 @@ const showSlices = async (root, told = payload("slices")) => {
     const aspect = (box[view.across][1] - box[view.across][0]) / (box[view.up][1] - box[view.up][0]);
     panels.classList.toggle("wide-ones", aspect > WIDE);
     panels.replaceChildren(...shown().map((panel) => drawPanel(panel, view)));
+    smoothSmall();
+  };
+
+  // Voxels smaller than pixels are averaged: picking the nearest would tear holes into thin skin.
+  const smoothSmall = () => {
+    for (const canvas of panels.querySelectorAll("canvas"))
+      canvas.style.imageRendering = canvas.clientWidth * devicePixelRatio < canvas.width ? "auto" : "";
   };
 
   const drawPanel = (panel, view) => {
@@ -102,18 +157,51 @@ const showSlices = async (root, told = payload("slices")) => {
     const canvas = make("canvas", { width: frame.columns, height: frame.rows, role: "img" });
     const title = panel.title.replace("$choice", (told.choices.find(([k]) => k === state.choice) || ["", ""])[1]);
     canvas.setAttribute("aria-label", `${title}, ${view.name} slice`);
+    const field = panel.coloured && state.coloured === panel.coloured ? sets[state.set].fields[panel.coloured] : null;
+    const lengthsHere = field ? planeOf(field, view, state.at[view.normal], frame) : null;
     const image = new ImageData(frame.columns, frame.rows);
     for (let row = 0; row < frame.rows; row++)
       for (let column = 0; column < frame.columns; column++) {
-        const value = values[row * frame.columns + column];
-        const colour = panel.kind === "labels" ? tissueColours[value] : differenceColours[value];
+        const at = row * frame.columns + column;
+        const value = values[at];
+        let colour = panel.kind === "labels" ? tissueColours[value] : differenceColours[value];
+        if (field && value && lengthsHere[at]) colour = [...lengths[lengthsHere[at]], 255];
         if (!colour) continue;
         image.data.set(colour, 4 * ((frame.rows - 1 - row) * frame.columns + column));
       }
     canvas.getContext("2d").putImageData(image, 0, 0);
     canvas.addEventListener("pointermove", (event) => tell(event, canvas, panel, view, frame, values, title));
     canvas.addEventListener("pointerleave", () => (readout.textContent = told.hint));
-    return make("figure", { class: "panel" }, make("figcaption", {}, title), canvas);
+    const over = makeSvg("svg", { viewBox: `0 0 ${frame.columns} ${frame.rows}`, preserveAspectRatio: "none" });
+    const outline = panel.outline && sets[state.set].volumes[panel.outline];
+    if (outline) {
+      const seen = planeOf(outline, view, state.at[view.normal], frame);
+      const compared = new Set(panel.tissues);
+      const path = edgesOf(frame, (k) => seen[k] !== 0) + edgesOf(frame, (k) => compared.has(seen[k]));
+      over.append(makeSvg("path", { d: path, class: "interface" }));
+    }
+    const plates = sets[state.set].plates[named(panel.volumes[0])];
+    if (plates) over.append(makeSvg("path", { d: platesOf(plates, view, state.at[view.normal], frame), class: "plate" }));
+    const mm = roundLength(frame.columns * frame.step);
+    const bar = make("div", { class: "scale-bar" });
+    bar.style.width = `${(100 * mm) / (frame.columns * frame.step)}%`;
+    return make(
+      "figure", { class: "panel" }, make("figcaption", {}, title),
+      make("div", { class: "slice" }, canvas, over), bar, make("span", {}, `${mm} mm`),
+    );
+  };
+
+  const scale = make("div", { class: "scale" });
+  const drawScale = () => {
+    const field = state.coloured && sets[state.set].fields[state.coloured];
+    scale.hidden = !field;
+    if (!field) return;
+    const bar = make("span", { class: "bar" });
+    bar.style.background = `linear-gradient(to right, ${told.stops.join(",")})`;
+    scale.replaceChildren(
+      make("span", {}, "0 mm"), bar, make("span", {}, `${rounded(field.end, 1)} mm`),
+      make("span", { class: "what" }, `${state.coloured} of the tissue`),
+    );
   };
 
   const tell = (event, canvas, panel, view, frame, values, title) => {
@@ -149,12 +237,19 @@ const showSlices = async (root, told = payload("slices")) => {
   }
   if (told.choices.length > 1)
     controls.append(switchOf("Model", "slice-choice", told.choices, (k) => { state.choice = k; draw(); }));
+  const fields = Object.keys(sets[0].fields);
+  if (fields.length) {
+    const colours = [["", "tissues"], ...fields.map((name) => [name, name])];
+    controls.append(switchOf("Best candidate", "slice-colour", colours, (k) => { state.coloured = k; drawScale(); draw(); }));
+  }
   if (told.views.length > 1 || sets[0].volumes) {
     const label = make("label", { class: "slide" }, make("span", {}, "Slice"), slider, place);
     if (told.flat) label.hidden = true;
     controls.append(label);
   }
   readout.textContent = told.hint;
-  root.append(controls, panels, readout);
+  root.append(controls, panels, scale, readout);
+  drawScale();
   draw();
+  new ResizeObserver(smoothSmall).observe(panels);
 };

@@ -33,6 +33,8 @@ UNDEFORMED, TARGET, BEST = "Undeformed", "Target", "Best candidate"
 _PLATES_AT = {TARGET: "target", BEST: "best"}
 TISSUE_COLOURS = palette.lookup({int(t): c for t, c in palette.TISSUES.items()})
 DIFFERENCE_COLOURS = palette.lookup({int(d): c for d, c in palette.DIFFERENCES.items()})
+UNDEFORMED, TARGET, BEST = "Undeformed", "Target", "Best candidate"
+_PLATES_AT = {TARGET: "target", BEST: "best"}
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from palpate.service.report.diagnosis.consequence import next_step, quotable
 from palpate.service.report.diagnosis.made import Origin
 from palpate.service.report.diagnosis.slices import overlay_legend
 from palpate.service.report.diagnosis.viewers import body_data, slice_data
-from palpate.service.report.drawing.pictures import Picture, chart
+from palpate.service.report.drawing.pictures import Picture, Row, chart
 from palpate.service.report.page.glossary import DIAGNOSIS
 from palpate.service.report.page.template import filled
 from palpate.service.report.study.provenance import diagnosis_provenance
@@ -237,7 +237,12 @@ def _gap_picture(summary: Summary, accused: str) -> Picture:
         + (f", {millimetres(r.after)} with {accused}" if r.after is not None else "")
         for r in rows
     )
-    return chart(lambda w: gaps(rows, gap.noise_floor, accused, w), f"Gap. {said}.")
+    numbers: list[Row] = [("judged on", "model", "gap_mm", "low_mm", "high_mm")]
+    for row in rows:
+        for model, one in (("nominal", row.before), (f"with {accused}", row.after)):
+            if one is not None:
+                numbers.append((row.title, model, one.gap_mm, one.low_mm, one.high_mm))
+    return chart(lambda w: gaps(rows, gap.noise_floor, accused, w), f"Gap. {said}.", rows=numbers)
 
 
 def _evidence_picture(summary: Summary) -> Picture | None:
@@ -246,7 +251,11 @@ def _evidence_picture(summary: Summary) -> Picture | None:
     if not rows:
         return None
     said = "; ".join(f"{r.title}: {r.gain:.1f}" for r in rows)
-    return chart(lambda w: evidence(rows, summary.threshold, w), f"Log evidence gained. {said}.")
+    return chart(
+        lambda w: evidence(rows, summary.threshold, w),
+        f"Log evidence gained. {said}.",
+        rows=[("effect", "log_evidence_gain"), *((r.title, r.gain) for r in rows)],
+    )
 
 
 def _about_evidence(summary: Summary) -> str:
@@ -270,7 +279,11 @@ def _cause_picture(summary: Summary) -> Picture:
     shown = [n for n in ranked if n in credible] + [n for n in ranked if n not in credible]
     rows = [Cause(spoken(n), chance[n], n in credible) for n in shown[: max(CAUSES, len(credible))]]
     said = "; ".join(f"{row.title} {likely(row.probability)}" for row in rows)
-    return chart(lambda w: probabilities(rows, w), f"Probabilities. {said}.")
+    return chart(
+        lambda w: probabilities(rows, w),
+        f"Probabilities. {said}.",
+        rows=[("cause", "probability"), *((row.title, row.probability) for row in rows)],
+    )
 
 
 def _about_causes(summary: Summary) -> str:

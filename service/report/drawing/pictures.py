@@ -1,6 +1,8 @@
 """Puts drawings into a page, with the words that go with them."""
 
-from collections.abc import Callable
+import json
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ from palpate.service.report.drawing.svg import Svg
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Row = Sequence[str | float | None]
 SCREEN_DPI = 96
 # Widths in pixels of the two forms of a chart; the style sheet shows the one that fits.
 WIDE_PX, NARROW_PX = 980.0, 400.0
@@ -18,12 +21,24 @@ WIDE_PX, NARROW_PX = 980.0, 400.0
 
 @dataclass(frozen=True)
 class Picture:
-    """A drawing in the page: itself, what it shows, its width, and what stands below it."""
+    """A drawing in the page.
+
+    Parameters
+    ----------
+    svg : Markup
+    alt : str
+        What it shows, in words.
+    width_px : int
+    caption : str or Markup
+    table : str or Markup
+        Its numbers, which the page saves as CSV; see `table_of`.
+    """
 
     svg: Markup
     alt: str
     width_px: int
     caption: str | Markup = ""
+    table: str | Markup = ""
 
 
 def picture(
@@ -38,13 +53,34 @@ def picture(
 
 
 def chart(
-    draw: Callable[[float], Svg], alt: str, caption: str | Markup = "", **data: str
+    draw: Callable[[float], Svg],
+    alt: str,
+    caption: str | Markup = "",
+    rows: Sequence[Row] = (),
+    **data: str,
 ) -> Picture:
-    """Draw a chart twice, for wide and for narrow pages."""
+    """Draw a chart twice, for wide and for narrow pages; `rows` are its numbers, names first."""
     both = draw(WIDE_PX).markup(alt, "wide", **data) + draw(NARROW_PX).markup(alt, "narrow", **data)
-    return Picture(both, alt, round(WIDE_PX), caption)
+    return Picture(both, alt, round(WIDE_PX), caption, table_of(rows))
 
 
 def small_chart(drawn: Svg, alt: str, caption: str | Markup = "", **data: str) -> Picture:
     """Put a chart into the page that is drawn once, for wide and narrow pages alike."""
     return Picture(drawn.markup(alt, **data), alt, round(drawn.width), caption)
+
+
+def table_of(rows: Sequence[Row]) -> Markup:
+    """Return rows as an element that the page's script reads; nothing of none."""
+    if not rows:
+        return Markup("")
+    plain = [[None if _is_unknown(cell) else cell for cell in row] for row in rows]
+    text = json.dumps(plain, ensure_ascii=False, allow_nan=False).replace("</", "<\\/")
+    return (
+        Markup('<script type="application/json" class="table">')
+        + Markup(text)
+        + Markup("</script>")
+    )
+
+
+def _is_unknown(cell: object) -> bool:
+    return isinstance(cell, float) and not math.isfinite(cell)

@@ -127,6 +127,13 @@ def range_picture(
         lambda width: study_charts.ranges(parameters, cloud, width),
         alt,
         "The strokes show where the search has gone, which is no interval of confidence.",
+        [
+            ("parameter", "estimate", "interval_low", "interval_high", "target", "lower", "upper"),
+            *(
+                (p.label, p.estimate, *(p.interval or (None, None)), p.target, p.lower, p.upper)
+                for p in parameters
+            ),
+        ],
     )
 
 
@@ -244,7 +251,9 @@ def stage_picture(seconds: Mapping[str, float]) -> Picture | None:
         return None
     shares = ", ".join(f"{name} {100 * spent / total:.1f} %" for name, spent in seconds.items())
     return chart(
-        lambda width: study_charts.stages(seconds, width), f"Shares of the time: {shares}."
+        lambda width: study_charts.stages(seconds, width),
+        f"Shares of the time: {shares}.",
+        rows=[("stage", "seconds"), *seconds.items()],
     )
 
 

@@ -1,10 +1,12 @@
 """Both pages in a real browser: sliders, turning, keys, light and dark, wide and narrow."""
 
+import csv
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -288,6 +290,34 @@ def test_charts_say_which_candidate_is_under_the_pointer(
     box, width = chart.bounding_box(), float(chart.get_attribute("viewBox").split()[2])
     told.page.mouse.move(box["x"] + x * box["width"] / width, box["y"] + y * box["width"] / width)
     assert "candidate 0, generation 1" in tip.inner_text()
+    told.page.close()
+
+
+def saved(told: Shown, figure: Any, kind: str) -> Path:
+    """Press a button of a chart and return the file that it saves."""
+    with told.page.expect_download() as download:
+        figure.get_by_role("button", name=f"Save this chart as {kind}").click()
+    return Path(download.value.path())
+
+
+def test_charts_are_saved_as_image_drawing_and_numbers(
+    browser: Any, pages: dict[str, Path]
+) -> None:
+    told = shown(browser, pages["study"], NARROW, color_scheme="dark")
+    figure = told.page.locator("#convergence figure").first
+    assert saved(told, figure, "PNG").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    drawing = ElementTree.parse(saved(told, figure, "SVG")).getroot()
+    assert float(drawing.get("width")) > NARROW  # the wide form, though the page is narrow
+    inks = {e.get("style", "").partition("fill: rgb(")[2].partition(")")[0] for e in drawing.iter()}
+    assert "228, 232, 238" in inks  # of the dark page, written into the file
+    with saved(told, figure, "CSV").open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["candidate", "generation", "GSF", "E_fat, kPa", "eta_fat, kPa"]
+    assert rows[1][:3] == ["0", "1", "-3.83"]
+    with saved(told, told.page.locator("#parameters figure"), "CSV").open(newline="") as file:
+        (first, *_) = list(csv.DictReader(file))
+    assert (first["estimate"], first["target"], first["upper"]) == ("10.12", "10", "20")
+    assert told.problems == []
     told.page.close()
 
 

@@ -25,6 +25,7 @@ const keepFresh = () => {
 };
 
 showCharts();
+showDownloads();
 start("slices", showSlices);
 start("body", showBody);
 keepFresh();

@@ -16,6 +16,6 @@ def test_template_and_style_go_into_the_wheel() -> None:
     folder = Path("service/report/page")
     needed = {"study.html.j2", "macros.html.j2", "report.css", "template.py"}
     scripts = {path.name for path in (ROOT / folder / "scripts").glob("*.js")}
-    assert {"common.js", "slices.js", "body.js", "charts.js", "page.js"} == scripts
+    assert {"common.js", "slices.js", "body.js", "charts.js", "downloads.js", "page.js"} == scripts
     assert {"palpate" / folder / name for name in needed} <= packed
     assert {"palpate" / folder / "scripts" / name for name in scripts} <= packed

@@ -6,6 +6,7 @@
     .nii .nii.gz      the same                           nifti_file.py
     .vtu .vtk .msh    meshes, with stress and strain     mesh_file.py
     .stl              the surface                        surface_file.py
+    .pvd .gif         the way from rest to load          time_series.py, movie.py
     .inp .feb         the whole model, for CalculiX      calculix.py, febio.py
                       (or Abaqus) and for FEBio
 

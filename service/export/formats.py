@@ -16,6 +16,7 @@ from palpate.service.export.solver_model import comparable, solver_model
 from palpate.service.export.stored import TISSUE_NAMES, export_volume
 from palpate.service.export.suffixes import solved_suffixes, suffix_of
 from palpate.service.export.surface_file import export_surface
+from palpate.service.export.time_series import NOTE, export_series
 from palpate.workers.body.mesh.boundary import boundary_triangles
 from palpate.workers.plugins import load
 
@@ -31,10 +32,13 @@ class Exporter:
         differ where the shown solution is the simplified one.
     simplified : bool
         Whether the format needs the simplified model that other solvers can represent.
+    note : str
+        What a reader should know of the file; printed beside its name.
     """
 
     write: Callable[[Path, SolvedBody, SolvedBody], None]
     simplified: bool = False
+    note: str = ""
 
 
 def export_solved(paths: Iterable[Path], body: SolvedBody, *, as_told: bool = False) -> SolvedBody:
@@ -92,6 +96,17 @@ def _labels(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
     export_volume(path, shown.deformed_labels(), TISSUE_NAMES)
 
 
+def _series(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
+    export_series(path, shown)
+
+
+def _movie(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
+    # Loads matplotlib, which no other format needs.
+    from palpate.service.export.movie import export_movie
+
+    export_movie(path, shown)
+
+
 def _calculix(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
     export_calculix(path, solver_model(body, shown))
 
@@ -103,5 +118,7 @@ def _febio(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
 MESH = Exporter(_mesh)
 SURFACE = Exporter(_surface)
 LABELS = Exporter(_labels)
+SERIES = Exporter(_series, note=NOTE)
+MOVIE = Exporter(_movie, note=NOTE)
 CALCULIX = Exporter(_calculix, simplified=True)
 FEBIO = Exporter(_febio, simplified=True)

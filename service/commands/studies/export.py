@@ -8,7 +8,7 @@ import typer
 from palpate.service.commands.common import JsonOption, StoreOption, print_json
 from palpate.service.commands.named_study import constants_option, load_spec
 from palpate.service.commands.settings import store_place
-from palpate.service.export.formats import export_solved
+from palpate.service.export.formats import export_solved, exporter_of
 from palpate.service.export.solved_body import SolvedBody, solve_body
 from palpate.service.export.suffixes import check_suffix, solved_suffixes
 from palpate.service.results.read import candidate_results
@@ -23,8 +23,9 @@ def export(
         list[Path],
         typer.Argument(
             help="Files to write: .vtu .vtk .msh (mesh with stress and strain), .stl (surface), "
-            ".nrrd .seg.nrrd .nii .nii.gz (labels with their names), .inp (CalculiX, "
-            "Abaqus), .feb (FEBio)."
+            ".nrrd .seg.nrrd .nii .nii.gz (labels with their names), .pvd .gif "
+            "(displacement scaled from 0 to 1, for ParaView and as a moving picture), .inp "
+            "(CalculiX, Abaqus), .feb (FEBio)."
         ),
     ],
     candidate: Annotated[
@@ -72,7 +73,8 @@ def export(
         return
     typer.echo(f"{spec.name}, {whose}: {record['nodes']} nodes, {record['tets']} tetrahedra")
     for path in files:
-        typer.echo(f"  {path}")
+        note = exporter_of(path).note
+        typer.echo(f"  {path}" + (f": {note}" if note else ""))
 
 
 def _constants(

@@ -120,7 +120,7 @@ def _state(misfits: Misfits, number: int, times: float, accused: str, width: flo
         marks.append(("line", "left-after", f"with {accused}"))
     top = legend(svg, marks, LEFT_PX, 12.0, width)
     every = np.arange(0, len(misfits.points), -(-len(misfits.points) // POINTS))
-    for view, panel in zip(views, _panels(misfits.points, views, width, top), strict=True):
+    for view, panel in zip(views, panels(misfits.points, views, width, top), strict=True):
         panel.axes(svg, *(f"{'xyz'[axis]}, mm" for axis in view))
         points = misfits.points[np.ix_(every, view)]
         places = [(panel.across.at(x), panel.up.at(y)) for x, y in points.tolist()]
@@ -132,7 +132,7 @@ def _state(misfits: Misfits, number: int, times: float, accused: str, width: flo
     return svg
 
 
-def _panels(
+def panels(
     points: FloatArray, views: Sequence[tuple[int, int]], width: float, top: float
 ) -> Iterator[Panel]:
     """Yield where views of one scale lie: beside each other, or one below the other."""

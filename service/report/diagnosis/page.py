@@ -33,6 +33,7 @@ from palpate.service.report.diagnosis.charts import (
 from palpate.service.report.diagnosis.consequence import next_step, quotable
 from palpate.service.report.diagnosis.made import Origin
 from palpate.service.report.diagnosis.slices import overlay_legend
+from palpate.service.report.diagnosis.specimen import specimen_pictures
 from palpate.service.report.diagnosis.viewers import body_data, slice_data
 from palpate.service.report.drawing.pictures import Picture, Row, chart
 from palpate.service.report.page.glossary import DIAGNOSIS
@@ -123,6 +124,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "arrows": list(arrow_pictures(maps, scans, accused, summary.gap_mm.noise_floor))
         if summary.markers is not None
         else [],
+        "specimen": list(specimen_pictures(maps, summary, accused)),
         "states": experiment.states(summary),
         "forces": experiment.forces(summary),
         "hidden": experiment.hidden(summary),

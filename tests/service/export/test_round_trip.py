@@ -7,6 +7,7 @@ from xml.etree import ElementTree as Xml
 import meshio
 import numpy as np
 import pytest
+from PIL import Image
 
 from palpate.service.cli import main
 from palpate.service.export.formats import export_solved
@@ -24,7 +25,7 @@ SOLVER_SUFFIXES = (".inp", ".feb")
 
 
 def test_help_lists_every_suffix_and_no_other(capsys: pytest.CaptureFixture[str]) -> None:
-    tested = {*MESH_SUFFIXES, *LABEL_SUFFIXES, *SOLVER_SUFFIXES, ".stl"}
+    tested = {*MESH_SUFFIXES, *LABEL_SUFFIXES, *SOLVER_SUFFIXES, ".stl", ".pvd", ".gif"}
     assert main(["export", "--help"]) == 0
     listed = set(re.findall(r"(?<![\w.])\.[a-z]{3,4}(?:\.[a-z]+)?\b", capsys.readouterr().out))
     assert listed == tested
@@ -136,3 +137,29 @@ def test_a_febio_model_comes_back(body: SolvedBody, model: SolverModel, tmp_path
     np.testing.assert_allclose(nodes, model.nodes, rtol=1e-8, atol=1e-8)
     elements = [tuple(int(v) - 1 for v in e.text.split(",")) for e in mesh.iter("elem")]
     assert {*elements} == {*map(tuple, model.tets)}
+
+
+def test_a_series_leads_from_rest_to_load(body: SolvedBody, tmp_path: Path) -> None:
+    export_solved([tmp_path / "b.pvd"], body)
+    told = (tmp_path / "b.pvd").read_text()
+    assert "scaled from 0 to 1, not load steps" in told
+    steps = list(Xml.fromstring(told).iter("DataSet"))
+    assert [float(s.get("timestep")) for s in steps] == pytest.approx(np.linspace(0, 1, 11))
+    rest = body.positions_mm - body.displacement_mm
+    for step in steps:
+        found = meshio.read(tmp_path / step.get("file"))
+        moved = float(step.get("timestep")) * body.displacement_mm
+        np.testing.assert_allclose(found.point_data["displacement_mm"], moved, atol=1e-12)
+        np.testing.assert_allclose(found.points, rest + moved, atol=1e-12)
+        np.testing.assert_array_equal(found.cells_dict["tetra"], body.level.model.elements.tets)
+
+
+def test_a_movie_moves(body: SolvedBody, tmp_path: Path) -> None:
+    export_solved([tmp_path / "b.gif"], body)
+    with Image.open(tmp_path / "b.gif") as movie:
+        assert movie.is_animated
+        first = np.asarray(movie.convert("RGB"), float)
+        movie.seek(movie.n_frames - 1)
+        last = np.asarray(movie.convert("RGB"), float)
+    assert first.shape == (440, 560, 3)
+    assert (np.abs(first - last).max(axis=2) > 60).mean() > 0.05

@@ -15,6 +15,7 @@ from palpate.workers.comparison.observation.interface import InterfacePoints
 from palpate.workers.comparison.observation.noise import SegmentationNoise
 from palpate.workers.comparison.observation.point_interpolation import interpolation
 from palpate.workers.diagnosis.fits.gauss_newton import Fit
+from palpate.workers.diagnosis.outcome.pictures.edges import edge_arrays
 from palpate.workers.diagnosis.outcome.pictures.scan_pictures import Displacements
 from palpate.workers.diagnosis.outcome.source import SourceContent
 from palpate.workers.diagnosis.problem.force_readings import at_points_with_forces
@@ -285,12 +286,14 @@ class SpecimenSource:
         prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
-        """Add rows of the markers, of what hides, and of states to come; there are no pictures."""
+        """Add rows of the markers, of what hides and of states to come; the body in its edges."""
         analysis, best = diagnosis.analysis, diagnosis.best
         fit = best.fit if best is not None else analysis.nominal
         nominal = analysis.nominal.values()
         problems = [scan.problem(nominal) for scan in analysis.inverse.scans]
-        return {}, replace(
+        finest = analysis.inverse.model.finest
+        drawn = edge_arrays(finest.nodes, finest.elements.tets, displacements)
+        return drawn | {"marker_points": self.observed.points_mm}, replace(
             summary,
             doubts=(
                 *confirmed_scatter(self.observed),

@@ -1,0 +1,32 @@
+"""A block shows its twelve edges; a ball shows none."""
+
+import numpy as np
+import pytest
+
+from palpate.workers.body.mesh.boundary import boundary_triangles
+from palpate.workers.diagnosis.outcome.pictures.edges import edge_arrays, sharp_edges
+from palpate.workers.organs.specimen.block import block
+
+SIZE_MM = (30.0, 20.0, 60.0)
+
+
+def test_edges_of_a_block_and_where_they_go() -> None:
+    mesh = block(SIZE_MM, 1000).finest.mesh
+    moved = mesh.nodes * [0.0, 0.1, -0.2]
+    found = edge_arrays(mesh.nodes, mesh.tets, {"before": [moved], "after": [moved[:-1]]})
+    ends = found["edges_rest"]
+    on_sides = (np.isclose(ends, 0) | np.isclose(ends, SIZE_MM)).sum(axis=2)
+    assert (on_sides >= 2).all()
+    assert np.linalg.norm(np.diff(ends, axis=1), axis=2).sum() == pytest.approx(4 * sum(SIZE_MM))
+    np.testing.assert_allclose(found["edges_before"][0], ends * [1.0, 1.1, 0.8])
+    assert "edges_after" not in found  # of another mesh
+
+
+def test_a_round_body_has_no_sharp_edge() -> None:
+    """The block's surface blown up to a ball: neighbours bend by some 20 degrees."""
+    mesh = block((2.0, 2.0, 2.0), 2000).finest.mesh
+    triangles = boundary_triangles(mesh.tets)
+    centred = mesh.nodes - 1.0
+    ball = centred / np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), 1e-9)
+    assert len(sharp_edges(mesh.nodes, triangles)) > 12
+    assert len(sharp_edges(ball, triangles)) == 0

@@ -15,7 +15,11 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray, Tissue
-from palpate.workers.mechanics.fem.elements.element_energy import ElementMaterial
+from palpate.workers.mechanics.fem.elements.element_energy import (
+    BARRIER_STIFFNESS,
+    J_BARRIER,
+    ElementMaterial,
+)
 from palpate.workers.mechanics.fem.elements.model import LevelModel
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
 from palpate.workers.mechanics.fem.problem.fields import (
@@ -86,6 +90,7 @@ def element_constants(
     material = ElementMaterial(
         **_moduli(problem, stiff, growth),
         fibre=fibre,
+        barrier_j=J_BARRIER * min(1.0, float(_growth(problem, part).min())),
         tension_only=not problem.literal_fibre,
         isochoric_fibre=problem.isochoric_fibre,
         plain=problem.plain_elements,
@@ -133,6 +138,7 @@ def _moduli(problem: Problem, part: FloatArray, growth: FloatArray) -> dict[str,
         "mu": stiff @ _column(problem, part, "mu_mpa", matrix=True),
         "c2": stiff @ _yeoh(problem, part),
         "kappa": soft @ _column(problem, part, "kappa_mpa"),
+        "barrier": BARRIER_STIFFNESS * (stiff @ _shear_moduli(problem, part)),
         "eta": np.stack([stiff @ e for e in eta[: _families(problem)]], axis=1),
     }
 
@@ -211,6 +217,14 @@ def _column(problem: Problem, part: FloatArray, name: str, *, matrix: bool = Fal
     values = np.zeros(part.shape[1])
     for tissue, c in _known(problem, part):
         values[tissue] = 0.0 if matrix and c.law is not None else getattr(c, name)
+    return values
+
+
+def _shear_moduli(problem: Problem, part: FloatArray) -> FloatArray:
+    """Return the shear modulus at rest of each tissue, whatever its law, in MPa."""
+    values = np.zeros(part.shape[1])
+    for tissue, c in _known(problem, part):
+        values[tissue] = c.mu_mpa if c.law is None else c.law.shear_modulus_mpa
     return values
 
 

@@ -16,7 +16,12 @@ from palpate.workers.mechanics.fem.equilibrium.load_schedule import (
     load_schedules,
     stage_at,
 )
-from palpate.workers.mechanics.fem.equilibrium.newton import LOOSEST, TIGHTEST, Result
+from palpate.workers.mechanics.fem.equilibrium.newton import (
+    LOOSEST,
+    MAX_ITERATIONS,
+    TIGHTEST,
+    Result,
+)
 from palpate.workers.mechanics.fem.linear.level import Level
 from palpate.workers.mechanics.fem.linear.multigrid import LinearSolver, solver_factory
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
@@ -94,17 +99,25 @@ class LoadStepping:
     def from_rest(self, histories: Sequence[History]) -> LoadPath:
         """Go through all stages; in more of them, until one way succeeds.
 
+        Where all iterations on the finest mesh have not led to an equilibrium, and there is no
+        friction to follow, more stages hardly would, and cost as much again: it is given up.
         What an attempt leaves in the histories, except friction, is where the next begins.
         """
         path: LoadPath | None = None
         for stages in load_schedules(self.model, self.problem):
             path = self._follow(stages, self._at_rest(histories))
-            if not path.reason:
+            if not path.reason or self._is_exhausted(path):
                 break
             histories = [s.history for s in path.states]
         if path is None:
             raise AssertionError("a load has at least one schedule")
         return path
+
+    def _is_exhausted(self, path: LoadPath) -> bool:
+        """Return whether the full load has taken all iterations of the finest mesh."""
+        at_end = len(path.results) == len(self.levels) and path.stage.fraction == 1
+        spent = path.results[-1].iterations >= MAX_ITERATIONS
+        return at_end and spent and not self.problem.load.device.friction
 
     def continue_from(self, neighbour: Sequence[ConvergedStage]) -> LoadPath | None:
         """Go through a neighbour's stages on the finest mesh alone, from its own states.

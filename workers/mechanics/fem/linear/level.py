@@ -246,17 +246,19 @@ class Level:
         stage: Stage,
         *,
         convex: bool = False,
+        positive: bool = False,
         everywhere: bool = False,
     ) -> tuple[FloatArray, Tangent]:
         """Return the out-of-balance force, shape (n, 3) in N, and the tangent.
 
         Both are zero where a displacement is prescribed, unless asked for `everywhere`.
-        With `convex` the parts that may be negative are left out; see `assembly`.
+        With `convex` parts that may be negative are left out, with `positive` all of the
+        matrix and its fibres; see `assembly`.
         """
         m, g = self.model, self.model.graph
         free = np.ones_like(self.free) if everywhere else self.free
         packed = np.zeros((len(g.neighbour), EDGE), np.float32)
-        force = self._force(state, at, stage, convex, packed)
+        force = self._force(state, at, stage, packed, convex or positive, positive)
         blocks = packed.reshape(-1, 3, 4)
         for axis in range(3):
             blocks[g.diagonal, axis, axis] += self.springs[:, axis]
@@ -280,7 +282,7 @@ class Level:
 
     def force(self, state: State, at: Energy, stage: Stage) -> FloatArray:
         """Return the out-of-balance force on every node, held or not, shape (n, 3) in N."""
-        return self._force(state, at, stage, False, np.zeros((0, EDGE), np.float32))
+        return self._force(state, at, stage, np.zeros((0, EDGE), np.float32))
 
     def outer_force(self, state: State, contact: ContactPotential, stage: Stage) -> FloatArray:
         """Return what springs, loads and plates leave out of balance, without body and skin."""
@@ -300,8 +302,9 @@ class Level:
         state: State,
         at: Energy,
         stage: Stage,
-        convex: bool,
         packed: Float32Array,
+        convex: bool = False,
+        positive: bool = False,
     ) -> FloatArray:
         """Return the force on every node, and add the tangent of body and skin to `packed`."""
         m, x, laws = self.model, state.x, self.constants.laws
@@ -310,7 +313,7 @@ class Level:
         pressure = self.nodal_bulk_mpa * swelling
         edge, root = m.graph.edge, np.sqrt(self.nodal_bulk_mpa / m.nodal_volumes)
         material = self.constants.material
-        assemble(x, m.elements, material, pressure, root, edge, convex, force, packed)
+        assemble(x, m.elements, material, pressure, root, edge, convex, positive, force, packed)
         if not (laws or self.skin_n_per_mm):
             return force
         K = np.zeros((len(packed), 9), np.float32)

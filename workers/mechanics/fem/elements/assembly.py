@@ -53,8 +53,8 @@ class Scratch(NamedTuple):
     ----------
     x, g : ndarray, shape (4, 3, LANES)
         Corners, and gradients of the shape functions.
-    material : ndarray, shape (5, LANES)
-        mu, c2, kappa, volume and barrier.
+    material : ndarray, shape (4, LANES)
+        mu, c2, kappa and volume.
     pressure, root : ndarray, shape (4, LANES)
         At the corners.
     eta : ndarray, shape (families, LANES), and fibre : ndarray, shape (families, 3, LANES)
@@ -122,7 +122,7 @@ def assemble(
     s = Scratch(
         np.empty((4, 3, LANES)),
         np.empty((4, 3, LANES)),
-        np.empty((5, LANES)),
+        np.empty((4, LANES)),
         np.empty((4, LANES)),
         np.empty((4, LANES)),
         np.empty((families, LANES)),
@@ -196,7 +196,6 @@ def _gather(
         stiffens = stiffens or material.c2[e] != 0.0
         s.material[2, lane] = material.kappa[e]
         s.material[3, lane] = elements.volumes[e]
-        s.material[4, lane] = material.barrier[e]
         for q in range(s.eta.shape[0]):
             s.eta[q, lane] = material.eta[e, q]
             for i in range(3):
@@ -275,10 +274,6 @@ def _vectors(
     if material.plain:
         p = load(s.material, 2) * (J - 1.0)
         stiffening = load(s.material, 2) * J * J * v
-    closed = where_below(J, material.barrier_j, 1.0 - J * (1.0 / material.barrier_j), 0.0)
-    rate = load(s.material, 4) * closed * (3.0 / material.barrier_j)
-    p = p - rate * closed
-    stiffening = stiffening + rate * (2.0 / material.barrier_j) * J * J * v
     pJ = p * J * v
     normal = 0.5 * m1 * I1 + pJ
     for k in range(12):

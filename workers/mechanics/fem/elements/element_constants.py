@@ -15,11 +15,7 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray, Tissue
-from palpate.workers.mechanics.fem.elements.element_energy import (
-    BARRIER_STIFFNESS,
-    J_BARRIER,
-    ElementMaterial,
-)
+from palpate.workers.mechanics.fem.elements.element_energy import ElementMaterial
 from palpate.workers.mechanics.fem.elements.model import LevelModel
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
 from palpate.workers.mechanics.fem.problem.fields import (
@@ -86,11 +82,10 @@ def element_constants(
     else:
         fibre = _directions(model, problem)
     stiff = _stiffnesses(model, problem)
-    growth = _growth(problem, part)
+    growth = growth_of(problem, part)
     material = ElementMaterial(
         **_moduli(problem, stiff, growth),
         fibre=fibre,
-        barrier_j=J_BARRIER * min(1.0, float(_growth(problem, part).min())),
         tension_only=not problem.literal_fibre,
         isochoric_fibre=problem.isochoric_fibre,
         plain=problem.plain_elements,
@@ -109,7 +104,7 @@ def _changed_in_places(
     reached = elements_reached(differ, model.nodes, model.elements.tets, model.centroids)
     there = np.flatnonzero(reached).astype(np.int32)
     stiff = _stiffnesses(model, problem, there)
-    growth = _growth(problem, model.fractions)
+    growth = growth_of(problem, model.fractions)
     moduli = {}
     for name, values in _moduli(problem, stiff, growth).items():
         moduli[name] = getattr(similar.material, name).copy()
@@ -130,6 +125,15 @@ def _stiffnesses(
     return np.asarray(part * factors)
 
 
+def shear_moduli_mpa(model: LevelModel, problem: Problem) -> FloatArray:
+    """Return the shear modulus at rest of each element in MPa, whatever its law."""
+    part = model.fractions
+    values = np.zeros(part.shape[1])
+    for tissue, c in _known(problem, part):
+        values[tissue] = c.mu_mpa if c.law is None else c.law.shear_modulus_mpa
+    return np.asarray((_stiffnesses(model, problem) * growth_of(problem, part)) @ values)
+
+
 def _moduli(problem: Problem, part: FloatArray, growth: FloatArray) -> dict[str, FloatArray]:
     """Return the moduli of elements with these shares of tissues, shape (m, tissues)."""
     soft, stiff = part / growth, part * growth
@@ -138,7 +142,6 @@ def _moduli(problem: Problem, part: FloatArray, growth: FloatArray) -> dict[str,
         "mu": stiff @ _column(problem, part, "mu_mpa", matrix=True),
         "c2": stiff @ _yeoh(problem, part),
         "kappa": soft @ _column(problem, part, "kappa_mpa"),
-        "barrier": BARRIER_STIFFNESS * (stiff @ _shear_moduli(problem, part)),
         "eta": np.stack([stiff @ e for e in eta[: _families(problem)]], axis=1),
     }
 
@@ -168,8 +171,8 @@ def _fibre_parts(p: Problem) -> tuple[object, ...]:
     return p.fibres, _families(p), p.isochoric_fibre, growth
 
 
-def _growth(problem: Problem, part: FloatArray) -> FloatArray:
-    """Return the growth of each tissue."""
+def growth_of(problem: Problem, part: FloatArray) -> FloatArray:
+    """Return the growth of each tissue that a mesh with these shares may have, as V / V0."""
     values = np.ones(part.shape[1])
     for tissue, c in _known(problem, part):
         values[tissue] = c.growth
@@ -197,7 +200,7 @@ def _directions(model: LevelModel, problem: Problem) -> FloatArray:
     if _families(problem) == 2:
         directions.append(problem.fibres.second_directions(centroids))
     along = np.ascontiguousarray(np.stack(directions, axis=1))
-    growth = _growth(problem, model.fractions)
+    growth = growth_of(problem, model.fractions)
     if not problem.isochoric_fibre and (growth != 1).any():
         along *= (1 + model.fractions @ (growth - 1))[:, None, None] ** (-1 / 3)
     return along
@@ -217,14 +220,6 @@ def _column(problem: Problem, part: FloatArray, name: str, *, matrix: bool = Fal
     values = np.zeros(part.shape[1])
     for tissue, c in _known(problem, part):
         values[tissue] = 0.0 if matrix and c.law is not None else getattr(c, name)
-    return values
-
-
-def _shear_moduli(problem: Problem, part: FloatArray) -> FloatArray:
-    """Return the shear modulus at rest of each tissue, whatever its law, in MPa."""
-    values = np.zeros(part.shape[1])
-    for tissue, c in _known(problem, part):
-        values[tissue] = c.mu_mpa if c.law is None else c.law.shear_modulus_mpa
     return values
 
 

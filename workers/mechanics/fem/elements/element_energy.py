@@ -24,14 +24,6 @@ of the fibre), so one set of derivatives serves them all.
 With `plain` set each element carries its own ``kappa/2 (J - 1)^2`` instead, the
 textbook linear tetrahedron; it locks, and serves to be compared with.
 
-A barrier keeps elements from collapsing, which the nodal average alone would let them: below
-:math:`J_b`, half of the volume at rest, each element also stores
-
-.. math:: W_b = 100 \mu \, (1 - J / J_b)^3 ,
-
-with mu the shear modulus at rest, whatever the law. It is twice continuously differentiable, and
-nothing where no element loses half of its volume.
-
 Below J = 0.2 the factor :math:`J^{-2/3}` continues as a parabola, twice
 continuously differentiable, so that a trial step may invert an element.
 """
@@ -49,9 +41,6 @@ J_SMALL = 0.2
 PHI0 = J_SMALL ** (-2.0 / 3.0)
 PHI1 = -2.0 / 3.0 * PHI0 / J_SMALL
 PHI2 = 10.0 / 9.0 * PHI0 / J_SMALL**2
-# Volume ratio at which the barrier begins, and its stiffness over the shear modulus.
-J_BARRIER = 0.5
-BARRIER_STIFFNESS = 100.0
 
 
 class Elements(NamedTuple):
@@ -67,12 +56,10 @@ class ElementMaterial(NamedTuple):
 
     Parameters
     ----------
-    mu, c2, kappa, barrier : ndarray, shape (m,)
+    mu, c2, kappa : ndarray, shape (m,)
         MPa.
     eta : ndarray, shape (m, families), and fibre : ndarray, shape (m, families, 3)
         Stiffness in MPa and direction of the fibres.
-    barrier_j : float
-        Volume ratio at which the barrier begins.
     tension_only, isochoric_fibre, plain : bool
         See `workers.mechanics.fem.problem.boundary_value_problem.Problem`.
     """
@@ -80,10 +67,8 @@ class ElementMaterial(NamedTuple):
     mu: FloatArray
     c2: FloatArray
     kappa: FloatArray
-    barrier: FloatArray
     eta: FloatArray
     fibre: FloatArray
-    barrier_j: float
     tension_only: bool
     isochoric_fibre: bool
     plain: bool
@@ -193,9 +178,6 @@ def energy(
                 density += 0.5 * material.eta[e, q] * stretch * stretch
         if material.plain:
             density += 0.5 * material.kappa[e] * (J - 1.0) * (J - 1.0)
-        closed = 1.0 - J / material.barrier_j
-        if closed > 0.0:
-            density += material.barrier[e] * closed * closed * closed
         v = volumes[e]
         total += v * density
         share = 0.25 * J * v

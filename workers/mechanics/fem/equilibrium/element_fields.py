@@ -8,8 +8,8 @@ In the nodal-averaged element the first Piola-Kirchhoff stress is
 the mean of the pressures of its four nodes, with :math:`\gamma = 1` where nothing has grown
 (Bonet & Burton, Comm. Numer. Meth. Engng 14 (1998) 437-449): with it the force on a node is the
 sum of :math:`V P g_a` over the elements around. In a plain element
-:math:`p = \kappa (J - 1)`. Where an element has collapsed, its barrier adds to p, see
-`mechanics.fem.elements.element_energy`. Here p is positive in tension; the `pressure_mpa` that is
+:math:`p = \kappa (J - 1)`. The barrier of elements adds to p where it acts, see
+`mechanics.fem.elements.barrier`. Here p is positive in tension; the `pressure_mpa` that is
 reported has the sign of a fluid's, positive where it is squeezed.
 """
 
@@ -19,6 +19,7 @@ import numpy as np
 
 from palpate.storage.values import FloatArray
 from palpate.workers.mechanics.fem.elements import element_energy
+from palpate.workers.mechanics.fem.elements.barrier import barrier_stress_mpa
 from palpate.workers.mechanics.fem.elements.element_energy import J_SMALL, PHI0, PHI1, PHI2
 from palpate.workers.mechanics.fem.linear.level import Level
 
@@ -89,11 +90,9 @@ def _at_nodes(level: Level, values: FloatArray) -> FloatArray:
 
 def _mean_stress(level: Level, J: FloatArray) -> FloatArray:
     """Return p of each element, positive in tension, shape (m,) in MPa."""
-    material = level.constants.material
-    closed = np.maximum(1 - J / material.barrier_j, 0.0)
-    barrier = -3 / material.barrier_j * material.barrier * closed**2
+    barrier = 0.0 if level.barrier is None else barrier_stress_mpa(J, level.barrier)
     if level.problem.plain_elements:
-        return np.asarray(material.kappa * (J - 1) + barrier)
+        return np.asarray(level.constants.material.kappa * (J - 1) + barrier)
     node = level.nodal_bulk_mpa * (_at_nodes(level, J) - level.constants.nodal_growth)
     return np.asarray(node[level.model.elements.tets].mean(axis=1) + barrier)
 

@@ -17,10 +17,10 @@ from palpate.workers.mechanics.fem.linear.multigrid import (
     LinearSolverFactory,
 )
 
-MAX_ITERATIONS = 160
-# An ordinary solve needs up to 20. After these the length of a step is chosen with more care,
-# and a tangent that is not positive is made so.
-USUAL_ITERATIONS = 25
+MAX_ITERATIONS = 60
+# With a barrier against collapse. After the usual ones the length of a step is chosen with more
+# care, and a tangent that is not positive is made so.
+MAX_ITERATIONS_WITH_BARRIER, USUAL_ITERATIONS = 160, 25
 MAX_HALVINGS = 14
 # Longest step of a node in one iteration; farther, the quadratic model says nothing.
 LONGEST_STEP_MM = 20.0
@@ -73,15 +73,19 @@ def minimise(
     stage: Stage,
     factory: LinearSolverFactory,
     tolerance_mm: float,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int | None = None,
     forcing: float = LOOSEST,
 ) -> Result:
     """Find the equilibrium nearest to `start`.
 
+    Without `max_iterations` their limit is that of a level with or without a barrier.
     Friction and follower pressure are held. Converged when a full step moves no node by
     more than `tolerance_mm`. The first step is solved to a relative residual of `forcing`:
     `TIGHTEST` from a start that may be so near that this step is the last.
     """
+    if max_iterations is None:
+        guarded = level.barrier is not None
+        max_iterations = MAX_ITERATIONS_WITH_BARRIER if guarded else MAX_ITERATIONS
     state = start
     energy = level.energy(state, stage)
     cg_total, residual, last_residual = 0, np.inf, np.inf
@@ -89,7 +93,8 @@ def minimise(
     # `convex`: no descent otherwise, for good; `cautious`: for this step.
     convex = cautious = False
     for iteration in range(1, max_iterations + 1):
-        late, held = iteration > USUAL_ITERATIONS, convex or cautious
+        late = level.barrier is not None and iteration > USUAL_ITERATIONS
+        held = convex or cautious
         force, tangent = level.linearise(state, energy, stage, convex=held, positive=held and late)
         if stage.force_n is not None and tangent.plate_stiffness == 0:
             return Result(state, "the plate lost contact", iteration, cg_total, residual, linear)

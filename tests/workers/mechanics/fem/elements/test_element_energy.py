@@ -136,10 +136,11 @@ def test_tangent_is_the_derivative_of_the_force(model, kind):
 
 
 @pytest.mark.parametrize("height", [0.45, 0.5, 0.55])
-@pytest.mark.parametrize("kind", ["nodal volume", "plain", "another law", "two families"])
+@pytest.mark.parametrize("kind", ["nodal volume", "plain", "another law", "two families", "skin"])
 def test_barrier_has_force_and_tangent_of_its_energy(model, kind, height):
     """Elements of a flattened block are on both sides of the volume where the barrier begins."""
     level, stage, history = level_with(model, kind)
+    level = level.with_barrier()
     rng = np.random.default_rng(5)
     x = model.nodes * [1, 1, height] + rng.uniform(-0.3, 0.3, model.nodes.shape)
     state, h, direction = State(x, 0.2, history), 1e-5, rng.standard_normal(x.shape)
@@ -162,21 +163,20 @@ def test_barrier_has_force_and_tangent_of_its_energy(model, kind, height):
 
 @pytest.mark.parametrize("kind", ["nodal volume", "another law"])
 def test_barrier_is_as_written(model, kind):
-    """W = 100 mu (1 - 2 J)^3 in a block of half a fifth less than half of its volume."""
+    """W = 100 mu (1 - 2 J)^3 in a block of 0.4 of its volume."""
     level, stage, history = level_with(model, kind)
     constants = level.problem.constants[Tissue.FAT]
     mu = constants.law.shear_modulus_mpa if constants.law else constants.mu_mpa
     state = State(model.nodes * 0.4 ** (1 / 3), 0.2, history)
-    free = level.constants.material._replace(barrier=np.zeros(len(model.elements.tets)))
-    bare = replace(level, constants=replace(level.constants, material=free))
-    stored = level.energy(state, stage).elastic - bare.energy(state, stage).elastic
+    guarded = level.with_barrier()
+    stored = guarded.energy(state, stage).elastic - level.energy(state, stage).elastic
     assert stored == pytest.approx(100 * mu * 0.2**3 * model.elements.volumes.sum(), rel=1e-9)
 
 
 def test_barrier_of_shrunken_tissue_begins_below_its_own_volume(model):
-    shrunken = loose_level(model, replace(FAT, growth=0.6))
-    assert shrunken.constants.material.barrier_j == pytest.approx(0.3)
-    assert loose_level(model, replace(FAT, growth=1.6)).constants.material.barrier_j == 0.5
+    for growth, begins in ((0.6, 0.3), (1.6, 0.5)):
+        grown = loose_level(model, replace(FAT, growth=growth))
+        assert grown.with_barrier().barrier.j == pytest.approx(begins)
 
 
 @pytest.mark.parametrize(
@@ -184,6 +184,7 @@ def test_barrier_of_shrunken_tissue_begins_below_its_own_volume(model):
 )
 def test_positive_tangent_is_never_negative(model, kind):
     level, stage, history = level_with(model, kind)
+    level = level.with_barrier()
     x = model.nodes * [1.5, 1.3, 0.4]
     x += np.random.default_rng(6).uniform(-0.5, 0.5, x.shape)
     state, g = State(x, 0.0, history), model.graph

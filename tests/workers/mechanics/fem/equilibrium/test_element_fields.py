@@ -56,7 +56,7 @@ def nodal_forces(level: Level, piola_mpa: FloatArray) -> FloatArray:
 def test_it_makes_the_forces_of_the_solver(
     plain: bool, constants: dict[str, object], height: float
 ) -> None:
-    level = level_of(plain, **constants)
+    level = level_of(plain, **constants).with_barrier()
     state = State(stirred(1.0) * [1, 1, height], 0.0)
     at = level.energy(state, FULL)
     internal = level.force(state, at, FULL) - level.outer_force(state, at.contact, FULL)

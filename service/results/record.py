@@ -247,6 +247,16 @@ class StudyResults:
         return self.spec.name
 
     @property
+    def squeezed_note(self) -> str:
+        """Return a warning if the best simulation has a collapsed element; empty otherwise."""
+        if self.best is None or not (self.best.outcome or {}).get("squeezed"):
+            return ""
+        return (
+            "The best simulation squeezes some element to less than 0.3 of its volume: its "
+            "numbers are not to be trusted."
+        )
+
+    @property
     def identifiable(self) -> Identifiable:
         """Return whether the load tells the estimates or only their ratios."""
         return self.spec.identifiable

@@ -49,8 +49,9 @@ def print_report(results: StudyResults, console: Console) -> None:
     if results.best is not None and results.best.score is not None:
         text = score_text(results.best.score, results.spec.objective)
         console.print(f"candidate {results.best.candidate}: {text}")
-    if results.best_note:
-        console.print(results.best_note, soft_wrap=True)
+    for note in (results.best_note, results.squeezed_note):
+        if note:
+            console.print(note, soft_wrap=True)
     for label, score in results.best_scores.items():
         before = results.undeformed_scores.get(label)
         start = (

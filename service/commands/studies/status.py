@@ -47,8 +47,7 @@ def _rows(results: StudyResults) -> list[tuple[str, str]]:
         candidate, score = results.best.candidate, results.best.score
         rows.append(("best", f"candidate {candidate}: {score_text(score, results.spec.objective)}"))
         genes = quantities_at_door(results.spec.case.parameters, results.best.genes)
-        if results.best_note:
-            rows.append(("", results.best_note))
+        rows += [("", note) for note in (results.best_note, results.squeezed_note) if note]
         texts = (f"{name} {number(q.value)} {q.unit}".rstrip() for name, q in genes.items())
         rows.append(("", ", ".join(texts)))
     runs = "1 run" if results.sessions == 1 else f"{results.sessions} runs"

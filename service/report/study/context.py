@@ -176,13 +176,8 @@ def _warnings(data: StudyData) -> list[Markup]:
         text = "{} {} at the edge of the searched interval: the true value may lie beyond it."
         verb = "lies" if len(edges) == 1 else "lie"
         warnings.append(Markup(text).format(joined(edges), verb))
-    best = data.results.best
-    if best is not None and (best.outcome or {}).get("squeezed"):
-        text = (
-            "The best simulation squeezes some element to less than a fifth of its volume: its "
-            "numbers are not to be trusted."
-        )
-        warnings.append(Markup(text))
+    if data.results.squeezed_note:
+        warnings.append(Markup(data.results.squeezed_note))
     return warnings
 
 

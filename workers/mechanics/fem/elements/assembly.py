@@ -106,6 +106,7 @@ def assemble(
     root: FloatArray,
     edge: IntArray,
     convex: bool,
+    positive: bool,
     force: FloatArray,
     rows: Float32Array,
 ) -> None:
@@ -114,7 +115,8 @@ def assemble(
     `pressure` is ``kappa_n (v_n / V_n - gamma_n)`` per node and `root` is
     ``sqrt(kappa_n / V_n)``; `edge`, (m, 4, 4), is the row of each pair of nodes.
     With `convex` the geometric stiffness of pressure and slack fibres, which may be
-    negative, is left out. With empty rows the force alone is added.
+    negative, is left out; with `positive` all that can be negative. With empty rows
+    the force alone is added.
     """
     families = material.fibre.shape[1]
     s = Scratch(
@@ -148,7 +150,7 @@ def assemble(
                 for a in range(4):
                     for b in range(4):
                         fetch_edge(rows, edge[e, a, b])
-        ranks, crossed, share = _vectors(s, material, stiffens, convex)
+        ranks, crossed, share = _vectors(s, material, stiffens, convex, positive)
         for e in range(first, last):
             for a in range(4):
                 for i in range(3):
@@ -252,7 +254,7 @@ def _kinematics(s: Scratch) -> tuple[Vector, Vector]:
 
 @njit(inline="always", **CONTRACTED)
 def _vectors(
-    s: Scratch, material: ElementMaterial, stiffens: bool, convex: bool
+    s: Scratch, material: ElementMaterial, stiffens: bool, convex: bool, positive: bool
 ) -> tuple[int, Vector, Vector]:
     """Write the force and the vectors that the tangent is made of.
 
@@ -281,6 +283,10 @@ def _vectors(
         pJ = 0.0 * pJ
     straight = 0.5 * I1 * (m1 + m2) + pJ + stiffening
     crossed = -0.5 * m1 * I1 - pJ
+    if positive:
+        # A square: m0 |dF + (m1 / m0) F (F^-T : dF)|^2.
+        straight = I1 * m1 * phi1 / phi0 + stiffening
+        crossed = 0.0 * pJ
     for a in range(3):
         for b in range(a + 1, 4):
             product = load(s.g, 3 * a) * load(s.g, 3 * b)
@@ -298,7 +304,9 @@ def _vectors(
         if material.isochoric_fibre:
             p0, p1, p2 = phi0, phi1, phi2
         factor = p0, p1, p2
-        more_straight, more_crossed = _family(s, q, ranks, factor, material.tension_only, convex)
+        more_straight, more_crossed = _family(
+            s, q, ranks, factor, material.tension_only, convex, positive
+        )
         straight, crossed = straight + more_straight, crossed + more_crossed
         ranks += 1
     for k in range(12):
@@ -314,6 +322,7 @@ def _family(
     factor: tuple[Vector, Vector, Vector],
     tension_only: bool,
     convex: bool,
+    positive: bool,
 ) -> tuple[Vector, Vector]:
     """Add one family of fibres; return its share in ``straight`` and ``crossed``."""
     p0, p1, p2 = factor
@@ -345,6 +354,8 @@ def _family(
             k = 4 * a + b
             both = load(s.z, a) * load(s.z, b)
             store(s.diagonal, k, load(s.diagonal, k) + held * p0 * both)
+    if positive:
+        return I4 * held * p1 * p1 / p0, 0.0 * half
     return 0.5 * I4 * held * (p1 + p2), 0.0 - held * half
 
 

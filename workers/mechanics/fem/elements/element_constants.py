@@ -82,7 +82,7 @@ def element_constants(
     else:
         fibre = _directions(model, problem)
     stiff = _stiffnesses(model, problem)
-    growth = _growth(problem, part)
+    growth = growth_of(problem, part)
     material = ElementMaterial(
         **_moduli(problem, stiff, growth),
         fibre=fibre,
@@ -104,7 +104,7 @@ def _changed_in_places(
     reached = elements_reached(differ, model.nodes, model.elements.tets, model.centroids)
     there = np.flatnonzero(reached).astype(np.int32)
     stiff = _stiffnesses(model, problem, there)
-    growth = _growth(problem, model.fractions)
+    growth = growth_of(problem, model.fractions)
     moduli = {}
     for name, values in _moduli(problem, stiff, growth).items():
         moduli[name] = getattr(similar.material, name).copy()
@@ -123,6 +123,15 @@ def _stiffnesses(
         return part
     factors = stiffness_factors(problem.variations, model.nodes, tets, part.shape[1])
     return np.asarray(part * factors)
+
+
+def shear_moduli_mpa(model: LevelModel, problem: Problem) -> FloatArray:
+    """Return the shear modulus at rest of each element in MPa, whatever its law."""
+    part = model.fractions
+    values = np.zeros(part.shape[1])
+    for tissue, c in _known(problem, part):
+        values[tissue] = c.mu_mpa if c.law is None else c.law.shear_modulus_mpa
+    return np.asarray((_stiffnesses(model, problem) * growth_of(problem, part)) @ values)
 
 
 def _moduli(problem: Problem, part: FloatArray, growth: FloatArray) -> dict[str, FloatArray]:
@@ -162,8 +171,8 @@ def _fibre_parts(p: Problem) -> tuple[object, ...]:
     return p.fibres, _families(p), p.isochoric_fibre, growth
 
 
-def _growth(problem: Problem, part: FloatArray) -> FloatArray:
-    """Return the growth of each tissue."""
+def growth_of(problem: Problem, part: FloatArray) -> FloatArray:
+    """Return the growth of each tissue that a mesh with these shares may have, as V / V0."""
     values = np.ones(part.shape[1])
     for tissue, c in _known(problem, part):
         values[tissue] = c.growth
@@ -191,7 +200,7 @@ def _directions(model: LevelModel, problem: Problem) -> FloatArray:
     if _families(problem) == 2:
         directions.append(problem.fibres.second_directions(centroids))
     along = np.ascontiguousarray(np.stack(directions, axis=1))
-    growth = _growth(problem, model.fractions)
+    growth = growth_of(problem, model.fractions)
     if not problem.isochoric_fibre and (growth != 1).any():
         along *= (1 + model.fractions @ (growth - 1))[:, None, None] ** (-1 / 3)
     return along

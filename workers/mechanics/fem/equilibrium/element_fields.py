@@ -8,8 +8,9 @@ In the nodal-averaged element the first Piola-Kirchhoff stress is
 the mean of the pressures of its four nodes, with :math:`\gamma = 1` where nothing has grown
 (Bonet & Burton, Comm. Numer. Meth. Engng 14 (1998) 437-449): with it the force on a node is the
 sum of :math:`V P g_a` over the elements around. In a plain element
-:math:`p = \kappa (J - 1)`. Here p is positive in tension; the `pressure_mpa` that is reported has
-the sign of a fluid's, positive where it is squeezed.
+:math:`p = \kappa (J - 1)`. The barrier of elements adds to p where it acts, see
+`mechanics.fem.elements.barrier`. Here p is positive in tension; the `pressure_mpa` that is
+reported has the sign of a fluid's, positive where it is squeezed.
 """
 
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ import numpy as np
 
 from palpate.storage.values import FloatArray
 from palpate.workers.mechanics.fem.elements import element_energy
+from palpate.workers.mechanics.fem.elements.barrier import barrier_stress_mpa
 from palpate.workers.mechanics.fem.elements.element_energy import J_SMALL, PHI0, PHI1, PHI2
 from palpate.workers.mechanics.fem.linear.level import Level
 
@@ -88,10 +90,11 @@ def _at_nodes(level: Level, values: FloatArray) -> FloatArray:
 
 def _mean_stress(level: Level, J: FloatArray) -> FloatArray:
     """Return p of each element, positive in tension, shape (m,) in MPa."""
+    barrier = 0.0 if level.barrier is None else barrier_stress_mpa(J, level.barrier)
     if level.problem.plain_elements:
-        return np.asarray(level.constants.material.kappa * (J - 1))
+        return np.asarray(level.constants.material.kappa * (J - 1) + barrier)
     node = level.nodal_bulk_mpa * (_at_nodes(level, J) - level.constants.nodal_growth)
-    return np.asarray(node[level.model.elements.tets].mean(axis=1))
+    return np.asarray(node[level.model.elements.tets].mean(axis=1) + barrier)
 
 
 def _isochoric_stress(level: Level, F: FloatArray, J: FloatArray) -> FloatArray:

@@ -6,12 +6,7 @@ import numpy as np
 
 from palpate.workers.mechanics.fem.elements.states import Stage, State
 from palpate.workers.mechanics.fem.equilibrium.equilibrium_check import equilibrium_fault
-from palpate.workers.mechanics.fem.equilibrium.newton import (
-    LOOSEST,
-    MAX_ITERATIONS,
-    Result,
-    minimise,
-)
+from palpate.workers.mechanics.fem.equilibrium.newton import LOOSEST, Result, minimise
 from palpate.workers.mechanics.fem.linear.level import Level, without_laws
 from palpate.workers.mechanics.fem.linear.multigrid import LinearSolverFactory
 
@@ -32,7 +27,7 @@ def solve_level(
     stage: Stage,
     factory: LinearSolverFactory,
     tolerance_mm: float,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int | None = None,
     forcing: float = LOOSEST,
 ) -> Result:
     """Find the equilibrium near `start`, forces without an energy brought up to date.
@@ -43,6 +38,7 @@ def solve_level(
     if level.constants.laws and not np.isfinite(level.energy(start, stage).potential):
         # The law knows no inverted element; a neo-Hookean body finds a start without any.
         relaxed = Level.build(level.model, without_laws(level.problem))
+        relaxed = relaxed if level.barrier is None else relaxed.with_barrier()
         found = minimise(relaxed, start.with_eigenvector(None), stage, factory, tolerance_mm)
         start = start.moved_to(found.state.x, found.state.travel_mm)
     if level.is_conservative(start):
@@ -72,7 +68,7 @@ def solve_balanced(
     stage: Stage,
     factory: LinearSolverFactory,
     tolerance_mm: float,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int | None = None,
     forcing: float = LOOSEST,
 ) -> Result:
     """Find the equilibrium near `start` on the finest mesh, its forces balanced.

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.fem.elements import element_energy
+from palpate.workers.mechanics.fem.elements.barrier import J_BARRIER
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.elements.states import History, Stage, State
 from palpate.workers.mechanics.fem.equilibrium.level_equilibrium import solve_balanced, solve_level
@@ -16,7 +18,12 @@ from palpate.workers.mechanics.fem.equilibrium.load_schedule import (
     load_schedules,
     stage_at,
 )
-from palpate.workers.mechanics.fem.equilibrium.newton import LOOSEST, TIGHTEST, Result
+from palpate.workers.mechanics.fem.equilibrium.newton import (
+    LOOSEST,
+    MAX_ITERATIONS_WITH_BARRIER,
+    TIGHTEST,
+    Result,
+)
 from palpate.workers.mechanics.fem.linear.level import Level
 from palpate.workers.mechanics.fem.linear.multigrid import LinearSolver, solver_factory
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
@@ -99,12 +106,33 @@ class LoadStepping:
         path: LoadPath | None = None
         for stages in load_schedules(self.model, self.problem):
             path = self._follow(stages, self._at_rest(histories))
-            if not path.reason:
+            if not path.reason or self._is_exhausted_with_barrier(path):
                 break
             histories = [s.history for s in path.states]
         if path is None:
             raise AssertionError("a load has at least one schedule")
         return path
+
+    def with_barrier(self) -> "LoadStepping":
+        """Return the same levels with a barrier against the collapse of their elements."""
+        return replace(self, levels=tuple(level.with_barrier() for level in self.levels))
+
+    def has_collapsed(self, path: LoadPath) -> bool:
+        """Return whether an element has lost so much volume that a barrier would have acted."""
+        failed = len(path.results) - 1
+        level, state = self.levels[failed], path.results[failed].state
+        ratio = element_energy.smallest_volume_ratio(state.x, level.model.elements)
+        return bool(ratio < J_BARRIER)
+
+    def _is_exhausted_with_barrier(self, path: LoadPath) -> bool:
+        """Return whether the full load has taken all iterations of the finest mesh.
+
+        Without friction to follow, more stages then hardly help, and cost as much again.
+        """
+        at_end = len(path.results) == len(self.levels) and path.stage.fraction == 1
+        spent = path.results[-1].iterations >= MAX_ITERATIONS_WITH_BARRIER
+        guarded = self.levels[-1].barrier is not None
+        return guarded and at_end and spent and not self.problem.load.device.friction
 
     def continue_from(self, neighbour: Sequence[ConvergedStage]) -> LoadPath | None:
         """Go through a neighbour's stages on the finest mesh alone, from its own states.

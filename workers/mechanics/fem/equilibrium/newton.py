@@ -18,11 +18,17 @@ from palpate.workers.mechanics.fem.linear.multigrid import (
 )
 
 MAX_ITERATIONS = 60
+# With a barrier against collapse. After the usual ones the length of a step is chosen with more
+# care, and a tangent that is not positive is made so.
+MAX_ITERATIONS_WITH_BARRIER, USUAL_ITERATIONS = 160, 25
 MAX_HALVINGS = 14
 # Longest step of a node in one iteration; farther, the quadratic model says nothing.
 LONGEST_STEP_MM = 20.0
 # Conjugate gradients: loose first, tighter as the residual falls (Eisenstat-Walker).
 LOOSEST, TIGHTEST = 3e-2, 1e-3
+# With an exact tangent a step gains half of its slope. One that gains more than the second of
+# these parts is doubled: out of a saddle; less than the first, halved: before fibres go taut.
+ORDINARY_GAIN = 0.3, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +73,19 @@ def minimise(
     stage: Stage,
     factory: LinearSolverFactory,
     tolerance_mm: float,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int | None = None,
     forcing: float = LOOSEST,
 ) -> Result:
     """Find the equilibrium nearest to `start`.
 
+    Without `max_iterations` their limit is that of a level with or without a barrier.
     Friction and follower pressure are held. Converged when a full step moves no node by
     more than `tolerance_mm`. The first step is solved to a relative residual of `forcing`:
     `TIGHTEST` from a start that may be so near that this step is the last.
     """
+    if max_iterations is None:
+        guarded = level.barrier is not None
+        max_iterations = MAX_ITERATIONS_WITH_BARRIER if guarded else MAX_ITERATIONS
     state = start
     energy = level.energy(state, stage)
     cg_total, residual, last_residual = 0, np.inf, np.inf
@@ -83,7 +93,9 @@ def minimise(
     # `convex`: no descent otherwise, for good; `cautious`: for this step.
     convex = cautious = False
     for iteration in range(1, max_iterations + 1):
-        force, tangent = level.linearise(state, energy, stage, convex=convex or cautious)
+        late = level.barrier is not None and iteration > USUAL_ITERATIONS
+        held = convex or cautious
+        force, tangent = level.linearise(state, energy, stage, convex=held, positive=held and late)
         if stage.force_n is not None and tangent.plate_stiffness == 0:
             return Result(state, "the plate lost contact", iteration, cg_total, residual, linear)
         plate = _plate_residual(energy, stage)
@@ -96,15 +108,15 @@ def minimise(
         step = _direction(force, plate, tangent, linear, forcing)
         cg_total += step.cg_iterations
         indefinite = False
-        if step.negative and not (convex or cautious):
+        if step.negative and not held:
             indefinite = True
             # Far from equilibrium the pressure may turn the tangent indefinite: leave it out.
-            _, tangent = level.linearise(state, energy, stage, convex=True)
+            _, tangent = level.linearise(state, energy, stage, convex=True, positive=late)
             linear = factory(level, tangent, state.history.eigenvector)
             state = state.with_eigenvector(linear.eigenvector)
             step = _direction(force, plate, tangent, linear, forcing)
             cg_total += step.cg_iterations
-        state, energy, length = _line_search(level, state, energy, stage, step)
+        state, energy, length = _line_search(level, state, energy, stage, step, refine=late)
         cautious = (indefinite or cautious) and (step.negative or length < 1) and length > 0
         gap = stage.gap_at(state.travel_mm)
         if gap is not None and gap.upper_mm <= gap.lower_mm:
@@ -153,18 +165,40 @@ def _direction(
 
 
 def _line_search(
-    level: Level, state: State, energy: Energy, stage: Stage, step: _Step
+    level: Level, state: State, energy: Energy, stage: Stage, step: _Step, *, refine: bool
 ) -> tuple[State, Energy, float]:
-    """Backtrack until the potential falls; length 0 means that it never did."""
+    """Backtrack until the potential falls; length 0 means that it never did.
+
+    With `refine` a length that gained unusually much or little is doubled or halved as long as
+    the potential falls further.
+    """
     length = min(1.0, LONGEST_STEP_MM / step.longest) if step.longest > 0 else 1.0
     # Near the minimum the fall drowns in rounding; a Newton step is then taken on trust.
     noise = 1e-11 * (abs(energy.elastic) + abs(energy.potential - energy.elastic))
     noise += level.rounding_mj
     for _ in range(MAX_HALVINGS):
-        trial = state.moved_to(state.x + length * step.u, state.travel_mm + length * step.travel)
-        trial_energy = level.energy(trial, stage)
+        trial, trial_energy = _moved(level, state, stage, step, length)
         fall = trial_energy.potential - energy.potential
         if fall <= 1e-4 * length * step.slope or (-length * step.slope <= noise and fall <= noise):
-            return trial, trial_energy, length
+            break
         length /= 2
-    return state, energy, 0.0
+    else:
+        return state, energy, 0.0
+    gain = fall / (length * step.slope) if refine and -fall > noise else ORDINARY_GAIN[0]
+    if ORDINARY_GAIN[0] <= gain <= ORDINARY_GAIN[1]:
+        return trial, trial_energy, length
+    factor = 2.0 if gain > ORDINARY_GAIN[1] else 0.5
+    while factor * length * step.longest <= LONGEST_STEP_MM:
+        other, other_energy = _moved(level, state, stage, step, factor * length)
+        if not other_energy.potential < trial_energy.potential:
+            break
+        trial, trial_energy, length = other, other_energy, factor * length
+    return trial, trial_energy, length
+
+
+def _moved(
+    level: Level, state: State, stage: Stage, step: _Step, length: float
+) -> tuple[State, Energy]:
+    """Return a state after so much of a step, and its energy."""
+    there = state.moved_to(state.x + length * step.u, state.travel_mm + length * step.travel)
+    return there, level.energy(there, stage)

@@ -2,6 +2,9 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from palpate.storage.values import Tissue
 from palpate.workers.mechanics.fem.contact.plates import PlateContact
 from palpate.workers.mechanics.fem.elements import element_energy
 from palpate.workers.mechanics.fem.elements.model import LevelModel
@@ -21,6 +24,8 @@ def report(finest: Level, imaged: LevelModel, path: LoadPath) -> Solution:
     min_j = float(element_energy.smallest_volume_ratio(state.x, model.elements))
     force = finest.force(state, at, stage)
     reason = path.reason or equilibrium_fault(finest, state, at, stage, force)
+    if reason:
+        reason += _collapsed_tissue(model, state)
     deepest = max((float(p.penetration.max()) for p in at.plate_contacts), default=0.0)
     sprung = finest.springs * (state.x - model.nodes)
     reaction = (force - sprung)[model.wall, 2].sum()
@@ -42,6 +47,20 @@ def report(finest: Level, imaged: LevelModel, path: LoadPath) -> Solution:
             wall_force_n=float(reaction),
             squeezed=not reason and min_j < SQUEEZED_J,
         ),
+    )
+
+
+def _collapsed_tissue(model: LevelModel, state: State) -> str:
+    """Return which tissue has lost most of its volume, to follow a reason; maybe empty."""
+    ratios = np.linalg.det(element_energy.deformation_gradients(state.x, model.elements))
+    collapsed = ratios < SQUEEZED_J
+    if not collapsed.any():
+        return ""
+    lost = model.elements.volumes[collapsed] @ model.fractions[collapsed]
+    tissue = Tissue(int(lost.argmax())).name.lower()
+    return (
+        f"; {collapsed.sum()} of {len(ratios)} elements, most of them {tissue}, are squeezed to "
+        f"less than {SQUEEZED_J:g} of their volume (the worst to {ratios.min():.2g})"
     )
 
 

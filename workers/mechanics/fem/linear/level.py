@@ -19,6 +19,12 @@ from palpate.workers.mechanics.fem.contact.plates import (
 )
 from palpate.workers.mechanics.fem.elements import element_energy, membrane
 from palpate.workers.mechanics.fem.elements.assembly import assemble
+from palpate.workers.mechanics.fem.elements.barrier import (
+    Barrier,
+    barrier_assemble,
+    barrier_energy,
+    barrier_of,
+)
 from palpate.workers.mechanics.fem.elements.edge_blocks import EDGE
 from palpate.workers.mechanics.fem.elements.element_constants import (
     ElementConstants,
@@ -113,6 +119,8 @@ class Level:
         Prescribed displacements at the full load.
     rounding_mj : float
         Energies are differences of terms of this size, each with 16 digits.
+    barrier : Barrier, optional
+        Against the collapse of elements; see `with_barrier`.
     """
 
     model: LevelModel
@@ -124,6 +132,7 @@ class Level:
     free: Float32Array
     prescribed_mm: FloatArray
     rounding_mj: float
+    barrier: Barrier | None = None
 
     @classmethod
     def build(cls, model: LevelModel, problem: Problem, similar: "Level | None" = None) -> "Level":
@@ -156,7 +165,12 @@ class Level:
             free=(~conditions.held).astype(np.float32),
             prescribed_mm=conditions.displacement_mm,
             rounding_mj=1e-14 * _stiffness_mj(model, constants),
+            barrier=None if near is None or near.barrier is None else barrier_of(model, problem),
         )
+
+    def with_barrier(self) -> "Level":
+        """Return the level with a barrier against the collapse of its elements."""
+        return replace(self, barrier=barrier_of(self.model, self.problem))
 
     @property
     def skin_n_per_mm(self) -> float:
@@ -209,6 +223,8 @@ class Level:
         volumes = np.empty(len(m.nodes))
         elastic = element_energy.energy(x, m.elements, self.constants.material, volumes)
         elastic += sum(law_energy(x, m.elements, part) for part in self.constants.laws)
+        if self.barrier is not None:
+            elastic += barrier_energy(x, m.elements, self.barrier)
         swelling = volumes / m.nodal_volumes - self.constants.nodal_growth
         elastic += 0.5 * float(self.nodal_bulk_mpa @ (m.nodal_volumes * swelling**2))
         u = x - m.nodes
@@ -246,17 +262,19 @@ class Level:
         stage: Stage,
         *,
         convex: bool = False,
+        positive: bool = False,
         everywhere: bool = False,
     ) -> tuple[FloatArray, Tangent]:
         """Return the out-of-balance force, shape (n, 3) in N, and the tangent.
 
         Both are zero where a displacement is prescribed, unless asked for `everywhere`.
-        With `convex` the parts that may be negative are left out; see `assembly`.
+        With `convex` parts that may be negative are left out, with `positive` all of the
+        matrix and its fibres; see `assembly`.
         """
         m, g = self.model, self.model.graph
         free = np.ones_like(self.free) if everywhere else self.free
         packed = np.zeros((len(g.neighbour), EDGE), np.float32)
-        force = self._force(state, at, stage, convex, packed)
+        force = self._force(state, at, stage, packed, convex or positive, positive)
         blocks = packed.reshape(-1, 3, 4)
         for axis in range(3):
             blocks[g.diagonal, axis, axis] += self.springs[:, axis]
@@ -280,7 +298,7 @@ class Level:
 
     def force(self, state: State, at: Energy, stage: Stage) -> FloatArray:
         """Return the out-of-balance force on every node, held or not, shape (n, 3) in N."""
-        return self._force(state, at, stage, False, np.zeros((0, EDGE), np.float32))
+        return self._force(state, at, stage, np.zeros((0, EDGE), np.float32))
 
     def outer_force(self, state: State, contact: ContactPotential, stage: Stage) -> FloatArray:
         """Return what springs, loads and plates leave out of balance, without body and skin."""
@@ -300,8 +318,9 @@ class Level:
         state: State,
         at: Energy,
         stage: Stage,
-        convex: bool,
         packed: Float32Array,
+        convex: bool = False,
+        positive: bool = False,
     ) -> FloatArray:
         """Return the force on every node, and add the tangent of body and skin to `packed`."""
         m, x, laws = self.model, state.x, self.constants.laws
@@ -310,18 +329,20 @@ class Level:
         pressure = self.nodal_bulk_mpa * swelling
         edge, root = m.graph.edge, np.sqrt(self.nodal_bulk_mpa / m.nodal_volumes)
         material = self.constants.material
-        assemble(x, m.elements, material, pressure, root, edge, convex, force, packed)
-        if not (laws or self.skin_n_per_mm):
+        assemble(x, m.elements, material, pressure, root, edge, convex, positive, force, packed)
+        if not (laws or self.skin_n_per_mm or self.barrier):
             return force
         K = np.zeros((len(packed), 9), np.float32)
         for part in laws:
             law_assemble(x, m.elements, part, edge, force, K)
+        if self.barrier is not None:
+            barrier_assemble(x, m.elements, self.barrier, edge, convex, force, K)
         if self.skin_n_per_mm:
             skin = self.skin_n_per_mm, self.skin_wrinkles
             membrane.sheet_assemble(x, *m.sheet.arrays, *skin, m.sheet_edge, force, K)
         if len(packed):
             # Of a skin alone few rows are touched. An edge that is named twice is added once.
-            some = slice(None) if laws else m.sheet_edge.ravel()
+            some = slice(None) if laws or self.barrier else m.sheet_edge.ravel()
             packed.reshape(-1, 3, 4)[some, :, :3] += K[some].reshape(-1, 3, 3)
         return force
 

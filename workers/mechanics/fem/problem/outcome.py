@@ -11,8 +11,8 @@ from typing import Any
 
 from palpate.storage.values import FloatArray
 
-# A converged element squeezed below this volume ratio is not to be trusted.
-SQUEEZED_J = 0.2
+# An answer with an element squeezed below this volume ratio is not to be trusted.
+SQUEEZED_J = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Outcome:
     wall_force_n : float
         Reaction of the chest wall along z.
     squeezed : bool
-        Converged, but some element has J < 0.2.
+        Converged, but some element has J < 0.3.
     """
 
     converged: bool

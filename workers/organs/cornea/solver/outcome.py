@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.fem.problem.outcome import SQUEEZED_J
 from palpate.workers.organs.cornea.solver.solve import CorneaSolution
 
 
@@ -48,6 +49,7 @@ class CorneaOutcome:
             "apex_displacement_um": s.apex_displacement_um,
             "jet_fraction": s.jet_fraction,
             "min_j": s.min_j if np.isfinite(s.min_j) else None,
+            "squeezed": bool(s.converged and s.min_j < SQUEEZED_J),
             "stable": s.stable,
             "load_steps": s.load_steps,
             "cuts": s.cuts,

@@ -7,7 +7,7 @@ import pytest
 
 from palpate.storage.values import Tissue
 from palpate.workers.mechanics.fem.contact.plate_surface import Gap
-from palpate.workers.mechanics.fem.elements import membrane
+from palpate.workers.mechanics.fem.elements import element_energy, membrane
 from palpate.workers.mechanics.fem.elements.states import History, Stage, State
 from palpate.workers.mechanics.fem.linear import sparse_products
 from palpate.workers.mechanics.fem.linear.dense_tangent import dense_matrix
@@ -133,6 +133,71 @@ def test_tangent_is_the_derivative_of_the_force(model, kind):
     assert np.abs(product - expected).max() < 3e-6 * np.abs(expected).max()
     row = np.vdot(t.coupling, direction[t.contact_index]) + t.plate_stiffness * travel
     assert row == pytest.approx((ahead[1] - behind[1]) / (2 * h), rel=1e-5, abs=1e-9)
+
+
+@pytest.mark.parametrize("height", [0.45, 0.5, 0.55])
+@pytest.mark.parametrize("kind", ["nodal volume", "plain", "another law", "two families", "skin"])
+def test_barrier_has_force_and_tangent_of_its_energy(model, kind, height):
+    """Elements of a flattened block are on both sides of the volume where the barrier begins."""
+    level, stage, history = level_with(model, kind)
+    level = level.with_barrier()
+    rng = np.random.default_rng(5)
+    x = model.nodes * [1, 1, height] + rng.uniform(-0.3, 0.3, model.nodes.shape)
+    state, h, direction = State(x, 0.2, history), 1e-5, rng.standard_normal(x.shape)
+    ratios = np.linalg.det(element_energy.deformation_gradients(x, model.elements))
+    assert ratios.min() < 0.5 < ratios.max()
+
+    def at(length: float):
+        there = moved(state, length * h, direction)
+        energy = level.energy(there, stage)
+        return energy, *level.linearise(there, energy, stage)
+
+    (ahead, force_ahead, _), (behind, force_behind, _) = at(1.0), at(-1.0)
+    _, force, tangent = at(0.0)
+    slope = (ahead.potential - behind.potential) / (2 * h)
+    assert np.vdot(force, direction) == pytest.approx(slope, rel=1e-7)
+    expected = (force_ahead - force_behind) / (2 * h)
+    miss = times(level, tangent, direction) - expected
+    assert np.abs(miss).max() < 3e-6 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("kind", ["nodal volume", "another law"])
+def test_barrier_is_as_written(model, kind):
+    """W = 100 mu (1 - 2 J)^3 in a block of 0.4 of its volume."""
+    level, stage, history = level_with(model, kind)
+    constants = level.problem.constants[Tissue.FAT]
+    mu = constants.law.shear_modulus_mpa if constants.law else constants.mu_mpa
+    state = State(model.nodes * 0.4 ** (1 / 3), 0.2, history)
+    guarded = level.with_barrier()
+    stored = guarded.energy(state, stage).elastic - level.energy(state, stage).elastic
+    assert stored == pytest.approx(100 * mu * 0.2**3 * model.elements.volumes.sum(), rel=1e-9)
+
+
+def test_barrier_of_shrunken_tissue_begins_below_its_own_volume(model):
+    for growth, begins in ((0.6, 0.3), (1.6, 0.5)):
+        grown = loose_level(model, replace(FAT, growth=growth))
+        assert grown.with_barrier().barrier.j == pytest.approx(begins)
+
+
+@pytest.mark.parametrize(
+    "kind", ["nodal volume", "stiffening", "isochoric fibre", "two families", "tilted fibre"]
+)
+def test_positive_tangent_is_never_negative(model, kind):
+    level, stage, history = level_with(model, kind)
+    level = level.with_barrier()
+    x = model.nodes * [1.5, 1.3, 0.4]
+    x += np.random.default_rng(6).uniform(-0.5, 0.5, x.shape)
+    state, g = State(x, 0.0, history), model.graph
+    at = level.energy(state, stage)
+
+    def smallest(**kind: bool) -> float:
+        _, tangent = level.linearise(state, at, stage, **kind)
+        A = dense_matrix(g.start, g.neighbour, tangent.rows, level.free)
+        values = np.linalg.eigvalsh(A)
+        return float(values[0] / values[-1])
+
+    assert smallest(convex=True, positive=True) > -1e-6
+    assert smallest() < -1e-3
 
 
 @pytest.mark.parametrize("kind", KINDS)

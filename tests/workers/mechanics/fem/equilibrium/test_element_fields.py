@@ -52,9 +52,12 @@ def nodal_forces(level: Level, piola_mpa: FloatArray) -> FloatArray:
         {"law": Ogden((0.004, 0.001), (2.0, -3.0))},
     ],
 )
-def test_it_makes_the_forces_of_the_solver(plain: bool, constants: dict[str, object]) -> None:
-    level = level_of(plain, **constants)
-    state = State(stirred(1.0), 0.0)
+@pytest.mark.parametrize("height", [1.0, 0.5])
+def test_it_makes_the_forces_of_the_solver(
+    plain: bool, constants: dict[str, object], height: float
+) -> None:
+    level = level_of(plain, **constants).with_barrier()
+    state = State(stirred(1.0) * [1, 1, height], 0.0)
     at = level.energy(state, FULL)
     internal = level.force(state, at, FULL) - level.outer_force(state, at.contact, FULL)
     found = nodal_forces(level, element_fields(level, state.x).piola_mpa)

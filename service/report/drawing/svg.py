@@ -17,6 +17,8 @@ from palpate.service.formatting import MINUS
 # What a letter of the page's font takes, as a share of its size: a little more than it does.
 LETTER = 0.56
 TEXT_PX = 12.5
+# Limits of an axis whose ratio is at least this are shown by their logarithms.
+SPAN_OF_LOG = 100.0
 SMALL_PX = 11.5
 
 Mark = Literal["dot", "ring", "diamond", "stroke", "cross", "triangle", "line", "dashed", "box"]
@@ -149,6 +151,41 @@ class Scale:
         first = math.ceil(self.lower / step - 1e-9)
         last = math.floor(self.upper / step + 1e-9)
         return [k * step for k in range(first, last + 1)]
+
+
+@dataclass(frozen=True)
+class LogScale(Scale):
+    """A logarithmic axis; all values are positive."""
+
+    def at(self, value: float) -> float:
+        """Return the pixel of a value."""
+        share = math.log(value / self.lower) / math.log(self.upper / self.lower)
+        return self.start + share * (self.end - self.start)
+
+    def ticks(self, most: int) -> list[float]:
+        """Return 1, 2 and 5 times powers of ten, or these powers alone where there are many."""
+        first = math.floor(math.log10(self.lower))
+        last = math.ceil(math.log10(self.upper))
+        powers = range(first, last + 1)
+        finest = [m * 10.0**k for k in powers for m in (1, 2, 5)]
+        every = -(-len(powers) // max(1, most))
+        for ticks in (finest, [10.0**k for k in powers], [10.0**k for k in powers[::every]]):
+            inside = [
+                v for v in ticks if self.lower <= v * (1 + 1e-9) and v <= self.upper * (1 + 1e-9)
+            ]
+            if len(inside) <= most:
+                break
+        return inside
+
+
+def spans_decades(lower: float, upper: float) -> bool:
+    """Return whether values between these limits belong on a logarithmic axis."""
+    return lower > 0 and upper >= SPAN_OF_LOG * lower
+
+
+def scale_between(lower: float, upper: float, start: float, end: float) -> Scale:
+    """Return a logarithmic axis where positive limits are decades apart, else a linear one."""
+    return (LogScale if spans_decades(lower, upper) else Scale)(lower, upper, start, end)
 
 
 def tick_text(value: float) -> str:

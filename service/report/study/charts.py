@@ -16,6 +16,8 @@ from palpate.service.report.drawing.svg import (
     Svg,
     horizontal_axis,
     legend,
+    scale_between,
+    spans_decades,
     text_width,
     vertical_axis,
 )
@@ -85,7 +87,7 @@ def convergence(
     top = 10 + legend(svg, marks, 54, 12, width) + 6
     across = Scale(0.5, last + 0.5, 54, width - 10)
     low, high = _limits([s for s in (*(p.score for p in points), *best, *mean) if math.isfinite(s)])
-    up = Scale(low, high, 286, top)
+    up = scale_between(low, high, 286, top)
     vertical_axis(svg, up, 54, f"{axis}, lower is better", width - 10)
     horizontal_axis(svg, across, 286, "generation", min(12, last, round(width / 45)))
     places = _beside(points, across)
@@ -155,11 +157,11 @@ def scatter(
 ) -> Svg:
     """Draw scores over one parameter: a narrow valley means that the images fix it."""
     svg = Svg(width, 270.0)
-    room = 0.02 * (parameter.upper - parameter.lower)
-    across = Scale(parameter.lower - room, parameter.upper + room, 54, width - 10)
+    lower, upper = _with_room((parameter.lower, parameter.upper), 0.02)
+    across = scale_between(lower, upper, 54, width - 10)
     finite = [p.score for p in points if math.isfinite(p.score)]
     low, high = _limits(finite)
-    up = Scale(low, high, 226, 12)
+    up = scale_between(low, high, 226, 12)
     vertical_axis(svg, up, 54, axis, width - 10, 5)
     horizontal_axis(svg, across, 226, parameter.label, 6, 12)
     for shade in range(SHADES):
@@ -211,7 +213,7 @@ def _range(
     y: float,
 ) -> None:
     """Draw one parameter as a bar from bound to bound with its marks and numbers."""
-    scale = Scale(parameter.lower, parameter.upper, left + 6, right - 6)
+    scale = scale_between(parameter.lower, parameter.upper, left + 6, right - 6)
     svg.add("path", d=f"M{left + 6:.1f} {y:.1f}H{right - 6:.1f}", class_="track")
     if parameter.interval is not None:
         ends = [scale.at(min(max(v, parameter.lower), parameter.upper)) for v in parameter.interval]
@@ -235,8 +237,19 @@ def _range(
 def _limits(values: Sequence[float]) -> tuple[float, float]:
     """Return an interval around finite values, with room at both ends."""
     low, high = (min(values), max(values)) if values else (-1.0, 0.0)
-    room = 0.06 * (high - low) or max(1.0, abs(high)) * 0.06
+    if low < high:
+        return _with_room((low, high), 0.06)
+    room = max(1.0, abs(high)) * 0.06
     return low - room, high + room
+
+
+def _with_room(limits: tuple[float, float], share: float) -> tuple[float, float]:
+    """Return limits moved apart by a share of the axis between them, which may be logarithmic."""
+    low, high = limits
+    if spans_decades(low, high):
+        factor = (high / low) ** share
+        return low / factor, high * factor
+    return low - share * (high - low), high + share * (high - low)
 
 
 def _finite(scale: Scale, value: float) -> float:

@@ -70,7 +70,7 @@ const edgesOf = (frame, inside) => {
 };
 
 // Where two plates cross a slice, in pixels; a slice along the plates meets none. Lines are drawn
-// just outside of the body, whose skin they would hide.
+// about a pixel outside of the body, whose skin they would hide.
 const platesOf = (plates, view, atMm, frame) => {
   const [a, b] = [plates.axis[view.across], plates.axis[view.up]];
   if (Math.hypot(a, b) < 0.05) return "";
@@ -78,7 +78,7 @@ const platesOf = (plates, view, atMm, frame) => {
   const pixel = (x, y) => `${(x - left) / frame.step} ${frame.rows - (y - bottom) / frame.step}`;
   const [right, top] = [left + frame.columns * frame.step, bottom + frame.rows * frame.step];
   return plates.heights.map((height, k) => {
-    const c = height + (k ? 1 : -1) * frame.step - plates.axis[view.normal] * atMm;
+    const c = height + (k ? 1 : -1) * frame.step * Math.min(1, frame.columns / 400) - plates.axis[view.normal] * atMm;
     return Math.abs(b) >= Math.abs(a)
       ? `M${pixel(left, (c - a * left) / b)}L${pixel(right, (c - a * right) / b)}`
       : `M${pixel((c - b * bottom) / a, bottom)}L${pixel((c - b * top) / a, top)}`;

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from palpate.service.report.drawing.svg import Scale, Svg, tick_text
+from palpate.service.report.drawing.svg import Scale, Svg, scale_between, tick_text
 from palpate.service.report.study import charts as study_charts
 from palpate.service.report.study.charts import EvaluationPoint, SearchedParameter
 from palpate.service.report.study.pictures import best_tenth
@@ -118,3 +118,27 @@ def test_the_best_tenth_counts_candidates_once() -> None:
     told = [EvaluationPoint(0, {"E": float(i)}, float(i)) for i in range(30)]
     assert best_tenth([*told, *told]) == {"E": [0.0, 1.0, 2.0]}
     assert best_tenth([EvaluationPoint(0, {"E": 1.0}, math.inf)]) == {}
+
+
+def test_values_over_decades_are_shown_by_their_logarithms() -> None:
+    """0.1 to 1000: each decade is as wide as the next, and ticks are powers of ten."""
+    scale = scale_between(0.1, 1000.0, 0.0, 400.0)
+    assert [scale.at(v) for v in (0.1, 1.0, 10.0, 1000.0)] == pytest.approx([0, 100, 200, 400])
+    assert scale.ticks(6) == pytest.approx([0.1, 1.0, 10.0, 100.0, 1000.0])
+    assert scale.ticks(13) == pytest.approx(
+        [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0]
+    )
+    assert len(scale_between(1e-9, 1e9, 0.0, 400.0).ticks(6)) <= 6
+    for limits in ((1.0, 50.0), (-1.0, 1000.0), (0.0, 1000.0)):
+        assert type(scale_between(*limits, 0.0, 400.0)) is Scale
+
+
+def test_a_scatter_over_decades_has_both_axes_logarithmic() -> None:
+    wide = SearchedParameter("E", "E, kPa", 1.0, 1000.0, 10.0, None)
+    scores = [100.0, 1.0, 0.01]
+    evaluated = [EvaluationPoint(0, {"E": 10.0**k}, s) for k, s in enumerate(scores)]
+    drawing = parsed(study_charts.scatter(wide, evaluated, 1))
+    (dots,) = [e for e in classed(drawing, "dots") if e.get("data-i")]
+    (x0, y0), (x1, y1), (x2, y2) = places(dots)
+    assert x1 - x0 == pytest.approx(x2 - x1, abs=0.2)
+    assert y1 - y0 == pytest.approx(y2 - y1, abs=0.2)

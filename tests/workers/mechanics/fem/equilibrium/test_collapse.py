@@ -1,0 +1,94 @@
+"""Bodies whose elements collapse: stiff glands press on soft fat."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from palpate.storage.values import Tissue
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.equilibrium import load_schedule, load_stepping
+from palpate.workers.mechanics.fem.equilibrium.load_stepping import LoadStepping
+from palpate.workers.mechanics.fem.equilibrium.solution_report import report
+from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium, solve
+from palpate.workers.mechanics.fem.linear.level import Level
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.problem.loads import ForceControl, Wall
+from palpate.workers.organs.breast.organ import ORGAN
+from palpate.workers.organs.breast.problem import extent_of
+from palpate.workers.organs.breast.spec import BreastCase
+from palpate.workers.spec import validated
+from tests.workers.mechanics.fem.solids import body, box
+
+FORCE_N = 350.0
+
+
+def only_the_first(schedules: Callable[..., Any]) -> Callable[..., list[Any]]:
+    """Return the direct way to the full load alone."""
+    return lambda *args: list(schedules(*args))[:1]
+
+
+@pytest.fixture(scope="module")
+def breast() -> tuple[Model, Problem]:
+    """A breast with glands forty times as stiff as its fat."""
+    case = validated(
+        BreastCase,
+        {
+            "reference": {"phantom": {"spacing_mm": 2.0, "seed": 12}},
+            "mesh": {"nodes": 900},
+            "load": {"force_n": FORCE_N},
+        },
+    )
+    labels = ORGAN.make_body(case.reference)
+    model = prepare(ORGAN.make_mesh(labels, case))
+    constants = case.complete({"E_fat": 0.005, "E_glandular": 0.2})
+    return model, ORGAN.problem(model, case, constants, extent_of(labels))
+
+
+@pytest.fixture(scope="module")
+def found(breast: tuple[Model, Problem]) -> Equilibrium:
+    return equilibrium(*breast)
+
+
+def test_without_a_barrier_the_reason_names_the_collapsed_tissue(breast, monkeypatch):
+    """More stages do not help, and take ten seconds: the direct way alone is followed."""
+    schedules = only_the_first(load_schedule.load_schedules)
+    monkeypatch.setattr(load_stepping, "load_schedules", schedules)
+    model, problem = breast
+    levels = tuple(Level.build(level, problem) for level in model)
+    stepping = LoadStepping(model, problem, levels)
+    path = stepping.run()
+    assert stepping.has_collapsed(path)
+    outcome = report(levels[-1], model.finest, path).outcome
+    assert not outcome.converged
+    assert not outcome.squeezed
+    assert "elements, most of them fat, are squeezed to less than 0.3" in outcome.reason
+
+
+def test_a_body_that_collapses_is_solved_with_the_barrier(found):
+    outcome = found.solution.outcome
+    assert outcome.converged, outcome.reason
+    assert all(level.barrier is not None for level in found.levels)
+    assert outcome.min_j > 0.2
+    assert outcome.plate_force_n == pytest.approx(FORCE_N, rel=1e-4)
+    assert outcome.residual_n < 1e-3 * FORCE_N
+
+
+def test_a_neighbour_of_such_a_body_keeps_the_barrier(breast, found):
+    again = equilibrium(*breast, found)
+    assert again.levels[-1].barrier is not None
+    moved = again.solution.displacement_mm - found.solution.displacement_mm
+    assert np.abs(moved).max() < 0.01
+
+
+@pytest.mark.parametrize(("force_n", "squeezed"), [(100.0, False), (300.0, True)])
+def test_answers_with_less_than_three_tenths_of_a_volume_are_flagged(force_n, squeezed):
+    model = body([(4, 4, 4), (8, 8, 8)], box(30, 30, 30, origin=(-15, -15, 0)), jitter=0.25)
+    constants = {Tissue.FAT: Constants(0.005, 0.49, 0.02)}
+    wall = Wall((True, True, True))
+    problem = Problem(constants, ForceControl(force_n, -15.0, 15.0), wall=wall)
+    outcome = solve(model, problem).outcome
+    assert outcome.converged
+    assert (outcome.min_j < 0.3) == squeezed
+    assert outcome.squeezed == squeezed

@@ -82,5 +82,5 @@ $(READY): pyproject.toml constraints.txt
 	    echo "Setting up $(VENV) with $$found (a minute or two, once)"; \
 	    "$$found" -m venv $(VENV) || { rm -rf $(VENV); exit 1; }; \
 	fi
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	@$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e ".[dev]"
 	@touch $(READY)

@@ -175,9 +175,8 @@ def test_the_example_of_the_documentation(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PALPATE_TOKEN", TOKEN)
     exec(example.replace("http://127.0.0.1:8780", service.url), {})
-    said = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in said[:-1]] == ["0", "1", "2", "3", "4"]
-    assert float(said[-1]) == pytest.approx(10, rel=0.2)
+    said = capsys.readouterr()
+    assert float(said.out) == pytest.approx(10, rel=0.2)
     assert (tmp_path / "study.yaml").is_file()
 
 

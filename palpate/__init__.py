@@ -62,9 +62,13 @@ Examples
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+
+# Not from `typing`, which takes a while to load: until the command listens, Ctrl-C is a traceback.
+TYPE_CHECKING = False
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from palpate.client import Job, Service, connect
     from palpate.comparison import Comparison, compare
     from palpate.cornea import Cornea, CorneaSimulation
@@ -187,7 +191,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     import_module("palpate.service")  # one thread a process, set before NumPy loads
     if name == "__version__":
         return import_module("palpate.service.versions").palpate_version()

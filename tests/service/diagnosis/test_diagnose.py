@@ -192,6 +192,7 @@ def test_two_workers_say_the_same_to_the_last_bit(
         np.testing.assert_array_equal(found.maps[name], values)
 
 
+@pytest.mark.slow
 def test_workers_need_the_store_and_nothing_else(
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
     by_two_workers: tuple[Path, DiagnosisRequest, FinishedDiagnosis],

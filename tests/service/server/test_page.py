@@ -277,7 +277,7 @@ def test_chosen_studies_are_compared(shown: Shown, served: ServiceProcess) -> No
     assert page.locator("[data-file='study.yaml']").inner_text() == "settings (study.yaml)"
 
 
-@pytest.mark.parametrize("width", [WIDE, NARROW])
+@pytest.mark.parametrize("width", [NARROW, pytest.param(WIDE, marks=pytest.mark.slow)])
 def test_an_empty_list_offers_a_first_step(browser: Any, tmp_path: Path, width: int) -> None:
     with running_service(tmp_path / "runs", ["--workers", "1"], threads=1) as empty:
         page = browser.new_page(viewport={"width": width, "height": 900})

@@ -49,6 +49,7 @@ def test_the_forces_are_those_of_the_thesis() -> None:
     assert {n: s / GOLD_FORCE_N for n, s in size.items()} == pytest.approx(wanted)
 
 
+@pytest.mark.slow
 def test_all_converge_and_mirrored_loads_give_mirrored_bars(experiment: BarExperiment) -> None:
     assert all(row.outcome.converged for row in experiment.rows)
     tip = {row.number: np.asarray(row.tip_mm) for row in experiment.rows}

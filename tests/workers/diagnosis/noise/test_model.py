@@ -105,6 +105,7 @@ def test_error_falls_with_the_tolerance(problem):
     assert errors[2] < errors[1] / 20
 
 
+@pytest.mark.slow
 def test_one_sided_parameter_with_the_field_against_an_integral():
     shape = mode(K, (2, 0, 0), 1, 1.5)
     problem = observed(nominal_problem(K), np.random.default_rng(23), -0.1 * shape)

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterable, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
@@ -149,8 +150,6 @@ class Study:
         KeyboardInterrupt
             At Ctrl-C; what is journalled is kept, and the same call continues.
         """
-        from contextlib import nullcontext
-
         from rich.console import Console
 
         opened = chosen_session(
@@ -205,8 +204,6 @@ class Study:
         StoreError, ClusterError, KeyboardInterrupt
             As `run`.
         """
-        from contextlib import nullcontext
-
         from rich.console import Console
 
         opened = chosen_session(

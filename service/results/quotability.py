@@ -53,7 +53,7 @@ def facts_of(results: "StudyResults", name: str) -> EstimateFacts:
         residual_factor=1.0 if known is None else known.noise_factor,
         contradictions=(
             *_dependent(constant, results),
-            *_supported(results),
+            *_of_all(results),
             *results.findings.get("against", {}).get(name, ()),
         ),
     )
@@ -107,7 +107,7 @@ def _derived(results: "StudyResults", found: Mapping[str, Any]) -> DerivedEstima
             converged=_converged(results),
             no_better_than=_no_better_than(results),
             residual_factor=1.0 if known is None else known.noise_factor,
-            contradictions=(*_bounded(results, found), *_supported(results), *found["against"]),
+            contradictions=(*_bounded(results, found), *_of_all(results), *found["against"]),
         )
     )
     explained = known is not None and known.noise_factor <= MOST_RESIDUAL
@@ -148,7 +148,7 @@ def ratio_quotability(results: "StudyResults", ratio: IdentifiedRatio) -> Quotab
             converged=_converged(results),
             no_better_than=_no_better_than(results),
             residual_factor=1.0 if known is None else known.noise_factor,
-            contradictions=(*_at_bounds(estimates), *_supported(results)),
+            contradictions=(*_at_bounds(estimates), *_of_all(results)),
         )
     )
 
@@ -213,6 +213,11 @@ def _at_bounds(estimates: Iterable["ParameterEstimate | None"]) -> list[str]:
                 if "bound" in reason
             ]
     return found
+
+
+def _of_all(results: "StudyResults") -> tuple[str, ...]:
+    """Return what the results say against every estimate, as clauses."""
+    return (*_supported(results), *([results.squeezed] if results.squeezed else []))
 
 
 def _supported(results: "StudyResults") -> list[str]:

@@ -20,6 +20,7 @@ from palpate.service.results.ratios import RatioEstimate, ratio_estimates
 from palpate.service.study.spec import StudySpec
 from palpate.storage.records.record import EvaluationRecord
 from palpate.storage.records.tasks import BodyFacts, Scores, TargetKind
+from palpate.workers.mechanics.fem.problem.outcome import SQUEEZED_J
 from palpate.workers.spec import Identifiable
 
 StudyState = Literal["running", "stopped", "interrupted"]
@@ -247,14 +248,16 @@ class StudyResults:
         return self.spec.name
 
     @property
-    def squeezed_note(self) -> str:
-        """Return a warning if the best simulation has a collapsed element; empty otherwise."""
+    def squeezed(self) -> str:
+        """Return a clause if the best simulation has a collapsed element; empty otherwise."""
         if self.best is None or not (self.best.outcome or {}).get("squeezed"):
             return ""
-        return (
-            "The best simulation squeezes some element to less than 0.3 of its volume: its "
-            "numbers are not to be trusted."
-        )
+        return f"its simulation squeezes an element to less than {SQUEEZED_J:g} of its volume"
+
+    @property
+    def squeezed_note(self) -> str:
+        """Return `squeezed` as a sentence; empty where nothing is squeezed."""
+        return self.squeezed and f"The best candidate is not to be trusted: {self.squeezed}."
 
     @property
     def identifiable(self) -> Identifiable:

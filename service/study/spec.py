@@ -64,8 +64,7 @@ class StudySpec(Door):
     seed
         Of the search; the same seed gives the same candidates.
     keep
-        Deformed bodies that stay in the store, beside those of the target and of the best
-        candidate.
+        Deformed bodies to store in addition to those of the target and the best candidate.
     deadline_s
         Longest time of one evaluation, in s. One that takes longer is tried once more, then it has
         failed. Default: no limit.

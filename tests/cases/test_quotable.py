@@ -207,6 +207,17 @@ def test_a_misplaced_scan_contradicts_the_estimates() -> None:
     assert "the residual points to an error in the place of the scan" in answer.reasons
 
 
+@pytest.mark.parametrize("squeezed", [True, False])
+def test_a_collapsed_element_contradicts_all_estimates(squeezed: bool) -> None:
+    best = results().best
+    assert best is not None
+    best = replace(best, outcome={**(best.outcome or {}), "squeezed": squeezed})
+    again = studied(identified(fit()), best=best)
+    clause = "its simulation squeezes an element to less than 0.3 of its volume"
+    assert [clause in one.reasons for one in again.estimates.values()] == [squeezed] * 2
+    assert (clause in again.squeezed_note) is squeezed
+
+
 def test_a_scan_in_place_leaves_the_intervals_as_they_are() -> None:
     others = OtherProblems(with_nuisance("motion_x", 0.0), (PLACE,))
     alone, beside = identified(fit()), identified(fit(), others)

@@ -28,7 +28,7 @@ def schema(
         ),
     ],
     organ: Annotated[
-        str, typer.Option(help="Organ of a study: breast, cornea or that of a plug-in.")
+        str, typer.Option(help="Organ of a study: breast, cornea, or one from a plug-in.")
     ] = "breast",
     out: Annotated[
         Path | None, typer.Option(help="Write to this file instead of standard output.")

@@ -460,7 +460,8 @@ class BreastScore(ScoreSpec):
     labels
         Tissues that are compared.
     surface
-        Voxels between which distances are measured: those of the ``boundary``, or ``all``.
+        Where distances are measured: between the surfaces (``boundary``) or between all voxels
+        (``all``).
     """
 
     labels: Annotated[tuple[TissueName, ...], Field(min_length=1)] = ("glandular",)

@@ -35,7 +35,7 @@ quick: lint
 	$(BIN)/pytest -q -m "not slow" -n 2 --dist loadfile tests/workers/body tests/workers/comparison tests/service/search tests/storage $(LONG:%=--ignore=tests/%)
 
 test: lint
-	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile
+	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(READY)
 	$(BIN)/pytest -m slow

@@ -110,6 +110,7 @@ def test_gradient_by_friction_agrees_with_differences(model: palpate.Breast) -> 
     assert np.linalg.norm(gradient - difference) < 0.1 * np.linalg.norm(difference)
 
 
+@pytest.mark.slow
 def test_what_diverges_is_a_result_with_a_reason(model: palpate.Breast) -> None:
     result = model.simulate(E_fat_kpa=0.001, E_glandular_kpa=0.001, eta_fat_kpa=0)
     assert not result.converged

@@ -78,6 +78,7 @@ def run_to_the_end(place: Path, *command: str) -> None:
     assert (store / "volumes" / f"{found['best']['digest']}.zarr").is_dir()
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_agrees_with_one_in_a_single_process(place: Path) -> None:
     interrupt_and_continue(place)
     study = Study(read_spec(place / "small.yaml"), place / "runs" / "small")

@@ -102,6 +102,7 @@ def pressed(nodes: int) -> Solution:
     return solution
 
 
+@pytest.mark.slow
 def test_plate_and_energy_of_a_curved_body_converge() -> None:
     """Meshes that are not nested, contact that grows with the load."""
     *coarser, finest = (pressed(nodes) for nodes in (*NODES, 3 * NODES[-1]))

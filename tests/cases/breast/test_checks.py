@@ -318,6 +318,7 @@ def test_case_is_aligned_if_its_file_asks(here: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_results_of_an_insisting_user_begin_with_the_reason(here: Path) -> None:
     from palpate import Study
 

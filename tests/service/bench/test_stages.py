@@ -63,6 +63,7 @@ def test_processes_that_begin_together_tell_their_rows(tmp_path: Path) -> None:
     assert first.nodes == second.nodes
 
 
+@pytest.mark.slow
 def test_a_stage_that_fails_says_where(tmp_path: Path) -> None:
     with pytest.raises(TaskError, match=r"stage solve at 300 nodes and 500\.0 mm failed"):
         list(_solver([300], 500.0, tmp_path))

@@ -131,7 +131,8 @@ def test_an_interrupt_that_no_command_has_noticed_is_said(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("after_s", [0.0, 0.3, None])  # None: once it has begun
+# None: once it has begun.
+@pytest.mark.parametrize("after_s", [0.0, 0.3, pytest.param(None, marks=pytest.mark.slow)])
 def test_an_interrupt_says_how_to_go_on(
     palpate: dict[str, str], tmp_path: Path, number: int, after_s: float | None
 ) -> None:

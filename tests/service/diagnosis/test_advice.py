@@ -82,6 +82,7 @@ def without_made(page: str) -> str:
     return re.sub(r"<dt>(Date|Run time)</dt><dd>.*?</dd>", "", page)
 
 
+@pytest.mark.slow
 def test_the_command_says_what_to_measure_next(
     runs: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,6 +102,7 @@ def test_the_command_says_what_to_measure_next(
     )
 
 
+@pytest.mark.slow
 def test_without_a_plan_nothing_is_said_of_it(
     runs: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -118,6 +120,7 @@ def test_the_bench_has_no_plan(
     assert (said.err.count("\n"), said.out) == (1, "")
 
 
+@pytest.mark.slow
 def test_a_plan_that_fails_takes_no_diagnosis_with_it(
     runs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

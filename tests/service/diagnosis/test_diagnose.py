@@ -222,6 +222,7 @@ def test_the_order_of_tasks_leaves_no_trace(
         np.testing.assert_array_equal(second["columns"], first["columns"])
 
 
+@pytest.mark.slow
 def test_an_interrupted_diagnosis_goes_on(
     tilted: Path,
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],

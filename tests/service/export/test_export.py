@@ -175,6 +175,7 @@ def test_attachments_are_springs_and_growth_is_left_out(store: str, tmp_path: Pa
     assert away.max() < 4.2
 
 
+@pytest.mark.slow
 def test_a_diverged_body_is_not_written(store: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="diverged"):
         solve_body(CASE | {"load": {"force_n": 1e6}}, CONSTANTS, store, "crushed")

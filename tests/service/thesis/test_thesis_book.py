@@ -50,6 +50,7 @@ def test_it_needs_no_other_file(page: Page, store: str) -> None:
     assert render(whole(), store) == render(whole(), store)
 
 
+@pytest.mark.slow
 def test_a_chapter_for_each_experiment(page: Page, store: str) -> None:
     chapters = ["coefficients", "mesh-quality", "mammogram", "search", "sensitivity", "numbers"]
     assert [i for i in page.ids if i in chapters] == chapters

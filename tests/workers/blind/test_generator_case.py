@@ -68,6 +68,7 @@ def test_truth_lies_on_the_interfaces_that_the_scans_show(folder):
             assert 0.75 * noise < near.std() < 1.4 * noise
 
 
+@pytest.mark.slow
 def test_a_scan_of_the_hard_world_shows_the_body_where_its_pose_puts_it(folder):
     """Two millimetres off along y in the second scan, and no other cause."""
     pose = (0.0, 2.0, 0.0, 0.0, 0.0, 0.0)
@@ -86,6 +87,7 @@ def test_a_scan_of_the_hard_world_shows_the_body_where_its_pose_puts_it(folder):
     assert stated["sd_mm"] == truth.noise_sd_mm
 
 
+@pytest.mark.slow
 def test_a_scan_of_another_scale_draws_the_body_larger(folder):
     """By 2 % along y, about the middle of the body at rest: 0.9 mm at a flank of 45 mm."""
     truth = draw(4, "control", one_direction=True)
@@ -161,6 +163,7 @@ def test_case_names_loads_axes_and_plates(folder):
             assert not labels.values.take([0, -1], axis=axis).any()
 
 
+@pytest.mark.slow
 def test_noise_has_the_size_and_length_it_is_said_to_have(body):
     labels = padded(body.labels, 6.0)
     hands = [segmented(labels, Segmenter(0.3), np.random.default_rng(s)) for s in (1, 2)]

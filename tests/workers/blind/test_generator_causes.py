@@ -76,6 +76,7 @@ def test_a_cause_of_some_size_moves_the_body(pressed, control, cause, least_mm, 
     assert least_mm < root_mean_square(away) < most_mm
 
 
+@pytest.mark.slow
 def test_short_plates_press_what_lies_in_front_of_their_edge_alone(truth, body, pressed):
     edge = 10.0
     found = pressed(ShortPlate(edge))

@@ -231,6 +231,7 @@ def test_a_tilt_is_suspected_first_and_found() -> None:
     assert values["E_fat"] == pytest.approx(TRUTH["E_fat"], rel=0.02)
 
 
+@pytest.mark.slow
 def test_friction_is_found_along_the_path() -> None:
     inverse = problem_between_plates(FRICTION, {"friction": 0.3}, forces=(20.0,))
     free = unknowns(FREE, [])

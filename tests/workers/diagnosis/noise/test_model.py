@@ -184,7 +184,15 @@ def test_evidence_averages_over_states_of_the_noise():
     assert found == pytest.approx(logsumexp(logs), abs=1e-8)
 
 
-@pytest.mark.parametrize("scales", [(1.0, 1.0), (0.5, 0.5), (2.0, 2.0), (0.8, 1.3)])
+@pytest.mark.parametrize(
+    "scales",
+    [
+        (1.0, 1.0),
+        pytest.param((0.5, 0.5), marks=pytest.mark.slow),
+        pytest.param((2.0, 2.0), marks=pytest.mark.slow),
+        (0.8, 1.3),
+    ],
+)
 def test_misstated_noise_is_learnt(scales):
     """Mean over ten bodies within 5 %, with poses, drawing and numerical error there too."""
     rng = np.random.default_rng(62)

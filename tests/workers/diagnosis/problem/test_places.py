@@ -99,6 +99,7 @@ def test_attachment_is_found_where_it_is():
         assert total_n_per_mm(inverse, values)[axis] == pytest.approx(expected, rel=0.3)
 
 
+@pytest.mark.slow
 def test_skin_that_is_held_all_along_one_side_is_an_attachment_with_a_large_radius():
     """Springs of 28 mm radius at one side of the body."""
     true = {"attachment_stiffness_y": 2e-4, "attachment_radius": 28.0, "attachment_x": 26.0}

@@ -110,6 +110,7 @@ def test_a_fit_whose_start_cannot_be_simulated_begins_nearer_to_neutral(monkeypa
     assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.1)
 
 
+@pytest.mark.slow
 def test_of_several_places_the_fit_goes_on_from_the_best_alone(monkeypatch):
     """A start at the place and one across the body; both are tried for three iterations."""
     true = {"attachment_stiffness_x": 5e-4, "attachment_x": 26.0}

@@ -84,6 +84,7 @@ def test_a_target_with_hidden_constants_shows_no_gap(own: StudySource, tmp_path:
     assert said.no_gap > 0.5
 
 
+@pytest.mark.slow
 def test_an_effect_that_the_study_lacks_is_found(tmp_path: Path) -> None:
     """Plates were tilted by 6 degrees when the target was made."""
     tilted = StudySource(pieces_of(TRUE_KPA | {"tilt_depth_deg": 6.0}, BOUNDS_KPA))

@@ -133,6 +133,7 @@ def test_a_reading_counts_as_much_as_its_noise_says(tmp_path):
     assert values["E"] == pytest.approx(before["E"] * (1 + 0.05 / 10), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_what_is_said_of_forces(tmp_path):
     data = with_reactions(experiment(tmp_path))
     stated = [

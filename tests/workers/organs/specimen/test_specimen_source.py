@@ -101,6 +101,7 @@ def test_the_true_model_leaves_only_noise(source):
         assert np.abs(found.residual).max() < 0.05 + 0.02 * moved.max()
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_residual(source):
     """Constants, body and observation at once: a body that moves is seen elsewhere."""
     inverse = source.inverse_problem(NODES, 0.0)
@@ -123,6 +124,7 @@ def test_derivatives_are_those_of_the_residual(source):
         np.testing.assert_allclose(columns[:, p], expected, atol=0.01 * scale)
 
 
+@pytest.mark.slow
 def test_shape_constants_are_searched_with_their_derivatives(tmp_path):
     """A material with Yeoh's law has no strain stiffening to suspect; its c2 is a constant."""
     path = experiment(tmp_path)

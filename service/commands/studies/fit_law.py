@@ -1,5 +1,6 @@
 """`palpate fit-law` fits laws to tables of stress and stretch."""
 
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -44,7 +45,10 @@ def fit_law(
     failed: dict[str, str] = {}
     for name in law_names() if law == "all" else (law,):
         try:
-            fits.append(fit_one(law_named(name), [table for _, table in read]))
+            one = fit_one(law_named(name), [table for _, table in read])
+            if law == "all" and not isfinite(one.aicc):
+                raise InputError("The tables have too few points to compare it with other laws.")
+            fits.append(one)
         except InputError as error:
             if law != "all":
                 raise
@@ -81,7 +85,7 @@ def _record(one: LawFit, nu: float) -> dict[str, Any]:
         "constants": one.constants,
         "relative_error": one.fit.error,
         "relative_errors": list(one.fit.errors),
-        "aicc": one.aicc,
+        "aicc": one.aicc if isfinite(one.aicc) else None,
     }
 
 
@@ -95,7 +99,7 @@ def _print(fits: list[LawFit], best: list[LawFit], sources: list[str], nu: float
             one.plugin.name,
             f"{one.shear_modulus_mpa * 1e3:.4g} kPa",
             *(f"{100 * error:.2g} %" for error in one.fit.errors),
-            f"{one.aicc - fits[0].aicc:.1f}",
+            "0.0" if one is fits[0] else f"{one.aicc - fits[0].aicc:.1f}",
             ", ".join(f"{name} {value:.4g}" for name, value in one.constants.items()),
         )
         for one in fits

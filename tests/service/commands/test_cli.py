@@ -194,6 +194,24 @@ def test_constants_of_a_law_are_listed_on_request(call: Call) -> None:
     assert (code, "one law" in err) == (2, True)
 
 
+def test_fit_law_with_few_points(call: Call, tmp_path: Path) -> None:
+    """Three points fix the modulus of one law; they cannot rank several, nor fix four constants."""
+    stretch = np.array([1.1, 1.2, 1.3])
+    rows = [f"{x},{3 * (x - x**-2)}" for x in stretch]
+    table = tmp_path / "table.csv"
+    table.write_text("\n".join(["stretch,stress_kpa", *rows]))
+    code, said, _ = call("fit-law", str(table), "--law", "neo-hookean", "--json")
+    (fit,) = json.loads(said)["fits"]
+    assert (code, fit["aicc"]) == (0, None)
+    assert fit["shear_modulus_kpa"] == pytest.approx(3, rel=1e-4)
+    assert call("fit-law", str(table), "--law", "neo-hookean")[0] == 0
+    code, _, err = call("fit-law", str(table))
+    assert (code, "too few points to compare it" in err) == (2, True)
+    table.write_text("\n".join(["stretch,stress_kpa", rows[0]]))
+    code, _, err = call("fit-law", str(table), "--law", "yeoh")
+    assert (code, "1 points under load, but yeoh has 3 constants" in err) == (2, True)
+
+
 def test_laws_are_fitted_to_tables(call: Call, tmp_path: Path) -> None:
     """Tables of Fung's law with mu0 = 4 kPa and b = 2, by hand."""
     stretch = np.linspace(0.8, 1.5, 12)

@@ -22,6 +22,7 @@ from itertools import product
 
 import numpy as np
 
+from palpate.storage.errors import InputError
 from palpate.workers.mechanics.materials.fit import Fit, fit
 from palpate.workers.mechanics.materials.homogeneous_deformation import Table
 from palpate.workers.mechanics.materials.law_families import Family
@@ -48,7 +49,7 @@ class LawFit:
         Shape constants by their names in the plug-in, inside units.
     fit : Fit
     aicc : float
-        See above; infinite where there are too few points.
+        See above; infinite where there are too few points to compare laws.
     """
 
     plugin: LawPlugin
@@ -78,22 +79,28 @@ def fit_law(plugin: LawPlugin, tables: Sequence[Table]) -> LawFit:
     Raises
     ------
     InputError
-        As `workers.mechanics.materials.fit.fit` does.
+        As `workers.mechanics.materials.fit.fit` does, and if there are fewer points than constants.
     """
+    points = sum(int(np.count_nonzero(table.stress_mpa)) for table in tables)
+    constants = len(plugin.parameters) + 1
+    if points < constants:
+        raise InputError(
+            f"The tables have {points} points under load, but {plugin.name} has {constants} "
+            "constants. Add points, or choose a law with fewer."
+        )
     fitted = fit(plugin.family or _family(plugin), tables)
     if plugin.family is None:
         shape = dict(zip((p.name for p in plugin.parameters), fitted.exponents, strict=True))
     else:
         shape = {name: float(value) for name, value in plugin.shape(fitted.law).items()}
-    points = sum(int(np.count_nonzero(table.stress_mpa)) for table in tables)
-    aicc = _aicc(fitted.error, points, len(plugin.parameters) + 1)
+    aicc = _aicc(fitted.error, points, constants)
     return LawFit(plugin, fitted.law.shear_modulus_mpa, shape, fitted, aicc)
 
 
 def equally_good(fits: Sequence[LawFit]) -> list[LawFit]:
     """Return the fits that the tables support about as well as the best one, best first."""
     ranked = sorted(fits, key=lambda one: one.aicc)
-    return [one for one in ranked if one.aicc - ranked[0].aicc <= EQUALLY_WELL]
+    return [one for one in ranked if one.aicc <= ranked[0].aicc + EQUALLY_WELL]
 
 
 def _aicc(error: float, points: int, constants: int) -> float:

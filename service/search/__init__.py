@@ -1,1 +1,1 @@
-"""Searches by pure functions from the generations so far to the candidates to try next."""
+"""Search strategies: pure functions that map past generations to the next candidates."""

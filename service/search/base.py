@@ -1,4 +1,4 @@
-"""Defines what a search is: a fold over the finished generations.
+"""The search interface: a fold over the finished generations.
 
 ::
 
@@ -7,10 +7,10 @@
         scores = {i: evaluate(proposal.genes[i]) for i in proposal.to_evaluate}
         history.append(proposal.complete(scores, history))
 
-A search keeps nothing between two calls. What it proposes is a function of its
-settings, its seed and the history, so a study resumed from its journal goes on
-as if it had never stopped. Candidates stand in a generation by their index;
-the order in which their scores arrived is nowhere recorded.
+A search keeps no state between two calls. Its proposals are a function of its settings, its
+seed and the history, so a study resumed from its journal continues as if it had never
+stopped. A candidate is identified by its index in the generation; the order in which scores
+arrive is not recorded.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,13 +36,13 @@ class Generation:
     genes : ndarray, shape (n, d)
         One candidate per row, in the order of the parameter space.
     scores : ndarray, shape (n,)
-        ``-inf`` for volumes that are identical (the logarithm of GSF), ``+inf``
-        for a simulation that failed; never NaN.
+        ``-inf`` for identical volumes (GSF is a logarithm), ``+inf`` for a failed
+        simulation; never NaN.
     fits : tuple of FitJson or None
-        The least-squares problem of each candidate, None for one that failed; empty where the
+        The least-squares problem of each candidate, None for a failed one; empty if the
         search needs no derivatives.
     evaluated : int
-        How many candidates were evaluated for it; the others were carried over.
+        Number of candidates evaluated for it; the others were carried over.
 
     Raises
     ------
@@ -66,7 +66,7 @@ class Generation:
             first = int(np.flatnonzero(np.isnan(scores))[0])
             raise InputError(
                 f"Candidate {first} has the score NaN, which cannot be ranked. "
-                "Tell a failed simulation as +inf."
+                "Report a failed simulation as +inf."
             )
         object.__setattr__(self, "genes", genes)
         object.__setattr__(self, "scores", scores)
@@ -91,12 +91,12 @@ class Proposal:
     genes : ndarray, shape (n, d)
         One candidate per row.
     carried : tuple of int or None, length n
-        For an elite, its index in the generation before, whose score still
-        holds; ``None`` for a candidate that needs an evaluation.
+        For an elite, its index in the previous generation, whose score is reused;
+        ``None`` for a candidate that needs an evaluation.
     level : int or None
-        In which of the study's coarser resolutions they are evaluated; None for its own.
+        Index of the coarser resolution used for the evaluation; None for the study's own.
     derivatives : bool
-        Whether the search needs the least-squares problem of each.
+        Whether the search needs the least-squares problem of each candidate.
     """
 
     genes: FloatArray
@@ -123,16 +123,16 @@ class Proposal:
         history: Sequence[Generation],
         fits: Mapping[int, FitJson | None] | None = None,
     ) -> Generation:
-        """Make a generation of the scores told so far.
+        """Build a generation from the scores of the evaluated candidates.
 
         Parameters
         ----------
         scores : mapping of int to float
-            Score by candidate index, in any order; exactly those of `to_evaluate`.
+            Score by candidate index, in any order, for exactly the indices in `to_evaluate`.
         history : sequence of Generation
-            The generations before; the last one gives the carried scores.
+            Previous generations; the last one provides the carried scores.
         fits : mapping of int to FitJson or None
-            By candidate index, where derivatives were asked for.
+            Least-squares problem by candidate index, if derivatives were requested.
 
         Raises
         ------
@@ -145,7 +145,7 @@ class Proposal:
             unknown = sorted(set(scores) - expected)
             raise InputError(
                 f"A generation is complete when {len(expected)} candidates have a score; "
-                f"missing: {missing}, not asked for: {unknown}."
+                f"missing: {missing}, not requested: {unknown}."
             )
         values = [
             scores[index] if origin is None else history[-1].scores[origin]
@@ -158,18 +158,18 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Stopped:
-    """The end of a search, with its reason in words."""
+    """The end of a search and its reason, as text."""
 
     reason: str
 
 
 class Search(Protocol):
-    """A strategy."""
+    """A search strategy."""
 
     def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
-        """Return the population that follows `history`, or why there is none.
+        """Return the population that follows `history`, or the reason to stop.
 
-        Must be pure: equal arguments give equal answers, bit for bit.
+        Must be pure: equal arguments give bit-identical results.
         """
         ...
 

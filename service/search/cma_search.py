@@ -1,7 +1,7 @@
-"""CMA-ES, the derivative-free peer of the genetic search (N. Hansen, arXiv:1604.00772).
+"""CMA-ES, a derivative-free alternative to the genetic search (N. Hansen, arXiv:1604.00772).
 
-The package ``cma`` does the work, in logarithms over the searched interval. Its state is made
-again from the generations so far, so that a search is resumed bit for bit.
+The package ``cma`` does the work, on the logarithms of the parameters. Its state is rebuilt
+from the past generations, so a resumed search is bit-identical.
 """
 
 from collections.abc import Sequence
@@ -16,24 +16,25 @@ from palpate.service.search.space import FloatArray, Space
 from palpate.service.search.stall import Stall
 
 FIRST_SIGMA = 0.3
-# CMA-ES keeps no elite: with small populations its best candidate rests for many generations.
+# CMA-ES keeps no elite: in small populations its best score can stay the same for many
+# generations.
 CMA_STALL_GENERATIONS = 20
 
 
 @dataclass(frozen=True)
 class CmaSettings:
-    """How CMA-ES runs.
+    """Settings of CMA-ES.
 
     Parameters
     ----------
     population : int
         Candidates per generation, >= 2.
     generations : int
-        At most.
+        Maximum number of generations.
     stall : Stall or None
-        When to stop early.
+        Criterion for stopping early.
     start : tuple of float or None
-        Genes around which the first candidates are drawn. Default: the middle.
+        Genes around which the first candidates are drawn. Default: the middle of the box.
     """
 
     population: int = 12
@@ -62,7 +63,7 @@ class CmaSearch:
         self.logs = LogSpace(space)
 
     def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
-        """Return the population after `history`, or why there is none."""
+        """Return the population that follows `history`, or the reason to stop."""
         bests = np.minimum.accumulate([g.scores.min() for g in history]) if history else np.empty(0)
         reason = self._reason_to_stop(bests)
         if reason is not None:
@@ -85,7 +86,7 @@ class CmaSearch:
             "verbose": -9,
             "verb_log": 0,
         }
-        import cma  # a second, which other searches and commands need not wait
+        import cma  # takes a second, so it is imported only when this search runs
 
         return cma.CMAEvolutionStrategy(self._middle(), FIRST_SIGMA, options)
 
@@ -106,7 +107,7 @@ class CmaSearch:
 
 
 def _finite(scores: FloatArray) -> list[float]:
-    """Return scores with failures a little worse than the worst."""
+    """Return scores in which a failure is slightly worse than the worst success."""
     known = scores[np.isfinite(scores)]
     low, high = (known.min() - 1, known.max() + 1) if len(known) else (0.0, 0.0)
     return [float(v) for v in np.nan_to_num(scores, neginf=low, posinf=high)]

@@ -1,4 +1,4 @@
-"""Inequalities between searched parameters, which every candidate fulfils."""
+"""Inequalities between searched parameters that every candidate satisfies."""
 
 import re
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ _FORM = re.compile(
 )
 # Cyclic projections onto a few half-spaces; two parallel ones need two.
 MOST_ROUNDS = 200
-# Of the widths of the intervals.
+# In units of the interval widths.
 SLACK = 1e-12
 
 
@@ -35,7 +35,7 @@ class Constraint:
         Raises
         ------
         InputError
-            If it has another form.
+            If the text has a different form.
 
         Examples
         --------
@@ -56,7 +56,7 @@ class Constraint:
 
 
 class Constraints:
-    """Inequalities in a box.
+    """Inequalities within a box.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Constraints:
     Raises
     ------
     InputError
-        If a name is not searched, or no point of the box fulfils all of them.
+        If a name is not searched, or no point of the box satisfies all inequalities.
     """
 
     def __init__(self, space: Space, constraints: Sequence[Constraint]) -> None:
@@ -74,7 +74,7 @@ class Constraints:
         self._rows = [self._row(one) for one in constraints]
         middle = (np.asarray(space.lower) + np.asarray(space.upper)) / 2
         if not self.are_met(self.nearest(middle[None])).all():
-            raise InputError("constraints: no candidate within the bounds fulfils all of them")
+            raise InputError("constraints: no candidate within the bounds satisfies all of them")
 
     def _row(self, one: Constraint) -> tuple[int, int, float]:
         for name in (one.larger, one.smaller):
@@ -83,16 +83,16 @@ class Constraints:
         return self.space.names.index(one.larger), self.space.names.index(one.smaller), one.factor
 
     def are_met(self, genes: FloatArray) -> FloatArray:
-        """Return which candidates (n, d) fulfil all inequalities, shape (n,)."""
+        """Return a mask of the candidates (n, d) that satisfy all inequalities, shape (n,)."""
         slack = SLACK * float(self.space.span.max())
         met = [genes[:, a] - f * genes[:, b] >= -slack for a, b, f in self._rows]
         return np.logical_and.reduce(met)
 
     def nearest(self, genes: FloatArray) -> FloatArray:
-        """Return candidates (n, d) moved into the constraints, in units of the intervals.
+        """Return candidates (n, d) projected onto the constraints, in units of the intervals.
 
-        Each inequality in turn moves what breaks it to its edge, on the shortest way, and the
-        bounds do; what fulfils all of them is not touched.
+        The inequalities and the bounds are enforced in turn; each moves violating candidates
+        to its boundary by the shortest path. Feasible candidates are not changed.
         """
         found, span2 = np.array(genes, np.float64), self.space.span**2
         for _ in range(MOST_ROUNDS):
@@ -108,12 +108,12 @@ class Constraints:
 
 
 class ConstrainedSearch:
-    """A `Search` whose candidates are moved into the constraints.
+    """A `Search` whose candidates are projected onto the constraints.
 
     Parameters
     ----------
     inner : Search
-        Proposes within the bounds alone.
+        Proposes candidates within the bounds only.
     constraints : Constraints
     """
 
@@ -121,7 +121,7 @@ class ConstrainedSearch:
         self.inner, self.constraints = inner, constraints
 
     def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
-        """Return the population after `history`, or why there is none."""
+        """Return the population that follows `history`, or the reason to stop."""
         proposed = self.inner.propose(history)
         if isinstance(proposed, Stopped):
             return proposed

@@ -1,13 +1,13 @@
-r"""One descent of Gauss, Newton, Levenberg and Marquardt, as a value.
+r"""One Gauss-Newton descent with a trust region (Levenberg-Marquardt), as an immutable value.
 
-Near a point the sum of squares is :math:`c + 2 g's + s'Hs` with g = J'r and H = J'J. Its least
-value within the bounds and within a box of the trust region is found exactly; the region
-shrinks where the step kept less than a quarter of what was expected of it, and grows where it
-kept three quarters (J. Nocedal, S. Wright, Numerical Optimization, 2nd ed., algorithm 4.1).
-In a narrow valley that bends a long step ends on its wall. Before it is given up, a second one
-from there leads back to the floor, and both together are judged as one.
+Near a point the sum of squares is :math:`c + 2 g's + s'Hs` with g = J'r and H = J'J. Its
+minimum within the bounds and the box of the trust region is found exactly; the region shrinks
+if the step achieved less than a quarter of the predicted reduction, and grows if it achieved
+three quarters (J. Nocedal, S. Wright, Numerical Optimization, 2nd ed., algorithm 4.1).
+In a narrow, curved valley a long step ends on the wall. Before it is rejected, a second step
+from there returns to the floor, and both are judged together.
 
-Constants are in the coordinates of `service.search.log_space`.
+Parameters are in the coordinates of `service.search.log_space`.
 """
 
 from dataclasses import dataclass, replace
@@ -22,32 +22,32 @@ from palpate.storage.records.tasks import FitJson
 # The first step changes no constant by more than a factor of two; later ones e^2 at most.
 FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.7, 2.0, 1e-4
 SHRINK_BELOW, GROW_ABOVE = 0.25, 0.75
-# Below this part of the largest curvature a direction is not followed.
+# Directions below this fraction of the largest curvature are ignored.
 RIDGE = 1e-9
-# Nor is it on the way back from the wall of a valley, below this part.
+# The same for the second step, back from the wall of a valley.
 WALL = 1e-2
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """By how much a sum of squares should fall for another step to be worth it.
+    """Smallest predicted reduction of the sum of squares that is worth another step.
 
-    It has converged when less than the larger of both is expected.
+    The descent has converged when the prediction is below the larger of the two limits.
 
     Parameters
     ----------
     noises : float
-        In units of the noise that it shows: 0.1 is a third of a standard deviation, which the
+        Relative to the noise variance: 0.1 is a third of a standard deviation, which the
         intervals of the constants include.
     part : float
-        Of the sum itself.
+        Relative to the sum of squares.
     """
 
     noises: float
     part: float = 0.0
 
     def least_fall(self, here: "SquaredSum") -> float:
-        """Return the larger of both at a point."""
+        """Return the smallest worthwhile reduction at a point."""
         return max(self.noises * here.noise, self.part * here.value)
 
 
@@ -56,7 +56,7 @@ State = Literal["running", "converged", "failed", "merged"]
 
 @dataclass(frozen=True, eq=False)
 class SquaredSum:
-    """The sum of squares at a point: its value, half its gradient, and J'J; see above."""
+    """The sum of squares at a point: its value, half its gradient, and J'J."""
 
     value: float
     gradient: FloatArray
@@ -67,14 +67,14 @@ class SquaredSum:
     def of(
         cls, fit: FitJson, logs: LogSpace, order: list[int], per_inside: FloatArray
     ) -> "SquaredSum":
-        """Return that of an evaluation, in the coordinates of `logs`.
+        """Build the sum of squares of an evaluation, in the coordinates of `logs`.
 
         Parameters
         ----------
         order : list of int
-            Where each gene stands in the fit.
+            Position of each gene in the fit.
         per_inside : ndarray, shape (d,)
-            How many units at the door make one inside.
+            External units per internal unit.
         """
         scale = np.where(logs.logarithmic, 1.0, logs.width / per_inside)
         g = np.asarray(fit["gradient"], np.float64)[order] * scale
@@ -83,29 +83,29 @@ class SquaredSum:
 
     @property
     def noise(self) -> float:
-        """Return how many times the expected one the variance is; 1 if not larger."""
+        """Return the ratio of the residual variance to the expected one, at least 1."""
         return max(1.0, self.value / max(1, self.residuals - len(self.gradient)))
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where a descent stands.
+    """The state of a descent.
 
     Parameters
     ----------
     at : ndarray, shape (d,)
-        The best point so far, or the first one.
+        The best point so far, or the starting point.
     here : SquaredSum or None
-        There; None before the first evaluation.
+        The sum of squares at `at`; None before the first evaluation.
     trial : ndarray, shape (d,)
-        The point to be evaluated next.
+        The next point to evaluate.
     expected : float
-        By how much the sum of squares should fall there.
+        Predicted reduction of the sum of squares at `trial`.
     radius : float
     state : {"running", "converged", "failed", "merged"}
     evaluations : int
     second : bool
-        Whether the trial makes good for a step that kept too little.
+        Whether the trial corrects a step that achieved too little.
     """
 
     at: FloatArray
@@ -119,12 +119,12 @@ class Descent:
 
     @property
     def cost(self) -> float:
-        """Return the least sum of squares so far; infinite before the first."""
+        """Return the smallest sum of squares so far; infinite before the first evaluation."""
         return np.inf if self.here is None else self.here.value
 
 
 def begin(at: FloatArray, radius: float = FIRST_RADIUS) -> Descent:
-    """Return a descent that begins at a point."""
+    """Return a descent that starts at a point."""
     return Descent(at, None, at, 0.0, radius, "running")
 
 
@@ -136,10 +136,10 @@ def advance(
     Parameters
     ----------
     there : SquaredSum or None
-        None where the simulation failed.
+        None if the simulation failed.
     tolerance : Tolerance
     most : int
-        Evaluations; the best point then stands.
+        Maximum number of evaluations.
     """
     counted = replace(descent, evaluations=descent.evaluations + 1)
     if descent.here is None:
@@ -172,7 +172,7 @@ def _next(
 ) -> Descent:
     here = descent.here
     if here is None:
-        raise AssertionError("a descent goes on from an evaluation")
+        raise AssertionError("a descent continues from an evaluation")
     step, expected = best_step(here, descent.at, descent.radius, logs)
     small = expected < tolerance.least_fall(here) or descent.radius < SMALLEST_RADIUS
     if small or descent.evaluations >= most:
@@ -184,11 +184,11 @@ def _next(
 def best_step(
     here: SquaredSum, at: FloatArray, radius: float, logs: LogSpace, part: float = RIDGE
 ) -> tuple[FloatArray, float]:
-    """Return the step to the least sum of squares in reach, and by how much that should fall.
+    """Return the step to the minimum within the trust region, and its predicted reduction.
 
-    Directions below a `part` of the largest curvature are not followed.
+    Directions below a `part` of the largest curvature are ignored.
     """
-    from scipy.optimize import lsq_linear  # slow to import, and reading a study takes no step
+    from scipy.optimize import lsq_linear  # slow to import, and not needed to read a study
 
     d = len(at)
     ridge = part * max(float(np.trace(here.hessian)) / d, 1e-300)

@@ -23,7 +23,7 @@ def design(space: Space, kind: str = "sobol", n: int = 64, seed: int = 1) -> Flo
     Parameters
     ----------
     space : Space
-        Of d parameters.
+        A box with d parameters.
     kind : {"sobol", "halton", "latin-hypercube"}
         All are scrambled; a Sobol design is balanced where `n` is a power of two.
     n : int
@@ -39,7 +39,7 @@ def design(space: Space, kind: str = "sobol", n: int = 64, seed: int = 1) -> Flo
     Raises
     ------
     InputError
-        If there is no such design, or `n` is too small.
+        If the design is unknown, or `n` or `seed` is too small.
 
     Examples
     --------
@@ -56,12 +56,12 @@ def design(space: Space, kind: str = "sobol", n: int = 64, seed: int = 1) -> Flo
         raise InputError(f"The seed of a design must not be negative, found {seed}.")
     sampler = DESIGNS[kind](space.dimension, rng=np.random.default_rng(seed))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a number that is no power of two
+        warnings.simplefilter("ignore", UserWarning)  # raised if n is not a power of two
         return space.from_unit(sampler.random(n))
 
 
 def design_columns(
     space: Space, kind: str = "sobol", n: int = 64, seed: int = 1
 ) -> dict[str, FloatArray]:
-    """Return the points of a `design` by the name of each parameter, each of shape (n,)."""
+    """Return the points of a `design`, shape (n,), by parameter name."""
     return dict(zip(space.names, design(space, kind, n, seed).T, strict=True))

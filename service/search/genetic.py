@@ -1,15 +1,15 @@
-"""Runs the genetic search of the thesis as MATLAB's ``ga`` would.
+"""The genetic search of the thesis, equivalent to MATLAB's ``ga``.
 
-One generation becomes the next::
+A generation produces the next as follows::
 
     elites       the best `elite`, unchanged and not evaluated again
     crossover    round(crossover_fraction * (population - elite)) children of two parents
     mutation     the rest, children of one parent
 
-With the thesis' settings 84 = 2 + 66 + 16, from 148 parents.
+With the thesis' settings 84 = 2 + 66 + 16, with 148 parents.
 
-Generations are counted with the initial population: 15 generations of 84 are
-84 * 15 = 1260 candidates at most, 84 + 14 * 82 = 1232 of them evaluated.
+The initial population counts as a generation: 15 generations of 84 are at most
+84 * 15 = 1260 candidates, of which 84 + 14 * 82 = 1232 are evaluated.
 """
 
 import math
@@ -36,20 +36,20 @@ from palpate.storage.errors import InputError
 
 @dataclass(frozen=True)
 class GeneticSettings:
-    """How the population evolves; the defaults are the thesis'.
+    """Settings of the genetic search; the defaults are the thesis'.
 
     Parameters
     ----------
     population : int
         Candidates per generation, >= 2.
     generations : int
-        Populations in total, the initial one included, >= 1.
+        Number of populations, including the initial one, >= 1.
     elite : int
         Best candidates carried over, ``0 <= elite < population``.
     crossover_fraction : float
-        Share of the children that are not elite, from 0 to 1.
+        Share of crossover among the children that are not elite, from 0 to 1.
     stall : Stall or None
-        When to stop early; ``None`` never does.
+        Criterion for stopping early; ``None`` disables it.
     mutation : Mutation
         `AdaptiveFeasible` (default) or `Gaussian`.
     initial : callable
@@ -77,22 +77,22 @@ class GeneticSettings:
         if not 0 <= self.elite < self.population:
             raise InputError(
                 f"search.elite must be from 0 to population - 1 = {self.population - 1}, "
-                f"got {self.elite}: somebody has to be new in every generation."
+                f"got {self.elite}: at least one candidate must be new in every generation."
             )
         if not 0 <= self.crossover_fraction <= 1:
             raise InputError(
-                f"search.crossover_fraction must lie in [0, 1], got {self.crossover_fraction}."
+                f"search.crossover_fraction must be in [0, 1], got {self.crossover_fraction}."
             )
 
     @property
     def crossover_children(self) -> int:
-        """Return the number of children of two parents in every generation but the first."""
-        # Halves are rounded up; round() would take them to the even neighbour.
+        """Return the number of crossover children in every generation but the first."""
+        # Halves are rounded up; round() would round them to even.
         return math.floor(self.crossover_fraction * (self.population - self.elite) + 0.5)
 
     @property
     def mutation_children(self) -> int:
-        """Return the number of children of one parent in every generation but the first."""
+        """Return the number of mutation children in every generation but the first."""
         return self.population - self.elite - self.crossover_children
 
     @property
@@ -107,17 +107,16 @@ class GeneticSettings:
 
 
 class GeneticSearch:
-    """A `Search`: selection by rank, crossover and mutation within bounds.
+    """A `Search` by rank selection, crossover and mutation within bounds.
 
     Parameters
     ----------
     space : Space
-        What is searched.
+        The parameters and their bounds.
     settings : GeneticSettings
-        How.
+        The settings.
     seed : int
-        0 <= seed < 2**32. Generation ``g`` draws from ``default_rng([seed, g])``
-        and from nothing else.
+        0 <= seed < 2**32. Generation ``g`` uses only ``default_rng([seed, g])``.
 
     Raises
     ------
@@ -140,18 +139,18 @@ class GeneticSearch:
 
     def __init__(self, space: Space, settings: GeneticSettings, seed: int) -> None:
         if not 0 <= seed < 2**32:
-            raise InputError(f"seed must lie in [0, 2**32), got {seed}.")
+            raise InputError(f"seed must be in [0, 2**32), got {seed}.")
         self.space = space
         self.settings = settings
         self.seed = seed
 
     def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
-        """Return the population after `history`, or why there is none.
+        """Return the population that follows `history`, or the reason to stop.
 
         Raises
         ------
         InputError
-            If the history does not come from these settings and this space.
+            If the history was produced by other settings or in another space.
         """
         self._check(history)
         rng = np.random.default_rng([self.seed, len(history)])
@@ -162,7 +161,7 @@ class GeneticSearch:
         if reason is not None:
             return Stopped(reason)
         if np.isposinf(history[-1].scores).all():
-            # There is nobody to breed from: failures have no order among them.
+            # All candidates failed, so there is nothing to select from.
             return self._fresh(rng)
         return self._breed(rng, history[-1], bests)
 
@@ -198,7 +197,7 @@ class GeneticSearch:
         for number, generation in enumerate(history):
             if generation.genes.shape != expected:
                 raise InputError(
-                    f"Generation {number} holds {generation.genes.shape[0]} candidates of "
+                    f"Generation {number} has {generation.genes.shape[0]} candidates of "
                     f"{generation.genes.shape[1]} parameters; this search makes {expected[0]} of "
                     f"{expected[1]}. The study was changed after it was started: restore its "
                     "population and parameters, or start a new study."

@@ -1,14 +1,14 @@
-"""Fits constants by derivatives: several descents in parallel, from coarse to fine.
+"""Fits of constants by derivatives: several descents in parallel, from coarse to fine.
 
 ::
 
-    level 0     `starts` descents, one trial of each in every generation
-    level 1     the best of them goes on where it has ended, on a finer mesh
+    level 0     `starts` descents, each with one trial per generation
+    level 1     the best of them continues from its end point, on a finer mesh
     ...
     the study's own resolution, until it has converged
 
-A generation holds one trial point of each descent that is still running. Everything is a fold
-over the generations, see `service.search.base`.
+A generation contains one trial point of each running descent. The search is a fold over the
+generations, see `service.search.base`.
 """
 
 from collections.abc import Sequence
@@ -24,34 +24,34 @@ from palpate.service.search.start_points import with_start
 from palpate.storage.errors import InputError
 from palpate.storage.records.tasks import FitJson
 
-# Starts beside the middle lie in this part of the box, where simulations converge.
+# Starts other than the middle are drawn from this part of the box, where simulations converge.
 START_RANGE = (0.15, 0.85)
-# On a coarse mesh and in coarse voxels the optimum itself is elsewhere, by several standard
-# deviations: the last per cent of its sum of squares leads nowhere.
+# A coarse mesh and coarse voxels shift the optimum by several standard deviations, so there
+# is no point in fitting the last per cent of the sum of squares.
 COARSE_TOLERANCE, FINE_TOLERANCE = Tolerance(1.0, part=0.01), Tolerance(0.1)
-# A start that cannot be simulated is taken anew, anywhere in the box, so many times.
+# A start whose simulation fails is redrawn anywhere in the box, up to this many times.
 NEW_STARTS = 10
-# Descents that come so near to another one, in logarithms, follow it no further.
+# A descent that comes this close to another one, in logarithms, is merged with it.
 SAME_PLACE = 0.02
-# Where a finer level begins it is near its end.
+# The coarser level ends close to the optimum of the finer one.
 FINER_RADIUS = 0.35
 
 
 @dataclass(frozen=True)
 class LeastSquaresSettings:
-    """How constants are fitted.
+    """Settings of a fit by derivatives.
 
     Parameters
     ----------
     starts : int
-        Descents on the first level, >= 1: from the middle of the logarithms, and from points
-        around it.
+        Descents on the first level, >= 1: from the middle of the box in logarithms, and from
+        points around it.
     levels : int
-        Resolutions that are coarser than the study's own.
+        Number of resolutions coarser than the study's own.
     evaluations : int
-        Of one descent on one level, at most.
+        Maximum number of evaluations of one descent on one level.
     start : tuple of tuple of float
-        Genes at which the first descents begin.
+        Genes at which the first descents start.
     """
 
     starts: int = 3
@@ -74,14 +74,14 @@ class LeastSquaresSettings:
 
 @dataclass(frozen=True)
 class FittedNames:
-    """How the genes of a search stand in the least-squares problem of an evaluation.
+    """Names and units of the genes in the least-squares problem of an evaluation.
 
     Parameters
     ----------
     inside : sequence of str
-        The inside name of each gene.
+        Internal name of each gene.
     per_inside : sequence of float
-        How many units at the door make one inside.
+        External units per internal unit.
     """
 
     inside: tuple[str, ...]
@@ -90,7 +90,7 @@ class FittedNames:
 
 @dataclass(frozen=True, eq=False)
 class _Progress:
-    """All descents of the level that is being fitted."""
+    """All descents of the current level."""
 
     level: int
     descents: tuple[Descent, ...]
@@ -114,7 +114,7 @@ class LeastSquaresSearch:
     names : FittedNames
     settings : LeastSquaresSettings
     seed : int
-        Of the starts beside the middle.
+        Seed of the random starts.
     """
 
     def __init__(
@@ -124,11 +124,11 @@ class LeastSquaresSearch:
         self.logs = LogSpace(space)
 
     def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
-        """Return the trial points that follow `history`, or why there are none."""
+        """Return the trial points that follow `history`, or the reason to stop."""
         return self.propose_from(self.starts(), history)
 
     def propose_from(self, starts: FloatArray, history: Sequence[Generation]) -> Proposal | Stopped:
-        """Return the same for descents from genes (n, d)."""
+        """Return the trial points or the reason to stop, with descents from genes (n, d)."""
         at = self.logs.coordinates(starts)
         progress = _Progress(0, tuple(begin(point) for point in at))
         for generation in history:
@@ -146,7 +146,7 @@ class LeastSquaresSearch:
         )
 
     def starts(self) -> FloatArray:
-        """Return where descents begin, shape (starts, d)."""
+        """Return the starting points of the descents, shape (starts, d)."""
         n, d = self.settings.starts, self.space.dimension
         rng = np.random.default_rng([self.seed, 0x1E57])
         low, high = START_RANGE
@@ -156,7 +156,7 @@ class LeastSquaresSearch:
         return with_start(self.logs.genes(self.logs.point(unit)), self.settings.start)
 
     def _begun_elsewhere(self, i: int, failed: Descent) -> Descent:
-        """Return descent `i` from another start: anywhere, not in logarithms."""
+        """Return descent `i` from a new start, uniform in the box rather than in logarithms."""
         rng = np.random.default_rng([self.seed, 0x1E58, i, failed.evaluations])
         at = self.logs.coordinates(rng.uniform(self.space.lower, self.space.upper))
         return replace(begin(at), evaluations=failed.evaluations)
@@ -166,7 +166,7 @@ class LeastSquaresSearch:
         running = progress.running
         if len(generation.fits) != len(running):
             raise InputError(
-                f"A generation of this fit holds {len(running)} candidates, the journal has "
+                f"A generation of this fit has {len(running)} candidates, but the journal has "
                 f"{len(generation.fits)} with derivatives. The study was changed after it was "
                 "started: restore its search, or start a new study."
             )
@@ -201,10 +201,10 @@ class LeastSquaresSearch:
 
 
 def places_in_fit(fit: FitJson, names: Sequence[str], values: FloatArray) -> list[int]:
-    """Return where each gene stands in a fit; `values` are those of the genes, inside.
+    """Return the position of each gene in a fit, given the internal `values` of the genes.
 
-    By name, but an organ may have put constants in order that change places without any change
-    of the body; they then stand where their value is.
+    Positions are found by name. An organ may sort interchangeable constants, however; those
+    are found by value.
     """
     free, order = list(range(len(names))), []
     for name, value in zip(names, values, strict=True):
@@ -216,7 +216,7 @@ def places_in_fit(fit: FitJson, names: Sequence[str], values: FloatArray) -> lis
 
 
 def _merged(descents: Sequence[Descent]) -> list[Descent]:
-    """Let descents end that have come to where another one is."""
+    """Mark descents that have come close to a better one as merged."""
     kept: list[Descent] = []
     for one in descents:
         near = any(

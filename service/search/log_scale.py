@@ -1,4 +1,4 @@
-"""A search that works in the logarithms of some parameters."""
+"""A search on the logarithms of some parameters."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -12,19 +12,19 @@ from palpate.storage.errors import InputError
 
 @dataclass(frozen=True)
 class LogScale:
-    """Parameters whose logarithm is searched.
+    """A box in which some parameters are searched by their logarithms.
 
     Parameters
     ----------
     space : Space
-        In the units at the door.
+        In external units.
     names : frozenset of str
-        The parameters with a logarithmic scale; their lower bounds are above zero.
+        Parameters with a logarithmic scale; their lower bounds are positive.
 
     Raises
     ------
     InputError
-        If a name is not searched, or its lower bound is not above zero.
+        If a name is not searched, or its lower bound is not positive.
 
     Examples
     --------
@@ -55,7 +55,7 @@ class LogScale:
         return np.where(self._is_log, np.log(np.where(self._is_log, genes, 1.0)), genes)
 
     def outer(self, genes: FloatArray) -> FloatArray:
-        """Return genes (n, d) of the search in the units at the door, within the bounds."""
+        """Return genes (n, d) of the search in external units, within the bounds."""
         found = np.where(self._is_log, np.exp(np.where(self._is_log, genes, 0.0)), genes)
         return np.clip(found, self.space.lower, self.space.upper)
 
@@ -65,12 +65,12 @@ class LogScale:
 
 
 class LogScaledSearch:
-    """A `Search` whose inner search works on the scales of `LogScale`.
+    """A `Search` whose inner search uses the scales of `LogScale`.
 
     Parameters
     ----------
     inner : Search
-        In the box `LogScale.inner`.
+        A search in the box `LogScale.inner`.
     scale : LogScale
     """
 
@@ -78,13 +78,13 @@ class LogScaledSearch:
         self.inner, self.scale = inner, scale
 
     def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
-        """Return the population after `history`, or why there is none."""
+        """Return the population that follows `history`, or the reason to stop."""
         before = [replace(g, genes=self.scale.to_inner(g.genes)) for g in history]
         proposed = self.inner.propose(before)
         if isinstance(proposed, Stopped):
             return proposed
         genes = self.scale.outer(proposed.genes)
         for row, origin in enumerate(proposed.carried):
-            if origin is not None:  # the same to the last bit
+            if origin is not None:  # an elite stays bit-identical
                 genes[row] = history[-1].genes[origin]
         return replace(proposed, genes=genes)

@@ -1,4 +1,4 @@
-"""Coordinates in which constants are fitted: logarithms where a constant cannot be zero."""
+"""Coordinates for fitting constants: logarithms where a constant cannot be zero."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,8 @@ from palpate.service.search.space import FloatArray, Space
 class LogSpace:
     """The coordinates of a box of parameters.
 
-    A coordinate is the logarithm of a parameter with a positive lower bound, and else the
-    parameter over the width of its interval.
+    A coordinate is the logarithm of a parameter with a positive lower bound, and otherwise the
+    parameter divided by the width of its interval.
 
     Parameters
     ----------
@@ -30,17 +30,17 @@ class LogSpace:
 
     @property
     def logarithmic(self) -> NDArray[np.bool_]:
-        """Return which coordinates are logarithms, shape (d,)."""
+        """Return a mask of the coordinates that are logarithms, shape (d,)."""
         return np.asarray(self.space.lower) > 0
 
     @property
     def width(self) -> FloatArray:
-        """Return by what a parameter that is not a logarithm is divided, shape (d,)."""
+        """Return the divisor of each coordinate, 1 for a logarithm, shape (d,)."""
         return np.where(self.logarithmic, 1.0, self.space.span)
 
     @property
     def lower(self) -> FloatArray:
-        """Return the least coordinates, shape (d,)."""
+        """Return the smallest coordinates, shape (d,)."""
         return self.coordinates(np.asarray(self.space.lower))
 
     @property
@@ -54,7 +54,7 @@ class LogSpace:
         return np.asarray(np.where(self.logarithmic, logs, genes / self.width))
 
     def genes(self, coordinates: FloatArray) -> FloatArray:
-        """Return the genes at coordinates, shape (..., d); rounding cannot leave the box."""
+        """Return the genes at coordinates, shape (..., d), clipped to the box."""
         powers = np.exp(np.where(self.logarithmic, coordinates, 0.0))
         genes = np.where(self.logarithmic, powers, coordinates * self.width)
         return np.clip(genes, self.space.lower, self.space.upper)

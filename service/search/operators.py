@@ -1,9 +1,9 @@
-"""Defines the operators of the genetic search, as functions of an explicit generator.
+"""Operators of the genetic search, as functions of an explicit random generator.
 
-What MATLAB's ``ga`` does with a bounded problem and its default options, written
-from its public description: rank scaling, stochastic uniform selection (Baker
-1987), scattered crossover. The constants of its adaptive feasible mutation are
-not documented; `AdaptiveFeasible` follows the idea with constants of our own.
+They follow the public description of MATLAB's ``ga`` for a bounded problem with default
+options: rank scaling, stochastic uniform selection (Baker 1987), scattered crossover. The
+constants of its adaptive feasible mutation are not documented; `AdaptiveFeasible` follows
+the idea with constants of our own.
 """
 
 import itertools
@@ -23,14 +23,14 @@ Initial = Callable[[np.random.Generator, int, Space], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """Where the search stands when children are made.
+    """Progress of the search when children are made.
 
     Parameters
     ----------
     generation : int
         Index of the generation being made; 0 is the initial population.
     generations : int
-        Number of populations at most.
+        Maximum number of populations.
     bests : ndarray, shape (generation,)
         Best score up to each finished generation.
     """
@@ -41,7 +41,7 @@ class Progress:
 
 
 class Mutation(Protocol):
-    """Turns parents into children, within the bounds."""
+    """An operator that turns parents into children within the bounds."""
 
     def __call__(
         self, rng: np.random.Generator, parents: FloatArray, space: Space, progress: Progress
@@ -56,7 +56,7 @@ def uniform_population(rng: np.random.Generator, size: int, space: Space) -> Flo
 
 
 def latin_hypercube(rng: np.random.Generator, size: int, space: Space) -> FloatArray:
-    """Draw `size` points of which each of `size` equal slices of every axis holds one.
+    """Draw `size` points, one in each of `size` equal slices of every axis.
 
     References
     ----------
@@ -68,17 +68,17 @@ def latin_hypercube(rng: np.random.Generator, size: int, space: Space) -> FloatA
 
 
 def rank_expectation(ranking: IndexArray, parents: int) -> FloatArray:
-    """Return how many of `parents` parents each candidate should be.
+    """Return the expected number of selections of each candidate.
 
-    ``parents r^(-1/2) / sum_r r^(-1/2)`` with rank ``r = 1`` for the best: the
-    spread of the scores plays no part, so neither -inf nor +inf disturbs it.
+    ``parents r^(-1/2) / sum_r r^(-1/2)`` with rank ``r = 1`` for the best. The
+    spread of the scores does not matter, so neither -inf nor +inf disturbs it.
 
     Parameters
     ----------
     ranking : ndarray of int, shape (n,)
         Candidates from best to worst.
     parents : int
-        Number of parents wanted.
+        Number of parents to select.
 
     Returns
     -------
@@ -102,9 +102,9 @@ def stochastic_uniform(
 ) -> IndexArray:
     """Select parents with evenly spaced pointers on one line, then shuffle them.
 
-    The candidates lie on a line as segments as long as their expectations; the
-    pointers stand one apart behind a single random offset. So a candidate is
-    chosen either floor or ceil of its expectation times, never otherwise.
+    The candidates are segments on a line, as long as their expectations; the
+    pointers are one unit apart, with a single random offset. So a candidate is
+    selected floor or ceil of its expectation times.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def stochastic_uniform(
     Baker, Proc. 2nd Int. Conf. on Genetic Algorithms (1987) 14-21.
     """
     ends = np.cumsum(expectation)
-    ends[-1] = parents  # the sum of the segments, without its rounding
+    ends[-1] = parents  # the exact sum, without rounding
     pointers = rng.random() + np.arange(parents)
     chosen = np.minimum(np.searchsorted(ends, pointers, side="right"), len(ends) - 1)
     return rng.permutation(chosen)
@@ -136,33 +136,33 @@ def scattered_crossover(
 
 
 def reflect(unit: FloatArray) -> FloatArray:
-    """Fold points back into the unit cube as mirrors on its walls would."""
+    """Fold points back into the unit cube by reflection at its walls."""
     folded = np.mod(unit, 2.0)
     return np.where(folded > 1.0, 2.0 - folded, folded)
 
 
 @dataclass(frozen=True)
 class AdaptiveFeasible:
-    """A step in a random direction, as long as steps of late have been worth.
+    """A step in a random direction whose length adapts to recent success.
 
     All lengths are fractions of the range of a parameter. The step grows after a
     generation that improved the best score and shrinks after one that did not.
-    It is worked out anew from the best scores each time, so nothing has to be
-    stored. A step through a wall is reflected: children always keep the bounds.
+    It is recomputed from the best scores each time, so nothing is stored. Steps are
+    reflected at the bounds, so children never leave them.
 
     Parameters
     ----------
     initial, smallest, largest : float
-        Step length at first and its limits, ``0 < smallest <= initial <= largest``.
+        Initial step length and its limits, ``0 < smallest <= initial <= largest``.
     grow, shrink : float
         Factors after success and failure. The defaults are powers of two, so the
-        step carries no rounding.
+        step is free of rounding errors.
 
     Notes
     -----
-    The defaults were picked by hand from seven settings, after the median and the
-    90 % quantile of 30 runs of 15 and of 40 generations on the functions of
-    ``tests/service/search/test_convergence.py``. They are no constants of MATLAB's.
+    The defaults were chosen from seven settings by the median and the 90 % quantile
+    of 30 runs of 15 and of 40 generations on the functions of
+    ``tests/service/search/test_convergence.py``. They are not MATLAB's constants.
     """
 
     initial: float = 0.25
@@ -188,7 +188,7 @@ class AdaptiveFeasible:
         length = self.initial
         for before, after in itertools.pairwise(bests):
             if np.isposinf(before):
-                continue  # that population was drawn afresh, not by a step
+                continue  # that population was drawn at random, not by a step
             factor = self.grow if after < before else self.shrink
             length = min(max(length * factor, self.smallest), self.largest)
         return length
@@ -198,7 +198,7 @@ class AdaptiveFeasible:
     ) -> FloatArray:
         """Return children a step away from their parents, in random directions."""
         directions = rng.standard_normal(parents.shape)
-        # A zero vector has probability zero; the floor keeps it from dividing by zero.
+        # A zero vector has probability zero; the floor prevents a division by zero.
         lengths = np.sqrt(np.sum(directions * directions, axis=1, keepdims=True))
         steps = self.step(progress.bests) * directions / np.maximum(lengths, 1e-300)
         return space.from_unit(reflect(space.to_unit(parents) + steps))
@@ -215,9 +215,9 @@ class Gaussian:
     Parameters
     ----------
     scale : float
-        Standard deviation at first, as a fraction of the range; >= 0.
+        Initial standard deviation, as a fraction of the range; >= 0.
     shrink : float
-        0 keeps it; 1 brings it towards zero in the last generation.
+        0 keeps it constant; 1 brings it towards zero in the last generation.
     """
 
     scale: float = 1.0
@@ -239,6 +239,6 @@ class Gaussian:
         return space.from_unit(reflect(space.to_unit(parents) + noise))
 
 
-#: What a study file may name; see `service.study.spec.SearchSpec`.
+#: The names allowed in a study file; see `service.study.spec.SearchSpec`.
 INITIAL: dict[str, Initial] = {"uniform": uniform_population, "latin-hypercube": latin_hypercube}
 MUTATIONS: dict[str, Mutation] = {"adaptive-feasible": AdaptiveFeasible(), "gaussian": Gaussian()}

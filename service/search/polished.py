@@ -1,4 +1,4 @@
-"""A genetic search whose best candidates are then fitted by derivatives."""
+"""A genetic search whose best candidates are refined by derivatives."""
 
 from collections.abc import Sequence
 
@@ -8,28 +8,28 @@ from palpate.service.search.base import Generation, Proposal, Search, Stopped
 from palpate.service.search.least_squares import LeastSquaresSearch
 from palpate.service.search.space import FloatArray
 
-# Candidates that are nearer than this part of every searched interval are one start.
+# Candidates closer than this fraction of every searched interval count as one start.
 SAME_START = 0.05
 
 
 class PolishedSearch:
-    """A `Search`: generations of a genetic search, then descents from its best few.
+    """A `Search`: a genetic search, then descents from its best few candidates.
 
-    The genetic part proposes what it would propose alone, to the last bit.
+    The genetic part is bit-identical to a genetic search on its own.
 
     Parameters
     ----------
     genetic : Search
         Proposes the generations.
     polish : LeastSquaresSearch
-        Its `starts` say how many candidates are fitted.
+        Fits the best candidates, as many as it has `starts`.
     """
 
     def __init__(self, genetic: Search, polish: LeastSquaresSearch) -> None:
         self.genetic, self.polish = genetic, polish
 
     def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
-        """Return the population or the trial points after `history`, or why there are none."""
+        """Return the population or trial points that follow `history`, or the reason to stop."""
         searched = [g for g in history if not g.fits]
         fitted = [g for g in history if g.fits]
         proposed = self.genetic.propose(searched)
@@ -44,7 +44,7 @@ class PolishedSearch:
         return Stopped(f"{proposed.reason}; {polished.reason}")
 
     def best_few(self, searched: Sequence[Generation]) -> FloatArray:
-        """Return the best candidates that are not alike, best first, shape (n, d)."""
+        """Return the best distinct candidates, best first, shape (n, d)."""
         genes = np.concatenate([g.genes for g in searched])
         scores = np.concatenate([g.scores for g in searched])
         space, few = self.polish.space, self.polish.settings.starts

@@ -1,4 +1,4 @@
-"""Defines the box that is searched: names and bounds of the free parameters."""
+"""The searched box: names and bounds of the free parameters."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,13 +22,13 @@ class Space:
     names : sequence of str
         One name per parameter; the order of the genes.
     lower, upper : sequence of float
-        Hard bounds, in the unit the name carries; ``lower < upper``, finite.
+        Hard bounds, in the unit given by the name; ``lower < upper``, finite.
 
     Raises
     ------
     InputError
-        If there is no parameter, a name stands twice, or a pair of bounds is
-        reversed, equal or not finite; the message names the parameter.
+        If there is no parameter, a name is repeated, or a pair of bounds is reversed, equal
+        or not finite; the message names the parameter.
 
     Examples
     --------
@@ -86,7 +86,7 @@ class Space:
         return np.asarray(self.upper) - np.asarray(self.lower)
 
     def from_unit(self, unit: FloatArray) -> FloatArray:
-        """Map points (n, d) of the unit cube to genes (n, d); rounding cannot leave the box."""
+        """Map points (n, d) of the unit cube to genes (n, d), clipped to the box."""
         genes = np.asarray(self.lower) + unit * self.span
         return np.clip(genes, self.lower, self.upper)
 
@@ -103,7 +103,7 @@ def _refuse_duplicates(names: tuple[str, ...]) -> None:
     names_so_far: set[str] = set()
     for name in names:
         if name in names_so_far:
-            raise InputError(f"The parameter {name} stands twice in the search. Remove one.")
+            raise InputError(f"The parameter {name} is listed twice in the search. Remove one.")
         names_so_far.add(name)
 
 

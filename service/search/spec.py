@@ -1,4 +1,4 @@
-"""What a study file says of its search: the strategy and its settings."""
+"""The ``search`` section of a study file: the strategy and its settings."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -30,14 +30,14 @@ StrategyName = Annotated[str, AfterValidator(lambda name: checked_name("searches
 
 
 class StallSpec(Door):
-    """When to stop because nothing gets better; see `service.search.stall`.
+    """When to stop because the score no longer improves; see `service.search.stall`.
 
     Parameters
     ----------
     generations
-        Number of generations that are looked at.
+        Number of generations considered.
     tolerance
-        Least change of the best score that counts as an improvement.
+        Smallest change of the best score that counts as an improvement.
     rule
         ``relative``: the mean relative change over the generations; ``weighted``: recent changes
         count more.
@@ -64,16 +64,16 @@ class LevelSpec(Door):
 
 
 class StopSpec(Door):
-    """When to stop, whatever the strategy says; at the end of a generation.
+    """When to stop, whatever the strategy; checked at the end of a generation.
 
     Parameters
     ----------
     score
-        Once the objective has this value or a better one, such as -8 for GSF.
+        Once the objective reaches this value, such as -8 for GSF.
     evaluations
-        Before a generation that would exceed so many evaluations.
+        Before a generation that would exceed this number of evaluations.
     hours
-        Once the study has run for so long, all its runs together.
+        Once the study has run for this long, summed over all its runs.
     """
 
     score: Finite | None = None
@@ -81,7 +81,7 @@ class StopSpec(Door):
     hours: Positive | None = None
 
 
-# Keys that older studies do not have: left out at their defaults, or digests would change.
+# Keys that older studies lack: left out at their defaults, or digests would change.
 LATER = ("mode", "in_flight", "start", "stop", "scale", "constraints")
 
 
@@ -89,10 +89,10 @@ class SearchSpec(Door):
     """How the parameters are searched; the defaults are the thesis'.
 
     ``stall: null`` never stops before the last generation. ``starts``, ``levels`` and
-    ``fit_evaluations`` are for the strategies with least squares, see
-    `service.search.least_squares`; the others for ``genetic`` and, as far as they apply, ``cma``.
+    ``fit_evaluations`` are for the least-squares strategies, see
+    `service.search.least_squares`; the others for ``genetic`` and, where they apply, ``cma``.
     ``mode: steady`` has no barrier between generations: a candidate is bred as soon as one has
-    ended, up to `in_flight` of them at once (default: a population); see
+    ended, with up to `in_flight` at once (default: a population); see
     `service.search.steady`.
 
     Parameters
@@ -101,24 +101,24 @@ class SearchSpec(Door):
         ``genetic`` (as in the thesis), ``cma``, ``least-squares``, ``genetic+least-squares``, or
         the name of a plug-in.
     starts
-        Descents by derivatives that begin at different points.
+        Descents by derivatives from different points.
     levels
         Coarser resolutions in which constants are fitted first, coarse to fine. Default: 5,000 and
         20,000 nodes where the case has at least twice as many; none for ``genetic+least-squares``.
     fit_evaluations
         Largest number of evaluations of one descent on one level.
     population
-        Candidates of a generation.
+        Candidates per generation.
     generations
         Largest number of generations, including the initial population.
     elite
-        Best candidates of a generation that are kept unchanged.
+        Best candidates of a generation that are carried over unchanged.
     crossover_fraction
-        Share of the other candidates that is bred by crossover; the rest are mutations.
+        Share of the other candidates bred by crossover; the rest are mutations.
     mutation
         ``adaptive-feasible`` stays within the bounds; ``gaussian`` adds normal steps that shrink.
     initial
-        How the first candidates are drawn within the bounds.
+        How the first candidates are drawn.
     stall
         When to stop because the best score no longer improves; null: never.
     mode
@@ -127,10 +127,10 @@ class SearchSpec(Door):
     in_flight
         Candidates at once with ``mode: steady``. Default: `population`.
     start
-        Points to begin with, such as ``[{E_fat_kpa: 8, E_glandular_kpa: 30}]``: the first
-        candidates, the first descents, or the middle of ``cma``.
+        Points to start from, such as ``[{E_fat_kpa: 8, E_glandular_kpa: 30}]``: the first
+        candidates, the first descents, or the middle for ``cma``.
     stop
-        When to stop, whatever the strategy says.
+        When to stop, whatever the strategy.
     scale
         ``log`` or ``linear`` for each parameter of a genetic search. Default: linear. The other
         strategies search the logarithm of every parameter whose lower bound is above zero.
@@ -164,7 +164,7 @@ class SearchSpec(Door):
 
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what older studies do not have, or their digests would change."""
+        """Leave out keys that older studies lack, or their digests would change."""
         values: dict[str, Any] = handler(self)
         later = [name for name in LATER if getattr(self, name) == _default(type(self), name)]
         return {k: v for k, v in values.items() if k not in later}
@@ -191,14 +191,14 @@ class SearchSpec(Door):
         if self.elite >= self.population:
             raise ValueError(
                 f"elite ({self.elite}) must be less than population ({self.population}): "
-                "somebody has to be new in every generation"
+                "at least one candidate must be new in every generation"
             )
         return self
 
     @model_validator(mode="before")
     @classmethod
     def _few_candidates_for_cma(cls, data: Any) -> Any:
-        """Fill in what CMA-ES usually takes where the thesis' numbers would stand."""
+        """Set CMA-ES' usual population, generations and stall instead of the thesis' defaults."""
         if isinstance(data, Mapping) and data.get("strategy") == "cma":
             patience = {"generations": CMA_STALL_GENERATIONS}
             return {"population": 12, "generations": 60, "stall": patience, **data}
@@ -209,11 +209,11 @@ class SearchSpec(Door):
         strategy = strategy_named(self.strategy)
         for key in ("constraints", "scale"):
             if getattr(self, key) and strategy.settings and key not in strategy.settings:
-                raise ValueError(f"{key}: strategy {self.strategy} cannot take it into account")
+                raise ValueError(f"{key}: not supported by strategy {self.strategy}")
         most = {"cma": 1, "least-squares": self.starts}.get(self.strategy, self.population)
         if len(self.start) > most:
             raise ValueError(
-                f"start: {len(self.start)} points, but strategy {self.strategy} begins at {most}"
+                f"start: {len(self.start)} points, but strategy {self.strategy} takes {most}"
             )
         try:
             _ = self.start_genes, self.log_scale, self.inequalities
@@ -228,7 +228,7 @@ class SearchSpec(Door):
 
     @property
     def log_scaled(self) -> frozenset[str]:
-        """Return the parameters whose logarithm a genetic search searches."""
+        """Return the parameters searched on a logarithmic scale by a genetic search."""
         return frozenset(name for name, scale in self.scale.items() if scale == "log")
 
     @property
@@ -276,7 +276,7 @@ class SearchSpec(Door):
         )
 
     def settings_on(self, scale: LogScale) -> GeneticSettings:
-        """Return the settings of a `GeneticSearch` that works on other scales."""
+        """Return the settings of a `GeneticSearch` that uses other scales."""
         return replace(self.settings, initial=self._initial(scale))
 
     def _initial(self, scale: LogScale | None = None) -> Initial:
@@ -287,7 +287,7 @@ class SearchSpec(Door):
 
     @property
     def space(self) -> Space:
-        """Return the box that is searched, in the units at the door."""
+        """Return the searched box, in external units."""
         return Space.from_bounds(self.parameters)
 
 
@@ -295,7 +295,7 @@ def _default(model: type[Door], name: str) -> Any:
     return model.model_fields[name].get_default(call_default_factory=True)
 
 
-# Elements of about 5 and 3 mm in a breast of 445 ml; voxels with a fifth of that.
+# Elements of about 5 and 3 mm in a breast of 445 ml; voxels a fifth of that.
 COARSE_LEVELS = (
     LevelSpec(nodes=5_000, spacing_mm=1.0),
     LevelSpec(nodes=20_000, spacing_mm=0.5),

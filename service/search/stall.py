@@ -1,18 +1,17 @@
-"""Decides when a search has stopped getting better.
+"""Rules for stopping a search that no longer improves.
 
-Both rules look at the best scores ``B`` of the last ``n`` steps from one
-generation to the next, which takes ``n + 1`` generations:
+Both rules consider the best scores ``B`` of the last ``n`` steps between
+generations, which takes ``n + 1`` generations:
 
 relative (MATLAB's ``ga`` today)
     ``|B[g-n] - B[g]| / (n max(1, |B[g]|)) <= tolerance``
 weighted (its documentation before R2014a, when the thesis was computed)
     ``sum_k w_k |B[g-k] - B[g-k-1]| / (max(1, |B[g-k]|) sum_k w_k) <= tolerance``
-    with ``w_k = 2^-k``, ``k = 0 .. n-1``: a step counts half as much as the one
-    after it.
+    with ``w_k = 2^-k``, ``k = 0 .. n-1``: a step counts half as much as the next one.
 
-GSF is a logarithm. At ``-inf`` (identical volumes) nothing can improve and the
-search ends for that reason, before any rule is asked; at ``+inf`` no simulation
-has succeeded yet. Neither is ever subtracted here.
+GSF is a logarithm. At ``-inf`` (identical volumes) no improvement is possible and the
+search ends for that reason, before any rule is applied; at ``+inf`` no simulation has
+succeeded yet. Neither is ever subtracted here.
 """
 
 from dataclasses import dataclass
@@ -28,17 +27,17 @@ Rule = Literal["relative", "weighted"]
 
 @dataclass(frozen=True)
 class Stall:
-    """Stop after some generations without a noticeable improvement.
+    """A rule that stops after some generations without a noticeable improvement.
 
     Parameters
     ----------
     generations : int
-        Steps looked at, >= 1. The thesis: 5.
+        Number of steps considered, >= 1. The thesis: 5.
     tolerance : float
-        Average improvement per generation that no longer counts, >= 0. The
+        Largest average improvement per generation that counts as none, >= 0. The
         thesis: 1e-6.
     rule : {"relative", "weighted"}
-        See the formulas at the top of this file.
+        See the formulas in the module docstring.
 
     Raises
     ------
@@ -61,7 +60,7 @@ class Stall:
             )
 
     def reason(self, bests: FloatArray) -> str | None:
-        """Return why to stop, or None to go on.
+        """Return the reason to stop, or None to continue.
 
         Parameters
         ----------
@@ -73,7 +72,7 @@ class Stall:
         window = bests[-self.generations - 1 :]
         if np.isposinf(window[-1]):
             return (
-                f"no simulation has succeeded in {len(bests)} generations; see why they failed "
+                f"no simulation has succeeded in {len(bests)} generations; see the reasons "
                 "in the status, then narrow the bounds or lower the load"
             )
         if not np.isfinite(window).all():

@@ -1,4 +1,4 @@
-"""Candidates that a search begins with, because somebody knows where to look."""
+"""Given candidates with which a search starts."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class StartingAt:
     points : tuple of tuple of float
         Genes, one tuple per candidate.
     others : Initial
-        Draws the whole population; as many as there are points are replaced.
+        Draws the whole population, whose first rows the points replace.
     """
 
     points: tuple[tuple[float, ...], ...]
@@ -38,12 +38,12 @@ def with_start(genes: FloatArray, points: Sequence[Sequence[float]]) -> FloatArr
 
 
 def genes_of(points: Sequence[Mapping[str, float]], space: Space) -> tuple[tuple[float, ...], ...]:
-    """Return points by name as genes.
+    """Return points given by name as genes.
 
     Raises
     ------
     InputError
-        If a point lacks a searched parameter, has another, or is out of bounds.
+        If a point lacks a searched parameter, has an unknown one, or is out of bounds.
     """
     return tuple(_genes(number, point, space) for number, point in enumerate(points, 1))
 

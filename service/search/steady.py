@@ -1,14 +1,14 @@
-"""Searches without generations: a child is bred as soon as there is room for one more.
+"""A search without generations: a child is bred as soon as a worker is free.
 
 A barrier between generations lets workers idle until the slowest candidate has ended. Here
-candidate ``k`` is bred from the first ``k - in_flight + 1`` endings *in the order in which the
-journal has them*, so that up to `in_flight` candidates may be on their way at any moment, and
-the search is a function of its seed and of that order. The parents are the best candidates so
-far, as many as a population; the first candidates, and those that are proposed before half a
-population has ended, are drawn at random.
+candidate ``k`` is bred from the first ``k - in_flight + 1`` results *in the order of the
+journal*, so up to `in_flight` candidates may run at any moment, and the search is a function
+of its seed and of that order. The parents are the best candidates so far, as many as a
+population. The first candidates, and those proposed before half a population has ended, are
+drawn at random.
 
-Selection, crossover and mutation are those of the genetic search. Which candidates it proposes
-depends on how long each evaluation took; repeating them from the journal does not.
+Selection, crossover and mutation are the same as in the genetic search. The candidates depend
+on the duration of each evaluation; replaying them from the journal does not.
 """
 
 from bisect import insort
@@ -24,30 +24,30 @@ from palpate.storage.errors import InputError
 
 
 class Pool:
-    """The best candidates among those that have ended, as a fold over their scores.
+    """The best completed candidates, as a fold over their scores.
 
     Parameters
     ----------
     size : int
-        How many are kept.
+        Number of candidates kept.
 
     Attributes
     ----------
     count : int
-        Endings so far.
+        Number of candidates added so far.
     bests : list of float
-        Best score after every `size` endings.
+        Best score after every `size` additions.
     """
 
     def __init__(self, size: int) -> None:
         self.size, self.count = size, 0
         self.bests: list[float] = []
-        self._ranked: list[tuple[float, int, tuple[float, ...]]] = []  # the first of equals first
+        self._ranked: list[tuple[float, int, tuple[float, ...]]] = []  # ties: earlier first
 
     def add(self, genes: Sequence[float], score: float) -> None:
-        """Add the next ending in the order of the journal; +inf for one that failed.
+        """Add the next candidate in the order of the journal; +inf if it failed.
 
-        Copies of a parent are no more parents, or all would soon be copies of the best one.
+        A copy of a kept candidate is ignored, or soon all would be copies of the best one.
         """
         values = tuple(map(float, genes))
         if all(values != known for _, _, known in self._ranked):
@@ -64,22 +64,22 @@ class Pool:
 
     @property
     def genes(self) -> FloatArray:
-        """Return the candidates with a score from best to worst, shape (n, d)."""
+        """Return the successful candidates from best to worst, shape (n, d)."""
         return np.array([genes for score, _, genes in self._ranked if score < np.inf])
 
 
 class SteadyGenetic:
-    """Proposes one candidate after the other; see the top of this file.
+    """A genetic search that proposes one candidate at a time; see the module docstring.
 
     Parameters
     ----------
     space : Space
     settings : GeneticSettings
-        `elite` plays no part: the best stay among the parents.
+        `elite` is ignored: the best candidates stay among the parents.
     seed : int
         0 <= seed < 2**32. Candidate ``k`` draws from ``default_rng([seed, k])``.
     in_flight : int
-        Candidates on their way at once, at least 1.
+        Maximum number of concurrent candidates, at least 1.
 
     Raises
     ------
@@ -95,17 +95,17 @@ class SteadyGenetic:
         self._initial = settings.initial(first, settings.population, space)
 
     def known_at(self, candidate: int) -> int:
-        """Return from how many endings a candidate is bred."""
+        """Return the number of results from which a candidate is bred."""
         return max(0, candidate - self.in_flight + 1)
 
     def propose(self, candidate: int, pool: Pool) -> FloatArray | Stopped:
-        """Return the genes of a candidate, shape (d,), or why there is none.
+        """Return the genes of a candidate, shape (d,), or the reason to stop.
 
         Parameters
         ----------
         candidate : int
         pool : Pool
-            Of the first `known_at` endings.
+            The pool of the first `known_at` results.
         """
         population = self.settings.population
         assert pool.count == self.known_at(candidate)
@@ -128,7 +128,7 @@ class SteadyGenetic:
             chosen = scattered_crossover(rng, chosen[:1], chosen[1:])
             if not (parents == chosen).all(axis=1).any():
                 return np.asarray(chosen[0])
-            # A copy of a parent would tell nothing: it is mutated instead.
+            # A copy of a parent adds no information, so it is mutated instead.
         bests = np.array(pool.bests or [pool.best])
         progress = Progress(len(bests), self.settings.generations, bests)
         return np.asarray(self.settings.mutation(rng, chosen, self.space, progress)[0])

@@ -1,4 +1,4 @@
-"""Ends a search at a score or after a number of evaluations."""
+"""Rules that end a search at a score or after a number of evaluations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,16 +8,16 @@ from palpate.service.search.base import Generation, Proposal, Search, Stopped
 
 @dataclass(frozen=True)
 class StopRules:
-    """When a search ends, whatever its strategy says.
+    """When a search ends, whatever its strategy.
 
     Parameters
     ----------
     score : float or None
-        Once the best candidate has this score, as it is minimised, or less.
+        Stop once the best score, as minimised, is this or lower.
     evaluations : int or None
-        Before a generation that would exceed this number.
+        Stop before a generation that would exceed this number.
     goal : str
-        The score for a reader, such as ``GSF -8``.
+        The score as text, such as ``GSF -8``.
     """
 
     score: float | None = None
@@ -25,7 +25,7 @@ class StopRules:
     goal: str = ""
 
     def reason(self, history: Sequence[Generation], proposed: Proposal) -> str | None:
-        """Return why the search ends before `proposed`; None if it goes on."""
+        """Return the reason to end before `proposed`; None to continue."""
         if not history:
             return None
         if self.score is not None and min(g.scores.min() for g in history) <= self.score:
@@ -37,7 +37,7 @@ class StopRules:
 
 
 class StoppingSearch:
-    """A `Search` that also ends by `StopRules`.
+    """A `Search` that also stops by `StopRules`.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class StoppingSearch:
         self.inner, self.rules = inner, rules
 
     def propose(self, history: Sequence[Generation]) -> Proposal | Stopped:
-        """Return the population after `history`, or why there is none."""
+        """Return the population that follows `history`, or the reason to stop."""
         proposed = self.inner.propose(history)
         if isinstance(proposed, Stopped):
             return proposed

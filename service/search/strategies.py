@@ -1,4 +1,4 @@
-"""Search strategies by name: what each is made of, and what it costs at most.
+"""Search strategies by name, with the most evaluations each can take.
 
 A distribution offers a `Strategy` as an entry point of the group ``palpate.searches``; a study
 chooses it with ``search.strategy``.
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SearchRequest:
-    """What a study asks of its strategy.
+    """The input of a strategy.
 
     Parameters
     ----------
     search : SearchSpec
         The keys under ``search``.
     names : FittedNames
-        How the searched constants are named in an evaluation's least-squares problem.
+        Names and units of the constants in an evaluation's least-squares problem.
     levels : int
-        How many coarser resolutions are fitted first.
+        Number of coarser resolutions that are fitted first.
     seed : int
     """
 
@@ -47,7 +47,7 @@ class SearchRequest:
 
     @property
     def fit(self) -> LeastSquaresSettings:
-        """The settings of a fit by derivatives."""
+        """Return the settings of a fit by derivatives."""
         search = self.search
         start = search.start_genes if search.strategy == LEAST_SQUARES.name else ()
         return LeastSquaresSettings(search.starts, self.levels, search.fit_evaluations, start)
@@ -55,23 +55,23 @@ class SearchRequest:
 
 @dataclass(frozen=True, slots=True)
 class Strategy:
-    """A way to search.
+    """A search strategy.
 
     Parameters
     ----------
     name : str
-        What a study states under ``search.strategy``.
+        The value of ``search.strategy`` in a study file.
     make : callable
-        From a `SearchRequest` to a `Search`, a pure function of the generations so far.
+        Maps a `SearchRequest` to a `Search`, a pure function of the generations so far.
     most_evaluations, most_generations : callable
-        From a `SearchRequest` to the numbers if the search never stops early.
+        Map a `SearchRequest` to the numbers for a search that never stops early.
     by_derivatives : bool
         Whether it needs the derivatives of each candidate.
     coarse_first : bool
-        Whether it starts in coarser resolutions when the study names none.
+        Whether it starts at coarser resolutions if the study names none.
     settings : tuple of str
-        The keys under ``search`` that it uses, beside ``parameters`` and ``strategy``; others are
-        pointed out. Default empty: it uses any.
+        The keys under ``search`` that it uses in addition to ``parameters`` and ``strategy``;
+        a warning lists others. Default empty: it may use any key.
     """
 
     name: str
@@ -89,7 +89,7 @@ def strategy_named(name: str) -> Strategy:
     Raises
     ------
     InputError
-        If there is none of that name; close names are suggested.
+        If the name is unknown; close names are suggested.
     """
     found: Strategy = load("searches", name)
     return found
@@ -108,7 +108,7 @@ def _cma(asked: SearchRequest) -> CmaSearch:
 
 
 def _constrained(make: Callable[[SearchRequest], Search]) -> Callable[[SearchRequest], Search]:
-    """Return a maker of the same searches, within the constraints of a study."""
+    """Return a factory for the same searches, within the constraints of a study."""
 
     def made(asked: SearchRequest) -> Search:
         constraints, search = asked.search.inequalities, make(asked)

@@ -172,7 +172,9 @@ FILES = {
     "not a number": BadInput(RUN, "E_fat_kpa", with_change("[5, 20]", "[.nan, 20]")),
     "infinity": BadInput(RUN, "E_fat_kpa", with_change("[5, 20]", "[5, .inf]")),
     "text for a number": BadInput(RUN, "search.population", with_change("12", "many")),
-    "only elites": BadInput(RUN, "somebody has to be new", with_change("12", "12\n  elite: 12")),
+    "only elites": BadInput(
+        RUN, "at least one candidate must be new", with_change("12", "12\n  elite: 12")
+    ),
     "a force below zero": BadInput(RUN, "force_n", with_change("force_n: 60", "force_n: -60")),
     "force and distance": BadInput(
         RUN, "exactly one", with_change("60}", "60, plate_distance_mm: {final: 60}}")

@@ -1,4 +1,4 @@
-"""What the tests of a search ask of a box."""
+"""Helpers for tests of searches in a box."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,5 +7,5 @@ from palpate.service.search.space import Space
 
 
 def contains(space: Space, genes: NDArray[np.float64]) -> bool:
-    """Return whether every gene (n, d) lies within its bounds, the walls included."""
+    """Return whether every gene (n, d) is within its bounds, inclusive."""
     return bool(np.all((genes >= np.asarray(space.lower)) & (genes <= np.asarray(space.upper))))

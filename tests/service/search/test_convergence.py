@@ -1,9 +1,9 @@
-"""How far the thesis' settings come in 15 generations, over several seeds.
+"""Convergence of the thesis' settings in 15 generations, over several seeds.
 
-The functions stand for what a search meets: a bowl, a bowl with many dents, and
-GSF, the logarithm of a product of two misfits, which falls without end towards
-the true constants and hardly feels the fibre constants (a valley 10 times as
-long as it is wide, straight or askew).
+The functions represent what a search meets: a bowl, a bowl with many local minima, and GSF,
+the logarithm of a product of two misfits, which decreases without bound towards the true
+constants and hardly depends on the fibre constants (a valley 10 times as long as it is wide,
+straight or skewed).
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""A descent goes along a narrow valley that bends, and ends at the bottom of it."""
+"""Descents along a narrow, curved valley."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from palpate.service.search.space import FloatArray, Space
 
 LOGS = LogSpace(Space.from_bounds({"x": (-4, 4), "y": (-4, 16)}))
 TOLERANCE = Tolerance(0.01)
-# Of the wall; the floor is y = x^2.
+# Stiffness of the wall; the floor is y = x^2.
 STEEP = 1e3
 FLOOR = np.array([3.0, 9.0])
 
@@ -23,8 +23,8 @@ def valley(at: FloatArray) -> SquaredSum:
 
 
 @pytest.mark.parametrize("start", [(-2.0, 4.0), (0.5, 6.0), (-3.5, 0.0)])
-def test_the_bottom_of_a_bent_valley_is_reached(start: tuple[float, float]) -> None:
-    """Step by step along its floor, a tenth of a width each, it would take a hundred."""
+def test_descent_follows_a_curved_valley_to_its_minimum(start: tuple[float, float]) -> None:
+    """Along the floor, in steps of a tenth of its width, it would take a hundred."""
     descent = begin(LOGS.coordinates(np.array(start)))
     costs = []
     while descent.state == "running":
@@ -34,7 +34,7 @@ def test_the_bottom_of_a_bent_valley_is_reached(start: tuple[float, float]) -> N
     np.testing.assert_allclose(LOGS.genes(descent.at), FLOOR, atol=0.02)
 
 
-def test_a_second_step_that_fails_is_given_up() -> None:
+def test_rejects_a_second_step_that_fails() -> None:
     descent = begin(LOGS.coordinates(np.array([-2.0, 4.0])))
     descent = advance(descent, valley(descent.trial), LOGS, TOLERANCE, 40)
     descent = advance(descent, valley(descent.trial), LOGS, TOLERANCE, 40)

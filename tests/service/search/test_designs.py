@@ -1,4 +1,4 @@
-"""Designs fill the box of a search evenly, and the same seed gives the same points."""
+"""Space-filling designs: balance and reproducibility."""
 
 import doctest
 
@@ -13,7 +13,7 @@ from palpate.storage.errors import InputError
 SPACE = Space.from_bounds({"E_fat_kpa": (5, 20), "E_glandular_kpa": (5, 80), "nu": (0.45, 0.49)})
 
 
-def test_the_examples_are_true() -> None:
+def test_doctests() -> None:
     assert doctest.testmod(designs).attempted
     assert doctest.testmod(designs).failed == 0
 
@@ -31,7 +31,7 @@ def test_each_half_of_an_interval_has_half_of_the_points(kind: str, n: int) -> N
     assert not np.array_equal(points, design(SPACE, kind, n, seed=3))
 
 
-def test_what_is_no_design_is_refused() -> None:
+def test_rejects_invalid_designs() -> None:
     for kind, n, seed in (("sobel", 8, 1), ("sobol", 0, 1), ("sobol", 8, -1)):
         with pytest.raises(InputError):
             design(SPACE, kind, n, seed)

@@ -1,4 +1,4 @@
-"""The genetic search is a pure fold that keeps the best and counts as the thesis does."""
+"""The genetic search: reproducibility, elites, and the counts of the thesis."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -34,7 +34,7 @@ def sphere(genes: FloatArray) -> FloatArray:
 
 
 def fold(search: GeneticSearch, score: Score) -> tuple[list[Generation], str]:
-    """Run to the end; only candidates that ask for it are scored."""
+    """Run to the end, scoring only candidates that need an evaluation."""
     history: list[Generation] = []
     while isinstance(proposal := search.propose(history), Proposal):
         scores = score(proposal.genes)
@@ -49,7 +49,7 @@ def proposed(search: GeneticSearch, history: Sequence[Generation]) -> Proposal:
     return answer
 
 
-# A score may be anything: good, identical, failed; a hash of the genes picks which.
+# An arbitrary score: good, identical or failed, chosen by a hash of the genes.
 def rough(seed: int) -> Score:
     def score(genes: FloatArray) -> FloatArray:
         key = np.abs(np.sin(genes @ np.arange(1.0, 5.0) * 12.9898 + seed)) * 43758.5453 % 1.0
@@ -107,12 +107,12 @@ def test_same_history_same_proposal_bit_for_bit(score: Score) -> None:
     chosen = GeneticSettings(stall=None, generations=6)
     history, _ = fold(GeneticSearch(BREAST, chosen, 11), score)
     for cut in range(len(history)):
-        # Another object, asked once and out of turn, knows nothing but the history.
+        # A new object, called once and out of order, depends on the history alone.
         resumed = proposed(GeneticSearch(BREAST, chosen, 11), history[:cut])
         assert resumed.genes.tobytes() == history[cut].genes.tobytes()
 
 
-def test_asking_changes_nothing() -> None:
+def test_propose_has_no_side_effects() -> None:
     search = GeneticSearch(BREAST, GeneticSettings(population=10), 3)
     history, _ = fold(search, sphere)
     first = proposed(search, history[:2])
@@ -144,7 +144,7 @@ def test_the_order_in_which_scores_arrive_does_not_matter(order: Random, seed: i
 
 
 @pytest.mark.parametrize("score", [sphere, rough(2)], ids=["sphere", "rough"])
-def test_elites_are_carried_with_their_scores_and_the_best_never_gets_worse(score: Score) -> None:
+def test_elites_keep_their_scores_and_the_best_never_gets_worse(score: Score) -> None:
     chosen = GeneticSettings(population=20, elite=3, generations=10, stall=None)
     search = GeneticSearch(BREAST, chosen, 5)
     history, _ = fold(search, score)
@@ -206,7 +206,7 @@ def test_without_a_stall_rule_the_search_runs_to_its_end(rule: str) -> None:
     assert len(fold(GeneticSearch(BREAST, replace(with_rule, stall=None), 1), flat)[0]) == 15
 
 
-def test_nothing_but_failures_draws_afresh_and_then_says_so() -> None:
+def test_failures_only_are_redrawn_and_then_reported() -> None:
     search = GeneticSearch(BREAST, GeneticSettings(population=6), 1)
     history, reason = fold(search, lambda g: np.full(len(g), np.inf))
     assert len(history) == 6
@@ -235,7 +235,7 @@ def test_one_success_among_failures_is_kept_and_bred() -> None:
 
 
 def test_the_step_of_mutation_comes_from_the_whole_history() -> None:
-    """Two histories with one last generation but other pasts breed other mutants."""
+    """Two histories with the same last generation but different pasts give other mutants."""
     chosen = GeneticSettings(population=10, elite=1, crossover_fraction=0.0, stall=None)
     search = GeneticSearch(BREAST, chosen, 4)
     genes = proposed(search, []).genes
@@ -249,7 +249,7 @@ def test_the_step_of_mutation_comes_from_the_whole_history() -> None:
     assert not np.allclose(*travelled)
 
 
-# --- what is refused -----------------------------------------------------------
+# --- invalid input -------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -263,42 +263,42 @@ def test_the_step_of_mutation_comes_from_the_whole_history() -> None:
         ({"crossover_fraction": float("nan")}, r"search\.crossover_fraction"),
     ],
 )
-def test_wrong_settings_are_refused(wrong: dict[str, float], said: str) -> None:
+def test_rejects_invalid_settings(wrong: dict[str, float], said: str) -> None:
     with pytest.raises(InputError, match=said):
         GeneticSettings(**wrong)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("seed", [-1, 2**32])
-def test_a_seed_out_of_range_is_refused(seed: int) -> None:
+def test_rejects_a_seed_out_of_range(seed: int) -> None:
     with pytest.raises(InputError, match="seed"):
         GeneticSearch(BREAST, GeneticSettings(), seed)
 
 
-def test_a_history_of_another_study_is_refused() -> None:
+def test_rejects_the_history_of_another_study() -> None:
     search = GeneticSearch(BREAST, GeneticSettings(population=10), 1)
     foreign = Generation(np.ones((12, 4)), np.zeros(12))
-    with pytest.raises(InputError, match="Generation 0 holds 12 candidates of 4 parameters"):
+    with pytest.raises(InputError, match="Generation 0 has 12 candidates of 4 parameters"):
         search.propose([foreign])
 
 
-def test_a_generation_refuses_nan_and_wrong_shapes() -> None:
+def test_generation_rejects_nan_and_wrong_shapes() -> None:
     with pytest.raises(InputError, match="Candidate 1 has the score NaN"):
         Generation(np.zeros((2, 3)), np.array([0.0, np.nan]))
     with pytest.raises(InputError, match="shapes"):
         Generation(np.zeros((2, 3)), np.zeros(3))
 
 
-def test_a_proposal_is_complete_with_exactly_its_candidates() -> None:
+def test_proposal_needs_scores_of_exactly_its_candidates() -> None:
     proposal = Proposal(np.zeros((3, 1)), (1, None, None))
     history = [Generation(np.zeros((3, 1)), np.array([5.0, 4.0, 6.0]))]
     assert proposal.complete({2: 1.0, 1: 2.0}, history).scores.tolist() == [4.0, 2.0, 1.0]
-    with pytest.raises(InputError, match=r"missing: \[2\], not asked for: \[0\]"):
+    with pytest.raises(InputError, match=r"missing: \[2\], not requested: \[0\]"):
         proposal.complete({0: 1.0, 1: 2.0}, history)
     with pytest.raises(InputError, match="carried"):
         Proposal(np.zeros((3, 1)), (None,))
 
 
-def test_a_generation_cannot_be_changed_from_outside() -> None:
+def test_generations_are_immutable() -> None:
     genes = np.zeros((2, 1))
     generation = Generation(genes, np.zeros(2))
     genes[0] = 9.0

@@ -54,7 +54,7 @@ def test_expectation_of_the_thesis() -> None:
 
 @settings(deadline=None)
 @given(seeds, sizes, st.integers(1, 200))
-def test_everyone_is_chosen_floor_or_ceil_of_the_expectation(
+def test_selection_counts_are_floor_or_ceil_of_the_expectation(
     seed: int, size: int, parents: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -77,8 +77,8 @@ def test_selection_is_unbiased() -> None:
     assert np.asarray(counts) / draws == pytest.approx(expectation, abs=5 * 0.5 / draws**0.5)
 
 
-def test_neighbours_in_rank_are_not_paired_by_rank() -> None:
-    """Without the shuffle parents would come in index order and mate with themselves."""
+def test_shuffling_avoids_pairs_of_equal_rank() -> None:
+    """Without the shuffle, parents would be in index order and pair with themselves."""
     rng = np.random.default_rng(0)
     chosen = stochastic_uniform(rng, rank_expectation(np.arange(84), 148), 148)
     assert (np.diff(chosen) < 0).any()
@@ -129,7 +129,7 @@ def test_each_slice_of_a_latin_hypercube_holds_one_point(seed: int, size: int) -
     assert np.array_equal(slices, np.tile(np.arange(size)[:, None], (1, 2)))
 
 
-def test_a_uniform_population_does_not_have_that_property() -> None:
+def test_uniform_population_is_not_stratified() -> None:
     unit = Space(("a",), (0,), (1,))
     points = uniform_population(np.random.default_rng(0), 40, unit)
     assert len(np.unique(np.floor(points * 40))) < 40
@@ -146,7 +146,7 @@ def test_reflection_by_hand() -> None:
 
 @settings(deadline=None)
 @given(seeds, st.sampled_from(sorted(MUTATIONS)), st.integers(0, 14))
-def test_children_keep_the_bounds_even_from_a_corner(seed: int, name: str, age: int) -> None:
+def test_children_stay_within_bounds_even_from_a_corner(seed: int, name: str, age: int) -> None:
     rng = np.random.default_rng(seed)
     corners = BOX.from_unit(rng.integers(0, 2, size=(16, 3)).astype(np.float64))
     parents = np.concatenate([corners, uniform_population(rng, 4, BOX)])
@@ -166,7 +166,7 @@ def test_step_of_adaptive_mutation_by_hand() -> None:
     assert mutation.step(np.array([5.0, 4.0, 3.0, 3.0])) == 0.125
     assert mutation.step(np.array([5.0, 5.0, 5.0])) == 0.015625
     assert mutation.step(np.array([5.0, 5.0, 5.0, 5.0])) == 0.01  # the smallest
-    assert mutation.step(np.array([inf, inf, 5.0])) == 0.25  # failures teach nothing
+    assert mutation.step(np.array([inf, inf, 5.0])) == 0.25  # failures are ignored
     assert mutation.step(np.array([inf, 5.0, 4.0])) == 0.5
 
 
@@ -196,7 +196,7 @@ def test_no_parents_make_no_children(mutation: Mutation) -> None:
     assert mutation(np.random.default_rng(0), nobody, BOX, progress(1.0)).shape == (0, 3)
 
 
-def test_wrong_constants_are_refused() -> None:
+def test_rejects_invalid_constants() -> None:
     with pytest.raises(InputError, match="smallest"):
         AdaptiveFeasible(initial=0.9, largest=0.5)
     with pytest.raises(InputError, match="shrink"):

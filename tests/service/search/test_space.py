@@ -1,4 +1,4 @@
-"""The box of parameters: what it refuses, and that rounding cannot leave it."""
+"""The box of parameters: validation, and rounding at its bounds."""
 
 import numpy as np
 import pytest
@@ -33,38 +33,38 @@ def test_the_unit_cube_maps_onto_the_bounds() -> None:
         ((5, 10, 15), "two bounds"),
     ],
 )
-def test_wrong_bounds_are_refused_by_name(bounds: tuple[float, ...], said: str) -> None:
+def test_rejects_invalid_bounds_by_name(bounds: tuple[float, ...], said: str) -> None:
     with pytest.raises(InputError, match=said) as error:
         Space.from_bounds({"eta_fat_kpa": (50, 200), "E_skin_kpa": bounds})
     assert "E_skin_kpa" in str(error.value)
     assert "eta_fat_kpa" not in str(error.value)
 
 
-def test_a_name_that_stands_twice_is_refused() -> None:
-    with pytest.raises(InputError, match="E_fat_kpa stands twice"):
+def test_rejects_a_repeated_name() -> None:
+    with pytest.raises(InputError, match="E_fat_kpa is listed twice"):
         Space(("E_fat_kpa", "nu", "E_fat_kpa"), (0, 0, 0), (1, 1, 1))
 
 
-def test_a_space_without_parameters_is_refused() -> None:
+def test_rejects_a_space_without_parameters() -> None:
     with pytest.raises(InputError, match=r"search\.parameters"):
         Space.from_bounds({})
 
 
-def test_names_without_bounds_are_refused() -> None:
+def test_rejects_names_without_bounds() -> None:
     with pytest.raises(InputError, match="2 names, 2 lower and 1 upper"):
         Space(("a", "b"), (0, 0), (1,))
 
 
 @settings(deadline=None)
 @given(finite, finite, st.floats(0, 1))
-def test_no_rounding_leaves_the_box(a: float, b: float, unit: float) -> None:
+def test_rounding_never_leaves_the_box(a: float, b: float, unit: float) -> None:
     if a == b:
         return
     space = Space(("a",), (min(a, b),), (max(a, b),))
     assert contains(space, space.from_unit(np.array([[unit]])))
 
 
-def test_contains_counts_the_walls_and_nothing_beyond() -> None:
+def test_contains_includes_the_bounds() -> None:
     space = Space(("a", "b"), (0, 0), (1, 2))
     assert contains(space, np.array([[0.0, 2.0], [1.0, 0.0]]))
     assert not contains(space, np.array([[0.5, 0.5], [np.nextafter(1.0, 2.0), 1.0]]))

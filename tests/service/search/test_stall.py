@@ -1,4 +1,4 @@
-"""The two stall rules against sums worked by hand."""
+"""The two stall rules against sums calculated by hand."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,12 @@ from palpate.storage.errors import InputError
 
 
 def change(rule: Rule, bests: list[float], window: int, tolerance: float) -> bool:
-    """Whether the rule says stop."""
+    """Return whether the rule stops the search."""
     stall = Stall(generations=window, tolerance=tolerance, rule=rule)
     return stall.reason(np.array(bests)) is not None
 
 
-# Each row: best scores, window, the average change worked by hand.
+# Each row: best scores, window, the average change calculated by hand.
 RELATIVE = [
     # |10 - 4| / (3 * max(1, 4)) = 0.5
     ([10, 8, 6, 4], 3, 0.5),
@@ -49,7 +49,7 @@ def test_weighted_rule_by_hand(bests: list[float], window: int, average: float) 
 
 
 @pytest.mark.parametrize("rule", ["relative", "weighted"])
-def test_the_thesis_rule_needs_five_steps_without_change(rule: Rule) -> None:
+def test_stall_needs_five_steps_without_change(rule: Rule) -> None:
     stall = Stall(rule=rule)
     assert stall.reason(np.full(5, -3.0)) is None  # five generations are four steps
     reason = stall.reason(np.full(6, -3.0))
@@ -78,7 +78,7 @@ def test_infinite_scores_are_never_subtracted(rule: Rule) -> None:
     assert stall.reason(np.array([-inf, -inf, -inf])) is None
 
 
-def test_nothing_but_failures_stops_with_its_own_words() -> None:
+def test_failures_only_stop_with_their_own_reason() -> None:
     stall = Stall(generations=2)
     assert stall.reason(np.full(2, np.inf)) is None
     reason = stall.reason(np.full(3, np.inf))
@@ -86,7 +86,7 @@ def test_nothing_but_failures_stops_with_its_own_words() -> None:
     assert "no simulation has succeeded in 3 generations" in reason
 
 
-def test_tolerance_zero_stops_only_at_no_change_at_all() -> None:
+def test_zero_tolerance_stops_only_without_any_change() -> None:
     assert change("relative", [-3.0, -3.0, -3.0], 2, 0.0)
     assert not change("relative", [-3.0, -3.0, np.nextafter(-3.0, -4.0)], 2, 0.0)
 
@@ -100,6 +100,6 @@ def test_tolerance_zero_stops_only_at_no_change_at_all() -> None:
         ({"rule": "absolute"}, r"stall\.rule must be one of relative, weighted, got 'absolute'"),
     ],
 )
-def test_wrong_settings_are_refused(wrong: dict[str, object], said: str) -> None:
+def test_rejects_invalid_settings(wrong: dict[str, object], said: str) -> None:
     with pytest.raises(InputError, match=said):
         Stall(**wrong)  # type: ignore[arg-type]

@@ -1,7 +1,7 @@
-"""All strategies on one problem whose least-squares solution is known: a stiffening spring.
+"""All strategies on a problem with a known least-squares solution: a stiffening spring.
 
-The spring resists with E x + eta x^3; its forces at twelve stretches are the data, so that the
-sum of squares vanishes at the true constants alone.
+The spring's force is E x + eta x^3. Its forces at twelve stretches are the data, so the sum
+of squares vanishes only at the true constants.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ from palpate.storage.records.tasks import FitJson
 from tests.service.search.boxes import contains
 
 SPACE = Space.from_bounds({"E_kpa": (5, 80), "eta_kpa": (50, 200)})
-# One unit inside is 1000 at the door.
+# One internal unit is 1000 external ones.
 NAMES = FittedNames(("E", "eta"), (1000.0, 1000.0))
 TRUTH = np.array([33.0, 120.0])
 STRETCHES = np.linspace(0.1, 1.0, 12)
@@ -42,7 +42,7 @@ DATA = forces(TRUTH)
 
 def fit_of(genes: FloatArray, data: FloatArray = DATA) -> FitJson:
     r = (forces(genes) - data) / NOISE
-    # By logarithms; written in the order (eta, E), which a search must not mistake.
+    # By logarithms; the order (eta, E) differs from the search's on purpose.
     j = np.stack([genes[1] * STRETCHES**3, genes[0] * STRETCHES], axis=1) / NOISE
     return {
         "parameters": ["eta", "E"], "logarithmic": [True, True],
@@ -55,7 +55,7 @@ def fit_of(genes: FloatArray, data: FloatArray = DATA) -> FitJson:
 def followed(
     search: Search, data: FloatArray = DATA, fails: Sequence[int] = (), most: int = 200
 ) -> tuple[list[Generation], list[Proposal], str]:
-    """Run a search to its end; evaluations in `fails`, by their number, do not converge."""
+    """Run a search to its end; the evaluations numbered in `fails` do not converge."""
     history: list[Generation] = []
     proposals: list[Proposal] = []
     count = 0
@@ -66,7 +66,7 @@ def followed(
             scores[i] = np.inf if fit is None else float(np.log(fit["cost"] + 1e-12))
             fits[i] = fit if proposal.derivatives else None
             count += 1
-        backwards = dict(reversed(scores.items()))  # the order of arrival says nothing
+        backwards = dict(reversed(scores.items()))  # the order of arrival does not matter
         history.append(proposal.complete(backwards, history, fits))
         proposals.append(proposal)
         assert count < most
@@ -105,7 +105,7 @@ def test_a_search_is_a_fold_over_its_history(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", STRATEGIES)
-def test_the_true_constants_are_found(name: str) -> None:
+def test_strategies_recover_the_true_constants(name: str) -> None:
     history, _, _ = followed(STRATEGIES[name]())
     assert best_of(history) == pytest.approx(TRUTH, rel=2e-2 if name == "cma" else 1e-3)
 
@@ -117,8 +117,8 @@ def test_a_fit_takes_few_evaluations_and_its_starts_merge() -> None:
     assert reason == "the fit has converged"
 
 
-def test_the_best_within_the_box_lies_on_its_wall() -> None:
-    """With a larger eta in the data, E alone is left to explain the rest."""
+def test_optimum_outside_the_box_is_fitted_on_its_bound() -> None:
+    """With a larger eta in the data, only E can explain the rest."""
     data = forces(np.array([33.0, 230.0]))
     history, _, _ = followed(least_squares(1), data)
     found = history[-1].genes[0]
@@ -127,7 +127,7 @@ def test_the_best_within_the_box_lies_on_its_wall() -> None:
     assert found[0] == pytest.approx(cubes @ STRETCHES / (STRETCHES @ STRETCHES), rel=1e-3)
 
 
-def test_a_start_that_fails_is_taken_anew() -> None:
+def test_failed_start_is_redrawn() -> None:
     history, proposals, _ = followed(least_squares(), fails=[1])
     undisturbed = followed(least_squares())[1]
     assert len(proposals[0].genes) == len(proposals[1].genes) == 3
@@ -136,13 +136,13 @@ def test_a_start_that_fails_is_taken_anew() -> None:
     assert best_of(history) == pytest.approx(TRUTH, rel=1e-3)
 
 
-def test_a_fit_ends_where_no_start_can_be_simulated() -> None:
+def test_fit_stops_if_no_start_can_be_simulated() -> None:
     _, proposals, reason = followed(least_squares(), fails=range(100))
     assert [len(p.genes) for p in proposals] == [3] * (NEW_STARTS + 1)
     assert reason == "no start of the fit could be simulated"
 
 
-def test_a_step_that_fails_is_shortened() -> None:
+def test_failed_step_is_shortened() -> None:
     history, _, _ = followed(least_squares(1), fails=[1])
     start, tried, shorter = (g.genes[0] for g in history[:3])
     assert np.abs(np.log(shorter / start)).max() < 0.3 * np.abs(np.log(tried / start)).max()
@@ -160,7 +160,7 @@ def test_finer_levels_begin_where_the_coarser_ones_end() -> None:
         assert np.allclose(proposals[last].genes[0], best_of(before), rtol=1e-12)
 
 
-def test_the_genetic_part_of_a_polish_is_that_of_the_genetic_search() -> None:
+def test_genetic_part_of_a_polished_search_equals_the_genetic_search() -> None:
     alone, _, _ = followed(genetic())
     polished, proposals, _ = followed(STRATEGIES["genetic+least-squares"]())
     assert len(polished) > len(alone)

@@ -1,4 +1,4 @@
-"""What a study adds to its strategy: start points, scales, constraints and rules to stop."""
+"""Additions of a study to its strategy: start points, scales, constraints and stop rules."""
 
 from itertools import pairwise
 from typing import Any
@@ -80,29 +80,29 @@ def test_cma_draws_around_the_given_point() -> None:
     [
         ({"start": [{"E_fat_kpa": 10}]}, "one value of each searched parameter"),
         ({"start": [{"E_fat_kpa": 90, "E_glandular_kpa": 9}]}, r"outside its bounds \[5, 80\]"),
-        ({"start": [START] * 2, "strategy": "cma"}, "begins at 1"),
-        ({"start": [START] * 4, "strategy": "least-squares"}, "begins at 3"),
+        ({"start": [START] * 2, "strategy": "cma"}, "takes 1"),
+        ({"start": [START] * 4, "strategy": "least-squares"}, "takes 3"),
         ({"scale": {"E_skin_kpa": "log"}}, "E_skin_kpa is not searched"),
-        ({"scale": {"E_fat_kpa": "log"}, "strategy": "cma"}, "cannot take it into account"),
+        ({"scale": {"E_fat_kpa": "log"}, "strategy": "cma"}, "not supported by strategy"),
         ({"constraints": ["E_fat_kpa = 3"]}, "expected NAME > NAME"),
         ({"constraints": ["E_fat_kpa > E_skin_kpa"]}, "E_skin_kpa is not searched"),
         ({"constraints": ["E_fat_kpa > E_fat_kpa"]}, "does not compare two"),
         ({"constraints": ["E_fat_kpa > 17 E_glandular_kpa"]}, "no candidate within the bounds"),
         (
             {"constraints": ["E_fat_kpa > E_glandular_kpa"], "strategy": "least-squares"},
-            "cannot take it into account",
+            "not supported by strategy",
         ),
         ({"mode": "steady", "scale": {"E_fat_kpa": "log"}}, "need mode: barrier"),
         ({"mode": "steady", "stop": {"score": -3}}, "need mode: barrier"),
         ({"stop": {"evaluations": 0}}, "stop.evaluations"),
     ],
 )
-def test_what_makes_no_sense_is_refused(keys: dict[str, Any], reason: str) -> None:
+def test_rejects_inconsistent_keys(keys: dict[str, Any], reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         spec(**keys)
 
 
-def test_a_zero_has_no_logarithm() -> None:
+def test_rejects_a_logarithmic_scale_from_zero() -> None:
     with pytest.raises(InputError, match="has no logarithm"):
         spec(parameters={"friction": [0, 1]}, scale={"friction": "log"})
 
@@ -118,7 +118,7 @@ def test_a_logarithmic_scale_draws_logarithms() -> None:
     np.testing.assert_allclose(both.outer(both.to_inner(log)), log, rtol=1e-14)
 
 
-def test_elites_on_a_logarithmic_scale_are_the_same_to_the_last_bit() -> None:
+def test_elites_on_a_logarithmic_scale_are_bit_identical() -> None:
     history = followed(made(spec(scale={"E_fat_kpa": "log"})))
     for before, after in pairwise(history):
         best = before.genes[before.ranking[:2]]
@@ -126,7 +126,7 @@ def test_elites_on_a_logarithmic_scale_are_the_same_to_the_last_bit() -> None:
 
 
 @pytest.mark.parametrize("strategy", ["genetic", "cma"])
-def test_all_candidates_fulfil_the_constraints(strategy: str) -> None:
+def test_all_candidates_satisfy_the_constraints(strategy: str) -> None:
     search = spec(strategy=strategy, constraints=["E_glandular_kpa > 2 * E_fat_kpa"])
     genes = np.concatenate([g.genes for g in followed(made(search))])
     assert (genes[:, 1] >= 2 * genes[:, 0] - 1e-9).all()
@@ -134,7 +134,7 @@ def test_all_candidates_fulfil_the_constraints(strategy: str) -> None:
     assert (free[:, 1] < 2 * free[:, 0]).any()
 
 
-def test_what_breaks_a_constraint_moves_to_the_nearest_point() -> None:
+def test_violating_candidates_move_to_the_nearest_point() -> None:
     box = Constraints(spec().space, [Constraint.parse("E_fat_kpa <= E_glandular_kpa")])
     given = np.array([[60.0, 20.0], [10.0, 70.0], [80.0, 5.0]])
     np.testing.assert_allclose(box.nearest(given), [[40, 40], [10, 70], [42.5, 42.5]])
@@ -147,7 +147,7 @@ def test_what_breaks_a_constraint_moves_to_the_nearest_point() -> None:
         {"constraints": ["E_glandular_kpa > E_fat_kpa"], "stop": {"evaluations": 40}},
     ],
 )
-def test_they_are_pure_functions_of_the_generations(keys: dict[str, Any]) -> None:
+def test_wrapped_searches_are_pure_functions_of_the_generations(keys: dict[str, Any]) -> None:
     renamed = {"E_fat_kpa": "E_kpa", "E_glandular_kpa": "eta_kpa"}
     bounds = {"E_kpa": [5, 80], "eta_kpa": [50, 200]}
     keys = dict(keys)

@@ -65,7 +65,7 @@ def test_an_exponent_without_a_point_is_a_number() -> None:
         ("mesh: {nodes", "mesh: {node", "did you mean 'nodes'"),
         ("[5, 20]", "[20, 5]", r"Write \[5, 20\]"),
         ("eta_fat_kpa: [50, 200]", "eta_fatt_kpa: [50, 200]", "did you mean 'eta_fat_kpa'"),
-        ("search: {", "search: {elite: 84, ", "somebody has to be new"),
+        ("search: {", "search: {elite: 84, ", "at least one candidate must be new"),
         ("search: {", "search: {population: many, ", "search.population"),
         ("name: demo", "name: ../demo", "name"),
         ("name: demo", "name: demo\nseed: -1", "seed"),

@@ -3,7 +3,8 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from palpate.service.forward.case_keys import case_from_keys, stated_constants
 from palpate.service.forward.organ_model import OrganModel
@@ -11,6 +12,9 @@ from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.organs.cornea.forward import LoadedCornea
 from palpate.workers.organs.cornea.section.outline import Section
 from palpate.workers.organs.cornea.solver.outcome import CorneaOutcome
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 __all__ = ["Cornea", "CorneaSimulation"]
 
@@ -97,7 +101,7 @@ class CorneaSimulation:
 
 
 class Cornea:
-    """A section of a cornea, ready to be simulated with any constants in this process.
+    """A section of a cornea, ready to be simulated with any constants.
 
     Parameters
     ----------
@@ -131,11 +135,24 @@ class Cornea:
         """The case as a study file states it, defaults included."""
         return self._model.case
 
-    def simulate(self, **constants: float) -> CorneaSimulation:
+    def simulate(
+        self,
+        *,
+        client: "Client | None" = None,
+        store: str | Path = "runs/store",
+        **constants: float,
+    ) -> CorneaSimulation:
         """Load the section once.
 
         Parameters
         ----------
+        client : distributed.Client, optional
+            Whose workers simulate. Default: this process. Results are stored and used again;
+            stress and derivatives are computed here when they are asked for.
+        store : str or Path
+            Where the workers of `client` save the result: a folder, or ``s3://``, ``gs://`` or
+            ``az://BUCKET/PREFIX``, that this process and all workers see. Not used without a
+            client.
         **constants : float
             Names and units of a study file, such as ``mu1_pa=80``; ``parameters("cornea")`` lists
             them. Those left out keep the values of the model.
@@ -147,18 +164,24 @@ class Cornea:
         """
         model = self._model
         values = model.case.complete(stated_constants(model.case, constants))
+        outcome: Mapping[str, Any]
+        if client is not None:
+            displacement_mm, result = model.solve_on(client, constants, store)
+            outcome, reason = result["outcome"], result["reason"]
         loaded: Any = LoadedCornea(model.model, model.case, values, model.landmarks)
-        solution = loaded.equilibrium.solution
-        mesh, displacement_mm = model.mesh, solution.displacement_mm
+        if client is None:
+            solution = loaded.equilibrium.solution
+            displacement_mm, reason = solution.displacement_mm, solution.reason
+            outcome = CorneaOutcome(solution).as_dict()
         return CorneaSimulation(
             constants=model.case.vocabulary.to_door(values),
-            converged=solution.converged,
-            reason=solution.reason,
-            nodes_mm=mesh.nodes_mm,
-            triangles=mesh.triangles,
+            converged=bool(outcome["converged"]),
+            reason=reason,
+            nodes_mm=model.mesh.nodes_mm,
+            triangles=model.mesh.triangles,
             displacement_mm=displacement_mm,
-            outcome=CorneaOutcome(solution).as_dict(),
-            deformed=model.organ.deform(model.body, mesh, displacement_mm),
+            outcome=outcome,
+            deformed=model.organ.deform(model.body, model.mesh, displacement_mm),
             model=model,
             loaded=loaded,
         )

@@ -81,7 +81,7 @@ def diagnose(
     scheduler : str, optional
         Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
     store : str or Path
-        Folder that all workers see, or ``s3://BUCKET/PREFIX``.
+        Folder that all workers see, or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
     page : str or Path, optional
         Where the HTML page is written.
     anyway : bool

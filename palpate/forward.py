@@ -93,8 +93,9 @@ class Breast:
         client : distributed.Client, optional
             Whose workers simulate. Default: this process. Results are stored and used again.
         store : str or Path
-            Where the workers of `client` find the body, a folder or ``s3://BUCKET/PREFIX`` that
-            this process and all workers see. Not used without a client.
+            Where the workers of `client` find the body: a folder, or ``s3://``, ``gs://`` or
+            ``az://BUCKET/PREFIX``, that this process and all workers see. Not used without a
+            client.
         **constants : float
             Names and units of a study file, such as ``E_fat_kpa=8``; `parameters` lists them.
             Those left out keep the values of the model.

@@ -3,13 +3,19 @@
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from palpate.service.cluster.foreign_workers import prepare_workers
 from palpate.service.forward.case_keys import stated_in
 from palpate.service.forward.simulation import MeshedBody, Simulation
+from palpate.storage import values
+from palpate.storage.digest import digest
 from palpate.storage.errors import InputError
+from palpate.storage.records.evaluations import load_evaluation, save_evaluation
+from palpate.storage.records.tasks import EvaluationResult
+from palpate.storage.stores.fields import load_field, save_field
 from palpate.workers.mechanics.fem.elements.model import Model, prepare
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.parameters import Parameter, Vocabulary, unknown_name
@@ -17,9 +23,25 @@ from palpate.workers.organs.specimen.body import Body
 from palpate.workers.organs.specimen.problem import free_constants, problem_of
 from palpate.workers.organs.specimen.spec import LoadsSpec, SpecimenSpec, read_spec
 from palpate.workers.organs.specimen.voxelised_mesh import body_of_file
+from palpate.workers.resources import worker_name
 from palpate.workers.spec import validated
+from palpate.workers.tasks.code_version import code_version
+from palpate.workers.tasks.diagnosis_store import plugged_modules
+from palpate.workers.tasks.pipeline import Watch
+from palpate.workers.tasks.task_store import TaskStore
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 __all__ = ["Specimen"]
+
+# What a simulation depends on: how the problem is stated, meshed and solved.
+_PHYSICS = (
+    "palpate.workers.organs.specimen.body",
+    "palpate.workers.organs.specimen.problem",
+    "palpate.workers.mechanics.fem.elements.model",
+    "palpate.workers.mechanics.fem.equilibrium.solve",
+)
 
 
 class Specimen:
@@ -50,8 +72,8 @@ class Specimen:
         )
         folder = Path() if is_keys else Path(str(experiment)).parent
         mesh = self.spec.body.mesh
-        self._body = Body(self.spec, body_of_file(self.spec, folder / mesh)[0] if mesh else None)
-        self._nodes = nodes
+        voxels = body_of_file(self.spec, folder / mesh)[0] if mesh else None
+        self._bench = _Bench(self.spec, voxels, nodes)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -61,15 +83,28 @@ class Specimen:
     @property
     def constants(self) -> tuple[str, ...]:
         """Names of the constants that `simulate` needs, units included."""
-        return self._vocabulary.door_names
+        return self._bench.vocabulary.door_names
 
-    def simulate(self, state: str, **constants: float) -> Simulation:
+    def simulate(
+        self,
+        state: str,
+        *,
+        client: "Client | None" = None,
+        store: str | Path = "runs/store",
+        **constants: float,
+    ) -> Simulation:
         """Load the specimen once.
 
         Parameters
         ----------
         state : str
             Name of a state of the experiment.
+        client : distributed.Client, optional
+            Whose workers simulate. Default: this process. Results are stored and used again.
+        store : str or Path
+            Where the workers of `client` find the body of a mesh file and save the result: a
+            folder, or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``, that this process and all
+            workers see. Not used without a client.
         **constants : float
             All of `constants`: Young's modulus of each material, such as ``E_kpa=200``, and what
             else the experiment states as an interval.
@@ -80,36 +115,63 @@ class Specimen:
             If there is no such state, a region moves in it as was measured, or a constant is
             unknown or missing.
         """
-        loads = self._loads(state)
-        stated = stated_in(self._vocabulary, constants)
-        missing = [p.door_name for p in self._vocabulary if p.name not in stated]
+        bench, loads = self._bench, _loads_of(self.spec, state)
+        stated = stated_in(bench.vocabulary, constants)
+        missing = [p.door_name for p in bench.vocabulary if p.name not in stated]
         if missing:
             raise InputError(f"The specimen needs {' and '.join(missing)}: give each a value.")
+        body = bench.loaded(loads)
+        if client is None:
+            return body.simulate(stated)
+        kept = TaskStore(store)
+        voxels = None if bench.voxels is None else kept.add_volume(bench.voxels)
+        prepare_workers(client)
+        spec, place = self.spec.model_dump(mode="json"), str(kept.store)
+        task = client.submit(
+            _simulate_stored, spec, voxels, bench.nodes, state, stated, place, pure=False
+        )
+        result = task.result()
+        displacement_mm = load_field(kept.store, result["digest"])
+        return body.result(stated, displacement_mm, result["outcome"])
 
-        def problem(values: Mapping[str, float]) -> Problem:
-            return problem_of(self.spec, loads, values, self._body.wall_mm)
 
-        body = MeshedBody(self._model, self._vocabulary, self._vocabulary.complete, problem)
-        return body.simulate(stated)
+def _loads_of(spec: Any, state: str) -> LoadsSpec:
+    for one in (*spec.states, *spec.predict):
+        if one.name == state:
+            if any(move.measured for move in one.moves):
+                raise InputError(
+                    f"A region of the state {state} moves as was measured: choose a state "
+                    "whose moves all give displacement_mm."
+                )
+            found: LoadsSpec = one
+            return found
+    names = tuple(one.name for one in (*spec.states, *spec.predict))
+    raise InputError(unknown_name("state", state, names))
 
-    def _loads(self, state: str) -> LoadsSpec:
-        for one in (*self.spec.states, *self.spec.predict):
-            if one.name == state:
-                if any(move.measured for move in one.moves):
-                    raise InputError(
-                        f"A region of the state {state} moves as was measured: choose a state "
-                        "whose moves all give displacement_mm."
-                    )
-                found: LoadsSpec = one
-                return found
-        raise InputError(unknown_name("state", state, self.states))
+
+class _Bench:
+    """The mesh of a specimen, and what can be varied of it."""
+
+    def __init__(self, spec: SpecimenSpec, voxels: values.Volume | None, nodes: int) -> None:
+        self.spec: Any = spec
+        self.voxels = voxels
+        self.nodes = nodes
+        self._body = Body(spec, voxels)
+
+    def loaded(self, loads: LoadsSpec) -> MeshedBody:
+        """Return the specimen in one state."""
+
+        def problem(constants: Mapping[str, float]) -> Problem:
+            return problem_of(self.spec, loads, constants, self._body.wall_mm)
+
+        return MeshedBody(self._model, self.vocabulary, self.vocabulary.complete, problem)
 
     @cached_property
     def _model(self) -> Model:
-        return prepare(self._body.mesh(self._nodes))
+        return prepare(self._body.mesh(self.nodes))
 
     @cached_property
-    def _vocabulary(self) -> Vocabulary:
+    def vocabulary(self) -> Vocabulary:
         return Vocabulary(
             Parameter(
                 name=free.name,
@@ -121,3 +183,55 @@ class Specimen:
             )
             for free in free_constants(self.spec)
         )
+
+
+def _simulate_stored(
+    spec: Mapping[str, Any],
+    voxels: str | None,
+    nodes: int,
+    state: str,
+    stated: Mapping[str, float],
+    location: str,
+) -> EvaluationResult:
+    """Load a specimen on a worker; the displacement is stored under the digest that returns.
+
+    Parameters
+    ----------
+    spec : mapping
+        The keys of the experiment.
+    voxels : str or None
+        Digest of the body of a mesh file.
+    nodes : int
+    state : str
+    stated : mapping of str to float
+        All constants, inside names and units.
+    location : str
+        Of the store.
+    """
+    kept = TaskStore(location)
+    code = code_version(*_PHYSICS, *plugged_modules())
+    name = digest("specimen", spec, voxels, nodes, state, dict(stated), code)
+    done = load_evaluation(kept.store, name)
+    if done is not None:
+        return done
+
+    def bench() -> _Bench:
+        body = None if voxels is None else kept.volume(voxels)
+        return _Bench(validated(SpecimenSpec, spec, "The experiment"), body, nodes)
+
+    made = kept.cached(("specimen", digest(spec, voxels, nodes)), bench)
+    watch = Watch()
+    with watch.stage("solve"):
+        found = made.loaded(_loads_of(made.spec, state)).simulate(stated)
+    result: EvaluationResult = {
+        "digest": name,
+        "status": "done" if found.converged else "diverged",
+        "reason": found.reason,
+        "outcome": dict(found.outcome),
+        "constants": dict(stated),
+        "seconds": dict(watch.seconds),
+        "worker": worker_name(),
+    }
+    save_field(kept.store, name, found.displacement_mm)
+    save_evaluation(kept.store, name, result)
+    return load_evaluation(kept.store, name) or result

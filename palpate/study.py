@@ -129,8 +129,8 @@ class Study:
         in_process : bool
             Evaluate in this process, one candidate after the other. No main guard is needed.
         store : str or Path, optional
-            Store of volumes and evaluations that all workers see, a folder or
-            ``s3://BUCKET/PREFIX``. Default: that of the last run, else the folder
+            Store of volumes and evaluations that all workers see: a folder, or ``s3://``,
+            ``gs://`` or ``az://BUCKET/PREFIX``. Default: that of the last run, else the folder
             ``store`` beside the study's.
         progress : bool
             Show a progress bar.

@@ -89,8 +89,9 @@ COMMANDS = {
         "studies.export:export", "Export a deformed body to ParaView, CAD or another solver."
     ),
     "serve": LazyCommand("machines.serve:serve", "Serve studies and diagnoses over HTTP."),
-    "slurm": LazyCommand(
-        "machines.slurm:slurm", "Start a scheduler here and workers as SLURM jobs."
+    "cluster": LazyCommand(
+        "machines.cluster:cluster",
+        "Start a scheduler here and workers as jobs of SLURM, PBS, LSF or SGE.",
     ),
     "certs": LazyCommand("machines.certs:certs", "Create TLS certificates for a Dask cluster."),
     "thesis": LazyCommand(

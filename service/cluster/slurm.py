@@ -1,10 +1,11 @@
-"""Starts a Dask scheduler here and its workers as jobs of SLURM, through dask-jobqueue.
+"""Starts a Dask scheduler here and its workers as jobs of a batch system, through dask-jobqueue.
 
 One job is one worker: a process, a thread and a core. Where the jobs run they need the same
 installation, and a file system that holds the store.
 """
 
 import os
+import re
 import shutil
 import time
 import warnings
@@ -12,12 +13,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import dask
+from distributed import Security
 from tornado.ioloop import PeriodicCallback
 
 from palpate.service.cluster.adaptive import follow_the_work
+from palpate.service.cluster.certificates import ROLES
 from palpate.service.cluster.open import CONFIG
 from palpate.service.cluster.worker_range import WorkerRange, Workers
 from palpate.service.errors import ClusterError
@@ -29,23 +32,57 @@ DEATH_TIMEOUT_S = 300
 LOOK_EVERY_S = 5.0
 GONE_S = 60.0
 
+BatchSystem = Literal["slurm", "pbs", "lsf", "sge"]
+
+_WITH_SECONDS = re.compile(r"(?P<minutes>\d+:\d\d):\d\d")
+
 
 @dataclass(frozen=True)
-class SlurmRequest:
-    """What is asked of SLURM.
+class _Dialect:
+    """What differs between batch systems.
 
     Parameters
     ----------
+    cluster : str
+        Class of dask-jobqueue.
+    submit, cancel : str
+        Programs of the batch system.
+    payer : str
+        What dask-jobqueue calls the account.
+    """
+
+    cluster: str
+    submit: str
+    cancel: str
+    payer: str = "account"
+
+
+_DIALECTS: dict[BatchSystem, _Dialect] = {
+    "slurm": _Dialect("SLURMCluster", "sbatch", "scancel"),
+    "pbs": _Dialect("PBSCluster", "qsub", "qdel"),
+    "lsf": _Dialect("LSFCluster", "bsub", "bkill", payer="project"),
+    "sge": _Dialect("SGECluster", "qsub", "qdel", payer="project"),
+}
+
+
+@dataclass(frozen=True)
+class JobRequest:
+    """Workers as jobs of a batch system.
+
+    Parameters
+    ----------
+    system : {"slurm", "pbs", "lsf", "sge"}
     workers : int or WorkerRange
         Jobs; in a range as many as there is work for.
     memory : str
-        Of each, such as ``"4GB"``; a worker that needs more is ended.
+        Of each, such as ``"4GB"``; a worker that needs more is ended. SGE is not asked for it,
+        because the name of the resource differs between sites.
     walltime : str
         Such as ``"24:00:00"``.
     queue, account : str, optional
-        Partition, and who pays.
+        Queue or partition, and who pays.
     options : tuple of str
-        Further options of sbatch: ``"--exclusive"``.
+        Further options of the submit command: ``"--exclusive"``.
     setup : tuple of str
         Lines of shell before the worker starts: ``"module load python"``.
     host : str, optional
@@ -56,6 +93,7 @@ class SlurmRequest:
         Folder for what the jobs print.
     """
 
+    system: BatchSystem
     workers: Workers
     memory: str = "4GB"
     walltime: str = "24:00:00"
@@ -69,13 +107,13 @@ class SlurmRequest:
 
 
 @dataclass(frozen=True)
-class SlurmCluster:
+class JobCluster:
     """A scheduler that is running, whose workers are not submitted yet.
 
     Parameters
     ----------
     address : str
-        Of the scheduler.
+        Of the scheduler; begins with ``tls://`` where Dask is configured with certificates.
     dashboard : str
         Of Dask's page.
     script : str
@@ -101,8 +139,25 @@ class SlurmCluster:
         return len(self._cluster.scheduler_info["workers"])
 
 
+def check_batch_system(system: BatchSystem) -> None:
+    """Refuse a machine on which no jobs can be submitted.
+
+    Raises
+    ------
+    ClusterError
+        If it lacks the programs of the batch system.
+    """
+    dialect = _DIALECTS[system]
+    for program in (dialect.submit, dialect.cancel):
+        if shutil.which(program) is None:
+            raise ClusterError(
+                f"There is no {program} on this machine: run this where jobs are submitted, "
+                "such as the login node of the cluster. --dry-run shows the job script anywhere."
+            )
+
+
 @contextmanager
-def open_slurm(request: SlurmRequest) -> Iterator[SlurmCluster]:
+def open_jobs(request: JobRequest) -> Iterator[JobCluster]:
     """Start the scheduler; on leaving all jobs are cancelled.
 
     Raises
@@ -110,48 +165,44 @@ def open_slurm(request: SlurmRequest) -> Iterator[SlurmCluster]:
     InputError
         If dask-jobqueue is not installed.
     ClusterError
-        If this machine has no SLURM, or the scheduler cannot be started.
+        If the scheduler cannot be started, or a certificate cannot be read.
     """
     try:
-        from dask_jobqueue import SLURMCluster
+        import dask_jobqueue
     except ImportError:
         raise InputError(
-            "SLURM needs dask-jobqueue, which is not installed: pip install 'palpate[slurm]'."
+            "Workers as jobs need dask-jobqueue, which is not installed: "
+            "pip install 'palpate[jobqueue]'."
         ) from None
-    for program in ("sbatch", "scancel"):
-        if shutil.which(program) is None:
-            raise ClusterError(
-                f"There is no {program} on this machine: run this where jobs are submitted, "
-                "such as the login node of the cluster."
-            )
+    dialect = _DIALECTS[request.system]
     if request.logs is not None:
         with explained(request.logs):
             request.logs.mkdir(parents=True, exist_ok=True)
     with dask.config.set(CONFIG), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # jobqueue's own, of options that are left out
         try:
-            cluster = SLURMCluster(
+            cluster = getattr(dask_jobqueue, dialect.cluster)(
                 cores=1,
                 processes=1,
                 memory=request.memory,
-                walltime=request.walltime,
+                walltime=_walltime(request),
                 queue=request.queue,
-                account=request.account,
                 job_name="palpate",
                 death_timeout=DEATH_TIMEOUT_S,
                 job_extra_directives=list(request.options),
                 job_script_prologue=[*request.setup, *_exports()],
-                log_directory=None if request.logs is None else str(request.logs),
+                log_directory=None if request.logs is None else str(request.logs.absolute()),
                 scheduler_options=_scheduler_options(request),
+                security=_security(),
                 silence_logs="critical",
+                **{dialect.payer: request.account},
             )
         except (OSError, RuntimeError, ValueError) as error:
             raise ClusterError(
-                f"The scheduler for SLURM cannot be started: {error}. Give another --host or "
-                "--port."
+                f"The scheduler cannot be started: {error}. Give another --host or --port."
             ) from error
         with cluster, _submitted_again(cluster):
-            yield SlurmCluster(
+            yield JobCluster(
                 cluster.scheduler_address,
                 cluster.dashboard_link,
                 cluster.job_script(),
@@ -160,11 +211,38 @@ def open_slurm(request: SlurmRequest) -> Iterator[SlurmCluster]:
             )
 
 
+def _walltime(request: JobRequest) -> str:
+    """Return the time limit as the batch system reads it: LSF takes no seconds."""
+    timed = _WITH_SECONDS.fullmatch(request.walltime)
+    return timed["minutes"] if timed and request.system == "lsf" else request.walltime
+
+
+def _security() -> Security | None:
+    """Return the certificates of Dask's configuration, which the job script then names.
+
+    Some batch systems pass no variables on to a job.
+
+    Raises
+    ------
+    ClusterError
+        If one cannot be read.
+    """
+    security = Security()
+    try:
+        contexts = [security.get_connection_args(r).get("ssl_context") for r in ROLES]
+    except OSError as error:
+        raise ClusterError(
+            f"A certificate cannot be read: {error}. Check the paths in "
+            "DASK_DISTRIBUTED__COMM__TLS__...; `palpate certs` makes certificates."
+        ) from error
+    return security if all(contexts) else None
+
+
 class _EndedJobs:
     """Submits jobs again whose worker came up and has been gone for `GONE_S`.
 
-    SLURM ends a job with its walltime, or for one that is more urgent. Neither Dask nor
-    dask-jobqueue replaces it. Where only the worker died, its nanny is quicker.
+    A batch system ends a job with its walltime, or for one that is more urgent. Neither Dask
+    nor dask-jobqueue replaces it. Where only the worker died, its nanny is quicker.
     """
 
     def __init__(self, cluster: Any) -> None:
@@ -182,7 +260,7 @@ class _EndedJobs:
         self._gone_since = {n: since for n, since in gone.items() if n not in ended}
         self._came_up -= set(ended)
         for name in ended:
-            with suppress(Exception):  # SLURM knows the job no more
+            with suppress(Exception):  # the batch system knows the job no more
                 await cluster.workers.pop(name).close()
         if ended:
             cluster.scale(len(cluster.worker_spec))  # as many as before
@@ -198,7 +276,7 @@ def _submitted_again(cluster: Any) -> Iterator[None]:
         cluster.loop.add_callback(looking.stop)
 
 
-def _scheduler_options(request: SlurmRequest) -> dict[str, Any]:
+def _scheduler_options(request: JobRequest) -> dict[str, Any]:
     options: dict[str, Any] = {"port": request.port, "dashboard_address": ":0"}
     return options if request.host is None else options | {"host": request.host}
 

@@ -20,8 +20,9 @@ StoreOption = Annotated[
     str | None,
     typer.Option(
         "--store",
-        metavar="FOLDER|s3://BUCKET/PREFIX",
-        help="Store for volumes and evaluations. Default: $PALPATE_STORE, else runs/store.",
+        metavar="FOLDER|URL",
+        help="Store for volumes and evaluations: a folder, or s3://, gs:// or az://BUCKET/PREFIX. "
+        "Default: $PALPATE_STORE, else runs/store.",
         show_default=False,
     ),
 ]

@@ -11,6 +11,7 @@ from palpate.service.forward.case_keys import stated_constants
 from palpate.service.forward.simulation import MeshedBody, Simulation
 from palpate.storage.backends.places import Location
 from palpate.storage.errors import InputError
+from palpate.storage.records.tasks import EvaluationResult
 from palpate.storage.stores.fields import load_field
 from palpate.storage.stores.store import open_store
 from palpate.storage.values import FloatArray, Volume
@@ -104,7 +105,15 @@ class OrganModel:
     def simulate_on(
         self, client: Client, constants: Mapping[str, float], place: Location
     ) -> Simulation:
-        """Load the body on a worker, which finds it in a store; see `simulate`.
+        """Load the body on a worker, which finds it in a store; see `simulate` and `solve_on`."""
+        displacement_mm, result = self.solve_on(client, constants, place)
+        stated = stated_constants(self.case, constants)
+        return self._meshed.result(stated, displacement_mm, result["outcome"])
+
+    def solve_on(
+        self, client: Client, constants: Mapping[str, float], place: Location
+    ) -> tuple[FloatArray, EvaluationResult]:
+        """Return the displacement of a simulation by a worker and its record; the mesh is ours.
 
         Raises
         ------
@@ -122,11 +131,10 @@ class OrganModel:
             case["reference"] = {"volume": bodies.add(self.body, {"kind": "generated"})}
         prepare_workers(client)
         task = client.submit(simulate_once, case, stated, str(store), pure=False)
-        result = task.result()
+        result: EvaluationResult = task.result()
         prepared = prepare_case(case, str(store))
         self.__dict__["mesh"] = bodies.mesh(prepared["mesh"])
-        displacement_mm = load_field(store, result["digest"])
-        return self._meshed.result(stated, displacement_mm, result["outcome"])
+        return load_field(store, result["digest"]), result
 
     @cached_property
     def _meshed(self) -> MeshedBody:

@@ -1,12 +1,19 @@
 """Connects to an object store, waits for one that is away, and explains what it refuses.
 
-Address and credentials come from the usual environment, as every S3 client reads it::
+Address and credentials come from the usual environment, as every client reads it::
 
     AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN
     AWS_REGION or AWS_DEFAULT_REGION
     AWS_ENDPOINT_URL              of a server that is not Amazon's, http:// or https://
 
-Without AWS_ACCESS_KEY_ID they come from a profile of the AWS command line: `backends.aws_profile`.
+    GOOGLE_APPLICATION_CREDENTIALS, else those of `gcloud auth application-default login`
+    GOOGLE_BASE_URL
+
+    AZURE_STORAGE_ACCOUNT_NAME, AZURE_STORAGE_ACCOUNT_KEY or AZURE_STORAGE_SAS_TOKEN
+    AZURE_STORAGE_ENDPOINT
+
+Without AWS_ACCESS_KEY_ID those of S3 come from a profile of the AWS command line:
+`backends.aws_profile`. Those of Google and Azure are read by obstore.
 
 A request that finds nobody, or a server in trouble, is repeated with growing pauses. The first
 contact of a process gives up sooner: it is more likely a wrong address than an outage.
@@ -16,17 +23,17 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from palpate.storage.backends.aws_profile import Profile, read_profile
-from palpate.storage.backends.object_path import ObjectPath
+from palpate.storage.backends.object_path import ObjectPath, Scheme
 from palpate.storage.errors import StoreError
 
 if TYPE_CHECKING:
-    from obstore.store import S3Store
+    from obstore.store import ObjectStore
 
 FIRST_PATIENCE_S = 20.0
 PATIENCE_S = 300.0
@@ -34,31 +41,115 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 3.0
 CONNECT_S, REQUEST_S = 5.0, 60.0
 MOST_RETRIES = 100_000  # the patience ends them
 
-_ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
+
+@dataclass(frozen=True)
+class _Service:
+    """What differs between object stores.
+
+    Parameters
+    ----------
+    store : str
+        Class of obstore.
+    name : str
+    variables : str
+        How the variables of the environment begin that obstore reads itself; empty for none.
+    endpoint : str
+        The variable with the address of another server that messages name.
+    endpoints : tuple of str
+        All such variables; the first that is set counts.
+    without_keys : str
+        What to do where there are no credentials.
+    keys : str
+        What to check where they are refused.
+    """
+
+    store: str
+    name: str
+    variables: str
+    endpoint: str
+    endpoints: tuple[str, ...]
+    without_keys: str
+    keys: str
+
+
+_SERVICES: dict[Scheme, _Service] = {
+    "s3": _Service(
+        store="S3Store",
+        name="Amazon S3",
+        variables="",
+        endpoint="AWS_ENDPOINT_URL",
+        endpoints=("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"),
+        without_keys="Set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or write them to "
+        "~/.aws/credentials with `aws configure`",
+        keys="AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY or the profile (AWS_PROFILE)",
+    ),
+    "gs": _Service(
+        store="GCSStore",
+        name="Google Cloud Storage",
+        variables="GOOGLE_",
+        endpoint="GOOGLE_BASE_URL",
+        endpoints=("GOOGLE_BASE_URL",),
+        without_keys="Set GOOGLE_APPLICATION_CREDENTIALS to a file of credentials, or type "
+        "`gcloud auth application-default login`",
+        keys="GOOGLE_APPLICATION_CREDENTIALS",
+    ),
+    "az": _Service(
+        store="AzureStore",
+        name="Azure Blob Storage",
+        variables="AZURE_",
+        endpoint="AZURE_STORAGE_ENDPOINT",
+        endpoints=("AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"),
+        without_keys="Set AZURE_STORAGE_ACCOUNT_NAME, and AZURE_STORAGE_ACCOUNT_KEY or "
+        "AZURE_STORAGE_SAS_TOKEN",
+        keys="AZURE_STORAGE_ACCOUNT_NAME, AZURE_STORAGE_ACCOUNT_KEY or AZURE_STORAGE_SAS_TOKEN",
+    ),
+}
 _WHO = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN")
 _REGIONS = ("AWS_REGION", "AWS_DEFAULT_REGION")
 REGION = "us-east-1"
 
-_reached: set[str] = set()
+_reached: set[tuple[Scheme, str]] = set()
 """Buckets that have answered this process."""
 
 
-def client_of(place: ObjectPath) -> "S3Store":
+def client_of(place: ObjectPath) -> "ObjectStore":
     """Return the connection to a bucket; made once for each environment.
 
     Raises
     ------
     StoreError
-        If obstore is not installed, or a profile cannot be used.
+        If obstore is not installed, or credentials cannot be used.
     """
-    patience_s = PATIENCE_S if place.bucket in _reached else FIRST_PATIENCE_S
-    who = tuple(os.environ.get(name, "") for name in _WHO)
-    return _client(place.bucket, _access(), who, patience_s)
+    reached = (place.scheme, place.bucket) in _reached
+    begins = _SERVICES[place.scheme].variables
+    read = {n: v for n, v in os.environ.items() if n in _WHO or (begins and n.startswith(begins))}
+    options = _s3_options() if place.scheme == "s3" else {}
+    return _client(
+        replace(place, key=""),
+        tuple(sorted(options.items())),
+        tuple(sorted(read.items())),
+        _server_url(place.scheme),
+        PATIENCE_S if reached else FIRST_PATIENCE_S,
+    )
 
 
-def endpoint() -> str:
-    """Return the address of the server; empty for Amazon's."""
-    return _access().endpoint_url
+def _server_url(scheme: Scheme) -> str:
+    """Return the address of another server than the provider's own; else nothing."""
+    if scheme == "s3":
+        return _access().endpoint_url
+    return _stated(_SERVICES[scheme].endpoints)
+
+
+def _s3_options() -> dict[str, str]:
+    access = _access()
+    said = {
+        "region": access.region,
+        "endpoint": access.endpoint_url,
+        "access_key_id": access.access_key_id,
+        "secret_access_key": access.secret_access_key,
+        "session_token": access.session_token,
+    }
+    return {name: value for name, value in said.items() if value}
 
 
 def _access() -> Profile:
@@ -73,7 +164,7 @@ def _access() -> Profile:
     return replace(
         profile,
         region=_stated(_REGIONS) or profile.region or REGION,
-        endpoint_url=_stated(_ENDPOINTS) or profile.endpoint_url,
+        endpoint_url=_stated(_SERVICES["s3"].endpoints) or profile.endpoint_url,
     )
 
 
@@ -95,80 +186,92 @@ def explained(place: ObjectPath) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as error:
-        if "NoSuchBucket" in str(error):
+        if _is_no_bucket(str(error)):
             raise _no_bucket(place) from error
         raise
     except BaseError as error:
         raise _explanation(place, error) from error
-    _reached.add(place.bucket)
+    _reached.add((place.scheme, place.bucket))
 
 
 @lru_cache(maxsize=16)
-def _client(bucket: str, access: Profile, who: tuple[str, ...], patience_s: float) -> "S3Store":
+def _client(
+    bucket: ObjectPath,
+    options: tuple[tuple[str, str], ...],
+    read: tuple[tuple[str, str], ...],
+    server_url: str,
+    patience_s: float,
+) -> "ObjectStore":
+    """Connect; `read` are variables that obstore reads itself."""
     try:
-        from obstore.store import S3Store
+        from obstore import store
     except ImportError as error:
         raise StoreError(
-            f"s3://{bucket} is an object store, which needs obstore. Install it everywhere with "
-            "`pip install 'palpate[s3]'`, or give a local folder."
+            f"{bucket} is an object store, which needs obstore. Install it everywhere with "
+            "`pip install 'palpate[cloud]'`, or give a local folder."
         ) from error
-    said = {
-        "region": access.region,
-        "endpoint": access.endpoint_url,
-        "access_key_id": access.access_key_id,
-        "secret_access_key": access.secret_access_key,
-        "session_token": access.session_token,
-    }
-    options = {name: value for name, value in said.items() if value}
-    return S3Store(
-        bucket,
-        config=options,  # type: ignore[arg-type]  # a dictionary with the keys it names
-        client_options={
-            "allow_http": access.endpoint_url.startswith("http://"),
-            "connect_timeout": timedelta(seconds=CONNECT_S),
-            "timeout": timedelta(seconds=REQUEST_S),
-        },
-        retry_config={
-            "max_retries": MOST_RETRIES,
-            "retry_timeout": timedelta(seconds=patience_s),
-            "backoff": {
-                "init_backoff": timedelta(seconds=FIRST_PAUSE_S),
-                "max_backoff": timedelta(seconds=LONGEST_PAUSE_S),
-                "base": 2,
+    from obstore.exceptions import BaseError
+
+    connect: Any = getattr(store, _SERVICES[bucket.scheme].store)
+    try:
+        made: ObjectStore = connect(
+            bucket.bucket,
+            config=dict(options),
+            client_options={
+                "allow_http": server_url.startswith("http://"),
+                "connect_timeout": timedelta(seconds=CONNECT_S),
+                "timeout": timedelta(seconds=REQUEST_S),
             },
-        },
-    )
+            retry_config={
+                "max_retries": MOST_RETRIES,
+                "retry_timeout": timedelta(seconds=patience_s),
+                "backoff": {
+                    "init_backoff": timedelta(seconds=FIRST_PAUSE_S),
+                    "max_backoff": timedelta(seconds=LONGEST_PAUSE_S),
+                    "base": 2,
+                },
+            },
+        )
+    except BaseError as error:
+        raise StoreError(
+            f"{bucket} cannot be used: {_first(str(error))}. "
+            f"{_SERVICES[bucket.scheme].without_keys}, here and for the workers."
+        ) from error
+    return made
 
 
 def _no_bucket(place: ObjectPath) -> StoreError:
     return StoreError(
-        f"There is no bucket {place.bucket} at {_server()}. Make it, or check name and "
-        "AWS_ENDPOINT_URL."
+        f"There is no bucket {place.bucket} at {_server(place)}. Make it, or check name and "
+        f"{_SERVICES[place.scheme].endpoint}."
     )
+
+
+def _is_no_bucket(text: str) -> bool:
+    return any(code in text for code in ("NoSuchBucket", "ContainerNotFound"))
 
 
 def _explanation(place: ObjectPath, error: Exception) -> StoreError:
     from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
 
-    text = str(error)
-    if "NoSuchBucket" in text:
+    text, service = str(error), _SERVICES[place.scheme]
+    if _is_no_bucket(text):
         return _no_bucket(place)
-    if "169.254." in text:
+    if "169.254." in text:  # where machines of the provider ask for theirs
         return StoreError(
-            f"{place} cannot be used: there are no credentials. Set AWS_ACCESS_KEY_ID and "
-            "AWS_SECRET_ACCESS_KEY, or write them to ~/.aws/credentials with `aws configure`, "
-            "here and for the workers."
+            f"{place} cannot be used: there are no credentials. {service.without_keys}, here and "
+            "for the workers."
         )
     if isinstance(error, PermissionDeniedError | UnauthenticatedError):
         return StoreError(
-            f"{place} cannot be used: {_server()} refuses access{_code(text)}. Check "
-            "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY or the profile (AWS_PROFILE), and what they "
-            "may do with this bucket."
+            f"{place} cannot be used: {_server(place)} refuses access{_code(text)}. Check "
+            f"{service.keys}, and what they may do with this bucket."
         )
     if _is_unreached(text):
         return StoreError(
-            f"{place} cannot be reached at {_server()}{_tried(text)}. Check AWS_ENDPOINT_URL and "
-            "the network; what is stored is kept: run the command again to continue."
+            f"{place} cannot be reached at {_server(place)}{_tried(text)}. Check "
+            f"{service.endpoint} and the network; what is stored is kept: run the command "
+            "again to continue."
         )
     return StoreError(f"{place} cannot be used: {_first(text)}. Check the server and its log.")
 
@@ -182,8 +285,8 @@ def _is_unreached(text: str) -> bool:
     return "HTTP error" in text or "error sending request" in text
 
 
-def _server() -> str:
-    return endpoint() or "Amazon S3"
+def _server(place: ObjectPath) -> str:
+    return _server_url(place.scheme) or _SERVICES[place.scheme].name
 
 
 def _code(text: str) -> str:

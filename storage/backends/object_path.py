@@ -1,13 +1,17 @@
 """Names one object, or a folder of objects, in a bucket: the part of a path that a store needs."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
+from typing import Literal, get_args
 
 from palpate.storage.errors import StoreError
 
-# S3's own rule; other servers are laxer about dots, none about the rest.
-_BUCKET = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9]")
+Scheme = Literal["s3", "gs", "az"]
+SCHEMES: tuple[Scheme, ...] = get_args(Scheme)
+
+# What any of the services allows: Google underscores, Azure no dots, all of them the rest.
+_BUCKET = re.compile(r"[a-z0-9][a-z0-9._-]{1,61}[a-z0-9]")
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -17,8 +21,11 @@ class ObjectPath:
     Parameters
     ----------
     bucket : str
+        Or container, as Azure calls it.
     key : str
         Without slashes at its ends; empty for the bucket itself.
+    scheme : {"s3", "gs", "az"}
+        S3, Google Cloud Storage or Azure Blob Storage.
 
     Examples
     --------
@@ -29,12 +36,13 @@ class ObjectPath:
 
     bucket: str
     key: str = ""
+    scheme: Scheme = "s3"
 
     def __truediv__(self, name: str) -> "ObjectPath":
-        return ObjectPath(self.bucket, f"{self.key}/{name}".strip("/"))
+        return replace(self, key=f"{self.key}/{name}".strip("/"))
 
     def __str__(self) -> str:
-        return f"s3://{self.bucket}/{self.key}".rstrip("/")
+        return f"{self.scheme}://{self.bucket}/{self.key}".rstrip("/")
 
     @property
     def name(self) -> str:
@@ -54,11 +62,11 @@ class ObjectPath:
     @property
     def parent(self) -> "ObjectPath":
         """Return the folder in which it lies."""
-        return ObjectPath(self.bucket, self.key.rpartition("/")[0])
+        return replace(self, key=self.key.rpartition("/")[0])
 
 
-def object_path(rest: str, location: object) -> ObjectPath:
-    """Read what stands behind ``s3://``.
+def object_path(scheme: Scheme, rest: str, location: object) -> ObjectPath:
+    """Read what follows ``s3://``, ``gs://`` or ``az://``.
 
     Raises
     ------
@@ -68,10 +76,10 @@ def object_path(rest: str, location: object) -> ObjectPath:
     bucket, _, key = rest.strip("/").partition("/")
     if not _BUCKET.fullmatch(bucket):
         raise StoreError(
-            f"{location} names no bucket: {bucket!r} is not 3 to 63 small letters, digits, dots "
-            "and dashes. Give an address such as s3://my-bucket/palpate."
+            f"{location} names no bucket: {bucket!r} is not 3 to 63 small letters, digits, dots, "
+            f"dashes and underscores. Give an address such as {scheme}://my-bucket/palpate."
         )
     parts = [part for part in key.split("/") if part]
     if any(part in (".", "..") for part in parts):
         raise StoreError(f"{location} has '.' or '..' in its key. Give the key without them.")
-    return ObjectPath(bucket, "/".join(parts))
+    return ObjectPath(bucket, "/".join(parts), scheme)

@@ -17,7 +17,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 import zarr
@@ -33,7 +33,6 @@ from palpate.storage.backends.object_client import (
     was_cut_off,
 )
 from palpate.storage.backends.object_path import ObjectPath
-from palpate.storage.errors import StoreError
 
 if TYPE_CHECKING:
     from obstore import ObjectMeta
@@ -61,7 +60,7 @@ def write(place: ObjectPath, data: bytes) -> None:
 
 
 def create(place: ObjectPath, data: bytes) -> bool:
-    """Put an object on condition that there is none of that name (If-None-Match).
+    """Put an object on condition that there is none of that name.
 
     The client does not repeat a condition whose answer is lost; what lies there tells.
     """
@@ -125,8 +124,9 @@ def size_bytes(place: ObjectPath) -> int:
 def remove(place: ObjectPath) -> bool:
     """Remove an object, or all objects of a group, its description first."""
     found = _keys(place)
-    _delete(place, [key for key in found if key in (place.key, f"{place.key}/{DESCRIPTION}")])
-    _delete(place, found)
+    first = [key for key in found if key in (place.key, f"{place.key}/{DESCRIPTION}")]
+    _delete(place, first)
+    _delete(place, [key for key in found if key not in first])
     return bool(found)
 
 
@@ -204,13 +204,16 @@ def _keys(place: ObjectPath) -> list[str]:
 
 
 def _delete(place: ObjectPath, keys: list[str]) -> None:
+    """Remove objects; somebody else may remove them at the same time."""
     import obstore
 
     client = client_of(place)
     for start in range(0, len(keys), MOST_AT_ONCE):
+        some = keys[start : start + MOST_AT_ONCE]
         try:
             with explained(place):
-                obstore.delete(client, keys[start : start + MOST_AT_ONCE])
-        except FileNotFoundError as error:  # somebody else has removed it
-            if "NoSuchBucket" in str(error):
-                raise StoreError(str(error)) from error
+                obstore.delete(client, some)
+        except FileNotFoundError:  # and of the others some may still be there
+            for key in some:
+                with explained(place), suppress(FileNotFoundError):
+                    obstore.delete(client, key)

@@ -8,7 +8,7 @@ of a store are addressed by. Both kinds of place have ``/``, ``name``, ``stem``,
 import re
 from pathlib import Path
 
-from palpate.storage.backends.object_path import ObjectPath, object_path
+from palpate.storage.backends.object_path import SCHEMES, ObjectPath, object_path
 from palpate.storage.errors import StoreError
 
 Place = Path | ObjectPath
@@ -24,7 +24,7 @@ def place_of(location: Location) -> Place:
     Parameters
     ----------
     location : str, Path or ObjectPath
-        A folder, ``~`` is the user's home; or ``s3://BUCKET/PREFIX``.
+        A folder, ``~`` is the user's home; or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
 
     Raises
     ------
@@ -36,10 +36,11 @@ def place_of(location: Location) -> Place:
     url = _URL.fullmatch(str(location))
     if url is None:
         return Path(location).expanduser().absolute()
-    if url["scheme"].lower() != "s3":
-        raise StoreError(
-            f"{location} is a URL ({url['scheme']}), but stores are kept in local folders and in "
-            "S3 only. Give a folder that all workers can reach, such as /data/palpate, or "
-            "s3://BUCKET/PREFIX."
-        )
-    return object_path(url["rest"], location)
+    for scheme in SCHEMES:
+        if url["scheme"].lower() == scheme:
+            return object_path(scheme, url["rest"], location)
+    raise StoreError(
+        f"{location} is a URL ({url['scheme']}), but stores are kept in local folders and in "
+        "object stores only. Give a folder that all workers can reach, such as /data/palpate, or "
+        "s3://, gs:// or az://BUCKET/PREFIX."
+    )

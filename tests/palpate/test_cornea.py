@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from distributed import Client, LocalCluster
 
 import palpate
 import palpate.cornea
@@ -85,6 +86,20 @@ def test_it_is_what_the_command_computes(
     assert main(["simulate", "case.yaml", "--json"]) == 0
     stored = json.loads(capsys.readouterr().out)
     assert stored["outcome"]["apex_displacement_um"] == result.apex_displacement_um
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::UserWarning")
+def test_workers_of_a_client_compute_the_same(
+    model: palpate.Cornea, result: palpate.CorneaSimulation, tmp_path: Path
+) -> None:
+    one = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with LocalCluster(**one) as cluster, Client(cluster, set_as_default=False) as client:
+        there = palpate.Cornea(elements=300).simulate(client=client, store=tmp_path / "store")
+    np.testing.assert_array_equal(there.displacement_mm, result.displacement_mm)
+    np.testing.assert_array_equal(there.cauchy_stress_mpa, result.cauchy_stress_mpa)
+    np.testing.assert_array_equal(there.gradient("mu1_pa"), result.gradient("mu1_pa"))
+    assert there.outcome == result.outcome
+    assert (there.constants, there.reason) == (result.constants, "")
 
 
 def test_keys_and_constants_that_make_no_sense_are_refused(model: palpate.Cornea) -> None:

@@ -1,11 +1,16 @@
 """A bench specimen from Python deforms as textbooks say."""
 
+from pathlib import Path
 from typing import Any
 
+import meshio
 import numpy as np
 import pytest
+from distributed import Client, LocalCluster
 
 import palpate
+from palpate.workers.body.mesh.boundary import boundary_triangles
+from palpate.workers.organs.specimen.block import lattice
 
 LENGTH, WIDTH, FORCE = 60.0, 20.0, 2.0
 BAR: dict[str, Any] = {
@@ -63,6 +68,30 @@ def test_the_holds_carry_what_stretches_the_bar(bar: palpate.Specimen) -> None:
     assert result.plate_force_n == 0
     with pytest.raises(palpate.InputError, match="not made of voxels"):
         _ = result.deformed
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::UserWarning")
+@pytest.mark.parametrize("form", ["block", "mesh file"])
+def test_workers_of_a_client_compute_the_same(form: str, tmp_path: Path) -> None:
+    keys = BAR
+    if form == "mesh file":
+        mesh = lattice((WIDTH, WIDTH, LENGTH), (3, 3, 5))
+        faces = [("triangle", boundary_triangles(mesh.tets))]
+        meshio.write(tmp_path / "bar.stl", meshio.Mesh(mesh.nodes, faces))
+        keys = BAR | {"body": {"mesh": str(tmp_path / "bar.stl"), "voxel_mm": 2}}
+    bar = palpate.Specimen(keys, nodes=900)
+    here = bar.simulate("pulled", E_kpa=200)
+    one = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with LocalCluster(**one) as cluster, Client(cluster, set_as_default=False) as client:
+        there, again = (
+            bar.simulate("pulled", E_kpa=200, client=client, store=tmp_path / "store")
+            for _ in range(2)
+        )
+    np.testing.assert_array_equal(there.displacement_mm, here.displacement_mm)
+    np.testing.assert_array_equal(again.displacement_mm, here.displacement_mm)
+    np.testing.assert_allclose(there.cauchy_stress_mpa, here.cauchy_stress_mpa, rtol=1e-12)
+    np.testing.assert_array_equal(there.gradient("E_kpa"), here.gradient("E_kpa"))
+    assert len(list((tmp_path / "store" / "evaluations").iterdir())) == 1
 
 
 def test_what_is_unknown_or_missing_is_named(bar: palpate.Specimen) -> None:

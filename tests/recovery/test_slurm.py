@@ -1,4 +1,4 @@
-"""Workers as jobs of SLURM, with a stand-in that runs the script as a process of this machine."""
+"""Workers as jobs, with stand-ins that run a job script as a process of this machine."""
 
 import os
 import signal
@@ -10,39 +10,59 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import dask
 import pytest
+import yaml
 
 from palpate.service.cluster import adaptive, slurm
+from palpate.service.cluster.certificates import make_certificates
 from palpate.service.cluster.dispatch import Dispatcher
 from palpate.service.cluster.open import open_cluster
-from palpate.service.cluster.slurm import SlurmCluster, SlurmRequest, open_slurm
+from palpate.service.cluster.slurm import (
+    BatchSystem,
+    JobCluster,
+    JobRequest,
+    check_batch_system,
+    open_jobs,
+)
 from palpate.service.cluster.worker_range import WorkerRange
 from palpate.service.errors import ClusterError
 from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed")
 
-# The script is copied: jobqueue removes it as soon as it is submitted.
-SBATCH = """#!/bin/sh
+# The script is copied: jobqueue removes it as soon as it is submitted. bsub reads it from stdin.
+SUBMIT = """#!/bin/sh
 number=$$
-cp "$1" {jobs}/$number.sh
-setsid /bin/sh {jobs}/$number.sh > {jobs}/$number.out 2>&1 &
+cat "$@" > {jobs}/$number.sh
+setsid {environment} /bin/sh {jobs}/$number.sh > {jobs}/$number.out 2>&1 &
 echo $! > {jobs}/$number.pid
-echo "Submitted batch job $number"
+echo "{answer}"
 """
-SCANCEL = """#!/bin/sh
+CANCEL = """#!/bin/sh
 for number in "$@"; do kill -TERM -- -$(cat {jobs}/$number.pid); done
 """
+ANSWERS = {
+    "sbatch": "Submitted batch job $number",
+    "qsub": "$number.server",
+    "bsub": "Job <$number> is submitted to default queue <normal>.",
+}
+# PBS and SGE start a job without the variables of whoever submits it.
+ENVIRONMENTS = {"qsub": "env -i PATH=/usr/bin:/bin"}
 
 
 @pytest.fixture
 def jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """SLURM's programs first on the PATH; the folder of the jobs that are submitted."""
+    """The programs of all batch systems first on the PATH; the folder of the submitted jobs."""
     folder, programs = tmp_path / "jobs", tmp_path / "bin"
     folder.mkdir()
     programs.mkdir()
-    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
-        (programs / name).write_text(text.format(jobs=folder))
+    texts = dict.fromkeys(("scancel", "qdel", "bkill"), CANCEL.format(jobs=folder))
+    for name, answer in ANSWERS.items():
+        environment = ENVIRONMENTS.get(name, "")
+        texts[name] = SUBMIT.format(jobs=folder, environment=environment, answer=answer)
+    for name, text in texts.items():
+        (programs / name).write_text(text)
         (programs / name).chmod(0o755)
     monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
     here = str(Path(__file__).parents[2])
@@ -53,10 +73,12 @@ def jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             os.killpg(int(pid.read_text()), signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_a_study_on_jobs_of_slurm(jobs: Path, tmp_path: Path) -> None:
     run(tmp_path / "here" / "demo", Inline())
     folder = tmp_path / "runs" / "demo"
-    request = SlurmRequest(
+    request = JobRequest(
+        "slurm",
         workers=2,
         memory="1GB",
         queue="short",
@@ -64,7 +86,7 @@ def test_a_study_on_jobs_of_slurm(jobs: Path, tmp_path: Path) -> None:
         setup=("echo module load python",),
         host="127.0.0.1",
     )
-    with open_slurm(request) as cluster:
+    with open_jobs(request) as cluster:
         assert not list(jobs.glob("*.sh"))  # shown before it is submitted
         for line in (
             "#SBATCH -p short",
@@ -87,7 +109,7 @@ def test_a_study_on_jobs_of_slurm(jobs: Path, tmp_path: Path) -> None:
     assert_each_ran_once(folder)
 
 
-def until_up(cluster: SlurmCluster, workers: int) -> None:
+def until_up(cluster: JobCluster, workers: int) -> None:
     deadline = time.monotonic() + 60
     while (alive := cluster.running) != workers:
         assert time.monotonic() < deadline, f"{alive} workers"
@@ -99,7 +121,7 @@ def test_a_job_that_slurm_ends_is_submitted_again(
 ) -> None:
     monkeypatch.setattr(slurm, "LOOK_EVERY_S", 0.1)
     monkeypatch.setattr(slurm, "GONE_S", 0.5)
-    with open_slurm(SlurmRequest(workers=1, memory="1GB", host="127.0.0.1")) as cluster:
+    with open_jobs(JobRequest("slurm", workers=1, memory="1GB", host="127.0.0.1")) as cluster:
         cluster.submit()
         until_up(cluster, 1)
         time.sleep(1.0)  # ten looks: a worker that nobody saw is not missed
@@ -110,6 +132,7 @@ def test_a_job_that_slurm_ends_is_submitted_again(
         assert len(list(jobs.glob("*.sh"))) == 2
 
 
+@pytest.mark.slow
 def test_jobs_follow_the_work(jobs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(adaptive, "ADAPT_EVERY_S", 0.1)
     monkeypatch.setattr(adaptive, "IDLE_S", 1.0)
@@ -123,8 +146,8 @@ def test_jobs_follow_the_work(jobs: Path, tmp_path: Path, monkeypatch: pytest.Mo
         finally:
             set_manners(tmp_path / "runs" / "store")
 
-    with open_slurm(
-        SlurmRequest(workers=WorkerRange(1, 2), memory="1GB", host="127.0.0.1")
+    with open_jobs(
+        JobRequest("slurm", workers=WorkerRange(1, 2), memory="1GB", host="127.0.0.1")
     ) as cluster:
         cluster.submit()
         until_up(cluster, 1)
@@ -139,33 +162,98 @@ def test_jobs_follow_the_work(jobs: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert_each_ran_once(folder)
 
 
-def test_without_slurm_there_is_one_message(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", "/nowhere")
+HEADERS: dict[BatchSystem, tuple[str, ...]] = {
+    "slurm": ("#SBATCH -p long", "#SBATCH -A lab", "#SBATCH --mem=2G", "#SBATCH -t 12:30:00"),
+    "pbs": (
+        "#PBS -q long",
+        "#PBS -A lab",
+        "#PBS -l select=1:ncpus=1:mem=2048MB",
+        "#PBS -l walltime=12:30:00",
+    ),
+    "lsf": ("#BSUB -q long", '#BSUB -P "lab"', "#BSUB -n 1", "#BSUB -W 12:30"),
+    "sge": ("#$ -q long", "#$ -P lab", "#$ -l h_rt=12:30:00"),
+}
+SIGNS = {"slurm": "#SBATCH", "pbs": "#PBS", "lsf": "#BSUB", "sge": "#$"}
+
+
+@pytest.mark.parametrize("system", HEADERS)
+def test_job_script_of_each_batch_system(system: BatchSystem, tmp_path: Path) -> None:
+    request = JobRequest(
+        system,
+        workers=1,
+        memory="2GiB",
+        walltime="12:30:00",
+        queue="long",
+        account="lab",
+        options=("-V",),
+        host="127.0.0.1",
+        logs=tmp_path / "logs",
+    )
+    with open_jobs(request) as cluster:
+        lines = cluster.script.splitlines()
+    for line in (*HEADERS[system], f"{SIGNS[system]} -V", "export OMP_NUM_THREADS='1'"):
+        assert line in lines, cluster.script
+    assert any(str(tmp_path / "logs") in line for line in lines)
+    assert f"dask_worker {cluster.address} " in cluster.script
+    assert "--tls" not in cluster.script
+
+
+@pytest.mark.parametrize("system", ["pbs", "lsf"])
+def test_a_job_with_certificates_comes_up_and_is_cancelled(
+    system: BatchSystem, jobs: Path, tmp_path: Path
+) -> None:
+    made = make_certificates(tmp_path / "tls")
+    configured = dask.config.merge(dask.config.config, yaml.safe_load(made.as_yaml()))
+    with dask.config.set(configured):
+        with open_jobs(JobRequest(system, workers=1, host="127.0.0.1")) as cluster:
+            assert cluster.address.startswith("tls://")
+            assert f"--tls-cert {made.folder / 'worker.pem'}" in cluster.script
+            cluster.submit()
+            until_up(cluster, 1)
+        (submitted,) = jobs.glob("*.pid")
+        until_ended(int(submitted.read_text()))
+
+
+def until_ended(pid: int) -> None:
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline:
+        try:
+            os.killpg(pid, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"job {pid} still runs")
+
+
+def test_certificates_that_cannot_be_read_are_named() -> None:
+    paths = {f"distributed.comm.tls.scheduler.{key}": "/nowhere/one" for key in ("cert", "key")}
     with (
-        pytest.raises(ClusterError, match="There is no sbatch on this machine"),
-        open_slurm(SlurmRequest(workers=1)),
+        dask.config.set({"distributed.comm.tls.ca-file": "/nowhere/ca.pem"} | paths),
+        pytest.raises(ClusterError, match="A certificate cannot be read"),
+        open_jobs(JobRequest("sge", workers=1)),
     ):
         pass
 
 
-def test_the_command_shows_the_script_and_submits_nothing(jobs: Path) -> None:
+@pytest.mark.parametrize(("system", "program"), [("slurm", "sbatch"), ("lsf", "bsub")])
+def test_without_the_batch_system_there_is_one_message(
+    system: BatchSystem, program: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", "/nowhere")
+    with pytest.raises(ClusterError, match=f"There is no {program} on this machine"):
+        check_batch_system(system)
+
+
+def test_dry_run_prints_the_script_and_submits_nothing(jobs: Path) -> None:
+    command = "cluster pbs --workers 3 --dry-run --host 127.0.0.1"
     done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "palpate",
-            "slurm",
-            "--workers",
-            "3",
-            "--show",
-            "--host",
-            "127.0.0.1",
-        ],
+        [sys.executable, "-m", "palpate", *command.split()],
         capture_output=True,
         text=True,
         timeout=120,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert "#SBATCH -J palpate" in done.stdout
+    assert "#PBS -N palpate" in done.stdout
+    assert "is not encrypted" in done.stderr
     assert not list(jobs.glob("*.sh"))

@@ -72,7 +72,7 @@ def _steady_port() -> int:
 
 def started() -> ObjectServer:
     """A server that runs; the test is skipped where moto or obstore is missing."""
-    pytest.importorskip("obstore", reason="obstore is not installed: pip install 'palpate[s3]'")
+    pytest.importorskip("obstore", reason="obstore is not installed: pip install 'palpate[cloud]'")
     pytest.importorskip("moto.server", reason="moto is not installed: pip install 'moto[server]'")
     server = ObjectServer()
     server.start()

@@ -6,7 +6,9 @@ what was written, bit for bit.
 
 import json
 import math
+import uuid
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from threading import Barrier
 from typing import Any
@@ -15,7 +17,6 @@ import numpy as np
 import pytest
 
 from palpate.storage.backends import contract as backends
-from palpate.storage.backends.object_path import ObjectPath
 from palpate.storage.backends.places import Place, place_of
 from palpate.storage.errors import NewerSchemaError, StoreError
 from palpate.storage.records.evaluations import load_evaluation, save_evaluation
@@ -46,12 +47,22 @@ MANY = {
 }
 
 
-@pytest.fixture(params=["folder", "bucket"])
-def location(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """Where a store is to be."""
+@pytest.fixture(params=["folder", "s3", "gs", "az"])
+def location(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> str:
+    """Where a store is to be; for Google and Azure, obstore's own stand-ins on disk, in memory."""
     if request.param == "folder":
         return str(tmp_path / "deep" / "store")
-    return request.getfixturevalue("bucket") + "/deep/store"
+    if request.param == "s3":
+        return request.getfixturevalue("bucket") + "/deep/store"
+    obstore = pytest.importorskip("obstore.store")
+    name, stand_in = {
+        "gs": ("GCSStore", obstore.LocalStore(tmp_path / "objects", mkdir=True)),
+        "az": ("AzureStore", obstore.MemoryStore()),
+    }[request.param]
+    monkeypatch.setattr(obstore, name, lambda *_, **__: stand_in)
+    return f"{request.param}://tests-{uuid.uuid4().hex[:12]}/deep/store"
 
 
 @pytest.fixture
@@ -140,7 +151,7 @@ def chunks(store: Store, place: Place) -> list[Place]:
     from palpate.storage.backends.object_client import client_of
 
     found = [o["path"] for page in obstore.list(client_of(place), place.key) for o in page]
-    return [ObjectPath(place.bucket, key) for key in found if not key.endswith("zarr.json")]
+    return [replace(place, key=key) for key in found if not key.endswith("zarr.json")]
 
 
 def test_a_lost_chunk_is_noticed(store: Store) -> None:
@@ -230,6 +241,7 @@ save_field(store, "f", np.ones((4, 3)))
 """
 
 
+@pytest.mark.parametrize("location", ["folder", "s3"], indirect=True)
 def test_a_writer_killed_in_the_middle_leaves_nothing_that_a_reader_sees(store: Store) -> None:
     assert run_python(KILLED, str(store)).returncode == -9
     assert not has_field(store, "f")
@@ -293,7 +305,7 @@ def test_a_store_is_probed_and_nothing_is_left(location: str) -> None:
     assert probe.root == location
     store = open_store(location, create=False)
     assert store.backend.entries(store.layout.locks) == []
-    assert (probe.free_bytes is None) == location.startswith("s3://")
+    assert (probe.free_bytes is None) == ("://" in location)
 
 
 def test_any_group_of_arrays_is_the_same_in_both(store: Store) -> None:

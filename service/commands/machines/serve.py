@@ -25,9 +25,9 @@ def serve(
     store: Annotated[
         str | None,
         typer.Option(
-            metavar="FOLDER|s3://BUCKET/PREFIX",
-            help="Store for volumes and evaluations, accessible to all workers. "
-            "Default: HOME/store.",
+            metavar="FOLDER|URL",
+            help="Store for volumes and evaluations, accessible to all workers: a folder, or "
+            "s3://, gs:// or az://BUCKET/PREFIX. Default: HOME/store.",
             show_default=False,
         ),
     ] = None,

@@ -46,9 +46,10 @@ def evaluate(
     store: Annotated[
         str | None,
         typer.Option(
-            metavar="FOLDER|s3://BUCKET/PREFIX",
-            help="Store for volumes and evaluations, accessible to all workers. Default: "
-            "$PALPATE_STORE, else the store of the study.",
+            metavar="FOLDER|URL",
+            help="Store for volumes and evaluations, accessible to all workers: a folder, or "
+            "s3://, gs:// or az://BUCKET/PREFIX. Default: $PALPATE_STORE, else the store of "
+            "the study.",
             show_default=False,
         ),
     ] = None,

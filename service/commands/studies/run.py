@@ -28,10 +28,10 @@ def run(
     store: Annotated[
         str | None,
         typer.Option(
-            metavar="FOLDER|s3://BUCKET/PREFIX",
-            help="Store for volumes and evaluations, accessible to all workers. Default: "
-            "$PALPATE_STORE, else the store of the last run, else the folder store next to the "
-            "study's folder.",
+            metavar="FOLDER|URL",
+            help="Store for volumes and evaluations, accessible to all workers: a folder, or "
+            "s3://, gs:// or az://BUCKET/PREFIX. Default: $PALPATE_STORE, else the store of "
+            "the last run, else the folder store next to the study's folder.",
             show_default=False,
         ),
     ] = None,

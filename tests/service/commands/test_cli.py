@@ -45,7 +45,10 @@ def test_new_writes_a_study_that_can_be_read_and_keeps_what_is_there(call: Call)
         (["run", "study.yaml", "--workers", "4-1"], "the least comes first, so 1-4"),
         (["run", "study.yaml", "--workers", "1-4", "--scheduler", "tcp://x:1"], "give one of"),
         (["serve", "--workers", "0-4"], "one worker is always kept"),
-        (["slurm", "--workers", "a-b"], "--workers a-b: expected a number of workers such as 4"),
+        (
+            ["cluster", "slurm", "--workers", "a-b"],
+            "--workers a-b: expected a number of workers such as 4",
+        ),
         (["status"], "There is no study in"),
         (["status", "nix"], "There is no study nix"),
         (["report", "nix", "--json"], "There is no study nix"),

@@ -1,6 +1,7 @@
 """Commands on a store in a bucket: what cannot be used is one clear message and exit code 2."""
 
 import json
+import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -101,7 +102,7 @@ def test_what_cannot_be_used_is_said_once(
         ("s3://no-such-bucket/store", "There is no bucket no-such-bucket"),
         (f"{bucket}/nothing-there", "has no palpate-store.json"),
         ("s3://x", "names no bucket"),
-        ("gs://bucket/store", "local folders and in S3 only"),
+        ("gcs://bucket/store", "local folders and in object stores only"),
     ):
         code, out, err = call("store", "check", "--store", place)
         assert (code, out, words in err, "Traceback" in err) == (2, "", True, False), err
@@ -148,13 +149,38 @@ def test_keys_come_from_the_environment_or_else_from_a_profile(
     assert (code, "There is no profile lob in" in err, "Traceback" in err) == (2, True, False)
 
 
+def test_what_google_and_azure_need_is_named(
+    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in [name for name in os.environ if name.startswith(("AZURE_", "GOOGLE_"))]:
+        monkeypatch.delenv(name)
+    code, _, err = call("store", "check", "--store", "az://lab/store")
+    assert (code, "AZURE_STORAGE_ACCOUNT_NAME" in err, "Debug" in err) == (2, True, False)
+    monkeypatch.setenv("AZURE_STORAGE_ACCOUNT_NAME", "lab")
+    monkeypatch.setenv("AZURE_STORAGE_ACCOUNT_KEY", "a2V5")
+    monkeypatch.setenv("AZURE_STORAGE_ENDPOINT", "http://127.0.0.1:9")
+    code, _, err = call("store", "check", "--store", "az://lab/store")
+    assert (code, "cannot be reached at http://127.0.0.1:9" in err) == (2, True)
+    key = tmp_path / "missing.json"
+    monkeypatch.setenv("GOOGLE_APPLICATION_CREDENTIALS", str(key))
+    code, _, err = call("store", "check", "--store", "gs://lab/store")
+    assert (code, str(key) in err, "Debug" in err) == (2, True, False)
+    no_container = b"<Error><Code>ContainerNotFound</Code></Error>"
+    with server_of(lambda handler: send(handler, 404, no_container)) as address:
+        monkeypatch.setenv("AZURE_STORAGE_ENDPOINT", address)
+        code, _, err = call("store", "check", "--store", "az://lab/store")
+    assert (code, f"There is no bucket lab at {address}" in err) == (2, True)
+
+
+@pytest.mark.parametrize("scheme", ["s3", "gs", "az"])
 def test_a_store_that_needs_obstore_says_how_to_get_it(
-    call: Call, bucket: str, monkeypatch: pytest.MonkeyPatch
+    call: Call, scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "obstore.store", None)
+    monkeypatch.delattr("obstore.store", raising=False)
     object_client._client.cache_clear()
-    code, _, err = call("store", "check", "--store", f"{bucket}/store")
-    assert (code, "pip install 'palpate[s3]'" in err) == (2, True)
+    code, _, err = call("store", "check", "--store", f"{scheme}://lab/store")
+    assert (code, "pip install 'palpate[cloud]'" in err) == (2, True)
 
 
 def test_the_doctor_says_whether_conditions_are_honoured(

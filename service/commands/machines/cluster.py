@@ -1,4 +1,4 @@
-"""`palpate slurm` makes a cluster of jobs of SLURM, for `palpate run` and `palpate serve`."""
+"""`palpate cluster` runs workers as jobs of a batch system, for `palpate run` and `serve`."""
 
 import time
 from pathlib import Path
@@ -6,14 +6,20 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.cluster.slurm import SlurmRequest, open_slurm
+from palpate.service.cluster.slurm import (
+    BatchSystem,
+    JobRequest,
+    check_batch_system,
+    open_jobs,
+)
 from palpate.service.cluster.worker_range import read_workers
 from palpate.service.commands.interrupts import stop_requests
 
 SAY_EVERY_S = 1.0
 
 
-def slurm(
+def cluster(
+    system: Annotated[BatchSystem, typer.Argument(help="Batch system of the cluster.")],
     workers: Annotated[
         str,
         typer.Option(
@@ -21,12 +27,24 @@ def slurm(
             help="Number of jobs, one worker each: 32, or 2-32 to follow the workload.",
         ),
     ],
-    memory: Annotated[str, typer.Option(help="Memory per job.")] = "4GB",
+    memory: Annotated[
+        str,
+        typer.Option(
+            help="Memory per job. SGE is not asked for it: name your site's resource with "
+            "--option, for example '-l h_vmem=4G'."
+        ),
+    ] = "4GB",
     walltime: Annotated[str, typer.Option(help="Time limit per job.")] = "24:00:00",
-    queue: Annotated[str | None, typer.Option(help="SLURM partition.")] = None,
-    account: Annotated[str | None, typer.Option(help="Account to charge.")] = None,
+    queue: Annotated[str | None, typer.Option(help="Queue, or SLURM partition.")] = None,
+    account: Annotated[
+        str | None, typer.Option(help="Account to charge; with LSF and SGE the project.")
+    ] = None,
     option: Annotated[
-        list[str] | None, typer.Option(help="Additional sbatch option. Repeatable.")
+        list[str] | None,
+        typer.Option(
+            help="Additional option of sbatch, qsub or bsub, such as '-V' for PBS and SGE to pass "
+            "on environment variables. Repeatable."
+        ),
     ] = None,
     setup: Annotated[
         list[str] | None,
@@ -42,16 +60,19 @@ def slurm(
         int, typer.Option(min=0, max=65535, help="Port of the scheduler; 0 for any free port.")
     ] = 0,
     logs: Annotated[Path | None, typer.Option(help="Folder for the output of the jobs.")] = None,
-    show: Annotated[bool, typer.Option(help="Show the job script without submitting it.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the job script and submit nothing.")
+    ] = False,
     yes: Annotated[
         bool, typer.Option("--yes", help="Submit without asking for confirmation.")
     ] = False,
 ) -> None:
-    """Start a scheduler here and workers as SLURM jobs.
+    """Start a scheduler here and workers as jobs of SLURM, PBS, LSF or SGE.
 
     The job script is shown before it is submitted. Press Ctrl-C to cancel the jobs.
     """
-    request = SlurmRequest(
+    request = JobRequest(
+        system=system,
         workers=read_workers(workers),
         memory=memory,
         walltime=walltime,
@@ -63,19 +84,27 @@ def slurm(
         port=port,
         logs=logs,
     )
-    with stop_requests() as requests, open_slurm(request) as cluster:
-        typer.echo(cluster.script)
-        if show:
+    if not dry_run:
+        check_batch_system(system)
+    with stop_requests() as requests, open_jobs(request) as jobs:
+        typer.echo(jobs.script)
+        if not jobs.address.startswith("tls://"):
+            typer.echo(
+                f"{jobs.address} is not encrypted: whoever reaches it can run code on the workers. "
+                "`palpate certs` makes certificates.",
+                err=True,
+            )
+        if dry_run:
             return
         if not yes and not typer.confirm(f"Submit this {workers} times?", err=True):
             return
-        cluster.submit()
-        typer.echo(f"submitted; in another window: palpate run --scheduler {cluster.address} ...")
-        if cluster.dashboard:
-            typer.echo(f"dashboard: {cluster.dashboard}")
+        jobs.submit()
+        typer.echo(f"submitted; in another window: palpate run --scheduler {jobs.address} ...")
+        if jobs.dashboard:
+            typer.echo(f"dashboard: {jobs.dashboard}")
         before = -1
         while not requests:
-            if (running := cluster.running) != before:
+            if (running := jobs.running) != before:
                 typer.echo(f"{running} of {workers} workers are up", err=True)
                 before = running
             time.sleep(SAY_EVERY_S)

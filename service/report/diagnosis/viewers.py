@@ -8,6 +8,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial import KDTree
 
 from palpate.service.report.diagnosis.maps import SIGNIFICANT, range_mm
+from palpate.service.report.diagnosis.slice_fields import MEANINGS, slice_fields
 from palpate.service.report.diagnosis.slices import titled
 from palpate.service.report.diagnosis.surfaces import FARTHEST_MM
 from palpate.service.report.diagnosis.where import PARTS, on_surfaces
@@ -113,7 +114,8 @@ def slice_data(
             {n: plates_touching(v, pressed.axis) for n, v in volumes.items()} if pressed else {}
         )
         at = middle_mm(volumes["scan"], (Tissue.GLANDULAR,))
-        sets.append(SliceSet(name, volumes, at, plates))
+        fields = slice_fields(found, scan, volumes, names[1:])
+        sets.append(SliceSet(name, volumes, at, plates, fields))
     if not sets:
         return None
     gland = (int(Tissue.GLANDULAR),)
@@ -121,13 +123,14 @@ def slice_data(
         sets,
         [
             SlicePanel("Scan", "labels", ("scan",)),
-            SlicePanel("Model: $choice", "labels", ("$choice",), gland, "scan"),
+            SlicePanel("Model: $choice", "labels", ("$choice",), gland, "scan", tuple(MEANINGS)),
             SlicePanel("Difference: $choice", "overlay", ("scan", "$choice"), gland),
         ],
         VIEWS[:1] if next(iter(sets[0].volumes.values())).values.shape[0] == 1 else VIEWS,
         {int(t): (t.name.lower(), colour) for t, colour in TISSUES.items() if t},
         OVERLAY,
         models,
+        MEANINGS,
     )
     return script("slices", shown)
 

@@ -213,12 +213,15 @@ def slice_data(bodies: Bodies, labels: Iterable[str], case: CaseSpec) -> Json | 
         [
             SlicePanel("Undeformed", "labels", ("reference",)),
             SlicePanel("Target", "labels", ("target",)),
-            SlicePanel("Best candidate", "labels", (BEST,), tuple(tissues), "target", *fields),
+            SlicePanel(
+                "Best candidate", "labels", (BEST,), tuple(tissues), "target", tuple(fields)
+            ),
             SlicePanel(f"Difference, {names}", "difference", ("target", BEST), tuple(tissues)),
         ],
         VIEWS[:1] if _is_flat(bodies) else VIEWS,
         {int(t): (name, TISSUES[Tissue(t)]) for t, name in bodies.labels.items()},
         [(meaning[kind], DIFFERENCES[kind]) for kind in Difference],
+        meanings={"displacement": "displacement of the tissue"},
     )
 
 

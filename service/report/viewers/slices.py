@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -32,8 +33,8 @@ class SlicePanel:
         That are compared; of an overlay, the gland.
     outline : str
         A volume whose outline, and that of its `tissues`, is drawn over the slice; empty for none.
-    coloured : str
-        A field by which the slice can be coloured instead; empty for none.
+    coloured : tuple of str
+        Fields by one of which the slice can be coloured instead.
     """
 
     title: str
@@ -41,7 +42,7 @@ class SlicePanel:
     volumes: tuple[str, ...]
     tissues: tuple[int, ...] = ()
     outline: str = ""
-    coloured: str = ""
+    coloured: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,8 @@ class SliceSet:
     plates : mapping of str to Plates
         Between which a volume lies.
     fields : mapping of str to Volume
-        Lengths in mm, nan where there is no tissue.
+        Lengths in mm by name, or by ``NAME:CHOICE`` for one model; nan where none is known. Fields
+        of one name have one scale.
     """
 
     name: str
@@ -73,6 +75,7 @@ def slice_viewer(
     labels: Mapping[int, tuple[str, str]],
     differences: Sequence[tuple[str, str]],
     choices: Sequence[tuple[str, str]] = (),
+    meanings: Mapping[str, str] = MappingProxyType({}),
 ) -> Json:
     """Return what the slice viewer shows, which `script` puts into a page as "slices".
 
@@ -88,6 +91,8 @@ def slice_viewer(
         Meaning and colour: outside, rest of the body, in both, in the first, in the second.
     choices : sequence of (str, str)
         Names of volumes that stand for ``$choice``, and their titles.
+    meanings : mapping of str to str
+        What each field shows, in words.
     """
     flat = len(views) == 1
     return {
@@ -112,6 +117,7 @@ def slice_viewer(
         "hint": FLAT_HINT if flat else HINT,
         "flat": flat,
         "stops": SEQUENTIAL,
+        "meanings": dict(meanings),
     }
 
 
@@ -132,16 +138,22 @@ def _set(one: SliceSet) -> Json:
             name: {"axis": plates.axis, "heights": plates.heights_mm}
             for name, plates in one.plates.items()
         },
-        "fields": {name: _field(lengths) for name, lengths in one.fields.items()},
+        "fields": {name: _field(lengths, _end(name, one)) for name, lengths in one.fields.items()},
         "at": list(one.at_mm),
         "box": box,
     }
 
 
-def _field(lengths: Volume) -> Json:
-    """Return lengths in 254 steps from 0 to their end; 0 where they are not known."""
+def _end(field: str, one: SliceSet) -> float:
+    """Return the largest length of all fields that have the name of this one."""
+    name = field.partition(":")[0]
+    alike = (lengths.values for key, lengths in one.fields.items() if key.partition(":")[0] == name)
+    return max(0.01, *(float(np.nanmax(v, initial=0.0)) for v in alike))
+
+
+def _field(lengths: Volume, end: float) -> Json:
+    """Return lengths in 254 steps from 0 to an end; 0 where they are not known."""
     known = np.isfinite(lengths.values)
-    end = max(float(lengths.values[known].max(initial=0.0)), 0.01)
     steps = np.where(known, 1 + np.rint(np.nan_to_num(lengths.values) / end * 254), 0)
     shown = replace(lengths, values=steps.astype(np.uint8))
     return packed_volume(shown) | {"end": round(end, 2)}

@@ -219,6 +219,26 @@ def test_the_best_candidate_is_coloured_by_displacement(
     told.page.close()
 
 
+def test_the_model_of_a_diagnosis_is_coloured_by_displacement_and_gap(
+    browser: Any, pages: dict[str, Path]
+) -> None:
+    told = shown(browser, pages["diagnosis"])
+    viewer = told.page.locator('[data-viewer="slices"]')
+    model = '[data-viewer="slices"] .panels figure:nth-child(2) canvas'
+    pictures = [told.canvas(model)]
+    for colour in ("displacement", "gap"):
+        viewer.get_by_text(colour, exact=True).click()
+        pictures.append(told.canvas(model))
+        assert colour in viewer.locator(".scale .what").inner_text()
+    end = viewer.locator(".scale span:nth-child(3)").inner_text()
+    viewer.get_by_text("with ").first.click()
+    pictures.append(told.canvas(model))
+    assert len(set(pictures)) == 4
+    assert viewer.locator(".scale span:nth-child(3)").inner_text() == end  # one scale for both
+    assert told.problems == []
+    told.page.close()
+
+
 @pytest.mark.parametrize("which", ["study", "diagnosis"])
 def test_the_body_turns_by_pointer_and_by_keyboard(
     browser: Any, pages: dict[str, Path], which: str

@@ -85,6 +85,9 @@ const platesOf = (plates, view, atMm, frame) => {
   }).join("");
 };
 
+// Tissue without a value, in a slice that shows one.
+const GREY = [138, 148, 161];
+
 // 1, 2 or 5 times a power of ten, about a fifth of a length.
 const roundLength = (mm) => {
   const power = 10 ** Math.floor(Math.log10(mm / 4));
@@ -116,6 +119,7 @@ const showSlices = async (root, told = payload("slices")) => {
   const panels = make("div", { class: "panels" });
   const readout = make("p", { class: "readout", "aria-live": "polite" });
 
+  const fieldOf = (name) => sets[state.set].fields[name] || sets[state.set].fields[`${name}:${state.choice}`];
   const named = (name) => (name === "$choice" ? state.choice : name);
   const shown = () => told.panels.filter((p) => p.volumes.every((v) => sets[state.set].volumes[named(v)]));
   const frameOf = (view, volumes) => {
@@ -157,7 +161,7 @@ const showSlices = async (root, told = payload("slices")) => {
     const canvas = make("canvas", { width: frame.columns, height: frame.rows, role: "img" });
     const title = panel.title.replace("$choice", (told.choices.find(([k]) => k === state.choice) || ["", ""])[1]);
     canvas.setAttribute("aria-label", `${title}, ${view.name} slice`);
-    const field = panel.coloured && state.coloured === panel.coloured ? sets[state.set].fields[panel.coloured] : null;
+    const field = panel.coloured.includes(state.coloured) ? fieldOf(state.coloured) : null;
     const lengthsHere = field ? planeOf(field, view, state.at[view.normal], frame) : null;
     const image = new ImageData(frame.columns, frame.rows);
     for (let row = 0; row < frame.rows; row++)
@@ -165,7 +169,8 @@ const showSlices = async (root, told = payload("slices")) => {
         const at = row * frame.columns + column;
         const value = values[at];
         let colour = panel.kind === "labels" ? tissueColours[value] : differenceColours[value];
-        if (field && value && lengthsHere[at]) colour = [...lengths[lengthsHere[at]], 255];
+        if (field && value)
+          colour = lengthsHere[at] ? [...lengths[lengthsHere[at]], 255] : [...GREY, panel.tissues.includes(value) ? 153 : 46];
         if (!colour) continue;
         image.data.set(colour, 4 * ((frame.rows - 1 - row) * frame.columns + column));
       }
@@ -193,14 +198,14 @@ const showSlices = async (root, told = payload("slices")) => {
 
   const scale = make("div", { class: "scale" });
   const drawScale = () => {
-    const field = state.coloured && sets[state.set].fields[state.coloured];
+    const field = state.coloured && fieldOf(state.coloured);
     scale.hidden = !field;
     if (!field) return;
     const bar = make("span", { class: "bar" });
     bar.style.background = `linear-gradient(to right, ${told.stops.join(",")})`;
     scale.replaceChildren(
       make("span", {}, "0 mm"), bar, make("span", {}, `${rounded(field.end, 1)} mm`),
-      make("span", { class: "what" }, `${state.coloured} of the tissue`),
+      make("span", { class: "what" }, told.meanings[state.coloured]),
     );
   };
 
@@ -232,15 +237,16 @@ const showSlices = async (root, told = payload("slices")) => {
     controls.append(switchOf("Scan", "slice-scan", scans, (k) => {
       state.set = Number(k);
       state.at = [...sets[state.set].at];
+      drawScale();
       draw();
     }));
   }
   if (told.choices.length > 1)
-    controls.append(switchOf("Model", "slice-choice", told.choices, (k) => { state.choice = k; draw(); }));
-  const fields = Object.keys(sets[0].fields);
+    controls.append(switchOf("Model", "slice-choice", told.choices, (k) => { state.choice = k; drawScale(); draw(); }));
+  const fields = [...new Set(sets.flatMap((set) => Object.keys(set.fields).map((key) => key.split(":")[0])))];
   if (fields.length) {
     const colours = [["", "tissues"], ...fields.map((name) => [name, name])];
-    controls.append(switchOf("Best candidate", "slice-colour", colours, (k) => { state.coloured = k; drawScale(); draw(); }));
+    controls.append(switchOf("Colours", "slice-colour", colours, (k) => { state.coloured = k; drawScale(); draw(); }));
   }
   if (told.views.length > 1 || sets[0].volumes) {
     const label = make("label", { class: "slide" }, make("span", {}, "Slice"), slider, place);

@@ -13,7 +13,8 @@ from palpate.workers.body.mesh.whole_body import mesh_whole_body
 from palpate.workers.comparison.observation.point_interpolation import interpolation
 from palpate.workers.organs.specimen.block import block
 from palpate.workers.organs.specimen.problem import region_of
-from palpate.workers.organs.specimen.spec import FinitePoint, SpecimenSpec
+from palpate.workers.organs.specimen.readings.spec import FinitePoint
+from palpate.workers.organs.specimen.spec import SpecimenSpec
 from palpate.workers.organs.specimen.surface_normal import outward_normals
 
 # A point off the mesh by more than this lies on another body.

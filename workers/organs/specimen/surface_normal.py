@@ -6,7 +6,7 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray
-from palpate.workers.organs.specimen.spec import FinitePoint
+from palpate.workers.organs.specimen.readings.spec import FinitePoint
 
 # Faces as near as the nearest one, up to this part of an element, count as touching.
 TOUCH = 1e-3

@@ -19,7 +19,8 @@ from palpate.workers.comparison.observation.rigid_registration import misfit_mm,
 from palpate.workers.mechanics.fem.problem.loads import DisplacementField
 from palpate.workers.organs.specimen.problem import held_axes, region_of
 from palpate.workers.organs.specimen.readings.field_tables import MOVE, FieldTables, read_field
-from palpate.workers.organs.specimen.spec import FieldSpec, MarkersSpec, SpecimenSpec
+from palpate.workers.organs.specimen.readings.spec import FieldSpec, MarkersSpec
+from palpate.workers.organs.specimen.spec import SpecimenSpec
 
 # Markers at rest this far off their places have been mixed up, or misread.
 FARTHEST_MM = 10.0

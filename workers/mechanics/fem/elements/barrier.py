@@ -18,7 +18,11 @@ from numba import njit
 from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.compile_flags import CONTRACTED
 from palpate.workers.mechanics.fem.elements.element_constants import growth_of, shear_moduli_mpa
-from palpate.workers.mechanics.fem.elements.element_energy import Elements, deformation_gradients
+from palpate.workers.mechanics.fem.elements.element_energy import (
+    Elements,
+    deformation_gradients,
+    volume_ratios,
+)
 from palpate.workers.mechanics.fem.elements.model import LevelModel
 from palpate.workers.mechanics.fem.problem.array_types import Float32Array
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
@@ -51,7 +55,7 @@ def barrier_of(model: LevelModel, problem: Problem) -> Barrier:
 
 def barrier_energy(x: FloatArray, elements: Elements, barrier: Barrier) -> float:
     """Return the energy of the barrier in mJ."""
-    J = np.linalg.det(deformation_gradients(x, elements))
+    J = volume_ratios(x, elements)
     closed = np.maximum(1 - J / barrier.j, 0.0)
     return float((elements.volumes * barrier.stiffness_mpa) @ closed**3)
 

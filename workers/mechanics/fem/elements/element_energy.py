@@ -187,6 +187,16 @@ def energy(
 
 
 @njit(**CONTRACTED)
+def volume_ratios(x: FloatArray, elements: Elements) -> FloatArray:
+    """Return J of each element, shape (m,)."""
+    F, J = np.empty((3, 3)), np.empty(elements.tets.shape[0])
+    for e in range(J.shape[0]):
+        _deformation_gradient(x, elements.tets, elements.gradients, e, F)
+        J[e] = _determinant(F)
+    return J
+
+
+@njit(**CONTRACTED)
 def smallest_volume_ratio(x: FloatArray, elements: Elements) -> float:
     """Return the smallest J over the elements."""
     F = np.empty((3, 3))

@@ -37,7 +37,8 @@ def solve_level(
     """
     if level.constants.laws and not np.isfinite(level.energy(start, stage).potential):
         # The law knows no inverted element; a neo-Hookean body finds a start without any.
-        relaxed = Level.build(level.model, without_laws(level.problem))
+        neo_hookean = replace(without_laws(level.problem), restarts=False)
+        relaxed = Level.build(level.model, neo_hookean)
         relaxed = relaxed if level.barrier is None else relaxed.with_barrier()
         found = minimise(relaxed, start.with_eigenvector(None), stage, factory, tolerance_mm)
         start = start.moved_to(found.state.x, found.state.travel_mm)
@@ -54,7 +55,7 @@ def solve_level(
         again = minimise(level, updated, stage, factory, near)
         moved = float(np.abs(again.state.x - result.state.x).max())
         newton, cg = newton + again.iterations, cg + again.cg_iterations
-        result = Result(again.state, again.reason, newton, cg, again.residual_n, again.linear)
+        result = replace(again, iterations=newton, cg_iterations=cg)
         if moved < tolerance_mm and near <= tolerance_mm:
             return result
         near = max(tolerance_mm, PART_OF_LAST_MOTION * moved)

@@ -63,17 +63,31 @@ class LoadPath:
     results : tuple of Result
         Of each level that was solved in the last stage.
     converged : tuple of ConvergedStage
+    levels : tuple of Level
+        With a barrier where the body would collapse without one.
     """
 
     stage: Stage
     states: tuple[State, ...]
     results: tuple[Result, ...]
     converged: tuple[ConvergedStage, ...]
+    levels: tuple[Level, ...]
 
     @property
     def reason(self) -> str:
         """Why the last stage did not converge; empty when it did."""
         return self.results[-1].reason
+
+    @property
+    def collapsed(self) -> bool:
+        """Whether it ended without a barrier where elements collapse, or are turned inside out."""
+        last = self.results[-1]
+        reached = next(k for k, state in enumerate(self.states) if state is last.state)
+        level = self.levels[reached]
+        if level.barrier is not None:
+            return False
+        ratio = element_energy.smallest_volume_ratio(last.state.x, level.model.elements)
+        return bool(last.collapses or ratio < (J_BARRIER if last.reason else 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +101,17 @@ class LoadStepping:
     def run(self, neighbour: Sequence[ConvergedStage] | None = None) -> LoadPath:
         """Load the body, from a neighbour's stages where they lead to the end.
 
-        See `Problem.restarts`.
+        See `Problem.restarts`. A body that collapses is solved with a barrier against it.
         """
+        path = self._run(neighbour)
+        if not (path.collapsed and self.problem.restarts):
+            return path
+        guarded = self.with_barrier()
+        resumed = guarded.resume(path)
+        return guarded.from_rest([History() for _ in self.levels]) if resumed.reason else resumed
+
+    def _run(self, neighbour: Sequence[ConvergedStage] | None) -> LoadPath:
+        """Load the body with levels as they are."""
         histories = tuple(History() for _ in self.levels)
         if neighbour is not None:
             path = self.continue_from(neighbour)
@@ -108,6 +131,8 @@ class LoadStepping:
             path = self._follow(stages, self._at_rest(histories))
             if not path.reason or self._is_exhausted_with_barrier(path):
                 break
+            if path.collapsed and self.problem.restarts:
+                break
             histories = [s.history for s in path.states]
         if path is None:
             raise AssertionError("a load has at least one schedule")
@@ -117,12 +142,19 @@ class LoadStepping:
         """Return the same levels with a barrier against the collapse of their elements."""
         return replace(self, levels=tuple(level.with_barrier() for level in self.levels))
 
-    def has_collapsed(self, path: LoadPath) -> bool:
-        """Return whether an element has lost so much volume that a barrier would have acted."""
-        failed = len(path.results) - 1
-        level, state = self.levels[failed], path.results[failed].state
-        ratio = element_energy.smallest_volume_ratio(state.x, level.model.elements)
-        return bool(ratio < J_BARRIER)
+    def resume(self, path: LoadPath) -> LoadPath:
+        """Go on with a path at the level where it failed, from the state that it reached there.
+
+        A load with several stages, or whose coarsest level failed, begins again.
+        """
+        in_one_stage = path.stage.fraction == 1 and len(path.converged) <= 1
+        if not in_one_stage or len(path.results) == 1:
+            return self.from_rest([History() for _ in self.levels])
+        before = self._at_rest([s.history for s in path.states])
+        states, results = self._solve_stage(path.stage, before, first=True, done=path.results)
+        solvers = tuple(r.linear for r in results if r.linear is not None and not r.reason)
+        converged = (ConvergedStage(states, solvers),) if len(solvers) == len(self.levels) else ()
+        return LoadPath(path.stage, states, results, converged, self.levels)
 
     def _is_exhausted_with_barrier(self, path: LoadPath) -> bool:
         """Return whether the full load has taken all iterations of the finest mesh.
@@ -165,7 +197,7 @@ class LoadStepping:
                 break
             states = (*near.states[:-1], result.state)
             converged.append(ConvergedStage(states, (*near.solvers[:-1], result.linear)))
-        return LoadPath(stage, states, (result,), tuple(converged))
+        return LoadPath(stage, states, (result,), tuple(converged), self.levels)
 
     def _at_rest(self, histories: Sequence[History]) -> tuple[State, ...]:
         """Return the undeformed states of all levels, without friction."""
@@ -183,22 +215,34 @@ class LoadStepping:
             if len(solvers) < len(self.levels):
                 break
             converged.append(ConvergedStage(states, solvers))
-        return LoadPath(stage, states, results, tuple(converged))
+        return LoadPath(stage, states, results, tuple(converged), self.levels)
 
     def _solve_stage(
-        self, stage: Stage, before: tuple[State, ...], *, first: bool
+        self,
+        stage: Stage,
+        before: tuple[State, ...],
+        *,
+        first: bool,
+        done: Sequence[Result] = (),
     ) -> tuple[tuple[State, ...], tuple[Result, ...]]:
-        """Solve one stage on each level, from coarse to fine, until one fails."""
-        states: list[State] = []
-        results: list[Result] = []
-        solvers: list[LinearSolver] = []
+        """Solve one stage on each level, from coarse to fine, until one fails.
+
+        Where results of some levels are `done`, it begins where the last of them ended.
+        """
+        results = list(done[:-1])
+        states = [result.state for result in results]
+        solvers = [result.linear for result in results if result.linear is not None]
         for k, level in enumerate(self.levels):
+            if k < len(results):
+                continue
             begun, tolerance = level.begin_step(before[k], stage), self._tolerance(k)
-            if k == 0 and first:
+            solve = solve_balanced if k == len(self.levels) - 1 else solve_level
+            if k == len(done) - 1:
+                result = solve(level, done[k].state, stage, solver_factory(solvers), tolerance)
+            elif k == 0 and first:
                 result = self._coarsest_from_rest(begun, stage, tolerance)
             else:
                 start = self._start(k, begun, before, states, stage, first=first)
-                solve = solve_balanced if k == len(self.levels) - 1 else solve_level
                 result = solve(level, start, stage, solver_factory(solvers), tolerance)
             results.append(result)
             states.append(result.state)

@@ -4,11 +4,13 @@ The travel of force-controlled plates is one more unknown; it appears linearly i
 the bordered system and is eliminated exactly.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.fem.elements.barrier import J_BARRIER
+from palpate.workers.mechanics.fem.elements.element_energy import smallest_volume_ratio
 from palpate.workers.mechanics.fem.elements.states import Stage, State
 from palpate.workers.mechanics.fem.linear.level import Energy, Level, Tangent
 from palpate.workers.mechanics.fem.linear.multigrid import (
@@ -21,6 +23,9 @@ MAX_ITERATIONS = 60
 # With a barrier against collapse. After the usual ones the length of a step is chosen with more
 # care, and a tangent that is not positive is made so.
 MAX_ITERATIONS_WITH_BARRIER, USUAL_ITERATIONS = 160, 25
+# A body collapses where an element has lost half of its volume, the energy still falls, and the
+# residual has not for so many iterations. Solves that converge need at most three.
+STALLED_ITERATIONS = 6
 MAX_HALVINGS = 14
 # Longest step of a node in one iteration; farther, the quadratic model says nothing.
 LONGEST_STEP_MM = 20.0
@@ -45,6 +50,8 @@ class Result:
         Norm of the last out-of-balance force.
     linear : LinearSolver or None
         With the last tangent.
+    collapses : bool
+        Ended early because elements collapse; the state is then that with the smallest residual.
     """
 
     state: State
@@ -53,6 +60,22 @@ class Result:
     cg_iterations: int
     residual_n: float
     linear: LinearSolver | None
+    collapses: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _LeastResidual:
+    """The state with the smallest residual so far, and how many iterations ago it was left."""
+
+    residual_n: float
+    state: State
+    iterations_ago: int
+
+    def followed_by(self, residual_n: float, state: State) -> "_LeastResidual":
+        """Return it after one more iteration, at a state with this residual."""
+        if residual_n < self.residual_n:
+            return _LeastResidual(residual_n, state, 0)
+        return replace(self, iterations_ago=self.iterations_ago + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +104,8 @@ def minimise(
     Without `max_iterations` their limit is that of a level with or without a barrier.
     Friction and follower pressure are held. Converged when a full step moves no node by
     more than `tolerance_mm`. The first step is solved to a relative residual of `forcing`:
-    `TIGHTEST` from a start that may be so near that this step is the last.
+    `TIGHTEST` from a start that may be so near that this step is the last. A body that collapses,
+    and may be solved again with a barrier, is left where its forces were balanced best.
     """
     if max_iterations is None:
         guarded = level.barrier is not None
@@ -89,6 +113,7 @@ def minimise(
     state = start
     energy = level.energy(state, stage)
     cg_total, residual, last_residual = 0, np.inf, np.inf
+    least = _LeastResidual(np.inf, start, 0)
     linear: LinearSolver | None = None
     # `convex`: no descent otherwise, for good; `cautious`: for this step.
     convex = cautious = False
@@ -103,6 +128,10 @@ def minimise(
         if np.isfinite(last_residual):
             forcing = min(LOOSEST, max(TIGHTEST, 0.5 * (residual / last_residual) ** 1.5))
         last_residual = residual
+        least = least.followed_by(residual, state)
+        if least.iterations_ago >= STALLED_ITERATIONS and _collapses(level, state):
+            reason = f"elements collapse at a residual of {residual:.3g} N"
+            return Result(least.state, reason, iteration, cg_total, residual, linear, True)
         linear = factory(level, tangent, state.history.eigenvector)
         state = state.with_eigenvector(linear.eigenvector)
         step = _direction(force, plate, tangent, linear, forcing)
@@ -130,6 +159,16 @@ def minimise(
             return Result(state, "", iteration, cg_total, residual, linear)
     reason = f"{max_iterations} Newton iterations left a residual of {residual:.3g} N"
     return Result(state, reason, max_iterations, cg_total, residual, linear)
+
+
+def _collapses(level: Level, state: State) -> bool:
+    """Return whether a barrier would act at this state, and may be tried.
+
+    The coarsest level, whose failures are cheap, tries smaller increments first.
+    """
+    if level.barrier is not None or level.model.transfer is None or not level.problem.restarts:
+        return False
+    return bool(smallest_volume_ratio(state.x, level.model.elements) < J_BARRIER)
 
 
 def solve_bordered(

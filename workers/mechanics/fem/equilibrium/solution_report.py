@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from palpate.storage.values import Tissue
 from palpate.workers.mechanics.fem.contact.plates import PlateContact
 from palpate.workers.mechanics.fem.elements import element_energy
@@ -24,6 +22,8 @@ def report(finest: Level, imaged: LevelModel, path: LoadPath) -> Solution:
     min_j = float(element_energy.smallest_volume_ratio(state.x, model.elements))
     force = finest.force(state, at, stage)
     reason = path.reason or equilibrium_fault(finest, state, at, stage, force)
+    if min_j <= 0 and not reason:
+        reason = "elements are turned inside out"
     if reason:
         reason += _collapsed_tissue(model, state)
     deepest = max((float(p.penetration.max()) for p in at.plate_contacts), default=0.0)
@@ -52,7 +52,7 @@ def report(finest: Level, imaged: LevelModel, path: LoadPath) -> Solution:
 
 def _collapsed_tissue(model: LevelModel, state: State) -> str:
     """Return which tissue has lost most of its volume, to follow a reason; maybe empty."""
-    ratios = np.linalg.det(element_energy.deformation_gradients(state.x, model.elements))
+    ratios = element_energy.volume_ratios(state.x, model.elements)
     collapsed = ratios < SQUEEZED_J
     if not collapsed.any():
         return ""

@@ -5,7 +5,7 @@ coarser solution and takes a few Newton steps, whose linear systems the coarser
 levels precondition. Friction depends on the path: the load is then applied in
 steps, and every step ends in equilibrium on every mesh.
 
-A body that collapses on this way is solved a second time with a barrier against it, see
+A body that collapses on this way is solved on with a barrier against it, see
 `workers.mechanics.fem.elements.barrier`; every other answer is found without one.
 """
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from palpate.storage.values import FloatArray
 from palpate.workers.mechanics.fem.elements.model import Model
-from palpate.workers.mechanics.fem.elements.states import History, Stage, State
+from palpate.workers.mechanics.fem.elements.states import Stage, State
 from palpate.workers.mechanics.fem.equilibrium.load_stepping import ConvergedStage, LoadStepping
 from palpate.workers.mechanics.fem.equilibrium.solution_report import report
 from palpate.workers.mechanics.fem.equilibrium.stress_free_shape import (
@@ -122,10 +122,7 @@ def equilibrium(model: Model, problem: Problem, start: Equilibrium | None = None
     if start is not None and start.levels[-1].barrier is not None:
         stepping = stepping.with_barrier()
     path = stepping.run(neighbour)
-    if path.reason and problem.restarts and stepping.has_collapsed(path):
-        stepping = stepping.with_barrier()
-        path = stepping.from_rest([History() for _ in levels])
-    solution = report(stepping.levels[-1], imaged.finest, path)
+    solution = report(path.levels[-1], imaged.finest, path)
     if reason:
         outcome = replace(solution.outcome, converged=False, reason=reason)
         solution = replace(solution, outcome=outcome)
@@ -134,7 +131,7 @@ def equilibrium(model: Model, problem: Problem, start: Equilibrium | None = None
         model,
         problem,
         path.stage,
-        stepping.levels,
+        path.levels,
         path.states,
         path.converged,
         solution,

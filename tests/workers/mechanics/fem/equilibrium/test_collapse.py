@@ -1,14 +1,13 @@
 """Bodies whose elements collapse: stiff glands press on soft fat."""
 
-from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue
 from palpate.workers.mechanics.fem.elements.model import Model, prepare
-from palpate.workers.mechanics.fem.equilibrium import load_schedule, load_stepping
+from palpate.workers.mechanics.fem.elements.states import History
 from palpate.workers.mechanics.fem.equilibrium.load_stepping import LoadStepping
 from palpate.workers.mechanics.fem.equilibrium.solution_report import report
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium, solve
@@ -22,11 +21,6 @@ from palpate.workers.spec import validated
 from tests.workers.mechanics.fem.solids import body, box
 
 FORCE_N = 350.0
-
-
-def only_the_first(schedules: Callable[..., Any]) -> Callable[..., list[Any]]:
-    """Return the direct way to the full load alone."""
-    return lambda *args: list(schedules(*args))[:1]
 
 
 @pytest.fixture(scope="module")
@@ -51,19 +45,34 @@ def found(breast: tuple[Model, Problem]) -> Equilibrium:
     return equilibrium(*breast)
 
 
-def test_without_a_barrier_the_reason_names_the_collapsed_tissue(breast, monkeypatch):
-    """More stages do not help, and take ten seconds: the direct way alone is followed."""
-    schedules = only_the_first(load_schedule.load_schedules)
-    monkeypatch.setattr(load_stepping, "load_schedules", schedules)
-    model, problem = breast
+def ordinary(model: Model, problem: Problem) -> LoadStepping:
+    """Return the levels of a body without a barrier."""
     levels = tuple(Level.build(level, problem) for level in model)
-    stepping = LoadStepping(model, problem, levels)
-    path = stepping.run()
-    assert stepping.has_collapsed(path)
-    outcome = report(levels[-1], model.finest, path).outcome
+    return LoadStepping(model, problem, levels)
+
+
+def test_without_a_barrier_the_reason_names_the_collapsed_tissue(breast):
+    model, problem = breast
+    path = ordinary(model, problem).from_rest([History() for _ in model])
+    assert path.collapsed
+    outcome = report(path.levels[-1], model.finest, path).outcome
     assert not outcome.converged
     assert not outcome.squeezed
     assert "elements, most of them fat, are squeezed to less than 0.3" in outcome.reason
+
+
+def test_a_collapse_is_noticed_before_the_iterations_run_out(breast):
+    """Nothing is tried in more stages, and no more steps are taken than an answer may need."""
+    path = ordinary(*breast).from_rest([History() for _ in breast[0]])
+    assert path.stage.fraction == 1
+    assert path.results[-1].iterations < 25
+    assert "elements collapse" in path.reason
+
+
+def test_a_problem_that_may_not_restart_is_solved_to_its_last_iteration(breast):
+    model, problem = breast
+    outcome = solve(model, replace(problem, restarts=False)).outcome
+    assert "60 Newton iterations" in outcome.reason
 
 
 def test_a_body_that_collapses_is_solved_with_the_barrier(found):

@@ -1,15 +1,15 @@
-"""Connects to an object store, waits for one that is away, and explains what it refuses.
+"""Connections to an object store, with retries and readable errors.
 
-Address and credentials come from the usual environment, as every S3 client reads it::
+Address and credentials come from the environment variables that every S3 client reads::
 
     AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN
     AWS_REGION or AWS_DEFAULT_REGION
-    AWS_ENDPOINT_URL              of a server that is not Amazon's, http:// or https://
+    AWS_ENDPOINT_URL              of a server other than Amazon's, http:// or https://
 
 Without AWS_ACCESS_KEY_ID they come from a profile of the AWS command line: `backends.aws_profile`.
 
-A request that finds nobody, or a server in trouble, is repeated with growing pauses. The first
-contact of a process gives up sooner: it is more likely a wrong address than an outage.
+A request that reaches no server, or a failing one, is retried with growing pauses. The first
+request of a process gives up sooner: a wrong address is more likely than an outage.
 """
 
 import os
@@ -32,7 +32,7 @@ FIRST_PATIENCE_S = 20.0
 PATIENCE_S = 300.0
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 3.0
 CONNECT_S, REQUEST_S = 5.0, 60.0
-MOST_RETRIES = 100_000  # the patience ends them
+MOST_RETRIES = 100_000  # in practice the patience ends first
 
 _ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
 _WHO = ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN")
@@ -40,11 +40,11 @@ _REGIONS = ("AWS_REGION", "AWS_DEFAULT_REGION")
 REGION = "us-east-1"
 
 _reached: set[str] = set()
-"""Buckets that have answered this process."""
+"""Buckets that have responded to this process."""
 
 
 def client_of(place: ObjectPath) -> "S3Store":
-    """Return the connection to a bucket; made once for each environment.
+    """Return the connection to a bucket, cached for each environment.
 
     Raises
     ------
@@ -57,12 +57,12 @@ def client_of(place: ObjectPath) -> "S3Store":
 
 
 def endpoint() -> str:
-    """Return the address of the server; empty for Amazon's."""
+    """Return the address of the server; empty for Amazon S3."""
     return _access().endpoint_url
 
 
 def _access() -> Profile:
-    """Return what the environment says, and a profile where it holds no keys.
+    """Return the settings of the environment, completed by a profile if it has no keys.
 
     Raises
     ------
@@ -83,12 +83,12 @@ def _stated(names: tuple[str, ...]) -> str:
 
 @contextmanager
 def explained(place: ObjectPath) -> Iterator[None]:
-    """Turn what a request raises into a `StoreError` that says what to do.
+    """Turn errors of a request into a `StoreError` with advice.
 
     Raises
     ------
     FileNotFoundError
-        If the bucket answers that the object is not there.
+        If the object does not exist.
     """
     from obstore.exceptions import BaseError
 
@@ -142,7 +142,7 @@ def _client(bucket: str, access: Profile, who: tuple[str, ...], patience_s: floa
 
 def _no_bucket(place: ObjectPath) -> StoreError:
     return StoreError(
-        f"There is no bucket {place.bucket} at {_server()}. Make it, or check name and "
+        f"There is no bucket {place.bucket} at {_server()}. Create it, or check its name and "
         "AWS_ENDPOINT_URL."
     )
 
@@ -157,24 +157,24 @@ def _explanation(place: ObjectPath, error: Exception) -> StoreError:
         return StoreError(
             f"{place} cannot be used: there are no credentials. Set AWS_ACCESS_KEY_ID and "
             "AWS_SECRET_ACCESS_KEY, or write them to ~/.aws/credentials with `aws configure`, "
-            "here and for the workers."
+            "here and on the workers."
         )
     if isinstance(error, PermissionDeniedError | UnauthenticatedError):
         return StoreError(
             f"{place} cannot be used: {_server()} refuses access{_code(text)}. Check "
-            "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY or the profile (AWS_PROFILE), and what they "
-            "may do with this bucket."
+            "AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY or the profile (AWS_PROFILE), and their "
+            "permissions for this bucket."
         )
     if _is_unreached(text):
         return StoreError(
             f"{place} cannot be reached at {_server()}{_tried(text)}. Check AWS_ENDPOINT_URL and "
-            "the network; what is stored is kept: run the command again to continue."
+            "the network. Stored results are kept: run the command again to continue."
         )
     return StoreError(f"{place} cannot be used: {_first(text)}. Check the server and its log.")
 
 
 def was_cut_off(error: Exception) -> bool:
-    """Return whether a request has no answer and was not repeated."""
+    """Return True if a request got no response and was not retried."""
     return _is_unreached(str(error)) and not _tried(str(error))
 
 
@@ -187,13 +187,13 @@ def _server() -> str:
 
 
 def _code(text: str) -> str:
-    """Return the server's own word for a refusal, such as (InvalidAccessKeyId)."""
+    """Return the server's error code, such as (InvalidAccessKeyId)."""
     _, found, rest = text.partition("<Code>")
     return f" ({rest.partition('</Code>')[0]})" if found else ""
 
 
 def _tried(text: str) -> str:
-    """Return how often and how long it was tried, as obstore says it."""
+    """Return the number and duration of attempts, from obstore's message."""
     tried = re.search(r" in (?P<seconds>[\d.]+)s, after (?P<retries>\d+) retries", text)
     if tried is None:
         return ""
@@ -201,5 +201,5 @@ def _tried(text: str) -> str:
 
 
 def _first(text: str) -> str:
-    """Return the first line of an error; what obstore adds below is for its developers."""
+    """Return the first line of an error; obstore's further lines are for its developers."""
     return text.partition("\n")[0].strip().rstrip(".")

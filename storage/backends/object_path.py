@@ -1,4 +1,4 @@
-"""Names one object, or a folder of objects, in a bucket: the part of a path that a store needs."""
+"""Paths of objects and folders in a bucket."""
 
 import re
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from pathlib import PurePosixPath
 
 from palpate.storage.errors import StoreError
 
-# S3's own rule; other servers are laxer about dots, none about the rest.
+# S3's own rule; other servers are laxer, but only about dots.
 _BUCKET = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9]")
 
 
@@ -48,28 +48,28 @@ class ObjectPath:
 
     @property
     def suffix(self) -> str:
-        """Return what stands behind the last dot of the last part, and the dot."""
+        """Return the suffix of the last part, with its dot."""
         return PurePosixPath(self.key).suffix
 
     @property
     def parent(self) -> "ObjectPath":
-        """Return the folder in which it lies."""
+        """Return the parent folder."""
         return ObjectPath(self.bucket, self.key.rpartition("/")[0])
 
 
 def object_path(rest: str, location: object) -> ObjectPath:
-    """Read what stands behind ``s3://``.
+    """Parse the part of an address after ``s3://``.
 
     Raises
     ------
     StoreError
-        If it names no bucket.
+        If there is no valid bucket name.
     """
     bucket, _, key = rest.strip("/").partition("/")
     if not _BUCKET.fullmatch(bucket):
         raise StoreError(
-            f"{location} names no bucket: {bucket!r} is not 3 to 63 small letters, digits, dots "
-            "and dashes. Give an address such as s3://my-bucket/palpate."
+            f"{location} names no bucket: {bucket!r} is not 3 to 63 lowercase letters, digits, "
+            "dots and dashes. Give an address such as s3://my-bucket/palpate."
         )
     parts = [part for part in key.split("/") if part]
     if any(part in (".", "..") for part in parts):

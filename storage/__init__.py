@@ -1,1 +1,1 @@
-"""Keeps on disk what must survive a crash."""
+"""Files that must survive a crash."""

@@ -1,8 +1,8 @@
-"""Derives short names from content.
+"""Short names derived from content.
 
-The first 16 hexadecimal digits of SHA-256: among a million names two are equal
-with a probability of 3e-8. Equal content has an equal name in any process, on any
-machine and in any order of keys; floats differ when any bit differs.
+A digest is the first 16 hexadecimal digits of SHA-256: among a million names, two are equal
+with a probability of 3e-8. Equal content has an equal digest in any process, on any machine
+and in any order of keys; floats differ if any bit differs.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ LENGTH = 16
 
 
 def digest(*parts: Any) -> str:
-    """Name plain values.
+    """Return the digest of plain values.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def digest(*parts: Any) -> str:
     InputError
         If a number is NaN or infinite.
     TypeError
-        If JSON cannot hold a part.
+        If a part cannot be written as JSON.
 
     Examples
     --------
@@ -42,13 +42,13 @@ def digest(*parts: Any) -> str:
     True
     """
     plain = to_plain(parts, finite=True, where="digest")
-    # json writes floats by repr, the shortest text that gives the same bits back.
+    # json writes floats by repr, the shortest text that restores the same bits.
     text = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("ascii")).hexdigest()[:LENGTH]
 
 
 def array_digest(array: NDArray[Any]) -> str:
-    """Name an array by shape, type and values; its layout in memory does not matter."""
+    """Return the digest of an array's shape, type and values; its memory layout does not count."""
     little = array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
     state = hashlib.sha256(f"{little.dtype.str}{little.shape}".encode())
     state.update(np.ascontiguousarray(little).data)
@@ -56,7 +56,7 @@ def array_digest(array: NDArray[Any]) -> str:
 
 
 def file_digest(path: Path | str) -> str:
-    """Name a file by its bytes, or a folder by the names and bytes of all files in it.
+    """Return the digest of a file's bytes, or of the names and bytes of all files in a folder.
 
     Hidden files do not count.
 
@@ -79,7 +79,7 @@ def file_digest(path: Path | str) -> str:
 
 
 def source_digest(folders: Iterable[Path | str]) -> str:
-    """Name the code in some packages by all their ``.py`` files.
+    """Return the digest of all ``.py`` files in some packages.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Defines the tree of errors that a user may see.
+"""Errors that a user may see.
 
 ::
 
@@ -8,25 +8,25 @@
         |-- JournalError        a journal is damaged, or another driver is writing it
         `-- NewerSchemaError    written by a newer version than this one
 
-A simulation that does not converge is none of these: it is an outcome.
+A simulation that does not converge is not an error but a result.
 """
 
 
 class PalpateError(Exception):
-    """Something that the user can put right; the message says how."""
+    """An error that the user can fix; the message explains how."""
 
 
 class InputError(PalpateError):
-    """What was asked for makes no sense."""
+    """An invalid or inconsistent input."""
 
 
 class StoreError(PalpateError):
-    """The store cannot be used as it is."""
+    """A store that cannot be used as it is."""
 
 
 class JournalError(StoreError):
-    """The journal cannot be read or written."""
+    """A journal that cannot be read or written."""
 
 
 class NewerSchemaError(StoreError):
-    """A record was written by a newer version of Palpate."""
+    """A record written by a newer version of Palpate."""

@@ -1,8 +1,8 @@
-"""Converts values to JSON and back so that infinities survive.
+"""Conversion of values to JSON and back that preserves infinities.
 
-JSON knows no infinity and no NaN, but a perfect score is ``-inf`` and a failed
-one ``inf``. They are written as the texts "-inf", "inf" and "nan", and read back
-as numbers wherever the shape of a record says that a number stands.
+JSON has no infinity and no NaN, but a perfect score is ``-inf`` and a failed
+one ``inf``. They are written as the strings "-inf", "inf" and "nan", and read back
+as numbers wherever a record expects a number.
 """
 
 import json
@@ -23,18 +23,18 @@ def to_plain(value: Any, *, finite: bool = False, where: str = "value") -> Any:
 
     Parameters
     ----------
-    value : mapping, sequence, numpy scalar or anything that JSON knows
+    value : mapping, sequence, numpy scalar or any JSON value
     finite : bool
-        Refuse what is not finite instead of writing it as text.
+        Refuse infinities and NaN instead of writing them as text.
     where : str
-        How to call the value in a message.
+        Name of the value in error messages.
 
     Raises
     ------
     InputError
-        If `finite` and a number is not.
+        If `finite` is set and a number is not finite.
     TypeError
-        If JSON cannot hold the value, or two keys of a mapping become the same text.
+        If the value cannot be written as JSON, or two keys of a mapping become the same text.
     """
     if isinstance(value, Enum):
         value = value.value
@@ -84,17 +84,17 @@ def to_number(value: Any) -> Any:
 
 
 def from_plain(record: dict[str, Any]) -> dict[str, Any]:
-    """Undo `to_plain` for a record: texts at its top stay texts, deeper ones may be numbers."""
+    """Undo `to_plain` for a record; strings at its top level stay strings."""
     return {key: item if isinstance(item, str) else to_number(item) for key, item in record.items()}
 
 
 def dumps(value: Any) -> str:
-    """Write one line of compact JSON, in ASCII: any text can be written, lone surrogates too."""
+    """Return one line of compact JSON in ASCII; lone surrogates are allowed."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False)
 
 
 def loads(text: str | bytes) -> Any:
-    """Parse JSON, and only JSON: the NaN and Infinity of other writers are refused.
+    """Parse strict JSON; NaN and Infinity are refused.
 
     Raises
     ------

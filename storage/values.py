@@ -1,10 +1,10 @@
-"""Defines the plain values that travel through the house: a voxel volume and a mesh.
+"""Plain value types shared by all packages: a voxel volume and a mesh.
 
-Nothing here reads or writes. The physics knows these two and no store.
+Nothing here reads or writes files.
 
 Coordinates are ``(x, y, z)`` in mm; voxel arrays are indexed ``[z, y, x]``, so
-that x runs fastest in memory (the order of ITK). The house frame of a breast is
-x vertical, y the direction of compression, z from chest wall to nipple.
+x runs fastest in memory (the order of ITK). In a breast x is vertical, y is the
+direction of compression and z runs from the chest wall to the nipple.
 """
 
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Tissue(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """Voxels with a place in space.
+    """Voxels with a position in space.
 
     Parameters
     ----------
@@ -46,10 +46,10 @@ class Volume:
     origin_mm : tuple of float
         Centre of the voxel ``values[0, 0, 0]`` as (x, y, z).
     frame_uid : str
-        Frame of reference of these coordinates, as DICOM names it; empty if the file names none.
+        DICOM frame of reference of these coordinates; empty if the file names none.
     place_known : bool
-        Whether the file states where its voxels are. False if origin or orientation had to be
-        assumed: such a volume cannot be compared with another one as it is.
+        True if the file gives the position of its voxels. False if origin or orientation had to be
+        assumed: such a volume cannot be compared directly with another one.
 
     Raises
     ------
@@ -80,9 +80,9 @@ class Volume:
 
     @property
     def frame_facts(self) -> list[Any]:
-        """Return what is unusual about the place: nothing for a known one without a frame's name.
+        """Return the frame and `place_known` if either differs from its default, else nothing.
 
-        Digests of volumes end with it, so that those of volumes without it stay what they were.
+        Digests of volumes end with it; leaving defaults out keeps older digests valid.
         """
         if self.place_known and not self.frame_uid:
             return []
@@ -94,7 +94,7 @@ class Volume:
         return float(np.prod(self.spacing_mm))
 
     def on_lattice_of(self, other: "Volume", tolerance: float = 1e-3) -> bool:
-        """Return whether voxel centres of both volumes coincide (the boxes may differ)."""
+        """Return True if voxel centres of both volumes coincide (the boxes may differ)."""
         spacing = np.asarray(other.spacing_mm)
         shift = (np.asarray(self.origin_mm) - other.origin_mm) / spacing
         return bool(

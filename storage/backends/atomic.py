@@ -1,12 +1,12 @@
-"""Writes files and folders whose name appears only when all that it names is on disk.
+"""Atomic writes: a name appears only when everything it refers to is on disk.
 
 ::
 
     write .tmp-<pid>-<random>-<name>  >  fsync  >  rename to <name>  >  fsync the folder
 
-A writer that is killed leaves a temporary name behind, which no reader looks at
-and `clean_leftovers` removes. The rename is atomic on a local file system and on
-NFS, so two writers of one name cannot mix.
+A writer that is killed leaves a temporary name behind; readers ignore it and
+`clean_leftovers` removes it. The rename is atomic on a local file system and on
+NFS, so two writers of the same name cannot mix.
 """
 
 import errno
@@ -31,16 +31,16 @@ _HINTS = {
     errno.EACCES: "You may not write there: choose another place or change its permissions.",
     errno.EPERM: "You may not write there: choose another place or change its permissions.",
     errno.ENOTDIR: "A part of this path is a file, not a folder: choose another place.",
-    errno.ENOENT: "The folder is not there: was it moved or removed?",
-    errno.EISDIR: "There is a folder of that name: choose another name.",
+    errno.ENOENT: "The folder does not exist: was it moved or removed?",
+    errno.EISDIR: "A folder already has that name: choose another name.",
     errno.ENAMETOOLONG: "The name is too long: choose a shorter one.",
-    errno.ELOOP: "Symbolic links lead in a circle: choose another place.",
+    errno.ELOOP: "Symbolic links form a loop: choose another place.",
     errno.EMFILE: "Too many files are open: raise the limit with `ulimit -n 4096` and try again.",
     errno.ENFILE: "Too many files are open on this machine: close some programs and try again.",
-    errno.EFBIG: "The file system holds no file of that size: choose another place.",
+    errno.EFBIG: "The file system cannot hold a file of that size: choose another place.",
     errno.EIO: "The disk reports an error: check it, or choose another place.",
     errno.ESTALE: "The network file system has lost this folder: mount it again and try again.",
-    errno.ETIMEDOUT: "The network file system does not answer: check the network and try again.",
+    errno.ETIMEDOUT: "The network file system does not respond: check the network and try again.",
 }
 NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
 """Errors of a file system that has no file locks."""
@@ -48,17 +48,17 @@ NO_LOCKS_ADVICE = (
     "This file system has no file locks, without which two runs could write one file. Choose a "
     "folder on a local disk, or mount it with locks (NFS: without `nolock`; Lustre: `flock`)."
 )
-# File systems that cannot fsync a folder say so with one of these.
+# Errors of file systems that cannot fsync a folder.
 _NO_FOLDER_SYNC = {errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EBADF}
 
 
 def hint(error: OSError) -> str:
-    """Say what a user can do about a failed write."""
+    """Return advice for a failed write."""
     return _HINTS.get(error.errno or 0, "Choose another place, or ask who runs this file system.")
 
 
 def read_hint(error: OSError) -> str:
-    """Return what a user can do about a failed read."""
+    """Return advice for a failed read."""
     if error.errno in (errno.EACCES, errno.EPERM):
         return "You may not read it: change its permissions."
     return hint(error)
@@ -66,7 +66,7 @@ def read_hint(error: OSError) -> str:
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Turn an ``OSError`` of a write to `path` into a `StoreError` that says what to do."""
+    """Turn an ``OSError`` of a write to `path` into a `StoreError` with advice."""
     try:
         yield
     except OSError as error:
@@ -82,17 +82,17 @@ def temporary_sibling(path: Path) -> Path:
 
 
 def is_temporary(path: Path) -> bool:
-    """Return whether `path` is the name of something half written."""
+    """Return True if `path` is the temporary name of an unfinished file or folder."""
     return path.name.startswith(PREFIX)
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a whole file or nothing; an older file of that name is replaced.
+    """Write a whole file or nothing, replacing an older file of that name.
 
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     with explained(path), replacing(path) as temporary:
         temporary.write_bytes(data)
@@ -100,7 +100,7 @@ def write_file(path: Path, data: bytes) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name to write a file under; it becomes `path` if nothing is raised."""
+    """Yield a temporary file name, which becomes `path` unless an error is raised."""
     temporary = temporary_sibling(path)
     try:
         yield temporary
@@ -114,9 +114,9 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def publishing(path: Path) -> Iterator[Path]:
-    """Give a temporary name to write a folder under; it becomes `path` if nothing is raised.
+    """Yield a temporary folder name, which becomes `path` unless an error is raised.
 
-    If another writer has published `path` meanwhile, his is kept and ours discarded.
+    If another writer publishes `path` first, that result is kept and ours is discarded.
     """
     temporary = temporary_sibling(path)
     try:
@@ -138,7 +138,7 @@ def publishing(path: Path) -> Iterator[Path]:
 
 
 def sync(path: Path) -> None:
-    """Return when a file or a folder is on disk."""
+    """Flush a file or a folder to disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -150,7 +150,7 @@ def sync(path: Path) -> None:
 
 
 def discard(path: Path) -> None:
-    """Remove a file or a folder if it is there and can be removed."""
+    """Remove a file or a folder, ignoring errors."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -159,13 +159,16 @@ def discard(path: Path) -> None:
 
 
 def withdraw(path: Path) -> bool:
-    """Remove a published folder so that no reader can meet half of it; False if not there."""
+    """Remove a published folder in one step, so that readers never see half of it.
+
+    Return False if it does not exist.
+    """
     if not path.exists():
         return False
     temporary = temporary_sibling(path)
     with explained(path):
         try:
-            os.rename(path, temporary)  # noqa: PTH104 - takes the name away in one step
+            os.rename(path, temporary)  # noqa: PTH104 - removes the name in one step
         except FileNotFoundError:
             return False
         discard(temporary)
@@ -173,7 +176,7 @@ def withdraw(path: Path) -> bool:
 
 
 def clean_leftovers(folder: Path, *, older_than_s: float = DAY_S) -> None:
-    """Remove temporary names in `folder` that no living writer can still be using."""
+    """Remove temporary names in `folder` that are too old to be in use."""
     oldest = time.time() - older_than_s
     try:
         entries = [entry for entry in os.scandir(folder) if entry.name.startswith(PREFIX)]

@@ -1,13 +1,13 @@
-"""Reads keys, region and server from the files of the AWS command line, as most S3 clients do.
+"""Keys, region and server from the files of the AWS command line.
 
 ::
 
-    AWS_PROFILE                    the profile; "default" where it is not set
+    AWS_PROFILE                    the profile; "default" if unset
     AWS_SHARED_CREDENTIALS_FILE    ~/.aws/credentials: its keys
     AWS_CONFIG_FILE                ~/.aws/config: its region and endpoint_url, or its keys
 
-Keys that stand there are read. A profile whose keys somebody else has to be asked for (single
-sign-on, a role, a program) is refused with the command that puts them into the environment.
+Only keys in these files are used. A profile that gets its keys elsewhere (single sign-on, a
+role, a program) is refused, with the command that exports them to the environment.
 """
 
 import configparser
@@ -20,7 +20,7 @@ from pathlib import Path
 from palpate.storage.errors import StoreError
 
 DEFAULT = "default"
-# What says in a profile that its keys come from elsewhere.
+# Options of a profile that gets its keys elsewhere.
 _ELSEWHERE = (
     "sso_session",
     "sso_start_url",
@@ -35,7 +35,7 @@ _Sections = dict[str, Mapping[str, str]]
 
 @dataclass(frozen=True)
 class Profile:
-    """What a profile says; empty where it says nothing."""
+    """Values of a profile; an empty string for a missing one."""
 
     access_key_id: str = ""
     secret_access_key: str = ""
@@ -45,12 +45,12 @@ class Profile:
 
 
 def read_profile() -> Profile:
-    """Return the profile that the environment names.
+    """Return the profile selected by the environment.
 
     Raises
     ------
     StoreError
-        If AWS_PROFILE names none, a file cannot be read, or the keys are not in the files.
+        If AWS_PROFILE names no profile, a file cannot be read, or the keys are not in the files.
     """
     named = os.environ.get("AWS_PROFILE", "")
     name = named or DEFAULT
@@ -69,15 +69,15 @@ def read_profile() -> Profile:
     access, secret = values.get("aws_access_key_id", ""), values.get("aws_secret_access_key", "")
     if bool(access) != bool(secret):
         raise StoreError(
-            f"The profile {name} in {credentials} or {config} has half a key: it needs "
-            "aws_access_key_id and aws_secret_access_key."
+            f"The profile {name} in {credentials} or {config} has only half a key pair: it needs "
+            "both aws_access_key_id and aws_secret_access_key."
         )
     elsewhere = next((key for key in _ELSEWHERE if key in values), "")
     if elsewhere and not access:
         raise StoreError(
-            f"The profile {name} in {config} gets its keys by {elsewhere}, which is not read "
-            f'here. Type: eval "$(aws configure export-credentials --profile {name} --format '
-            'env)", here and for the workers.'
+            f"The profile {name} in {config} gets its keys from {elsewhere}, which is not "
+            f'supported. Run: eval "$(aws configure export-credentials --profile {name} --format '
+            'env)", here and on the workers.'
         )
     return Profile(
         access,
@@ -94,7 +94,7 @@ def _file(variable: str, name: str) -> Path:
 
 
 def _plain(section: str) -> str:
-    """Return the name of a profile from a heading of the config file: ``[profile NAME]``."""
+    """Return the profile name in a heading of the config file: ``[profile NAME]``."""
     return section.removeprefix("profile ").strip()
 
 
@@ -114,7 +114,7 @@ def _parsed(path: Path, changed: int) -> _Sections:
     except (OSError, UnicodeDecodeError, configparser.Error) as error:
         reason = str(error).splitlines()[0]
         raise StoreError(
-            f"{path} cannot be read: {reason}. Mend it, or set AWS_ACCESS_KEY_ID and "
-            "AWS_SECRET_ACCESS_KEY, with which it is not looked at."
+            f"{path} cannot be read: {reason}. Fix it, or set AWS_ACCESS_KEY_ID and "
+            "AWS_SECRET_ACCESS_KEY, which replace it."
         ) from error
     return {section: dict(parser[section]) for section in parser.sections()}

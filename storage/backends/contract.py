@@ -1,12 +1,12 @@
-"""Defines what a store asks of the place where it lies; two modules do it.
+"""The interface of a storage backend; two modules implement it.
 
 ::
 
     palpate.storage.backends.local     a folder: temporary names, renamed when complete
     palpate.storage.backends.objects    a prefix in a bucket: conditional puts, descriptions last
 
-Whatever has a name is whole, and of two writers of one name one wins: both modules keep this,
-and `tests/storage/test_backends.py` tries it on both.
+Whatever has a name is complete, and of two writers of one name one wins: both modules guarantee
+this, and `tests/storage/test_backends.py` tests both.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,16 +29,16 @@ FillGroup: TypeAlias = "Callable[[zarr.Group], None]"
 
 @dataclass(frozen=True, slots=True)
 class Entry(Generic[P]):
-    """One thing in a folder of a store.
+    """One entry in a folder of a store.
 
     Parameters
     ----------
     place : Path or ObjectPath
-        Of a file, or of a group of arrays.
+        A file, or a group of arrays.
     modified_s : float
         When it was last written, seconds since 1970.
     half_written : bool
-        Whether its writer has not finished, or never will; readers pass it over.
+        True if its writer has not finished, or never will; readers skip it.
     """
 
     place: P
@@ -48,7 +48,7 @@ class Entry(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class ZarrAddress:
-    """Where Zarr finds a group.
+    """Address of a group for Zarr.
 
     Parameters
     ----------
@@ -61,14 +61,14 @@ class ZarrAddress:
     path: str
 
     def inside(self, *names: str) -> str:
-        """Return the path of what lies in the group."""
+        """Return the path of a member of the group."""
         return "/".join(part for part in (self.path, *names) if part)
 
 
 class Backend(Protocol[P]):
     """Reads and writes at one kind of place.
 
-    All raise `StoreError` where the place cannot be read or written, with what to do.
+    All methods raise `StoreError` with advice if the place cannot be read or written.
     """
 
     def read(self, place: P) -> bytes:
@@ -77,62 +77,62 @@ class Backend(Protocol[P]):
         Raises
         ------
         FileNotFoundError
-            If it is not there.
+            If it does not exist.
         """
 
     def write(self, place: P, data: bytes) -> None:
-        """Write a whole file or nothing; an older one is replaced."""
+        """Write a whole file or nothing, replacing an older one."""
 
     def create(self, place: P, data: bytes) -> bool:
-        """Write a file that is not there yet; False, and nothing is changed, if it is.
+        """Write a new file; return False and change nothing if it exists.
 
-        Of any number of processes that do it at once, one gets True, if their data differ.
+        If any number of processes do this at once with different data, exactly one gets True.
         """
 
     def is_file(self, place: P) -> bool:
-        """Return whether a file is there."""
+        """Return True if the file exists."""
 
     def entries(self, folder: P) -> list[Entry[P]]:
-        """Return what lies in a folder, sorted by name; nothing if there is no such folder."""
+        """Return the entries of a folder, sorted by name; empty if there is no such folder."""
 
     def size_bytes(self, place: P) -> int:
-        """Return the size of a file, or of all that lies in a group."""
+        """Return the size of a file, or of a whole group."""
 
     def remove(self, place: P) -> bool:
-        """Remove a file or a group so that no reader meets half of it; False if not there."""
+        """Remove a file or a group so that readers never see half of it; False if missing."""
 
     def move(self, place: P, target: P) -> None:
-        """Give a file or a group another name, which nobody has; folders are made."""
+        """Rename a file or a group to an unused name, creating folders as needed."""
 
     def publish_group(self, place: P, attributes: Mapping[str, Any], fill: FillGroup) -> None:
-        """Write a Zarr group, whole or not at all; if another writer is faster, his is kept.
+        """Write a Zarr group, whole or not at all; the first writer to finish wins.
 
         Parameters
         ----------
         attributes : mapping
-            JSON-able; a backend may add the key `ARRAYS_IN`: the subgroup that has the arrays.
+            JSON-able; a backend may add the key `ARRAYS_IN`: the subgroup with the arrays.
         fill : callable
-            Writes the arrays into the group that it is given.
+            Writes the arrays into the group passed to it.
         """
 
     def zarr_group(self, place: P) -> AbstractContextManager[ZarrAddress]:
-        """Give what Zarr reads a group from; what goes wrong within is explained."""
+        """Yield the address from which Zarr reads a group; errors inside become `StoreError`."""
 
     def prepare(self, root: P, folders: Sequence[P]) -> None:
-        """Make ready for writing a store: make folders, or refuse where none can be."""
+        """Prepare a root for writing: make folders, or raise an error if that is impossible."""
 
     def why_no_store(self, root: P) -> str:
-        """Say what is there where the description of a store is missing, after "it"."""
+        """Return the reason why the root is not a store, worded to follow "it"."""
 
     def clean(self, root: P, folders: Sequence[P]) -> None:
-        """Remove what writers have left half written, as far as that costs nothing."""
+        """Remove unfinished files where that is cheap."""
 
     def free_bytes(self, root: P) -> int | None:
-        """Return the room that is left; None if nobody knows."""
+        """Return the free space; None if unknown."""
 
 
 def backend_of(place: Place) -> Backend[Any]:
-    """Return what reads and writes at a place.
+    """Return the backend of a place.
 
     Raises
     ------

@@ -1,22 +1,22 @@
-"""Spells every path of a study and of a store, once.
+"""All paths of a study and of a store.
 
 ::
 
     <study>/                    one study, made by `palpate run`
-      study.yaml                what was asked
-      journal.jsonl             what has happened
-      findings.json             what the fitted body tells beside its constants
-      report.html               what came out
-      palpate.log               when, and why something failed
+      study.yaml                the study file
+      journal.jsonl             the journal
+      findings.json             findings about the fitted body other than its constants
+      report.html               the report
+      palpate.log               the log, with times and errors
 
     <store>/                    shared by any number of studies
-      palpate-store.json        says that this is a store, and of which schema
+      palpate-store.json        marks a store, and gives its schema version
       volumes/<digest>.zarr     phantoms, images, targets and deformed bodies
       meshes/<digest>.zarr      mesh hierarchies
       fields/<digest>.zarr      nodal displacements
       evaluations/<digest>.json finished evaluations
-      overruns/<digest>-<n>     evaluations that have overrun their deadline for the n-th time
-      locks/<name>.json         who looks after the store just now
+      overruns/<digest>-<n>     evaluations that exceeded their deadline for the n-th time
+      locks/<name>.json         the process that is maintaining the store
 
 A study is a local folder; a store is a local folder or part of a bucket. See
 `storage.backends.places`.
@@ -39,14 +39,14 @@ class StudyLayout:
     Parameters
     ----------
     root : Path
-        The folder of the study.
+        Folder of the study.
     """
 
     root: Path
 
     @property
     def study(self) -> Path:
-        """Return the path of the study file as it was when the study began."""
+        """Return the path of the study file, as it was when the study began."""
         return self.root / "study.yaml"
 
     @property
@@ -56,17 +56,17 @@ class StudyLayout:
 
     @property
     def findings(self) -> Path:
-        """Return the path of what the fitted body tells; see `workers.organs.registry`."""
+        """Return the path of the findings about the fitted body; see `workers.organs.registry`."""
         return self.root / "findings.json"
 
     @property
     def log(self) -> Path:
-        """Return the path of the log, for people to read."""
+        """Return the path of the log."""
         return self.root / "palpate.log"
 
     @property
     def report(self) -> Path:
-        """Return the path of the report, one file."""
+        """Return the path of the report."""
         return self.root / "report.html"
 
 
@@ -77,14 +77,14 @@ class StoreLayout:
     Parameters
     ----------
     root : Path or ObjectPath
-        The folder of the store, or its prefix in a bucket.
+        Folder of the store, or its prefix in a bucket.
     """
 
     root: Place
 
     @property
     def marker(self) -> Place:
-        """Return the path of the file that makes a folder a store."""
+        """Return the path of the file that marks a folder as a store."""
         return self.root / "palpate-store.json"
 
     @property
@@ -109,12 +109,12 @@ class StoreLayout:
 
     @property
     def locks(self) -> Place:
-        """Return the folder of what one process has taken, and no other may."""
+        """Return the folder of locks."""
         return self.root / "locks"
 
     @property
     def folders(self) -> tuple[Place, ...]:
-        """Return all folders of what a store holds."""
+        """Return all folders with the contents of a store."""
         return self.volumes, self.meshes, self.fields, self.evaluations
 
     def volume(self, digest: str) -> Place:
@@ -138,14 +138,14 @@ class StoreLayout:
         return self.evaluations / f"{_checked(digest)}.json"
 
     def overrun(self, digest: str, number: int) -> Place:
-        """Return the path of the file that says that one overran its deadline so often."""
+        """Return the path of the file that marks the n-th overrun of an evaluation."""
         return self.root / "overruns" / f"{_checked(digest)}-{number}"
 
 
 def _checked(digest: str) -> str:
     if not _NAME.fullmatch(digest):
         raise StoreError(
-            f"{digest!r} cannot be a name in a store: expected a digest of letters and digits, "
+            f"{digest!r} is not a valid name: expected a digest of letters and digits, "
             "such as 3f2a9c0d1b7e6a54."
         )
     return digest

@@ -1,4 +1,4 @@
-"""Reads and writes a store in a local folder; see `storage.backends.contract.Backend`."""
+"""Storage backend for a local folder; see `storage.backends.contract.Backend`."""
 
 import os
 import shutil
@@ -41,7 +41,7 @@ def write(place: Path, data: bytes) -> None:
 
 
 def create(place: Path, data: bytes) -> bool:
-    """Write a file that is not there yet, in one step as far as its name goes."""
+    """Write a new file; its name is created in one step."""
     with explained(place):
         place.parent.mkdir(exist_ok=True)
         try:
@@ -55,12 +55,12 @@ def create(place: Path, data: bytes) -> bool:
 
 
 def is_file(place: Path) -> bool:
-    """Return whether a file is there."""
+    """Return True if the file exists."""
     return place.is_file()
 
 
 def entries(folder: Path) -> list[Entry[Path]]:
-    """Return what lies in a folder."""
+    """Return the entries of a folder."""
     found = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         try:
@@ -78,12 +78,12 @@ def size_bytes(place: Path) -> int:
 
 
 def remove(place: Path) -> bool:
-    """Remove a file or a group; its name goes first."""
+    """Remove a file or a group, its name first."""
     return withdraw(place)
 
 
 def move(place: Path, target: Path) -> None:
-    """Give a file or a group another name."""
+    """Rename a file or a group."""
     with explained(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         place.rename(target)
@@ -91,8 +91,8 @@ def move(place: Path, target: Path) -> None:
 
 def publish_group(place: Path, attributes: Mapping[str, Any], fill: FillGroup) -> None:
     """Write a group under a temporary name and rename it."""
-    # A folder that has lost its description would keep its name for ever. Whether it is there is
-    # asked first: one that another writer publishes meanwhile has its description from the start.
+    # A folder without its description would block its name for ever. `place` is checked first: a
+    # group that another writer publishes meanwhile has its description from the start.
     if place.exists() and not is_file(place / DESCRIPTION):
         withdraw(place)
     with explained(place), publishing(place) as temporary:
@@ -101,12 +101,12 @@ def publish_group(place: Path, attributes: Mapping[str, Any], fill: FillGroup) -
 
 @contextmanager
 def zarr_group(place: Path) -> Iterator[ZarrAddress]:
-    """Give the folder of a group."""
+    """Yield the folder of a group."""
     yield ZarrAddress(place, "")
 
 
 def prepare(root: Path, folders: Sequence[Path]) -> None:
-    """Make the folders of a store, and refuse such as cannot be written."""
+    """Make the folders of a store; raise an error if they are not writable."""
     if root.exists() and not root.is_dir():
         raise StoreError(f"{root} is a file, expected a folder. Choose another store.")
     with explained(root):
@@ -116,25 +116,24 @@ def prepare(root: Path, folders: Sequence[Path]) -> None:
     for folder in (root, *folders):
         if not _writable(folder):
             raise StoreError(
-                f"{folder} cannot be written by you. Choose another store or change its "
-                "permissions."
+                f"You cannot write to {folder}. Choose another store or change its permissions."
             )
 
 
 def why_no_store(root: Path) -> str:
-    """Say what is there instead of a store."""
+    """Return the reason why the folder is not a store."""
     return "has no palpate-store.json" if root.is_dir() else "is missing"
 
 
 def clean(root: Path, folders: Sequence[Path]) -> None:
-    """Remove temporary names that no living writer can still be using."""
+    """Remove temporary names that are too old to be in use."""
     if _writable(root):
         for folder in (root, *folders):
             clean_leftovers(folder)
 
 
 def free_bytes(root: Path) -> int | None:
-    """Return the room that is left on the file system."""
+    """Return the free space of the file system."""
     return shutil.disk_usage(root).free
 
 

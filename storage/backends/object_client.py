@@ -1,10 +1,10 @@
-"""Connects to an object store, waits for one that is away, and explains what it refuses.
+"""Connections to an object store, with retries and readable errors.
 
 Address and credentials come from the usual environment, as every client reads it::
 
     AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN
     AWS_REGION or AWS_DEFAULT_REGION
-    AWS_ENDPOINT_URL              of a server that is not Amazon's, http:// or https://
+    AWS_ENDPOINT_URL              of a server other than Amazon's, http:// or https://
 
     GOOGLE_APPLICATION_CREDENTIALS, else those of `gcloud auth application-default login`
     GOOGLE_BASE_URL
@@ -15,8 +15,8 @@ Address and credentials come from the usual environment, as every client reads i
 Without AWS_ACCESS_KEY_ID those of S3 come from a profile of the AWS command line:
 `backends.aws_profile`. Those of Google and Azure are read by obstore.
 
-A request that finds nobody, or a server in trouble, is repeated with growing pauses. The first
-contact of a process gives up sooner: it is more likely a wrong address than an outage.
+A request that reaches no server, or a failing one, is retried with growing pauses. The first
+request of a process gives up sooner: a wrong address is more likely than an outage.
 """
 
 import os
@@ -39,7 +39,7 @@ FIRST_PATIENCE_S = 20.0
 PATIENCE_S = 300.0
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 3.0
 CONNECT_S, REQUEST_S = 5.0, 60.0
-MOST_RETRIES = 100_000  # the patience ends them
+MOST_RETRIES = 100_000  # in practice the patience ends first
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _s3_options() -> dict[str, str]:
 
 
 def _access() -> Profile:
-    """Return what the environment says, and a profile where it holds no keys.
+    """Return the settings of the environment, completed by a profile if it has no keys.
 
     Raises
     ------
@@ -174,12 +174,12 @@ def _stated(names: tuple[str, ...]) -> str:
 
 @contextmanager
 def explained(place: ObjectPath) -> Iterator[None]:
-    """Turn what a request raises into a `StoreError` that says what to do.
+    """Turn errors of a request into a `StoreError` with advice.
 
     Raises
     ------
     FileNotFoundError
-        If the bucket answers that the object is not there.
+        If the object does not exist.
     """
     from obstore.exceptions import BaseError
 
@@ -277,7 +277,7 @@ def _explanation(place: ObjectPath, error: Exception) -> StoreError:
 
 
 def was_cut_off(error: Exception) -> bool:
-    """Return whether a request has no answer and was not repeated."""
+    """Return True if a request got no response and was not retried."""
     return _is_unreached(str(error)) and not _tried(str(error))
 
 
@@ -290,13 +290,13 @@ def _server(place: ObjectPath) -> str:
 
 
 def _code(text: str) -> str:
-    """Return the server's own word for a refusal, such as (InvalidAccessKeyId)."""
+    """Return the server's error code, such as (InvalidAccessKeyId)."""
     _, found, rest = text.partition("<Code>")
     return f" ({rest.partition('</Code>')[0]})" if found else ""
 
 
 def _tried(text: str) -> str:
-    """Return how often and how long it was tried, as obstore says it."""
+    """Return the number and duration of attempts, from obstore's message."""
     tried = re.search(r" in (?P<seconds>[\d.]+)s, after (?P<retries>\d+) retries", text)
     if tried is None:
         return ""
@@ -304,5 +304,5 @@ def _tried(text: str) -> str:
 
 
 def _first(text: str) -> str:
-    """Return the first line of an error; what obstore adds below is for its developers."""
+    """Return the first line of an error; obstore's further lines are for its developers."""
     return text.partition("\n")[0].strip().rstrip(".")

@@ -1,4 +1,4 @@
-"""Names one object, or a folder of objects, in a bucket: the part of a path that a store needs."""
+"""Paths of objects and folders in a bucket."""
 
 import re
 from dataclasses import dataclass, replace
@@ -56,7 +56,7 @@ class ObjectPath:
 
     @property
     def suffix(self) -> str:
-        """Return what stands behind the last dot of the last part, and the dot."""
+        """Return the suffix of the last part, with its dot."""
         return PurePosixPath(self.key).suffix
 
     @property
@@ -71,7 +71,7 @@ def object_path(scheme: Scheme, rest: str, location: object) -> ObjectPath:
     Raises
     ------
     StoreError
-        If it names no bucket.
+        If there is no valid bucket name.
     """
     bucket, _, key = rest.strip("/").partition("/")
     if not _BUCKET.fullmatch(bucket):

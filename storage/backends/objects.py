@@ -1,14 +1,14 @@
-"""Reads and writes a store in a bucket; see `storage.backends.contract.Backend`.
+"""Storage backend for a bucket; see `storage.backends.contract.Backend`.
 
-An object appears whole, several do not. The arrays of a group lie in a subgroup that only its
-writer knows; the description of the group is put last, on condition that there is none, and
-names that subgroup::
+Single objects are written atomically, groups of them are not. The arrays of a group are in a
+subgroup that only its writer knows; the description of the group is put last, on condition that
+there is none, and names that subgroup::
 
     <digest>.zarr/zarr.json             put last, by one writer
     <digest>.zarr/w-<random>/values/    the arrays of that writer
 
-So two writers cannot mix even on a server that ignores conditions. What has no description is
-half written; `palpate store gc` removes it.
+So two writers cannot mix even on a server that ignores conditions. A group without a description
+is unfinished; `palpate store gc` removes it.
 """
 
 import json
@@ -37,7 +37,7 @@ from palpate.storage.backends.object_path import ObjectPath
 if TYPE_CHECKING:
     from obstore import ObjectMeta
 
-MOST_AT_ONCE = 1000  # objects that one request may remove
+MOST_AT_ONCE = 1000  # objects per removal request
 PUTS_AT_ONCE = 8
 
 
@@ -62,7 +62,8 @@ def write(place: ObjectPath, data: bytes) -> None:
 def create(place: ObjectPath, data: bytes) -> bool:
     """Put an object on condition that there is none of that name.
 
-    The client does not repeat a condition whose answer is lost; what lies there tells.
+    The client does not retry a conditional put whose response is lost; the stored object is
+    compared instead.
     """
     import obstore
     from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
@@ -73,7 +74,7 @@ def create(place: ObjectPath, data: bytes) -> bool:
             obstore.put(client, place.key, data, mode="create", use_multipart=False)
             return True
         except (AlreadyExistsError, PreconditionError):
-            # Perhaps our own, whose answer was lost and which was put again.
+            # Perhaps our own, put twice because the first response was lost.
             return read(place) == data
         except (BaseError, FileNotFoundError) as error:
             if not was_cut_off(error) or time.monotonic() > until:
@@ -83,7 +84,7 @@ def create(place: ObjectPath, data: bytes) -> bool:
 
 
 def is_file(place: ObjectPath) -> bool:
-    """Return whether an object is there."""
+    """Return True if the object exists."""
     import obstore
 
     client = client_of(place)
@@ -96,7 +97,7 @@ def is_file(place: ObjectPath) -> bool:
 
 
 def entries(folder: ObjectPath) -> list[Entry[ObjectPath]]:
-    """Return what lies in a folder, from one listing of all that is below it."""
+    """Return the entries of a folder, from one listing of everything below it."""
     below: dict[str, list[ObjectMeta]] = defaultdict(list)
     for found in _objects(folder):
         below[found["path"].removeprefix(f"{folder.key}/").partition("/")[0]].append(found)
@@ -131,7 +132,7 @@ def remove(place: ObjectPath) -> bool:
 
 
 def move(place: ObjectPath, target: ObjectPath) -> None:
-    """Copy an object, or all objects of a group, and remove them where they were."""
+    """Copy an object, or all objects of a group, then remove the originals."""
     import obstore
 
     client = client_of(place)
@@ -142,10 +143,10 @@ def move(place: ObjectPath, target: ObjectPath) -> None:
 
 
 def publish_group(place: ObjectPath, attributes: Mapping[str, Any], fill: FillGroup) -> None:
-    """Write the arrays into a subgroup of our own, the description last.
+    """Write the arrays into a new subgroup, then the description of the group.
 
-    Zarr fills a store in memory, whose objects are then put side by side: with a bucket below
-    it, it would describe every folder above the group, and look for each before.
+    Zarr fills a store in memory, and its objects are then uploaded in parallel. Writing directly to
+    a bucket, Zarr would describe every folder above the group, and look for each first.
     """
     own = place / f"w-{secrets.token_hex(8)}"
     packed: dict[str, Buffer] = {}
@@ -164,7 +165,7 @@ def publish_group(place: ObjectPath, attributes: Mapping[str, Any], fill: FillGr
 
 @contextmanager
 def zarr_group(place: ObjectPath) -> Iterator[ZarrAddress]:
-    """Give the group to Zarr."""
+    """Yield the address of the group."""
     client = client_of(place)
     with explained(place):
         yield ZarrAddress(ObjectStore(client, read_only=True), place.key)
@@ -175,16 +176,16 @@ def prepare(root: ObjectPath, folders: Sequence[ObjectPath]) -> None:
 
 
 def why_no_store(root: ObjectPath) -> str:
-    """Say what is there instead of a store."""
+    """Return the reason why the prefix is not a store."""
     return "has no palpate-store.json"
 
 
 def clean(root: ObjectPath, folders: Sequence[ObjectPath]) -> None:
-    """Do nothing: to find what is half written takes a listing; see `palpate store gc`."""
+    """Do nothing: finding unfinished objects takes a full listing; see `palpate store gc`."""
 
 
 def free_bytes(root: ObjectPath) -> int | None:
-    """Return None: a bucket does not say."""
+    """Return None: the free space of a bucket is unknown."""
     return None
 
 

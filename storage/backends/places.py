@@ -1,8 +1,8 @@
-"""Tells where a store is: a local folder, or a prefix in a bucket.
+"""The place of a store: a local folder, or a prefix in a bucket.
 
-A `Location` is what a user types and what travels to the workers, a `Place` is what the rooms
-of a store are addressed by. Both kinds of place have ``/``, ``name``, ``stem``, ``suffix`` and
-``parent``; what is done with them is in `storage.backends.contract`.
+A `Location` is typed by a user and sent to the workers; a `Place` addresses the parts of a
+store. Both kinds of place have ``/``, ``name``, ``stem``, ``suffix`` and ``parent``; their
+operations are in `storage.backends.contract`.
 """
 
 import re
@@ -14,12 +14,12 @@ from palpate.storage.errors import StoreError
 Place = Path | ObjectPath
 Location = str | Path | ObjectPath
 
-# A Path made of a URL has lost one of its slashes.
+# Making a Path of a URL drops one of its slashes.
 _URL = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+):/+(?P<rest>.*)")
 
 
 def place_of(location: Location) -> Place:
-    """Return the place that is meant; a local one is absolute.
+    """Return the place of a location; a local one is absolute.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def place_of(location: Location) -> Place:
     Raises
     ------
     StoreError
-        If it is another URL, or names no bucket.
+        If it is a URL other than ``s3://``, or names no bucket.
     """
     if isinstance(location, ObjectPath):
         return location

@@ -1,9 +1,9 @@
-"""The best candidate of a study, by one rule for all that read its journal.
+"""The best candidate of a study, by one rule for every reader of its journal.
 
-Candidates are compared in the study's own resolution; a study that was stopped before it reached
-that has only coarser ones, of which the finest count. Where a strategy minimises the sum of
-squares, the candidate with the least sum is best, elsewhere the one with the lowest score; of
-equal candidates the first. The score is GSF unless the study states another objective.
+Candidates are compared at the study's own resolution; if a study stopped before reaching it, the
+finest level reached counts. If the strategy minimises the sum of squares, the candidate with the
+smallest sum is best, otherwise the one with the lowest score; ties go to the first. The score is
+GSF unless the study defines another objective.
 """
 
 import math
@@ -20,7 +20,7 @@ Rank = tuple[float, ...]
 
 
 def minimised(score: Mapping[str, Any]) -> float:
-    """Return what a search minimises of a candidate's scores: its objective, or else GSF."""
+    """Return the value that a search minimises: the objective, or else GSF."""
     return float(to_number(score.get("objective", score["gsf"])))
 
 
@@ -38,7 +38,7 @@ def rank_of(record: EvaluationRecord) -> Rank | None:
 
 
 def rank_of_line(line: Mapping[str, Any]) -> Rank | None:
-    """Return `rank_of` of an evaluation that is still a line of the journal."""
+    """Return the rank of an evaluation that is still a line of the journal; see `rank_of`."""
     score, fit = line.get("score"), line.get("fit")
     if not score or line.get("status") != Status.DONE:
         return None
@@ -60,24 +60,24 @@ def best_of(endings: Endings) -> EvaluationRecord | None:
 
 
 def best_searched(endings: Endings) -> EvaluationRecord | None:
-    """Return the best candidate of those that were not fitted by derivatives."""
+    """Return the best candidate among those not fitted by derivatives."""
     return best_of({c: r for c, r in endings.items() if r.fit is None and r.level is None})
 
 
 def equally_good(endings: Endings, best: EvaluationRecord, within: float) -> list[EvaluationRecord]:
-    """Return the candidates whose scores are `within` that of the best one, itself included."""
+    """Return the candidates whose score is at most `within` above the best, which is included."""
     limit = score_of(best) + within
     own = (endings[c] for c in sorted(endings) if endings[c].level == best.level)
     return [record for record in own if score_of(record) <= limit]
 
 
 class BestSoFar:
-    """The best of the candidates that have ended so far, in whatever order they end.
+    """The best of the candidates that have ended so far, in any order.
 
     Attributes
     ----------
     record : EvaluationRecord or None
-        The best one; None while none has a score.
+        The best one; None until one has a score.
     """
 
     def __init__(self) -> None:
@@ -86,16 +86,16 @@ class BestSoFar:
         self._lowest: dict[int | None, EvaluationRecord] = {}
 
     def add(self, record: EvaluationRecord) -> None:
-        """Compare one more candidate."""
+        """Add a candidate."""
         self._add(rank_of(record), score_of(record), record.level, lambda: record)
 
     def add_line(self, line: Mapping[str, Any]) -> None:
-        """Compare one more candidate, which is still a line of the journal.
+        """Add a candidate that is still a line of the journal.
 
         Raises
         ------
         JournalError
-            If it leads, and is damaged.
+            If it is the best so far and its line is damaged.
         """
         rank = rank_of_line(line)
         if rank is not None:
@@ -119,7 +119,7 @@ class BestSoFar:
 
     @property
     def lowest_gsf(self) -> EvaluationRecord | None:
-        """Return the candidate with the lowest score where that is not the best one, else None."""
+        """Return the candidate with the lowest score if it is not the best one, else None."""
         if self.record is None:
             return None
         lowest = self._lowest[self.record.level]
@@ -127,7 +127,7 @@ class BestSoFar:
 
     @property
     def note(self) -> str:
-        """Return why the best candidate has not the lowest score; empty if it has."""
+        """Return the reason why the best candidate does not have the lowest score; else empty."""
         best, lowest = self.record, self.lowest_gsf
         if best is None or lowest is None or best.fit is None:
             return ""
@@ -145,7 +145,7 @@ class BestSoFar:
 
 
 def best_so_far(endings: Iterable[EvaluationRecord]) -> BestSoFar:
-    """Return the best of some candidates, with the one of the lowest GSF."""
+    """Return the best of some candidates, and the one with the lowest GSF."""
     best = BestSoFar()
     for record in endings:
         best.add(record)

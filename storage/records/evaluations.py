@@ -1,6 +1,6 @@
-"""Saves finished evaluations by digest: what one study has computed, any other may use.
+"""Finished evaluations, stored by digest and shared by all studies.
 
-A record is written last, after field and volume, and so vouches for them.
+A record is written last, after field and volume, so its existence guarantees theirs.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ def save_evaluation(store: Store, digest: str, record: Mapping[str, Any]) -> Non
     ----------
     store : Store
     digest : str
-        Name of the evaluation.
+        Digest of the evaluation.
     record : mapping
         JSON-able; numbers below its top level may be infinite or NaN.
 
@@ -36,7 +36,7 @@ def save_evaluation(store: Store, digest: str, record: Mapping[str, Any]) -> Non
 
 
 def load_evaluation(store: Store, digest: str) -> EvaluationResult | None:
-    """Read the record of an evaluation; None if it has not been finished.
+    """Read the record of an evaluation; None if it has not finished.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-r"""Appends to the file that a study is resumed from: JSON records, one a line.
+r"""The journal from which a study is resumed: an append-only file of JSON records, one a line.
 
 ::
 
@@ -6,9 +6,9 @@ r"""Appends to the file that a study is resumed from: JSON records, one a line.
     {"kind":"evaluation","candidate":0, ...}\n
     {"kind":"evaluation","cand                   torn: its writer was killed here
 
-A record exists once its newline is on disk. What follows the last newline never
-happened: readers pass it over and the next writer cuts it off. There is one writer
-at a time; the kernel holds its lock (``flock``) and drops it when the process ends,
+A record exists once its newline is on disk. Anything after the last newline is ignored by
+readers and cut off by the next writer. There is one writer
+at a time; it holds a kernel lock (``flock``), which is released when the process ends,
 however it ends.
 """
 
@@ -32,12 +32,12 @@ LOCK_PATIENCE_S = 1.0
 
 
 class Journal:
-    """Append records to a journal durably; use as a context manager.
+    """Writer of a journal; use as a context manager.
 
     Parameters
     ----------
     path : Path
-        Made when missing; its folder exists.
+        Created if missing; its folder must exist.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class Journal:
             self._lock()
             self._size = _whole_bytes(self._handle)
             os.ftruncate(self._handle, self._size)
-            sync(self.path.parent)  # so that the name of a new file is on disk, too
+            sync(self.path.parent)  # puts the name of a new file on disk, too
         except OSError as error:
             self.close()
             raise self._failed("used", error) from error
@@ -71,7 +71,7 @@ class Journal:
         self._torn = False
 
     def append(self, *records: Mapping[str, Any]) -> None:
-        """Write records and return when they are on disk; all of them or, on an error, none.
+        """Write records and return when they are on disk; on an error, none is written.
 
         Parameters
         ----------
@@ -81,10 +81,10 @@ class Journal:
         Raises
         ------
         JournalError
-            If the disk is full or fails, or the file was changed by others. The journal
+            If the disk is full or fails, or another program changed the file. The journal
             then ends with its last whole record.
         ValueError, TypeError
-            If JSON cannot hold a record; nothing is written then.
+            If a record cannot be written as JSON; nothing is written then.
         """
         if not records:
             return
@@ -102,13 +102,13 @@ class Journal:
         except JournalError:
             raise
         except BaseException:
-            # Ctrl-C in the middle of a line; what follows must not join its first half.
+            # Ctrl-C in the middle of a line; the next record must not join its first half.
             self._cut_back()
             raise
 
     @staticmethod
     def read(path: Path | str) -> Iterator[dict[str, Any]]:
-        """Give every whole record in order; another process may be writing meanwhile.
+        """Yield every whole record in order; another process may be writing meanwhile.
 
         See `Journal.lines`.
         """
@@ -116,10 +116,9 @@ class Journal:
 
     @staticmethod
     def lines(path: Path | str) -> Iterator[tuple[dict[str, Any], bool]]:
-        """Give every whole record in order, and whether its checksum was verified.
+        """Yield every whole record in order, with True if its checksum was verified.
 
-        A journal that is not there yet has no records. Records of earlier versions carry no
-        checksum.
+        A missing journal has no records. Records of earlier versions have no checksum.
 
         Raises
         ------
@@ -145,9 +144,9 @@ class Journal:
 
     @staticmethod
     def is_being_written(path: Path | str) -> bool:
-        """Return whether a process holds the lock of a journal.
+        """Return True if a process holds the lock of a journal.
 
-        False if there is no journal, or on a file system without locks, where none is written.
+        False if there is no journal, or if the file system has no locks (none is written there).
         """
         try:
             handle = os.open(path, os.O_RDONLY)
@@ -161,7 +160,7 @@ class Journal:
             _unlock_and_close(handle)
 
     def close(self) -> None:
-        """Release the lock; closing twice does no harm."""
+        """Release the lock; closing twice is harmless."""
         if self._handle >= 0:
             handle, self._handle = self._handle, -1
             _unlock_and_close(handle)
@@ -179,7 +178,7 @@ class Journal:
             raise self._failed("opened", error) from error
 
     def _lock(self) -> None:
-        """Take the lock; `is_being_written` may hold it for an instant, a writer for long."""
+        """Take the lock, waiting a moment in case `is_being_written` is holding it."""
         deadline = time.monotonic() + LOCK_PATIENCE_S
         while not self._try_lock():
             if time.monotonic() > deadline:
@@ -200,13 +199,13 @@ class Journal:
             ) from error
 
     def _check_file(self) -> None:
-        """Notice when the file is no longer the one that was opened."""
+        """Raise an error if the file is no longer the one that was opened."""
         if self._torn:
             os.ftruncate(self._handle, self._size)
             self._torn = False
         mine = os.fstat(self._handle)
         try:
-            named = os.stat(self.path)  # noqa: PTH116 - beside fstat
+            named = os.stat(self.path)  # noqa: PTH116 - consistent with fstat
         except FileNotFoundError:
             named = None
         if named is None or (named.st_ino, named.st_dev) != (mine.st_ino, mine.st_dev):
@@ -222,7 +221,7 @@ class Journal:
             )
 
     def _cut_back(self) -> None:
-        """Forget a write that failed; should that fail too, the next `append` tries again."""
+        """Undo a failed write; if that fails too, the next `append` tries again."""
         self._torn = True
         with suppress(OSError):
             os.ftruncate(self._handle, self._size)
@@ -244,10 +243,10 @@ def _locked(handle: int, kind: int) -> bool:
 
 
 def _unlock_and_close(handle: int) -> None:
-    """Give the lock back for all copies of the handle, then close this one.
+    """Release the lock for all copies of the handle, then close this one.
 
-    A process that another thread is just starting, such as a worker, has a copy between
-    fork and exec: closing ours alone would leave the lock with it.
+    A process that another thread is starting, such as a worker, has a copy between fork and
+    exec: closing ours alone would leave the lock with it.
     """
     with suppress(OSError):
         fcntl.flock(handle, fcntl.LOCK_UN)
@@ -277,7 +276,7 @@ def _parse(line: bytes, path: Path, number: int) -> tuple[dict[str, Any], bool]:
         try:
             record, verified = unseal(line)
         except ChecksumError:
-            _check_schema(loads(line), path, number)  # a newer version may sum up in another way
+            _check_schema(loads(line), path, number)  # newer versions may sum differently
             raise
         _check_schema(record, path, number)
         return record, verified

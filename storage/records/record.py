@@ -1,17 +1,17 @@
-"""Defines the records of a study's journal.
+"""Records of a study's journal.
 
 ::
 
-    study         first line: what was asked, and with which versions
-    session       a run of the study begins: versions, store, and what was prepared
-    proposal      a generation is proposed: the genes of its candidates, and who is carried over
+    study         first line: the study file, and the versions it began with
+    session       a run of the study begins: versions, store, and the prepared bodies
+    proposal      a generation is proposed: the genes of its candidates, and which are carried over
     evaluation    one line for each ending of a candidate, in order of arrival
     generation    all scores of a generation are known
-    identification  what the image tells of the constants, from the tangents at the best candidate
+    identification  the identifiability of the constants, from the tangents at the best candidate
     end           the search has stopped: reason, best candidate, scores by tissue
 
-No score depends on the sessions, generations and the end. A record that makes no sense cannot
-be made, so none can be read either.
+No score depends on the sessions, generations and the end. Records check themselves, so an
+inconsistent one can be neither made nor read.
 """
 
 import math
@@ -36,10 +36,10 @@ SCHEMA_VERSION = 1
 
 
 class _JournalRecord:
-    """Convert a dataclass to and from a line of the journal, field by field."""
+    """Conversion of a dataclass to and from a line of the journal, field by field."""
 
     kind: ClassVar[str]
-    # Fields that came later: journals from before do not have them.
+    # Fields added later, which older journals lack.
     left_out_if_none: ClassVar[frozenset[str]] = frozenset()
 
     def to_json(self) -> dict[str, Any]:
@@ -59,7 +59,7 @@ class _JournalRecord:
         Raises
         ------
         JournalError
-            If the record is of another kind, lacks something or makes no sense.
+            If the record is of another kind, lacks a field or is inconsistent.
         NewerSchemaError
             If a newer version of Palpate wrote it.
         """
@@ -82,16 +82,16 @@ class _JournalRecord:
 
 @dataclass(frozen=True)
 class StudyRecord(_JournalRecord):
-    """What a study asks: its file with all defaults, and the versions it began with.
+    """The study file with all defaults, and the versions that the study began with.
 
     Parameters
     ----------
     spec_digest : str
-        Name of `spec`.
+        Digest of `spec`.
     spec : mapping
         The study file with all defaults filled in.
     versions : mapping of str to str
-        Of Palpate, its code and the packages that results depend on.
+        Versions of Palpate, its code and the packages that results depend on.
     """
 
     kind: ClassVar[str] = "study"
@@ -116,19 +116,19 @@ class SessionRecord(_JournalRecord):
     began : str
         Date and time, ISO 8601.
     store : str
-        Where the store is.
+        Location of the store.
     versions : mapping of str to str
         See `service.versions`.
     prepared : PreparedBody
         The undeformed body and its mesh.
     target : PreparedTarget
-        The deformed body that is explained.
+        The deformed body to be matched.
     workers : int
-        Evaluations at once.
+        Number of parallel evaluations.
     seconds : float
-        How long the preparation took.
+        Duration of the preparation.
     caveats : sequence of str, optional
-        Statements with which every result begins, such as a plausibility check that failed.
+        Caveats shown before every result, such as a failed plausibility check.
     """
 
     kind: ClassVar[str] = "session"
@@ -151,21 +151,21 @@ class SessionRecord(_JournalRecord):
 class ProposalRecord(_JournalRecord):
     """The candidates of a generation, as the search proposed them.
 
-    With it a journal can be read without the search that wrote it.
+    The journal can then be read without the search that wrote it.
 
     Parameters
     ----------
     number : int
-        Of the generation, from 0.
+        Number of the generation, from 0.
     first : int
         Number of its first candidate.
     names : tuple of str
-        Of the genes.
+        Names of the genes.
     genes : tuple of tuple of float
         A row for each candidate.
     carried : mapping of str to int
-        Candidates that are not evaluated anew, and the candidate of the generation before whose
-        ending they have.
+        Candidates that are not evaluated again, and the candidate of the previous generation whose
+        ending each one keeps.
     """
 
     kind: ClassVar[str] = "proposal"
@@ -192,11 +192,11 @@ class GenerationRecord(_JournalRecord):
     Parameters
     ----------
     number : int
-        From 0.
+        Number of the generation, from 0.
     best : float
         Lowest GSF; may be infinite.
     elapsed_s : float
-        Since the session began.
+        Time since the session began.
     """
 
     kind: ClassVar[str] = "generation"
@@ -216,17 +216,17 @@ class EndRecord(_JournalRecord):
     Parameters
     ----------
     reason : str
-        In words.
+        Why the search stopped.
     best : int or None
-        Candidate; None if none has a score.
+        Best candidate; None if none has a score.
     volume : str or None
         Digest of its deformed volume.
     before : mapping of str to Scores
-        By tissue, of the undeformed body: where every fit begins.
+        Scores of the undeformed body by tissue: the starting point of every fit.
     per_label : mapping of str to Scores
-        By tissue, of the best candidate.
+        Scores of the best candidate by tissue.
     elapsed_s : float
-        Since the session began.
+        Time since the session began.
     """
 
     kind: ClassVar[str] = "end"
@@ -244,16 +244,16 @@ class EndRecord(_JournalRecord):
 
 @dataclass(frozen=True)
 class IdentificationRecord(_JournalRecord):
-    """What the image tells of the constants, as the tangents at the best candidate say.
+    """Identifiability of the constants, from the tangents at the best candidate.
 
     Parameters
     ----------
     candidate : int
-        The best one.
+        The best candidate.
     fit : FitJson or None
-        Its least-squares problem; None where there is none.
+        Its least-squares problem, or None.
     reason : str
-        Why there is none; empty if there is one.
+        Why there is no least-squares problem; empty if there is one.
     nuisances : FitJson, optional
         The same problem with the nuisance parameters of the organ; see `Organ.nuisances`.
     meshes : list of MeshFit, optional
@@ -279,7 +279,7 @@ class IdentificationRecord(_JournalRecord):
 
 @dataclass(frozen=True)
 class EvaluationRecord(_JournalRecord):
-    """How the evaluation of one candidate ended.
+    """Result of the evaluation of one candidate.
 
     Parameters
     ----------
@@ -290,34 +290,34 @@ class EvaluationRecord(_JournalRecord):
     genes : mapping of str to float
         Parameters by name, finite.
     digest : str
-        Name of the evaluation in the store.
+        Digest of the evaluation in the store.
     status : Status
         done, diverged, crashed or lost.
     score : Scores, optional
-        With ``gsf``, which may be infinite; exactly when done.
+        Includes ``gsf``, which may be infinite; present only if done.
     outcome : OutcomeJson, optional
-        What the solver says of its result.
+        The solver's report on its result.
     reason : str
-        Why there is no score; empty exactly when done.
+        Why there is no score; empty only if done.
     traceback : str
-        Of a crash; empty otherwise.
+        Traceback of a crash; empty otherwise.
     seconds : mapping of str to float
-        Spent in each stage.
+        Time spent in each stage.
     worker : str
-        Where it ran; empty when not known.
+        Worker that ran it; empty if unknown.
     attempts : int
-        How often it was sent out, from 1.
+        Number of submissions, from 1.
     reused : bool
-        Whether the store had it already.
+        True if the result was already in the store.
     fit : FitJson, optional
-        Its least-squares problem, where the strategy needs derivatives.
+        Its least-squares problem, if the strategy needs derivatives.
     level : int, optional
-        Of the study's resolutions, coarse to fine; None for that of the study file.
+        Index of the study's resolution, coarse to fine; None for the resolution of the study file.
 
     Raises
     ------
     JournalError
-        If the parts contradict each other.
+        If the fields contradict each other.
     """
 
     kind: ClassVar[str] = "evaluation"
@@ -391,12 +391,12 @@ _KINDS: dict[str, type[JournalRecord]] = {
 
 
 def record_of(line: Mapping[str, Any]) -> JournalRecord:
-    """Return the record that a line of a journal holds.
+    """Return the record in a line of a journal.
 
     Raises
     ------
     JournalError
-        If it is of no known kind, or makes no sense.
+        If its kind is unknown, or it is inconsistent.
     NewerSchemaError
         If a newer version of Palpate wrote it.
     """
@@ -404,7 +404,7 @@ def record_of(line: Mapping[str, Any]) -> JournalRecord:
 
 
 def caveats_in(sessions: Iterable[SessionRecord]) -> tuple[str, ...]:
-    """Return the statements with which every result of a study begins, from its runs."""
+    """Return the caveats shown before every result of a study, from its sessions."""
     stated: list[str] = []
     for session in sessions:
         stated += session.caveats or ()
@@ -415,7 +415,7 @@ def caveats_in(sessions: Iterable[SessionRecord]) -> tuple[str, ...]:
 
 
 def _restore_numbers(record: _JournalRecord, *names: str) -> None:
-    """Replace "-inf" and its like by numbers in these fields, at any depth."""
+    """Replace "-inf", "inf" and "nan" by numbers in these fields, at any depth."""
     for name in names:
         object.__setattr__(record, name, to_number(to_plain(getattr(record, name))))
 

@@ -1,8 +1,8 @@
-"""Checksums of records that are one line of JSON.
+"""Checksums of records written as one line of JSON.
 
-The checksum is the last field of the record and covers every byte before it, so a digit that
-changed is found even where it would be read as the same number. Records of earlier versions carry
-none: they can be read, but not verified.
+The checksum is the last field of the record and covers every byte before it, so a changed digit
+is found even if it parses to the same number. Records of earlier versions have none: they can be
+read, but not verified.
 """
 
 import hashlib
@@ -15,11 +15,11 @@ LENGTH = 16
 
 
 class ChecksumError(ValueError):
-    """A record differs from what was written."""
+    """A record that differs from the one written."""
 
 
 def seal(text: str) -> str:
-    """Return a JSON object, written without blanks at its ends, with its checksum added.
+    """Add a checksum to a JSON object, written without surrounding blanks.
 
     Examples
     --------
@@ -39,7 +39,7 @@ def unseal(line: str | bytes) -> tuple[dict[str, Any], bool]:
     record : dict
         Without its checksum.
     verified : bool
-        False for a record of an earlier version, which carries no checksum.
+        False for a record of an earlier version, which has no checksum.
 
     Raises
     ------

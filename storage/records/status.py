@@ -1,4 +1,4 @@
-"""Defines the life of an evaluation.
+"""States of an evaluation.
 
 ::
 
@@ -9,15 +9,15 @@
        |                         |
        `-------------------------'
 
-Endings are journalled. On the next run of a study whatever has no ending is
-asked for again.
+Endings are written to the journal. The next run of a study resubmits every candidate
+without an ending.
 """
 
 from enum import StrEnum
 
 
 class Status(StrEnum):
-    """Where an evaluation stands."""
+    """State of an evaluation."""
 
     WAITING = "waiting"
     RUNNING = "running"
@@ -28,5 +28,5 @@ class Status(StrEnum):
 
     @property
     def is_ending(self) -> bool:
-        """Return whether the search gets a score for it: done, diverged or crashed."""
+        """Return True if the search gets a score for it: done, diverged or crashed."""
         return self in (Status.DONE, Status.DIVERGED, Status.CRASHED)

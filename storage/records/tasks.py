@@ -1,4 +1,4 @@
-"""Defines what the tasks of a search are asked and what they return, as JSON records.
+"""Requests and results of the tasks of a search, as JSON records.
 
 ::
 
@@ -6,9 +6,9 @@
     make_target      a case and a target               > PreparedTarget
     evaluate         an EvaluationRequest              > EvaluationResult
 
-Each is a dictionary at run time: it travels through Dask, lies in the store and stands in
-the journal as it is. Keys that may be missing are marked so. Units stand
-in the names; constants are in MPa.
+Each is a dictionary at run time: it is sent through Dask and written to the store and the
+journal unchanged. Optional keys are marked as such. Units are part of the names; constants are
+in MPa.
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ SpecJson = Mapping[str, object]
 
 
 Scores = Mapping[str, float]
-"""How alike two bodies are, by name.
+"""Similarity of two bodies, by measure.
 
 ``jc`` and ``dice`` are overlaps from 0 to 1; ``mhd_mm`` and ``mhd_voxels`` the modified
 Hausdorff distance in mm and in voxels; ``gsf`` the logarithm that a search minimises, -inf
@@ -27,11 +27,11 @@ for identical bodies.
 """
 
 OutcomeJson = Mapping[str, Any]
-"""What the solver of an organ says of its own result, such as ``newton_iterations``,
-``residual_n`` or ``min_j``; see `workers.mechanics.fem.problem.outcome.Outcome`."""
+"""The solver's report on its result, such as ``newton_iterations``, ``residual_n`` or
+``min_j``; see `workers.mechanics.fem.problem.outcome.Outcome`."""
 
 BodyFacts = Mapping[str, Any]
-"""What an undeformed body and its mesh are like, such as ``volume_ml``, ``nodes`` or
+"""Properties of an undeformed body and its mesh, such as ``volume_ml``, ``nodes`` or
 ``element_size_mm``; see `workers.organs.organ.Organ.facts`."""
 
 
@@ -47,10 +47,10 @@ TargetKind = Literal["simulated", "image"]
 
 
 class PreparedTarget(TypedDict):
-    """The deformed body that a search explains, by its digest in the store.
+    """The deformed body that a search tries to match, by its digest in the store.
 
     A simulated target also has the solver's ``outcome``, the ``constants`` it was made with
-    (MPa) and the ``seconds`` of each stage. An image that was aligned has its ``motion``:
+    (MPa) and the ``seconds`` of each stage. An aligned image has its ``motion``:
     ``shift_mm`` and ``turn_deg`` along and about x, y and z, and both in ``words``.
     """
 
@@ -63,7 +63,7 @@ class PreparedTarget(TypedDict):
 
 
 class PreparedLevel(TypedDict):
-    """Body, mesh and target in a coarser resolution, and the case with that mesh."""
+    """Body, mesh and target at a coarser resolution, and the case with that mesh."""
 
     case: dict[str, Any]
     prepared: PreparedBody
@@ -73,10 +73,11 @@ class PreparedLevel(TypedDict):
 class FitJson(TypedDict):
     """The least-squares problem of a candidate: distances of interfaces and their derivatives.
 
-    With the residuals r, divided by their noise, and their derivatives J by the parameters:
-    ``cost`` is r'r, ``gradient`` J'r, ``hessian`` J'J. A parameter is the logarithm of a constant
-    where ``logarithmic``. ``parameters`` and ``values`` are inside names and units; ``rms_mm`` is
-    the root mean square of the residuals; ``noise`` says in words what they were divided by.
+    With the residuals r, divided by their noise, and their derivatives J with respect to the
+    parameters: ``cost`` is r'r, ``gradient`` J'r, ``hessian`` J'J. A parameter is the logarithm of
+    a constant if ``logarithmic``. ``parameters`` and ``values`` use internal names and units;
+    ``rms_mm`` is the root mean square of the residuals; ``noise`` describes the noise they were
+    divided by.
     """
 
     parameters: list[str]
@@ -98,7 +99,7 @@ class MeshFit(TypedDict):
 
 
 class FreeParameter(TypedDict):
-    """A parameter by which residuals are differentiated: inside name and units, searched bounds."""
+    """A free parameter of the residuals: internal name and units, bounds of the search."""
 
     name: str
     lower: float
@@ -109,9 +110,9 @@ class EvaluationRequest(TypedDict):
     """One candidate to be simulated and compared with the target.
 
     ``store`` is the path of the store, ``target`` a digest, ``constants`` are in MPa,
-    ``keep_volume`` asks for the deformed volume to stay in the store, ``digest`` is the name
-    that the driver gives the evaluation. With ``free`` the residuals of the interfaces are
-    differentiated by these parameters.
+    ``keep_volume`` keeps the deformed volume in the store, ``digest`` is the driver's name for the
+    evaluation. With ``free`` the residuals of the interfaces are differentiated with respect to
+    these parameters.
     """
 
     store: str
@@ -126,13 +127,13 @@ class EvaluationRequest(TypedDict):
 
 
 class EvaluationResult(TypedDict):
-    """How one simulation ended, as it lies in the store under ``digest``.
+    """Result of one simulation, as stored under ``digest``.
 
-    ``reason`` says why it diverged; ``constants`` are in MPa; ``seconds`` counts each stage;
-    ``worker`` is where it ran. ``score`` is None when diverged and missing where nothing was
-    compared; ``volume`` is the digest of a deformed body that was stored under a name of its
-    own; ``reused`` says that the store had the result already; ``fit`` is there where the
-    request names free parameters, and None when diverged.
+    ``reason`` explains a divergence; ``constants`` are in MPa; ``seconds`` has the time of each
+    stage; ``worker`` ran it. ``score`` is None if diverged and missing if nothing was compared;
+    ``volume`` is the digest of a deformed body stored under its own name; ``reused`` is True if the
+    store already had the result; ``fit`` is present if the request names free parameters, and None
+    if diverged.
     """
 
     digest: str

@@ -1,7 +1,7 @@
-"""Frozen dataclasses to JSON and back: one schema for what is written and what is read.
+"""Conversion of frozen dataclasses to JSON and back, with one schema for both directions.
 
 A field without a default is always written, None as null. A field whose default is None is
-left out while it is None, so that a record says only what was looked at.
+omitted while it is None, so that a record contains only the quantities that were computed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,20 +40,20 @@ def to_json(record: Any) -> Any:
 
 
 def from_json(kind: type[T], data: Any) -> T:
-    """Build a dataclass from what `to_json` made of one.
+    """Build a dataclass from the output of `to_json`.
 
     Parameters
     ----------
     kind : type
         A dataclass whose fields are annotated with plain types and other dataclasses.
     data : mapping
-        Keys that `kind` does not have are passed over; texts such as "nan" become numbers
+        Keys that `kind` lacks are ignored; strings such as "nan" become numbers
         where a number is expected.
 
     Raises
     ------
     ValueError
-        If a field is missing or of another type; names the field.
+        If a field is missing or of another type; the message names the field.
     """
     try:
         record: T = _adapter(kind).validate_python(data)
@@ -65,7 +65,7 @@ def from_json(kind: type[T], data: Any) -> T:
 
 
 def _adapter(kind: type[T]) -> TypeAdapter[T]:
-    """Return what checks and builds a dataclass; compiled once, which takes milliseconds."""
+    """Return the validator of a dataclass; compiled once, which takes milliseconds."""
     if kind not in _ADAPTERS:
         _ADAPTERS[kind] = TypeAdapter(kind)
     return _ADAPTERS[kind]

@@ -1,6 +1,6 @@
-"""Saves named arrays in one Zarr group: the form of everything large in a store.
+"""Named arrays in one Zarr group: the format of everything large in a store.
 
-Format 3, zstd, published when complete. The group carries a CRC-32 of every array, because
+Format 3, zstd, published when complete. The group stores a CRC-32 of every array, because
 Zarr reads a missing chunk as zeros without an error, and a checksum of its description.
 """
 
@@ -38,13 +38,13 @@ def save_arrays(
 ) -> None:
     """Write arrays as one group, whole or not at all.
 
-    If `path` is there already, or another writer is faster, that one is kept: equal
+    If `path` exists already, or another writer finishes first, that one is kept: equal
     names mean equal content.
 
     Parameters
     ----------
     path : Path or ObjectPath
-        The group to be; a local one has its folder.
+        Path of the new group; a local one must have its folder.
     arrays : mapping of str to ndarray
         Numbers or booleans of any shape, in any memory layout.
     meta : mapping, optional
@@ -53,7 +53,7 @@ def save_arrays(
     Raises
     ------
     StoreError
-        If an array holds no numbers, or the place cannot be written.
+        If an array is not numeric, or the place cannot be written.
     """
     for name, array in arrays.items():
         _check_array(name, array)
@@ -75,7 +75,7 @@ def save_arrays(
                 chunks=_chunks(array),
                 compressors=ZstdCodec(level=LEVEL),
                 dimension_names=AXES.get(array.ndim),
-                # Zarr would leave out chunks of -0.0 and give back 0.0.
+                # Zarr would omit chunks of -0.0 and return 0.0.
                 config={"write_empty_chunks": True},
             )
             stored[...] = array
@@ -120,7 +120,7 @@ def load_arrays(path: Place, names: Iterable[str] | None = None) -> tuple[Arrays
 
 
 def load_meta(path: Place) -> Meta:
-    """Read what was given as `meta`, without the arrays.
+    """Read the `meta` of a group, without the arrays.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def load_meta(path: Place) -> Meta:
 
 
 def exists(path: Place) -> bool:
-    """Return whether a complete group is there."""
+    """Return True if the group exists and is complete."""
     return backend_of(path).is_file(path / DESCRIPTION)
 
 
@@ -164,7 +164,7 @@ def _attributes(path: Place) -> dict[str, Any]:
 
 
 def _checksum(attributes: Mapping[str, Any]) -> str:
-    """Return the checksum of a description; those of earlier versions carry none."""
+    """Return the checksum of a description; descriptions of earlier versions store none."""
     return digest(*(attributes[key] for key in ("schema_version", "meta", "crc32")))
 
 
@@ -178,7 +178,7 @@ def _check_array(name: str, array: NDArray[Any]) -> None:
     if array.dtype.kind not in "biufc":
         raise StoreError(
             f"Array {name!r} is of type {array.dtype}, expected numbers or booleans. "
-            "Put texts into the meta data."
+            "Put text into the metadata."
         )
     if not name or name.startswith(("_", ".", "zarr.json")) or "/" in name:
         raise StoreError(f"{name!r} cannot be the name of an array; use letters, digits and dots.")

@@ -1,4 +1,4 @@
-"""Copies what lies in one place to another, between folders and buckets."""
+"""Copies of entries between folders and buckets."""
 
 from pathlib import Path
 
@@ -9,9 +9,9 @@ from palpate.storage.stores.arrays import load_arrays, save_arrays
 
 
 def copy_entry(source: Place, target: Place) -> None:
-    """Copy a record or a group of arrays; one that is there is kept.
+    """Copy a record or a group of arrays; an existing target is kept.
 
-    A group is read with its checksums and written again, so what arrives is whole.
+    A group is read with its checksums and written again, so the copy is known to be intact.
 
     Raises
     ------
@@ -27,12 +27,12 @@ def copy_entry(source: Place, target: Place) -> None:
 
 
 def local_copy(source: Place, folder: Path) -> Path:
-    """Return a path of this machine with the content of an entry.
+    """Return a local path with the content of an entry.
 
     Parameters
     ----------
     source : Path or ObjectPath
-        Of a store; what lies on this machine is not copied.
+        Entry of a store; a local one is not copied.
     folder : Path
         Receives the copy.
 

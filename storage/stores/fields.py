@@ -1,6 +1,6 @@
-"""Saves nodal displacements, the small thing that is always kept.
+"""Nodal displacements, which are small and always kept.
 
-With mesh and reference volume it gives the deformed volume again.
+The deformed volume can be computed again from mesh, reference volume and displacement.
 """
 
 import numpy as np
@@ -18,13 +18,13 @@ def save_field(store: Store, digest: str, displacement_mm: FloatArray) -> None:
     ----------
     store : Store
     digest : str
-        Name of the evaluation it belongs to.
+        Digest of the evaluation.
     displacement_mm : ndarray of float64, shape (n, 3)
 
     Raises
     ------
     StoreError
-        If shape or type are others, or the place cannot be written.
+        If the shape or type is wrong, or the place cannot be written.
     """
     shape, dtype = displacement_mm.shape, displacement_mm.dtype
     if len(shape) != 2 or shape[1] not in (2, 3) or dtype != np.float64:
@@ -50,5 +50,5 @@ def load_field(store: Store, digest: str) -> FloatArray:
 
 
 def has_field(store: Store, digest: str) -> bool:
-    """Return whether the field is there, complete."""
+    """Return True if the field exists and is complete."""
     return exists(store.layout.field(digest))

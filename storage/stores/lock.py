@@ -1,8 +1,8 @@
-"""Lets one process at a time look after a store, on any machine.
+"""The maintenance lock of a store, for one process at a time on any machine.
 
-The lock is a file that is created on condition that there is none. It is removed at the end;
-who is killed leaves it behind, and the message of the next one says how to remove it. Running
-studies take no lock: what they write they name by its content.
+The lock is a file that is created on condition that there is none, and removed at the end. A
+process that is killed leaves it behind; the next one's error message explains how to remove it.
+Running studies take no lock: they name their files by content.
 """
 
 import os
@@ -26,12 +26,12 @@ def maintaining(store: Store, what: str) -> Iterator[None]:
     Parameters
     ----------
     what : str
-        The command, for whoever finds the lock.
+        The command, shown to anyone who finds the lock.
 
     Raises
     ------
     StoreError
-        If somebody holds it, or the store cannot be written.
+        If another process holds it, or the store cannot be written.
     """
     place = store.layout.lock(MAINTENANCE)
     owner = {
@@ -39,11 +39,11 @@ def maintaining(store: Store, what: str) -> Iterator[None]:
         "host": socket.gethostname(),
         "pid": os.getpid(),
         "since": datetime.now(UTC).isoformat(timespec="seconds"),
-        "token": secrets.token_hex(8),  # no two owners write the same
+        "token": secrets.token_hex(8),  # differs for every owner
     }
     if not store.backend.create(place, dumps(owner).encode()):
         raise StoreError(
-            f"{store} is being looked after by {_owner(store)}. Wait for its end; if that process "
+            f"{store} is being maintained by {_owner(store)}. Wait until it ends; if that process "
             f"is gone, remove {place} and run the command again."
         )
     try:

@@ -1,4 +1,4 @@
-"""Saves meshes: as Zarr inside the store, by meshio at the door."""
+"""Meshes: in Zarr in a store, exported with meshio."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,9 +14,9 @@ from palpate.storage.stores.arrays import Arrays, Meta, exists, load_arrays, sav
 from palpate.storage.stores.store import Store
 from palpate.storage.values import TetMesh
 
-# One file each, and all hold values. Meshio alone would take .msh for the one of Ansys.
+# Formats of one file that can hold values. Meshio alone would write .msh for Ansys.
 FULL_FROM_SIX = (0, 3, 5, 3, 1, 4, 5, 4, 2)
-"""Where the entries of a 3 x 3 tensor are in xx, yy, zz, xy, yz, xz."""
+"""Indices of a 3 x 3 tensor in xx, yy, zz, xy, yz, xz."""
 FORMATS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
 
 
@@ -28,13 +28,13 @@ def save_mesh(
     Raises
     ------
     StoreError
-        If an array holds no numbers, or the file system refuses.
+        If an array is not numeric, or the mesh cannot be written.
     """
     save_arrays(store.layout.mesh(digest), arrays, meta)
 
 
 def load_mesh(store: Store, digest: str) -> tuple[Arrays, Meta]:
-    """Read what `save_mesh` was given.
+    """Read a mesh or a hierarchy; see `save_mesh`.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def load_mesh(store: Store, digest: str) -> tuple[Arrays, Meta]:
 
 
 def has_mesh(store: Store, digest: str) -> bool:
-    """Return whether the mesh is there, complete."""
+    """Return True if the mesh exists and is complete."""
     return exists(store.layout.mesh(digest))
 
 
@@ -57,12 +57,12 @@ def export_mesh(
     point_data: Mapping[str, NDArray[Any]] | None = None,
     cell_data: Mapping[str, NDArray[Any]] | None = None,
 ) -> None:
-    """Write tetrahedra as a file that other programs read.
+    """Write tetrahedra to a file for other programs.
 
     Parameters
     ----------
     path : path
-        Its suffix chooses the format: .vtu or .vtk (ParaView), .msh (Gmsh).
+        The suffix selects the format: .vtu or .vtk (ParaView), .msh (Gmsh).
     mesh : TetMesh
     point_data : mapping of str to ndarray, shape (n,), (n, 3) or (n, 6), optional
         Values at nodes, such as ``displacement_mm``; six are the components xx, yy, zz, xy, yz,
@@ -73,15 +73,15 @@ def export_mesh(
     Raises
     ------
     InputError
-        If the suffix is not known or an array does not fit the mesh.
+        If the suffix is unknown or an array does not fit the mesh.
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise InputError(
-            f"{path} cannot be written: {path.suffix or 'no suffix'!r} is no mesh format known "
-            f"here. Use one of {', '.join(FORMATS)}."
+            f"{path} cannot be written: {path.suffix or 'no suffix'!r} is not a supported mesh "
+            f"format. Use one of {', '.join(FORMATS)}."
         )
     points, cells = dict(point_data or {}), dict(cell_data or {})
     _check_lengths(points, len(mesh.nodes), "nodes")
@@ -109,7 +109,7 @@ def _check_lengths(data: Mapping[str, NDArray[Any]], count: int, of: str) -> Non
 
 
 def _full_tensors(data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return symmetric tensors of six components with nine, row by row, as Gmsh requires."""
+    """Return symmetric tensors with nine components, row by row, as Gmsh requires."""
     return {
         name: values[:, FULL_FROM_SIX] if values.shape[1:] == (6,) else values
         for name, values in data.items()
@@ -117,7 +117,7 @@ def _full_tensors(data: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 
 def _writable(values: NDArray[Any]) -> NDArray[Any]:
-    """Convert booleans and small integers to a type that all formats know."""
+    """Convert booleans and small integers to a type that all formats support."""
     kind = values.dtype.kind
     if kind == "b" or (kind in "iu" and values.dtype.itemsize < 4):
         return values.astype(np.int32)

@@ -1,4 +1,4 @@
-"""Tries what a store needs of the place where it lies: write, read, list, take once, remove."""
+"""Checks that a place can hold a store: write, read, list, create once, remove."""
 
 import os
 import secrets
@@ -16,16 +16,16 @@ RACES, RIVALS = 4, 8
 
 @dataclass(frozen=True, slots=True)
 class StoreProbe:
-    """What was tried.
+    """Result of the checks of a store.
 
     Parameters
     ----------
     root : str
     free_bytes : int or None
-        Room that is left; None where nobody knows, as in a bucket.
+        Free space; None if unknown, as in a bucket.
     takes_once : bool
-        Whether of several that create one name, one after the other and at once, all but one
-        are refused.
+        True if creating a name succeeds exactly once, for attempts made one after the other and
+        at the same time.
     """
 
     root: str
@@ -34,7 +34,7 @@ class StoreProbe:
 
 
 def probe_store(location: Location) -> StoreProbe:
-    """Try a store, which is made where it is missing; nothing is left behind.
+    """Test a store, creating it if missing; no test files remain.
 
     Raises
     ------
@@ -59,9 +59,9 @@ def probe_store(location: Location) -> StoreProbe:
 
 
 def _one_wins(store: Store, place: Place) -> bool:
-    """Return whether one of several creates a name, and nobody afterwards.
+    """Return True if exactly one of several attempts creates a name, and no later one.
 
-    All at once, because a server may look first and write later.
+    The attempts run at the same time, because a server may check first and write later.
     """
     together = Barrier(RIVALS)
 

@@ -1,8 +1,8 @@
-"""Opens a store: what workers and driver share, a local folder or a prefix in a bucket.
+"""The store shared by workers and driver: a local folder or a prefix in a bucket.
 
-Volumes, meshes, fields and finished evaluations lie there by digest, so
-any study that asks for the same thing finds it. Nothing in a store is changed
-once written; everything can be made again.
+Volumes, meshes, fields and finished evaluations are stored by digest, so any study that
+needs the same data finds them. Nothing in a store is changed once written; everything
+but imported images can be computed again.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class Store:
 
     @property
     def backend(self) -> Backend[Any]:
-        """Return what reads and writes there."""
+        """Return the storage backend."""
         return backend_of(self.root)
 
     def __str__(self) -> str:
@@ -44,20 +44,20 @@ class Store:
 
 
 def open_store(location: Location, *, create: bool = True) -> Store:
-    """Open a store, or make one.
+    """Open a store, or create one.
 
     Parameters
     ----------
     location : str, Path or ObjectPath
         A folder, ``~`` is the user's home; or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
     create : bool
-        Make the store if it is not there, and be ready to write. Without it the
+        Create the store if it is missing, and prepare it for writing. Without it the
         store must exist and may be read-only.
 
     Raises
     ------
     StoreError
-        If the location is missing, cannot be reached or written, is no store or of an
+        If the location is missing, unreachable, not writable or not a store, or the store has an
         older schema.
     NewerSchemaError
         If a newer version of Palpate made the store.
@@ -67,8 +67,8 @@ def open_store(location: Location, *, create: bool = True) -> Store:
     version = stored_schema(store)
     if version is not None and version < SCHEMA_VERSION:
         raise StoreError(
-            f"{store} is of an older schema ({version}; this version uses {SCHEMA_VERSION}). Stop "
-            f"what uses it and run `palpate store migrate --store {store}`."
+            f"{store} has an older schema ({version}; this version uses {SCHEMA_VERSION}). Stop "
+            f"all programs that use it and run `palpate store migrate --store {store}`."
         )
     if create:
         backend.prepare(layout.root, layout.folders)
@@ -84,7 +84,7 @@ def open_store(location: Location, *, create: bool = True) -> Store:
 
 
 def write_schema(store: Store, version: int) -> None:
-    """Write the description of a store, which says of which schema it is.
+    """Write the description of a store with its schema version.
 
     Raises
     ------
@@ -121,14 +121,14 @@ def stored_schema(store: Store) -> int | None:
 
 
 def check_schema(version: Any, known: int, where: object) -> None:
-    """Refuse what a newer version of Palpate has written.
+    """Raise an error if a newer version of Palpate wrote this.
 
     Raises
     ------
     NewerSchemaError
         If `version` is above `known`.
     ValueError
-        If `version` is no version number.
+        If `version` is not a version number.
     """
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
         raise ValueError(f"schema_version is {version!r}, expected a whole number from 1")

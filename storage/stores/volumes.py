@@ -1,7 +1,7 @@
-"""Saves voxel volumes in a store: phantoms, images, targets and deformed bodies.
+"""Voxel volumes in a store: phantoms, images, targets and deformed bodies.
 
-The array ``values`` is chunked and compressed. Spacing, origin and, for tissue
-labels, their names are attributes beside it.
+The array ``values`` is chunked and compressed. Spacing, origin and the names of tissue labels
+are attributes.
 """
 
 from collections.abc import Mapping
@@ -22,26 +22,25 @@ LABELS = {str(int(tissue)): tissue.name.lower() for tissue in Tissue}
 def save_volume(
     store: Store, digest: str, volume: Volume, *, meta: Mapping[str, Any] | None = None
 ) -> None:
-    """Write a volume, whole or not at all; one that is there is kept.
+    """Write a volume, whole or not at all; an existing one is kept.
 
     Parameters
     ----------
     store : Store
     digest : str
-        Its name.
+        Digest of the volume.
     volume : Volume
     meta : mapping, optional
-        Anything that JSON holds: where it comes from, for example.
+        Any JSON values, such as the source of the volume.
 
     Raises
     ------
     StoreError
-        If the volume holds no numbers, `meta` uses a key of the volume's own, or the
-        file system refuses.
+        If the volume is not numeric, `meta` uses a reserved key, or the volume cannot be written.
     """
     clash = sorted(set(meta or {}) & set(OWN))
     if clash:
-        raise StoreError(f"The meta data of a volume cannot hold {clash}: the volume itself does.")
+        raise StoreError(f"The metadata of a volume cannot contain {clash}: reserved keys.")
     values = volume.values
     attributes = {
         **(meta or {}),
@@ -77,14 +76,14 @@ def load_volume(store: Store, digest: str) -> Volume:
 
 
 def volume_meta(store: Store, digest: str) -> dict[str, Any]:
-    """Read what is known of a volume, without reading its voxels.
+    """Read the metadata of a volume, without reading its voxels.
 
     Returns
     -------
     dict
-        What was given as `meta`, and ``spacing_mm`` and ``origin_mm`` (x, y, z),
+        The `meta` it was saved with, and ``spacing_mm`` and ``origin_mm`` (x, y, z),
         ``labels`` (name by label; None if the values are no tissues), ``shape``
-        (nz, ny, nx) and ``dtype``; ``frame_uid`` and ``place_known`` where they differ from
+        (nz, ny, nx) and ``dtype``; ``frame_uid`` and ``place_known`` if they differ from
         the defaults of `Volume`.
 
     Raises
@@ -98,7 +97,7 @@ def volume_meta(store: Store, digest: str) -> dict[str, Any]:
 
 
 def has_volume(store: Store, digest: str) -> bool:
-    """Return whether the volume is there, complete."""
+    """Return True if the volume exists and is complete."""
     return exists(store.layout.volume(digest))
 
 
@@ -110,7 +109,7 @@ def list_volumes(store: Store) -> list[str]:
 
 
 def named_volumes(store: Store) -> dict[str, list[str]]:
-    """Return the digests of all volumes with a name, by name; those replaced are included."""
+    """Return the digests of all named volumes, by name; replaced ones are included."""
     found: dict[str, list[str]] = {}
     for volume in list_volumes(store):
         with suppress(StoreError):  # a damaged volume has no name
@@ -121,7 +120,7 @@ def named_volumes(store: Store) -> dict[str, list[str]]:
 
 
 def remove_volume(store: Store, digest: str) -> bool:
-    """Remove a volume; return False if it is not there.
+    """Remove a volume; return False if it does not exist.
 
     Raises
     ------
@@ -148,10 +147,10 @@ def find_volume(store: Store, given: str) -> str | None:
 
 
 def volumes_named(store: Store, name: str) -> list[str]:
-    """Return the digests of the volumes of a name, without those that another has replaced.
+    """Return the digests of the volumes with a name, without replaced ones.
 
-    A volume replaces others if its meta data lists their digests as ``replaces``: they stay for
-    the studies that use them, but their name now means the new one.
+    A volume replaces others if its metadata lists their digests as ``replaces``: they stay for
+    the studies that use them, but their name now refers to the new one.
     """
     named = {}
     for volume in list_volumes(store):

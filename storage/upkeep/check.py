@@ -1,7 +1,7 @@
-"""Looks at everything in a store, and sets aside what is damaged.
+"""Checks of every entry in a store; damaged ones are set aside.
 
-Nothing is mended in place: what is set aside is made again when a study next asks for it.
-Images that were imported are made by nobody, so all goes into the folder ``damaged`` of
+Nothing is repaired in place: an entry that is set aside is computed again when a study needs it.
+Imported images cannot be computed again, so damaged entries go into the folder ``damaged`` of
 the store instead of being removed.
 """
 
@@ -21,7 +21,7 @@ DAMAGED = "damaged"
 
 @dataclass(frozen=True)
 class Damage:
-    """One thing of a store that cannot be used.
+    """A damaged entry of a store.
 
     Parameters
     ----------
@@ -35,15 +35,15 @@ class Damage:
 
 @dataclass(frozen=True)
 class StoreCheck:
-    """What a check has found.
+    """Result of a check.
 
     Parameters
     ----------
     counts : dict of str to int
-        Entries by folder, damaged ones included.
+        Number of entries by folder, damaged ones included.
     damages : list of Damage
     leftovers : list of Path or ObjectPath
-        Half written when a process ended; readers pass them over.
+        Entries that were unfinished when a process ended; readers skip them.
     """
 
     counts: dict[str, int]
@@ -52,9 +52,9 @@ class StoreCheck:
 
 
 def check_store(store: Store) -> StoreCheck:
-    """Read every array and record of a store, and compare with their checksums.
+    """Read every array and record of a store, and verify their checksums.
 
-    An evaluation vouches for its field, so a field that is missing or damaged damages it.
+    An evaluation whose field is missing or damaged counts as damaged.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def check_store(store: Store) -> StoreCheck:
 
 
 def set_aside(store: Store, damages: list[Damage]) -> Place:
-    """Move what is damaged into a folder of its own and return that.
+    """Move damaged entries into a separate folder and return that folder.
 
     Raises
     ------

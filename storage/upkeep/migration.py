@@ -1,8 +1,8 @@
-"""Brings a store of an older schema to the present one, one version after the other.
+"""Migration of a store to the current schema, one version at a time.
 
-A step is written when the schema changes; there has been one schema so far, so there is no step
-yet. A step may be interrupted and is then repeated whole: it must change nothing twice. The
-version in the description of the store is raised after each.
+There has been one schema so far, so there is no step yet. An interrupted step is repeated as a
+whole, so it must be idempotent. The version in the description of the store is raised after each
+step.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,18 +16,18 @@ from palpate.storage.stores.store import Store, stored_schema, write_schema
 Step = Callable[[Store], None]
 
 STEPS: Mapping[int, Step] = {}
-"""By the version that a step begins with; it ends with the next one."""
+"""Migration steps by the version they start from; each ends with the next version."""
 
 
 def migrate(location: Location) -> tuple[int, int]:
-    """Bring a store to the present schema, and return the version before and after.
+    """Migrate a store to the current schema, and return the version before and after.
 
-    Nobody may use the store meanwhile.
+    No other process may use the store meanwhile.
 
     Raises
     ------
     StoreError
-        If there is no store, it cannot be written, or another process looks after it.
+        If there is no store, it cannot be written, or another process is maintaining it.
     NewerSchemaError
         If a newer version of Palpate made the store.
     """

@@ -1,4 +1,4 @@
-"""An S3 server of the tests, which can be stopped and comes back with all that it had."""
+"""An S3 server for tests that keeps its data when it is stopped and started again."""
 
 import logging
 import os
@@ -20,7 +20,7 @@ KEYS = {
 
 
 class ObjectServer:
-    """Moto's server in a thread, reached over HTTP at a port of this machine."""
+    """Moto's server in a thread, reached over HTTP at a local port."""
 
     def __init__(self) -> None:
         self._port, self._running = _steady_port(), None
@@ -40,7 +40,7 @@ class ObjectServer:
     def stop(self) -> None:
         if self._running is not None:
             self._running.stop()
-            self._running._server.server_close()  # else the port still takes connections
+            self._running._server.server_close()  # otherwise the port still accepts connections
             self._running = None
 
     def new_bucket(self) -> str:
@@ -51,7 +51,7 @@ class ObjectServer:
 
 
 def _one_write_at_a_time(app: Any) -> Any:
-    """Let writes queue: moto looks for an object first and writes later, S3 does both at once."""
+    """Serialise writes: moto checks for an object first and writes later, S3 does both at once."""
     writing = Lock()
 
     def called(environ: dict[str, Any], start_response: Any) -> Any:
@@ -62,7 +62,7 @@ def _one_write_at_a_time(app: Any) -> Any:
 
 
 def _steady_port() -> int:
-    """Return a free port that the system hands to nobody: it is still free after a stop."""
+    """Return a free port that the system assigns to nobody else: it stays free after a stop."""
     while True:
         port = random.randrange(20000, 30000)
         with socket.socket() as probe:
@@ -80,7 +80,7 @@ def started() -> ObjectServer:
 
 
 def set_environment(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let this process, and those that it starts, find the server; and no other."""
+    """Point this process, and those that it starts, to this server and no other."""
     for name in [name for name in os.environ if name.startswith("AWS_")]:
         monkeypatch.delenv(name)
     for name, value in environment.items():

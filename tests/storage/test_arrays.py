@@ -1,4 +1,4 @@
-"""What is written is read back bit for bit, whole or not at all."""
+"""Arrays are read back bit for bit, whole or not at all."""
 
 import errno
 import json
@@ -36,7 +36,7 @@ MANY = {
 }
 
 
-def test_a_group_of_all_kinds_comes_back_bit_for_bit(tmp_path):
+def test_group_of_all_kinds_round_trips_bit_for_bit(tmp_path):
     meta = {"facts": {"nodes": 11, "gsf": -math.inf}, "word": "inf", "list": [1, 2.5, None]}
     save_arrays(tmp_path / "m.zarr", MANY, meta)
     arrays, read = load_arrays(tmp_path / "m.zarr")
@@ -53,13 +53,13 @@ def test_a_group_of_all_kinds_comes_back_bit_for_bit(tmp_path):
     )
 )
 @settings(max_examples=25, deadline=None)
-def test_any_array_comes_back(tmp_path_factory, array):
+def test_any_array_round_trips(tmp_path_factory, array):
     path = tmp_path_factory.mktemp("any") / "a.zarr"
     save_arrays(path, {"a": array})
     assert same_bits(load_arrays(path)[0]["a"], array)
 
 
-def test_layout_in_memory_and_byte_order_do_not_matter(tmp_path):
+def test_memory_layout_and_byte_order_do_not_matter(tmp_path):
     base = RNG.normal(size=(6, 8, 10))
     views = {
         "fortran": np.asfortranarray(base),
@@ -73,7 +73,7 @@ def test_layout_in_memory_and_byte_order_do_not_matter(tmp_path):
     assert same_bits(arrays["big"], base)
 
 
-def test_only_the_arrays_asked_for_are_read(tmp_path):
+def test_only_requested_arrays_are_read(tmp_path):
     save_arrays(tmp_path / "m.zarr", MANY)
     shutil.rmtree(tmp_path / "m.zarr" / "0.tets")
     arrays, _ = load_arrays(tmp_path / "m.zarr", ["wall", "0.nodes"])
@@ -82,7 +82,7 @@ def test_only_the_arrays_asked_for_are_read(tmp_path):
         load_arrays(tmp_path / "m.zarr", ["walls"])
 
 
-def test_the_file_is_plain_zarr_3_with_zstd(tmp_path):
+def test_file_is_plain_zarr_3_with_zstd(tmp_path):
     save_arrays(tmp_path / "v.zarr", {"values": np.zeros((130, 20, 129), np.uint8)})
     array = zarr.open_array(tmp_path / "v.zarr", path="values", mode="r")
     assert array.metadata.zarr_format == 3
@@ -93,7 +93,7 @@ def test_the_file_is_plain_zarr_3_with_zstd(tmp_path):
     assert len(files) == 2 + 4  # two descriptions, 2 x 1 x 2 chunks
 
 
-def test_long_arrays_are_cut_along_their_first_axis(tmp_path, monkeypatch):
+def test_long_arrays_are_chunked_along_their_first_axis(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "CHUNK_BYTES", 240)
     field = RNG.normal(size=(25, 3))
     save_arrays(tmp_path / "f.zarr", {"u": field})
@@ -102,32 +102,32 @@ def test_long_arrays_are_cut_along_their_first_axis(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["", "a/b", ".x", "__x", "zarr.json"])
-def test_a_bad_name_is_refused_before_anything_is_written(tmp_path, name):
+def test_bad_name_is_refused_before_anything_is_written(tmp_path, name):
     with pytest.raises(StoreError, match="cannot be the name of an array"):
         save_arrays(tmp_path / "x.zarr", {"good": np.zeros(1), name: np.zeros(1)})
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("bad", [np.array(["a"]), np.array([{}], object), np.zeros(1, "M8[s]")])
-def test_texts_and_objects_are_refused(tmp_path, bad):
+def test_strings_and_objects_are_refused(tmp_path, bad):
     with pytest.raises(StoreError, match="expected numbers or booleans"):
         save_arrays(tmp_path / "x.zarr", {"a": bad})
 
 
-def test_the_first_writer_of_a_name_wins(tmp_path):
+def test_first_writer_of_a_name_wins(tmp_path):
     path = tmp_path / "x.zarr"
     save_arrays(path, {"a": np.zeros(3)})
     save_arrays(path, {"a": np.ones(3)})
     assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
 
 
-def test_a_writer_that_comes_second_at_the_very_end_discards_its_own(tmp_path, monkeypatch):
+def test_writer_that_finishes_second_discards_its_result(tmp_path, monkeypatch):
     path = tmp_path / "x.zarr"
     rename = os.rename
 
     def slow(source: Path, target: Path) -> None:
         monkeypatch.setattr("palpate.storage.backends.atomic.os.rename", rename)
-        save_arrays(path, {"a": np.zeros(3)})  # the other one is faster
+        save_arrays(path, {"a": np.zeros(3)})  # the other writer finishes first
         rename(source, target)
 
     monkeypatch.setattr("palpate.storage.backends.atomic.os.rename", slow)
@@ -136,12 +136,12 @@ def test_a_writer_that_comes_second_at_the_very_end_discards_its_own(tmp_path, m
     assert [p.name for p in tmp_path.iterdir()] == ["x.zarr"]
 
 
-def test_a_group_that_appears_while_ours_is_begun_is_never_taken_away(tmp_path, monkeypatch):
+def test_group_published_meanwhile_is_never_removed(tmp_path, monkeypatch):
     path = tmp_path / "x.zarr"
     save_arrays(path, {"a": np.zeros(3)})
     monkeypatch.setattr(
         "palpate.storage.stores.arrays.exists", lambda _: False
-    )  # asked before it was there
+    )  # checked before it exists
     create = zarr.create_group
 
     def while_it_is_filled(*arguments: object, **options: object) -> zarr.Group:
@@ -153,7 +153,7 @@ def test_a_group_that_appears_while_ours_is_begun_is_never_taken_away(tmp_path, 
     assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
 
 
-def test_processes_that_write_one_name_at_once_leave_one_whole_group(tmp_path):
+def test_concurrent_writers_of_one_name_leave_one_whole_group(tmp_path):
     code = """
 import sys
 from pathlib import Path
@@ -187,7 +187,7 @@ save_arrays(Path(sys.argv[1]), {"a": np.ones((200, 200, 3))}, {})
 
 
 @pytest.mark.parametrize("moment", ["rename", "sync"])
-def test_a_writer_killed_before_the_rename_leaves_nothing_that_a_reader_sees(tmp_path, moment):
+def test_writer_killed_before_the_rename_leaves_nothing_readable(tmp_path, moment):
     path = tmp_path / "x.zarr"
     assert run_python(KILLED, path, moment).returncode == -9
     (leftover,) = tmp_path.iterdir()
@@ -199,7 +199,7 @@ def test_a_writer_killed_before_the_rename_leaves_nothing_that_a_reader_sees(tmp
     assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
 
 
-def test_a_full_disk_is_an_error_of_the_store_and_leaves_nothing(tmp_path):
+def test_full_disk_raises_store_error_and_leaves_nothing(tmp_path):
     code = """
 import resource, signal, sys
 from pathlib import Path
@@ -219,7 +219,7 @@ except StoreError as error:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_space_left_says_what_to_do(tmp_path, monkeypatch):
+def test_no_space_left_gives_advice(tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -233,7 +233,7 @@ def chunk_of(path: Path) -> Path:
     return next(p for p in (path / "a" / "c").rglob("*") if p.is_file())
 
 
-def test_a_chunk_that_is_lost_is_noticed(tmp_path):
+def test_detects_lost_chunk(tmp_path):
     path = tmp_path / "x.zarr"
     save_arrays(path, {"a": np.ones((130, 2, 2))})
     chunk_of(path).unlink()
@@ -242,7 +242,7 @@ def test_a_chunk_that_is_lost_is_noticed(tmp_path):
 
 
 @pytest.mark.parametrize("cut", [0, 5, -1])
-def test_a_chunk_that_is_damaged_is_noticed(tmp_path, cut):
+def test_detects_damaged_chunk(tmp_path, cut):
     path = tmp_path / "x.zarr"
     save_arrays(path, {"a": np.arange(1000.0)})
     chunk = chunk_of(path)
@@ -251,7 +251,7 @@ def test_a_chunk_that_is_damaged_is_noticed(tmp_path, cut):
         load_arrays(path)
 
 
-def test_a_lost_array_is_noticed(tmp_path):
+def test_detects_lost_array(tmp_path):
     path = tmp_path / "x.zarr"
     save_arrays(path, {"a": np.ones(3)})
     shutil.rmtree(path / "a")
@@ -260,7 +260,7 @@ def test_a_lost_array_is_noticed(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "{}", "not json", '{"zarr_format":3,"node_type":"group"}'])
-def test_a_damaged_description_is_noticed(tmp_path, text):
+def test_detects_damaged_description(tmp_path, text):
     path = tmp_path / "x.zarr"
     save_arrays(path, {"a": np.ones(3)})
     (path / "zarr.json").write_text(text)
@@ -268,7 +268,7 @@ def test_a_damaged_description_is_noticed(tmp_path, text):
         load_meta(path)
 
 
-def test_a_folder_without_its_description_does_not_keep_its_name(tmp_path):
+def test_folder_without_description_does_not_block_its_name(tmp_path):
     path = tmp_path / "x.zarr"
     save_arrays(path, {"a": np.ones(3)})
     (path / "zarr.json").unlink()
@@ -276,7 +276,7 @@ def test_a_folder_without_its_description_does_not_keep_its_name(tmp_path):
     assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
 
 
-def test_a_newer_group_asks_for_an_upgrade(tmp_path):
+def test_newer_group_requires_upgrade(tmp_path):
     path = tmp_path / "x.zarr"
     save_arrays(path, {"a": np.ones(3)})
     description = json.loads((path / "zarr.json").read_text())

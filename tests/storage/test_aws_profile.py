@@ -36,7 +36,7 @@ region = eu-north-1
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A home with both files, and an environment that says nothing."""
+    """Home folder with both files, and an environment without AWS variables."""
     for name in [name for name in os.environ if name.startswith("AWS_")]:
         monkeypatch.delenv(name)
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -55,14 +55,14 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("bare", Profile(region="eu-north-1")),
     ],
 )
-def test_a_profile_is_read_from_both_files(
+def test_profile_is_read_from_both_files(
     home: Path, monkeypatch: pytest.MonkeyPatch, name: str, profile: Profile
 ) -> None:
     monkeypatch.setenv("AWS_PROFILE", name)
     assert read_profile() == profile
 
 
-def test_files_elsewhere_and_files_that_change(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_paths_and_changed_files(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     other = home / "keys"
     monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(other))
     monkeypatch.setenv("AWS_CONFIG_FILE", "~/nothing-there")
@@ -74,24 +74,22 @@ def test_files_elsewhere_and_files_that_change(home: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("lob", "no profile lob in .*profiles there: bare, default, half, lab, signed-on"),
-        ("half", "has half a key"),
-        ("signed-on", "by sso_session, .* export-credentials --profile signed-on --format env"),
+        ("half", "has only half a key pair"),
+        ("signed-on", "from sso_session, .* export-credentials --profile signed-on --format env"),
     ],
 )
-def test_a_profile_that_cannot_be_used(
-    home: Path, monkeypatch: pytest.MonkeyPatch, name: str, said: str
+def test_refuses_unusable_profile(
+    home: Path, monkeypatch: pytest.MonkeyPatch, name: str, message: str
 ) -> None:
     monkeypatch.setenv("AWS_PROFILE", name)
-    with pytest.raises(StoreError, match=said):
+    with pytest.raises(StoreError, match=message):
         read_profile()
 
 
-def test_a_file_that_cannot_be_read_is_named(home: Path) -> None:
+def test_unreadable_file_is_named(home: Path) -> None:
     (home / ".aws" / "config").write_text("region = eu\n")
-    with pytest.raises(
-        StoreError, match=r"config cannot be read: .*Mend it, or set AWS_ACCESS_KEY"
-    ):
+    with pytest.raises(StoreError, match=r"config cannot be read: .*Fix it, or set AWS_ACCESS_KEY"):
         read_profile()

@@ -1,7 +1,7 @@
-"""One contract for every place where a store can be: a local folder, a bucket.
+"""One contract for every kind of store: a local folder, a bucket.
 
-Whatever has a name is whole, of two writers of one name one wins, and what is read back is
-what was written, bit for bit.
+Whatever has a name is complete, of two writers of one name one wins, and data are read back
+bit for bit.
 """
 
 import json
@@ -77,7 +77,7 @@ def groups(store: Store) -> list[str]:
 # --- the store ------------------------------------------------------------------------
 
 
-def test_a_store_is_made_once_and_found_again(location: str) -> None:
+def test_store_is_created_once_and_reopened(location: str) -> None:
     with pytest.raises(StoreError, match="is not a store"):
         open_store(location, create=False)
     made = open_store(location)
@@ -86,7 +86,7 @@ def test_a_store_is_made_once_and_found_again(location: str) -> None:
     assert open_store(location, create=False) == open_store(location) == made
 
 
-def test_a_newer_store_is_left_alone(location: str) -> None:
+def test_newer_store_is_unchanged(location: str) -> None:
     marker = place_of(location) / "palpate-store.json"
     text = b'{"schema_version": 2, "sharded": true}'
     if isinstance(marker, Path):
@@ -98,13 +98,13 @@ def test_a_newer_store_is_left_alone(location: str) -> None:
     assert backends.backend_of(marker).read(marker) == text
 
 
-def test_a_damaged_description_has_a_way_out(store: Store) -> None:
+def test_damaged_description_gives_advice(store: Store) -> None:
     store.backend.write(store.layout.marker, b"{")
     with pytest.raises(StoreError, match=r"damaged.*Remove that file"):
         open_store(str(store))
 
 
-def test_all_that_a_store_holds_comes_back(store: Store) -> None:
+def test_all_contents_round_trip(store: Store) -> None:
     volume, field = labels(), RNG.normal(size=(9, 3))
     assert list_volumes(store) == []
     save_volume(store, "v1", volume, meta={"name": "mine"})
@@ -128,7 +128,7 @@ def test_all_that_a_store_holds_comes_back(store: Store) -> None:
     assert has_field(store, "e1")
 
 
-def test_what_is_missing_or_damaged_says_so(store: Store) -> None:
+def test_reports_missing_or_damaged_entries(store: Store) -> None:
     with pytest.raises(StoreError, match="not in the store"):
         load_field(store, "none")
     save_field(store, "f", np.zeros((4, 3)))
@@ -143,7 +143,7 @@ def test_what_is_missing_or_damaged_says_so(store: Store) -> None:
 
 
 def chunks(store: Store, place: Place) -> list[Place]:
-    """Files of a group that hold numbers."""
+    """Return the files of a group that contain numbers."""
     if isinstance(place, Path):
         return [p for p in place.rglob("*") if p.is_file() and p.name != "zarr.json"]
     import obstore
@@ -154,7 +154,7 @@ def chunks(store: Store, place: Place) -> list[Place]:
     return [replace(place, key=key) for key in found if not key.endswith("zarr.json")]
 
 
-def test_a_lost_chunk_is_noticed(store: Store) -> None:
+def test_detects_lost_chunk(store: Store) -> None:
     save_field(store, "f", np.ones((4, 3)))
     (chunk,) = chunks(store, store.layout.field("f"))
     store.backend.remove(chunk)
@@ -165,13 +165,13 @@ def test_a_lost_chunk_is_noticed(store: Store) -> None:
 # --- one wins -------------------------------------------------------------------------
 
 
-def test_the_first_writer_of_a_name_wins(store: Store) -> None:
+def test_first_writer_of_a_name_wins(store: Store) -> None:
     save_field(store, "f", np.zeros((2, 3)))
     save_field(store, "f", np.ones((2, 3)))
     assert not load_field(store, "f").any()
 
 
-def test_writers_of_one_name_at_once_leave_one_whole_group(store: Store) -> None:
+def test_concurrent_writers_of_one_name_leave_one_whole_group(store: Store) -> None:
     together = Barrier(4)
 
     def write(value: int) -> None:
@@ -188,7 +188,7 @@ def test_writers_of_one_name_at_once_leave_one_whole_group(store: Store) -> None
     assert all(len(chunks(store, store.layout.field(f"f{n}"))) == 1 for n in range(5))
 
 
-def test_of_many_that_create_one_name_one_does(store: Store) -> None:
+def test_only_one_of_many_creates_a_name(store: Store) -> None:
     together = Barrier(8)
 
     def create(who: int) -> bool:
@@ -203,11 +203,11 @@ def test_of_many_that_create_one_name_one_does(store: Store) -> None:
     assert store.backend.create(store.layout.lock("one"), b"next")
 
 
-@pytest.mark.parametrize("arrives", [False, True], ids=["lost on the way", "answer lost"])
-def test_a_creation_that_is_cut_off_is_tried_again(
+@pytest.mark.parametrize("arrives", [False, True], ids=["lost on the way", "response lost"])
+def test_interrupted_creation_is_retried(
     bucket: str, monkeypatch: pytest.MonkeyPatch, arrives: bool
 ) -> None:
-    """The client repeats no request with a condition, for it cannot know what has become of it."""
+    """The client does not retry conditional requests, because their outcome is unknown."""
     obstore = pytest.importorskip("obstore")
     store, put, tries = open_store(bucket + "/cut"), obstore.put, []
 
@@ -252,7 +252,7 @@ def test_a_writer_killed_in_the_middle_leaves_nothing_that_a_reader_sees(store: 
     assert has_field(store, "f")
 
 
-# --- looking after it -----------------------------------------------------------------
+# --- upkeep ---------------------------------------------------------------------------
 
 
 def test_entries_are_listed_moved_and_removed(store: Store) -> None:
@@ -272,7 +272,7 @@ def test_entries_are_listed_moved_and_removed(store: Store) -> None:
     assert groups(store) == []
 
 
-def test_damage_is_found_and_set_aside(store: Store) -> None:
+def test_damaged_entries_are_found_and_set_aside(store: Store) -> None:
     for name in ("a", "b", "c"):
         save_field(store, name, np.ones((4, 3)))
         save_evaluation(store, name, {"status": "done"})
@@ -287,7 +287,7 @@ def test_damage_is_found_and_set_aside(store: Store) -> None:
     assert len(store.backend.entries(aside / "evaluations")) == 2
 
 
-def test_what_is_copied_is_the_same_elsewhere(store: Store, tmp_path: Path) -> None:
+def test_copies_are_identical(store: Store, tmp_path: Path) -> None:
     save_mesh(store, "m", MANY, {"facts": {}})
     save_evaluation(store, "e", {"status": "done"})
     other = open_store(tmp_path / "other")
@@ -299,7 +299,7 @@ def test_what_is_copied_is_the_same_elsewhere(store: Store, tmp_path: Path) -> N
     assert load_meta(store.layout.mesh("back")) == {"facts": {}}
 
 
-def test_a_store_is_probed_and_nothing_is_left(location: str) -> None:
+def test_probe_leaves_nothing_behind(location: str) -> None:
     probe = probe_store(location)
     assert probe.takes_once
     assert probe.root == location
@@ -308,7 +308,7 @@ def test_a_store_is_probed_and_nothing_is_left(location: str) -> None:
     assert (probe.free_bytes is None) == ("://" in location)
 
 
-def test_any_group_of_arrays_is_the_same_in_both(store: Store) -> None:
+def test_groups_are_identical_in_both_backends(store: Store) -> None:
     save_arrays(store.layout.field("x"), {"a": np.asfortranarray(RNG.normal(size=(3, 4, 5)))})
     assert exists(store.layout.field("x"))
     assert load_arrays(store.layout.field("x"))[0]["a"].flags.c_contiguous

@@ -1,4 +1,4 @@
-"""Equal content has an equal name anywhere; different content has another."""
+"""Equal content has an equal digest everywhere; different content has another."""
 
 import json
 import math
@@ -26,18 +26,18 @@ PLAIN = st.recursive(
 )
 
 
-def test_sixteen_hexadecimal_digits():
+def test_digest_has_sixteen_hexadecimal_digits():
     name = digest("x")
     assert len(name) == 16
     assert int(name, 16) >= 0
 
 
-def test_the_name_is_known_and_does_not_change_between_versions():
+def test_digest_is_stable_across_versions():
     # sha256 of the bytes  ["evaluation",{"E":0.01,"n":[1,2]}]  by coreutils.
     assert digest("evaluation", {"n": (1, 2), "E": 0.01}) == "48251aa009290a63"
 
 
-def test_other_processes_with_other_hash_seeds_agree():
+def test_digest_does_not_depend_on_the_hash_seed():
     code = """
 import ast, sys
 from palpate.storage.digest import digest
@@ -49,7 +49,7 @@ print(digest(ast.literal_eval(sys.argv[1])))
 
 @given(PLAIN, st.randoms())
 @settings(max_examples=60, deadline=None)
-def test_order_of_keys_and_a_trip_through_json_change_nothing(value: object, rng: random.Random):
+def test_key_order_and_json_round_trip_do_not_matter(value: object, rng: random.Random):
     def shuffled(v: object) -> object:
         if isinstance(v, dict):
             items = list(v.items())
@@ -75,36 +75,36 @@ def test_order_of_keys_and_a_trip_through_json_change_nothing(value: object, rng
         (["ab", "c"], ["a", "bc"]),
     ],
 )
-def test_different_values_have_different_names(one: object, other: object):
+def test_different_values_have_different_digests(one: object, other: object):
     assert digest(one) != digest(other)
 
 
-def test_parts_are_not_run_together():
+def test_parts_are_kept_separate():
     assert digest("a", "b") != digest("ab")
     assert digest("a", "b") != digest(["a", "b"])
 
 
-def test_integer_keys_are_their_texts_in_any_order():
+def test_integer_keys_equal_their_strings_in_any_order():
     assert digest({2: "a", 10: "b"}) == digest({"10": "b", "2": "a"})
 
 
-def test_numpy_scalars_are_numbers():
+def test_numpy_scalars_equal_numbers():
     assert digest(np.float64(0.1), np.int32(3), np.bool_(True)) == digest(0.1, 3, True)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, np.float32("nan")])
-def test_what_is_no_number_has_no_name(bad: float):
+def test_refuses_nan_and_infinity(bad: float):
     with pytest.raises(InputError, match=r"digest\[0\]\.E_fat\[1\] is -?(nan|inf)"):
         digest({"E_fat": [1.0, bad]})
 
 
 @pytest.mark.parametrize("bad", [{1, 2}, b"x", object(), {1.5: "a"}, {1: "a", "1": "b"}])
-def test_what_json_cannot_hold_has_no_name(bad: object):
+def test_refuses_values_that_are_not_json(bad: object):
     with pytest.raises(TypeError, match=r"digest\[0\]"):
         digest(bad)
 
 
-def test_arrays_are_named_by_values_not_by_layout():
+def test_array_digest_ignores_memory_layout():
     array = np.arange(24, dtype=np.int32).reshape(2, 3, 4)
     name = array_digest(array)
     assert array_digest(np.asfortranarray(array)) == name
@@ -114,7 +114,7 @@ def test_arrays_are_named_by_values_not_by_layout():
     assert len({name, *map(array_digest, others)}) == 5
 
 
-def test_files_are_named_by_their_bytes(tmp_path):
+def test_file_digest_depends_on_bytes(tmp_path):
     (tmp_path / "a.nrrd").write_bytes(b"abc")
     (tmp_path / "b.nrrd").write_bytes(b"abc")
     # FIPS 180-2, appendix B.1: sha256("abc") = ba7816bf 8f01cfea ...
@@ -123,7 +123,7 @@ def test_files_are_named_by_their_bytes(tmp_path):
     )
 
 
-def test_folders_are_named_by_names_and_bytes(tmp_path):
+def test_folder_digest_depends_on_names_and_bytes(tmp_path):
     series = tmp_path / "series"
     series.mkdir()
     (series / "1.dcm").write_bytes(b"one")
@@ -135,12 +135,12 @@ def test_folders_are_named_by_names_and_bytes(tmp_path):
     assert file_digest(series) != name
 
 
-def test_a_missing_file_is_an_error_of_the_user(tmp_path):
+def test_missing_file_raises_input_error(tmp_path):
     with pytest.raises(InputError, match="No such file"):
         file_digest(tmp_path / "nothing.nrrd")
 
 
-def test_code_is_named_by_its_source_wherever_it_lies(tmp_path):
+def test_source_digest_does_not_depend_on_the_location(tmp_path):
     def package(place: str, body: str) -> object:
         folder = tmp_path / place / "fem"
         (folder / "sub").mkdir(parents=True)

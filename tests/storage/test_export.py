@@ -1,4 +1,4 @@
-"""What other programs read is the mesh that was written, with all its values."""
+"""Exported meshes are read by other programs with all their values."""
 
 import meshio
 import numpy as np
@@ -14,7 +14,7 @@ DISPLACEMENT = np.random.default_rng(0).normal(size=(5, 3))
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_nodes_tetrahedra_and_values_come_back(tmp_path, suffix):
+def test_nodes_tetrahedra_and_values_round_trip(tmp_path, suffix):
     path = tmp_path / f"body{suffix}"
     tissue = np.array([1, 2], np.uint8)
     points = {"displacement_mm": DISPLACEMENT, "wall": np.array([1, 1, 0, 0, 0], bool)}
@@ -30,7 +30,7 @@ def test_nodes_tetrahedra_and_values_come_back(tmp_path, suffix):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-def test_an_older_file_is_replaced(tmp_path):
+def test_older_file_is_replaced(tmp_path):
     path = tmp_path / "body.vtu"
     path.write_text("old")
     export_mesh(path, MESH)
@@ -38,7 +38,7 @@ def test_an_older_file_is_replaced(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["body.xyz", "body", "body.stl"])
-def test_an_unknown_format_lists_the_known_ones(tmp_path, name):
+def test_unknown_format_lists_supported_ones(tmp_path, name):
     with pytest.raises(InputError, match=r"Use one of \.vtu, \.vtk, \.msh"):
         export_mesh(tmp_path / name, MESH)
 
@@ -51,6 +51,6 @@ def test_values_must_fit_the_mesh(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_missing_folder_is_an_error_of_the_store(tmp_path):
+def test_missing_folder_raises_store_error(tmp_path):
     with pytest.raises(StoreError, match="Cannot write"):
         export_mesh(tmp_path / "nowhere" / "b.vtu", MESH)

@@ -1,4 +1,4 @@
-"""An older store is refused until it has been migrated; a step that was cut short is repeated."""
+"""An older store is refused until it has been migrated; an interrupted step is repeated."""
 
 import pytest
 
@@ -13,7 +13,7 @@ from palpate.storage.upkeep.migration import migrate
 
 @pytest.fixture(params=["folder", "bucket"])
 def old(request, tmp_path, monkeypatch) -> Store:
-    """A store of schema 1, where the present one is 3."""
+    """A store of schema 1, while the current one is 3."""
     folder = request.param == "folder"
     place = str(tmp_path / "store") if folder else request.getfixturevalue("bucket") + "/store"
     store = open_store(place)
@@ -22,7 +22,7 @@ def old(request, tmp_path, monkeypatch) -> Store:
     return store
 
 
-def test_a_store_of_the_present_schema_is_left_alone(tmp_path):
+def test_current_store_is_unchanged(tmp_path):
     store = open_store(tmp_path / "store")
     assert migrate(tmp_path / "store") == (1, 1)
     assert list(store.layout.root.iterdir()) != []
@@ -30,7 +30,7 @@ def test_a_store_of_the_present_schema_is_left_alone(tmp_path):
         migrate(tmp_path / "nowhere")
 
 
-def test_an_older_store_says_what_to_type_and_is_migrated_step_by_step(old, monkeypatch):
+def test_older_store_names_the_command_and_is_migrated_step_by_step(old, monkeypatch):
     for create in (True, False):
         with pytest.raises(StoreError, match=r"older schema \(1; .* 3\).*palpate store migrate"):
             open_store(str(old), create=create)
@@ -48,7 +48,7 @@ def test_an_older_store_says_what_to_type_and_is_migrated_step_by_step(old, monk
     monkeypatch.setattr(migration, "STEPS", {1: first, 2: second})
     with pytest.raises(StoreError, match="disk is full"):
         migrate(str(old))
-    assert stored_schema(old) == 2  # the first step is not done again
+    assert stored_schema(old) == 2  # the first step is not repeated
     assert migrate(str(old)) == (2, 3)
     assert ran == [1, 2, 2]
     assert open_store(str(old), create=False) == old
@@ -57,11 +57,11 @@ def test_an_older_store_says_what_to_type_and_is_migrated_step_by_step(old, monk
         migrate(str(old))
 
 
-def test_one_process_at_a_time_looks_after_a_store(old, monkeypatch):
+def test_only_one_process_maintains_a_store(old, monkeypatch):
     monkeypatch.setattr(migration, "STEPS", {1: lambda store: None, 2: lambda store: None})
     with (
         maintaining(old, "palpate store gc --delete"),
-        pytest.raises(StoreError, match=r"looked after by `palpate store gc --delete` \(process"),
+        pytest.raises(StoreError, match=r"maintained by `palpate store gc --delete` \(process"),
     ):
         migrate(str(old))
     assert stored_schema(old) == 1

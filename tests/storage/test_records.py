@@ -1,4 +1,4 @@
-"""A record that makes no sense cannot be made; one that does survives the journal."""
+"""An inconsistent record cannot be made; a consistent one survives the journal."""
 
 import json
 import math
@@ -36,7 +36,7 @@ def through_a_line(record):
 
 
 @pytest.mark.parametrize("values", [DONE, DIVERGED, CRASHED, LOST], ids=lambda v: v["status"])
-def test_every_ending_survives_a_line_of_json(values):
+def test_every_ending_round_trips(values):
     record = EvaluationRecord(**values)
     assert through_a_line(record) == record
     assert through_a_line(record).status is values["status"]
@@ -44,7 +44,7 @@ def test_every_ending_survives_a_line_of_json(values):
 
 
 @pytest.mark.parametrize("gsf", [-math.inf, math.inf, -0.0, 1e308, np.float64(-1 / 3)])
-def test_every_score_survives_a_line_of_json(gsf):
+def test_every_score_round_trips(gsf):
     record = EvaluationRecord(**DONE | {"score": SCORE | {"gsf": gsf}})
     line = dumps(record.to_json())
     assert "Infinity" not in line
@@ -53,36 +53,36 @@ def test_every_score_survives_a_line_of_json(gsf):
     assert (read, math.copysign(1, read)) == (gsf, math.copysign(1, gsf))
 
 
-def test_infinities_are_texts_on_disk():
+def test_infinities_are_strings_on_disk():
     record = EvaluationRecord(**DONE | {"score": {"gsf": -math.inf, "mhd_mm": math.inf}})
     assert record.to_json()["score"] == {"gsf": "-inf", "mhd_mm": "inf"}
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
 @settings(max_examples=50, deadline=None)
-def test_genes_survive_bit_for_bit(gene):
+def test_genes_round_trip_bit_for_bit(gene):
     read = through_a_line(EvaluationRecord(**DONE | {"genes": {"E": gene}})).genes["E"]
     assert np.float64(read).tobytes() == np.float64(gene).tobytes()
 
 
-def test_texts_that_look_like_numbers_stay_texts():
+def test_strings_that_look_like_numbers_stay_strings():
     record = EvaluationRecord(**LOST | {"reason": "nan", "worker": "inf"})
     assert through_a_line(record) == record
 
 
-def test_a_diverged_outcome_may_hold_nan():
+def test_diverged_outcome_may_contain_nan():
     record = EvaluationRecord(**DIVERGED | {"outcome": {"residual_n": math.nan}})
     assert math.isnan(through_a_line(record).outcome["residual_n"])
 
 
-def test_the_study_survives_a_line_of_json():
+def test_study_round_trips():
     record = StudyRecord("abc", {"name": "é", "search": {"elite": 2}}, {"palpate": "0.1.0"})
     assert through_a_line(record) == record
     assert json.loads(dumps(record.to_json()))["kind"] == "study"
 
 
 @pytest.mark.parametrize(
-    ("base", "wrong", "said"),
+    ("base", "wrong", "message"),
     [
         (DONE, {"score": None}, "is done without a score"),
         (DONE, {"score": {"jc": 1.0}}, "gsf None"),
@@ -99,8 +99,8 @@ def test_the_study_survives_a_line_of_json():
         (LOST, {"status": "running"}, "no ending"),
     ],
 )
-def test_contradictions_are_refused(base, wrong, said):
-    with pytest.raises(JournalError, match=said):
+def test_refuses_contradictions(base, wrong, message):
+    with pytest.raises(JournalError, match=message):
         EvaluationRecord(**base | wrong)
 
 
@@ -118,20 +118,20 @@ def test_contradictions_are_refused(base, wrong, said):
         {"schema_version": None},
     ],
 )
-def test_a_line_that_makes_no_sense_is_a_damaged_journal(change):
+def test_inconsistent_line_means_damaged_journal(change):
     line = EvaluationRecord(**DONE).to_json() | change
     with pytest.raises(JournalError, match="start a new study"):
         record_of(line)
 
 
-def test_a_line_that_lacks_something_says_what():
+def test_missing_field_is_named():
     line = EvaluationRecord(**DONE).to_json()
     del line["digest"]
     with pytest.raises(JournalError, match="missing or unknown: digest"):
         record_of(line)
 
 
-def test_a_newer_record_asks_for_an_upgrade_even_if_it_looks_different():
+def test_newer_record_requires_upgrade_even_if_it_looks_different():
     for record in (EvaluationRecord(**DONE), StudyRecord("a", {}, {})):
         line = record.to_json() | {"schema_version": 2, "surprise": 1}
         with pytest.raises(NewerSchemaError, match="Upgrade"):

@@ -1,9 +1,9 @@
-"""The life of an evaluation ends in a verdict, or in being asked for again."""
+"""An evaluation ends in a verdict, or is submitted again."""
 
 from palpate.storage.records.status import Status
 
 
-def test_only_a_verdict_on_the_candidate_is_an_ending():
+def test_only_verdicts_are_endings():
     assert {status for status in Status if status.is_ending} == {
         Status.DONE,
         Status.DIVERGED,
@@ -11,6 +11,6 @@ def test_only_a_verdict_on_the_candidate_is_an_ending():
     }
 
 
-def test_a_status_is_its_word():
+def test_status_formats_as_its_value():
     assert f"{Status.DIVERGED}" == "diverged"
     assert Status("lost") is Status.LOST

@@ -1,4 +1,4 @@
-"""A store is made where it can be, refused where it cannot, and says why."""
+"""A store is created if possible, or refused with the reason."""
 
 import json
 import os
@@ -21,7 +21,7 @@ DAY_S = 86_400
 
 @contextmanager
 def nobody_may_write(*folders: Path) -> Iterator[None]:
-    """Take the right to write from these folders, and from root his privilege."""
+    """Remove write permission from these folders, and the privileges of root."""
     for folder in folders:
         folder.chmod(0o555)
     user = os.geteuid()
@@ -37,21 +37,21 @@ def nobody_may_write(*folders: Path) -> Iterator[None]:
 
 @pytest.fixture
 def open_path(tmp_path: Path) -> Path:
-    """A temporary folder that other users may enter."""
+    """Return a temporary folder that other users may enter."""
     for folder in (tmp_path, *tmp_path.parents):
         if folder == tmp_path or folder.name.startswith(("pytest-", "popen-")):
             folder.chmod(0o755)
     return tmp_path
 
 
-def test_a_store_is_made_once_and_found_again(tmp_path):
+def test_store_is_created_once_and_reopened(tmp_path):
     made = open_store(tmp_path / "deep" / "store")
     assert made.root == tmp_path / "deep" / "store"
     assert json.loads(made.layout.marker.read_text())["schema_version"] == 1
     assert open_store(str(made), create=False) == made
 
 
-def test_a_relative_location_means_the_same_everywhere(tmp_path, monkeypatch):
+def test_relative_location_becomes_absolute(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert open_store("store").root == tmp_path / "store"
@@ -60,14 +60,14 @@ def test_a_relative_location_means_the_same_everywhere(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("location", ["gs://b", "file:///tmp/x", "az+x://y"])
 @pytest.mark.parametrize("kind", [str, Path])
-def test_a_url_is_refused_and_no_folder_is_made(location, kind, tmp_path, monkeypatch):
+def test_url_is_refused_and_no_folder_is_created(location, kind, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(StoreError, match=r"local folders and in S3 only.*Give a folder"):
         open_store(kind(location))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_missing_store_is_not_made_on_looking(tmp_path):
+def test_opening_without_create_makes_no_store(tmp_path):
     with pytest.raises(StoreError, match="it is missing"):
         open_store(tmp_path / "store", create=False)
     assert not (tmp_path / "store").exists()
@@ -75,7 +75,7 @@ def test_a_missing_store_is_not_made_on_looking(tmp_path):
         open_store(tmp_path, create=False)
 
 
-def test_a_file_is_no_store(tmp_path):
+def test_refuses_file_as_store(tmp_path):
     file = tmp_path / "file"
     file.write_text("x")
     with pytest.raises(StoreError, match="is a file"):
@@ -84,26 +84,26 @@ def test_a_file_is_no_store(tmp_path):
         open_store(file / "store")
 
 
-def test_a_place_that_cannot_be_written_is_refused(open_path):
+def test_refuses_unwritable_place(open_path):
     with nobody_may_write(open_path):
         for place in (open_path / "store", open_path):
             with pytest.raises(StoreError, match=r"Permission denied.*choose another place"):
                 open_store(place)
 
 
-def test_a_store_that_cannot_be_written_can_be_read(open_path):
+def test_read_only_store_can_be_read(open_path):
     store = open_store(open_path / "store")
     save_volume(store, "v", labels())
     with nobody_may_write(store.root, *store.layout.folders):
         readable = open_store(store.root, create=False)
         assert load_volume(readable, "v").values.shape == (5, 6, 7)
-        with pytest.raises(StoreError, match="cannot be written by you"):
+        with pytest.raises(StoreError, match="You cannot write to"):
             open_store(store.root)
         with pytest.raises(StoreError, match="Permission denied"):
             save_volume(readable, "w", labels())
 
 
-def test_a_store_of_a_newer_version_asks_for_an_upgrade_and_is_left_alone(tmp_path):
+def test_newer_store_requires_upgrade_and_is_unchanged(tmp_path):
     text = '{"schema_version": 2, "sharded": true}'
     (tmp_path / "palpate-store.json").write_text(text)
     for create in (True, False):
@@ -114,7 +114,7 @@ def test_a_store_of_a_newer_version_asks_for_an_upgrade_and_is_left_alone(tmp_pa
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"schema_version":"one"}', "\xff", "3"])
-def test_a_damaged_marker_is_an_error_with_a_way_out(tmp_path, text):
+def test_damaged_marker_gives_advice(tmp_path, text):
     (tmp_path / "palpate-store.json").write_bytes(text.encode("latin-1"))
     with pytest.raises(StoreError, match=r"damaged.*Remove that file"):
         open_store(tmp_path)
@@ -122,7 +122,7 @@ def test_a_damaged_marker_is_an_error_with_a_way_out(tmp_path, text):
     open_store(tmp_path)
 
 
-def test_leftovers_of_killed_writers_are_not_seen_and_go_after_a_day(tmp_path):
+def test_leftovers_of_killed_writers_are_ignored_and_removed_after_a_day(tmp_path):
     store = open_store(tmp_path)
     save_volume(store, "kept", labels())
     old, young = (store.layout.volumes / f".tmp-{n}-abc-x.zarr" for n in (1, 2))
@@ -142,7 +142,7 @@ def test_leftovers_of_killed_writers_are_not_seen_and_go_after_a_day(tmp_path):
     assert young.exists()
 
 
-def test_many_processes_open_a_new_store_at_once(tmp_path):
+def test_many_processes_open_a_new_store_concurrently(tmp_path):
     code = """
 import sys
 from multiprocessing import get_context
@@ -158,7 +158,7 @@ if __name__ == "__main__":
     assert names == {"palpate-store.json", "volumes", "meshes", "fields", "evaluations"}
 
 
-def test_files_have_the_permissions_that_the_umask_gives(tmp_path):
+def test_files_have_permissions_of_the_umask(tmp_path):
     before = os.umask(0o027)
     try:
         store = open_store(tmp_path / "store")
@@ -168,14 +168,14 @@ def test_files_have_the_permissions_that_the_umask_gives(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["", "../x", "a/b", ".hidden", ".tmp-x", "a\n", "a" * 200])
-def test_a_name_cannot_lead_out_of_its_folder(tmp_path, name):
+def test_name_cannot_escape_its_folder(tmp_path, name):
     layout = StoreLayout(tmp_path)
     for place in (layout.volume, layout.mesh, layout.field, layout.evaluation):
-        with pytest.raises(StoreError, match="cannot be a name"):
+        with pytest.raises(StoreError, match="is not a valid name"):
             place(name)
 
 
-def test_the_paths_of_a_study(tmp_path):
+def test_paths_of_a_study(tmp_path):
     layout = StudyLayout(tmp_path)
     names = [p.name for p in (layout.study, layout.journal, layout.report)]
     assert names == ["study.yaml", "journal.jsonl", "report.html"]

@@ -1,4 +1,4 @@
-"""A volume keeps its voxels and its place; a mesh, a field and a record keep all they hold."""
+"""Volumes, meshes, fields and records are stored completely."""
 
 import json
 import math
@@ -29,7 +29,7 @@ def store(tmp_path):
     return open_store(tmp_path / "store")
 
 
-def test_voxels_spacing_and_origin_come_back_bit_for_bit(store):
+def test_voxels_spacing_and_origin_round_trip_bit_for_bit(store):
     volume = labels()
     save_volume(store, "v", volume)
     read = load_volume(store, "v")
@@ -39,7 +39,7 @@ def test_voxels_spacing_and_origin_come_back_bit_for_bit(store):
     assert read.on_lattice_of(volume, tolerance=1e-15)
 
 
-def test_the_frame_of_reference_and_an_unknown_place_are_kept(store):
+def test_frame_of_reference_and_unknown_place_are_kept(store):
     values = labels().values
     save_volume(store, "v", Volume(values, (1, 2, 3), frame_uid="1.2.840.1", place_known=False))
     read = load_volume(store, "v")
@@ -47,7 +47,7 @@ def test_the_frame_of_reference_and_an_unknown_place_are_kept(store):
     assert not read.place_known
 
 
-def test_a_volume_stored_without_a_frame_has_a_known_place(store):
+def test_volume_stored_without_frame_has_known_place(store):
     save_volume(store, "v", labels())
     assert not {"frame_uid", "place_known"} & set(volume_meta(store, "v"))
     assert load_volume(store, "v").place_known
@@ -61,12 +61,12 @@ def test_compartments_and_grey_values_have_no_label_names(store, dtype):
     assert volume_meta(store, "v")["labels"] is None
 
 
-def test_grey_bytes_are_no_tissues(store):
+def test_grey_bytes_are_not_tissues(store):
     save_volume(store, "v", Volume(np.full((1, 1, 1), 6, np.uint8), (1, 1, 1)))
     assert volume_meta(store, "v")["labels"] is None
 
 
-def test_a_view_of_a_volume_is_stored_as_it_is_seen(store):
+def test_view_of_a_volume_is_stored_correctly(store):
     whole = np.random.default_rng(0).integers(0, 6, (20, 20, 20), dtype=np.uint8)
     view = whole[3:17:2, ::-1, 5:].transpose(2, 0, 1)
     save_volume(store, "v", Volume(view, (1, 1, 1)))
@@ -75,13 +75,13 @@ def test_a_view_of_a_volume_is_stored_as_it_is_seen(store):
     assert read.flags.c_contiguous
 
 
-def test_more_than_one_chunk_along_every_axis(store):
+def test_several_chunks_along_every_axis(store):
     values = np.random.default_rng(0).integers(0, 6, (130, 129, 257), dtype=np.uint8)
     save_volume(store, "v", Volume(values, (0.25, 0.25, 0.25)))
     assert same_bits(load_volume(store, "v").values, values)
 
 
-def test_what_is_known_of_a_volume_is_there_without_its_voxels(store):
+def test_metadata_is_read_without_voxels(store):
     meta = {"kind": "phantom", "settings": {"seed": 1, "best": -math.inf}, "name": "inf"}
     save_volume(store, "v", labels(), meta=meta)
     for chunk in (store.layout.volume("v") / "values" / "c").rglob("0"):
@@ -95,14 +95,14 @@ def test_what_is_known_of_a_volume_is_there_without_its_voxels(store):
     assert known["labels"]["2"] == "glandular"
 
 
-def test_other_programs_find_spacing_and_labels_in_the_attributes(store):
+def test_spacing_and_labels_are_in_the_attributes(store):
     save_volume(store, "v", labels())
     attributes = zarr.open_group(store.layout.volume("v"), mode="r").attrs.asdict()["meta"]
     assert attributes["origin_mm"] == [-12.25, 0.1, 1e-3]
     assert attributes["labels"]["0"] == "air"
 
 
-def test_meta_data_cannot_contradict_the_volume(store):
+def test_metadata_cannot_contradict_the_volume(store):
     with pytest.raises(StoreError, match="'spacing_mm'"):
         save_volume(store, "v", labels(), meta={"spacing_mm": [1, 1, 1]})
     assert not has_volume(store, "v")
@@ -120,7 +120,7 @@ def test_volumes_are_listed_and_removed(store):
         load_volume(store, "a")
 
 
-def test_a_volume_half_removed_is_gone(store):
+def test_partially_removed_volume_is_gone(store):
     save_volume(store, "v", labels())
     code = """
 import os, signal, sys
@@ -134,7 +134,7 @@ atomic.withdraw(open_store(sys.argv[1]).layout.volume("v"))
     assert list_volumes(store) == []
 
 
-def test_a_mesh_comes_back_with_its_meta_data(store):
+def test_mesh_round_trips_with_metadata(store):
     arrays = {"0.nodes": np.random.default_rng(0).random((4, 3)), "size": np.array(2.5)}
     facts = {"volume": "v", "facts": {"nodes": 4, "seconds": {"mesh": 0.5}}}
     assert not has_mesh(store, "m")
@@ -145,7 +145,7 @@ def test_a_mesh_comes_back_with_its_meta_data(store):
     assert meta == facts
 
 
-def test_a_field_comes_back(store):
+def test_field_round_trips(store):
     field = np.random.default_rng(0).normal(size=(1000, 3))
     save_field(store, "f", field)
     assert has_field(store, "f")
@@ -153,7 +153,7 @@ def test_a_field_comes_back(store):
 
 
 @pytest.mark.parametrize("bad", [np.zeros((4, 4)), np.zeros(3), np.zeros((4, 3), np.float32)])
-def test_what_is_no_displacement_is_refused(store, bad):
+def test_refuses_invalid_displacement(store, bad):
     with pytest.raises(
         StoreError, match=r"expected \(n, 3\), or \(n, 2\) of a section, and float64"
     ):
@@ -171,13 +171,13 @@ RECORD = {
 }
 
 
-def test_an_evaluation_comes_back_with_its_infinities(store):
+def test_evaluation_round_trips_with_infinities(store):
     assert load_evaluation(store, "e") is None
     save_evaluation(store, "e", RECORD)
     assert load_evaluation(store, "e") == RECORD
 
 
-def test_an_evaluation_may_hold_numpy_numbers_tuples_and_nan(store):
+def test_evaluation_may_contain_numpy_numbers_tuples_and_nan(store):
     record = {"score": {"gsf": np.float64("inf")}, "outcome": {"n": (np.int64(3),), "r": math.nan}}
     save_evaluation(store, "e", record)
     read = load_evaluation(store, "e")
@@ -186,7 +186,7 @@ def test_an_evaluation_may_hold_numpy_numbers_tuples_and_nan(store):
     assert math.isnan(read["outcome"]["r"])
 
 
-def test_evaluations_are_json_that_any_program_reads(store):
+def test_evaluations_are_standard_json(store):
     save_evaluation(store, "e", RECORD)
 
     def refuse(constant):
@@ -196,7 +196,7 @@ def test_evaluations_are_json_that_any_program_reads(store):
     assert json.loads(text, parse_constant=refuse)["record"]["score"]["gsf"] == "-inf"
 
 
-def test_an_evaluation_is_whole_or_not_there(store):
+def test_evaluation_is_written_whole_or_not_at_all(store):
     code = """
 import os, signal, sys
 from pathlib import Path
@@ -212,13 +212,13 @@ save_evaluation(open_store(sys.argv[1]), "e", {"a": 1})
 @pytest.mark.parametrize(
     "text", ["", "{", "[]", '{"schema_version":1}', '{"schema_version":1,"record":3}']
 )
-def test_a_damaged_evaluation_is_an_error_with_a_way_out(store, text):
+def test_damaged_evaluation_gives_advice(store, text):
     store.layout.evaluation("e").write_text(text)
     with pytest.raises(StoreError, match=r"damaged.*Remove that file"):
         load_evaluation(store, "e")
 
 
-def test_an_evaluation_of_a_newer_version_asks_for_an_upgrade(store):
+def test_newer_evaluation_requires_upgrade(store):
     store.layout.evaluation("e").write_text('{"schema_version":2,"record":{}}')
     with pytest.raises(NewerSchemaError, match="Upgrade"):
         load_evaluation(store, "e")

@@ -1,1 +1,1 @@
-"""Make cases whose truth is known: another solver, other forms of every effect, sealed noise."""
+"""Test cases with known truth: another solver, other forms of every effect, sealed noise."""

@@ -1,11 +1,11 @@
-r"""Give a body a shape that is no ellipsoid.
+r"""Body shapes that are not ellipsoids.
 
 Every coordinate is stretched by a wave through the body,
 
 .. math:: x_i' = x_i \, (1 + a \sin(k_i \cdot s + \varphi_i)) ,
 
-with s the place in semi-axes of the ellipsoids; then each side is scaled back to where it ended,
-so that plates begin where they did. The chest wall stays in its plane.
+with s the position in semi-axes of the ellipsoids; then each side is scaled back to its original
+extent, so that plates start at the same distances. The chest wall stays in its plane.
 """
 
 from dataclasses import dataclass
@@ -25,16 +25,16 @@ WAVE_NUMBER = 1.5, 3.0
 
 @dataclass(frozen=True, slots=True)
 class BodyShape:
-    """Hold the waves that stretch a body.
+    """Waves that stretch a body.
 
     Parameters
     ----------
     amplitude : float
-        a.
+        The amplitude a.
     waves : tuple of Triple
-        k of each axis, per semi-axis.
+        Wave vector k of each axis, per semi-axis.
     phases : Triple
-        In radians.
+        Phases in radians.
     """
 
     amplitude: float
@@ -42,7 +42,7 @@ class BodyShape:
     phases: Triple
 
     def moved(self, points: FloatArray) -> FloatArray:
-        """Return where points (n, 3) of a body go, the extremes of which stay where they are."""
+        """Return displaced points (n, 3) of a body; their extremes stay in place."""
         s = points / np.abs(points).max(axis=0)
         factors = 1 + self.amplitude * np.sin(s @ np.array(self.waves).T + self.phases)
         stretched = points * factors
@@ -55,7 +55,7 @@ class BodyShape:
 
 
 def draw_shape(rng: Rng) -> BodyShape:
-    """Draw a shape at random."""
+    """Draw a random shape."""
     directions = rng.standard_normal((3, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     waves = directions * rng.uniform(*WAVE_NUMBER, (3, 1))

@@ -1,9 +1,9 @@
-"""What differs from the nominal model in every case, whatever its cause.
+"""Deviations from the nominal model that every case has, whatever its cause.
 
-In the plain world nothing does. In the hard one, as in a clinic, everything is a little off:
-the law's constants that a diagnosis holds, the springs of the chest wall, the axis of the fibres,
-where a scan lies, how well it is segmented and what is missed or added by who segments it; and
-bodies are no ellipsoids.
+In the plain world there are none. In the hard one, as in a clinic, everything is slightly off:
+the constants that a diagnosis holds fixed, the springs of the chest wall, the axis of the fibres,
+the positions of the scans, the quality of their segmentation and the pieces missed or added by
+it; and bodies are not ellipsoids.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from palpate.workers.blind.scene import NU, Scene
 from palpate.workers.blind.world import World
 
 SHIFT_SD_MM = TURN_SD_DEG = 0.3
-# Of what a diagnosis holds: so little that no more than what noise hides follows from it. Springs
+# Deviations of fixed constants, so small that their consequences stay within the noise. Springs
 # at the wall that are weaker by a third move a body by more than a millimetre.
 NU_OFF, SPRINGS_OFF, FIBRE_TILT_SD_DEG = 0.002, 0.03, 0.3
 
@@ -28,26 +28,26 @@ Pose = tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Deviations:
-    """Hold what is off in one case.
+    """Deviations of one case.
 
     Parameters
     ----------
     nu : float
         Poisson's ratio of all tissue.
     wall_spring_factor : float
-        On the stated springs along the chest wall.
+        Factor on the stated springs along the chest wall.
     fibre_tilt_deg : tuple of float
-        Of the axis of all fibres, about x and about y.
+        Tilt of the axis of all fibres, about x and about y.
     noise_factor : float
-        True over stated deviation of the segmentation.
+        True deviation of the segmentation over the stated one.
     ln_noise_at_wall : float
-        ln of how much larger it is at the chest wall than at the nipple.
+        ln of the ratio of this noise at the chest wall to the noise at the nipple.
     poses : tuple of Pose
-        Of each loaded scan; none where scans lie as their headers say.
+        Pose of each loaded scan; empty if the positions in the headers are right.
     pieces : int
-        Pieces of gland that are missed, and as many that are added, in every scan.
+        Number of pieces of gland that are missed in every scan, and of those added.
     shape : BodyShape or None
-        That is no ellipsoid.
+        Shape that is not an ellipsoid.
     """
 
     nu: float = NU
@@ -60,7 +60,7 @@ class Deviations:
     shape: BodyShape | None = None
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return a scene, its causes included, with these deviations."""
+        """Return a scene, including its causes, with these deviations."""
         fibres = scene.fibres
         if any(self.fibre_tilt_deg):
             fibres = _tilted(scene.fibres, self.fibre_tilt_deg)
@@ -68,7 +68,7 @@ class Deviations:
         return replace(scene, nu=self.nu, wall_spring_factor=springs, fibres=fibres)
 
     def posed(self, scan: int, places: FloatArray) -> FloatArray:
-        """Return where places (n, 3) of a loaded scan are shown; it turns about their middle."""
+        """Return points (n, 3) of a loaded scan in its wrong pose, turned about their centre."""
         if not self.poses:
             return places
         pose = np.array(self.poses[scan])
@@ -77,7 +77,7 @@ class Deviations:
 
 
 def draw_deviations(world: World, rng: Rng, scans: int) -> Deviations:
-    """Draw what is off in one case with some number of loaded scans."""
+    """Draw the deviations of one case with some number of loaded scans."""
     if world is World.plain:
         return Deviations()
     tilt_x, tilt_y = (round(a, 3) for a in rng.normal(0, FIBRE_TILT_SD_DEG, 2))
@@ -112,7 +112,7 @@ def _tilted(
 
 
 def _rotation(degrees: FloatArray) -> FloatArray:
-    """Return the matrix of a turn about the vector `degrees`, by its length."""
+    """Return the matrix of a rotation about the vector `degrees`, by its length."""
     angle = float(np.radians(np.linalg.norm(degrees)))
     if angle == 0:
         return np.eye(3)

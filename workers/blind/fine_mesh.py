@@ -1,4 +1,4 @@
-"""Cut a quadratic body into many small linear tetrahedra, whose faces follow its curves."""
+"""Fine linear tetrahedra that follow the curved faces of a quadratic body."""
 
 from dataclasses import dataclass
 
@@ -9,19 +9,19 @@ from palpate.storage.values import FloatArray, IntArray, TetMesh
 from palpate.workers.blind.solver.quadratic_element import EDGES, QuadraticMesh
 
 HALVINGS = 2  # of every edge
-SAME_MM = 1e-6  # nodes nearer to each other than this are one
+SAME_MM = 1e-6  # nodes closer than this are merged
 
 
 @dataclass(frozen=True, eq=False)
 class FineMesh:
-    """Hold linear tetrahedra and the matrix from values of the quadratic nodes to theirs."""
+    """Linear tetrahedra, and the interpolation matrix from the quadratic nodes to theirs."""
 
     mesh: TetMesh
     interpolation: csr_matrix
 
 
 def fine_mesh_of(mesh: QuadraticMesh) -> FineMesh:
-    """Cut every element into eight, and each of them again."""
+    """Cut every element into eight parts, and each of those into eight."""
     places, tets = _cut(HALVINGS)
     shapes = np.hstack(
         [places * (2 * places - 1), 4 * places[:, EDGES[:, 0]] * places[:, EDGES[:, 1]]]
@@ -40,7 +40,7 @@ def fine_mesh_of(mesh: QuadraticMesh) -> FineMesh:
 
 def _cut(halvings: int) -> tuple[FloatArray, IntArray]:
     """Return the barycentric coordinates of the nodes in an element, and its parts."""
-    # Four at the corners; the octahedron that is left is cut along the line from 4 to 9.
+    # Four at the corners; the remaining octahedron is cut along the line from 4 to 9.
     parts = np.array([
         [0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3],
         [4, 9, 6, 7], [4, 9, 7, 8], [4, 9, 8, 5], [4, 9, 5, 6],

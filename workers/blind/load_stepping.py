@@ -1,4 +1,4 @@
-"""Solve a scene: from loads to displacements, one load after the other."""
+"""Solution of a scene under a sequence of loads."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,17 +18,17 @@ from palpate.workers.blind.solver.skin_membrane import sheet_of
 from palpate.workers.blind.solver.system import State, System, Topology, Wall
 
 SAG_ARM_MM = 50.0
-TOUCH_MM = 0.3  # the plates begin a little closer than the body, so that they touch it
+TOUCH_MM = 0.3  # the plates start a little closer than the body, so that they touch it
 FRICTION_STEPS = 3
 STEPS = (1, 4, 12)  # tried one after the other, without friction
-# As `newton.FORCE_TOLERANCE`, with friction: at the loads, and at the steps between them.
+# Like `newton.FORCE_TOLERANCE`, with friction: at the loads, and at the steps between them.
 FRICTION_TOLERANCE, FRICTION_TOLERANCE_BETWEEN = 3e-4, 1.5e-3
 IN_AXES = {"y": ((1, 0, 0), (0, 0, 1), (0, 1, 0)), "x": ((0, -1, 0), (0, 0, 1), (1, 0, 0))}
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Hold one loaded scan: displacement (n, 3) and travel of the upper plate, in mm."""
+    """One loaded scan: displacement (n, 3) and travel of the upper plate, in mm."""
 
     load: Load
     displacement_mm: FloatArray
@@ -36,7 +36,7 @@ class Solution:
 
 
 def plate_starts(anatomy: Anatomy, axis: str) -> tuple[float, float]:
-    """Return where the lower and the upper plate stand before they press, in mm along the axis."""
+    """Return the initial positions of the lower and the upper plate, in mm along the axis."""
     if axis == "x":
         return -anatomy.lower_mm, anatomy.upper_mm
     return -anatomy.half_width_mm, anatomy.half_width_mm
@@ -45,12 +45,12 @@ def plate_starts(anatomy: Anatomy, axis: str) -> tuple[float, float]:
 def solve_scene(
     scene: Scene, topology: Topology, labels: Volume, loads: Sequence[Load]
 ) -> list[Solution]:
-    """Find the equilibria of all loads; those of one axis in order, each from the one before.
+    """Find the equilibria of all loads; loads of one axis in order, each from the previous one.
 
     Raises
     ------
     NoEquilibriumError
-        If one is not found, in small steps either.
+        If one is not found, even in small steps.
     """
     materials = materials_of(scene, topology.mesh, labels)
     solutions: list[Solution] = []
@@ -77,14 +77,14 @@ def _system(scene: Scene, topology: Topology, materials: ElementMaterials, axis:
 
 
 def tether_of(scene: Scene, skin: Skin) -> FloatArray | None:
-    """Return the springs on the points of the skin in MPa/mm, shape (k, 6); None without any."""
+    """Return the springs at the points of the skin in MPa/mm, shape (k, 6); None without any."""
     if scene.skin_grip is None:
         return None
     return scene.skin_grip(skin.places.reshape(-1, 3)).reshape(skin.areas.shape) / 1e3
 
 
 def wall_of(scene: Scene, mesh: QuadraticMesh) -> Wall:
-    """Return how the chest wall holds the body."""
+    """Return the chest wall of a scene."""
     places = np.einsum("qa,kai->kqi", face_shapes(), mesh.nodes[mesh.wall]).reshape(-1, 3)
     spring = np.zeros((len(places), 3))
     spring[:, :2] = WALL_SPRING_KPA_PER_MM * scene.wall_spring_factor
@@ -100,12 +100,12 @@ def wall_of(scene: Scene, mesh: QuadraticMesh) -> Wall:
 
 
 def plates_of(scene: Scene, axis: str) -> tuple[Plate, Plate]:
-    """Return the lower and the upper plate before they press."""
+    """Return the lower and the upper plate before compression."""
     frame = np.array(IN_AXES[axis], dtype=np.float64)
     pivot = np.asarray(scene.anatomy.centre_mm)
     lower, upper = plate_starts(scene.anatomy, axis)
     depth, across = np.tan(np.radians(scene.tilt_deg))
-    # Rotations about the in-plane axes by the right hand.
+    # Rotations about the in-plane axes by the right-hand rule.
     slopes = np.array([across, -depth])
     edge = scene.plate_edge_mm
     level = Plate(frame, pivot, lower, -1.0, np.zeros(2), 0.0, SAG_ARM_MM, edge)
@@ -124,7 +124,7 @@ def _load_sequence(system: System, scene: Scene, loads: list[Load]) -> Iterable[
 
 
 def _first_contact_travel(system: System) -> float:
-    """Return the travel at which the upper plate first touches the body, and a little more."""
+    """Return a travel slightly beyond first contact of the upper plate with the body."""
     plate, places = system.plates[1], system.topology.skin.places.reshape(-1, 3)
     places = places[places @ plate.frame[1] > plate.edge_mm + EDGE_FADE_MM]
     s1, s2 = ((places - plate.pivot_mm) @ plate.frame[:2].T).T
@@ -134,10 +134,10 @@ def _first_contact_travel(system: System) -> float:
 
 
 def _load(newton: Newton, state: State, before: float, force: float) -> State:
-    """Step from one force to a larger one; with friction, or where one is too much, in more.
+    """Step from one force to a larger one; with friction, or if one step fails, in several.
 
-    Tissue grows and the chest wall rises with the first force: from all of it at once there may
-    be no equilibrium.
+    Tissue growth and the rise of the chest wall come with the first force: applied all at once,
+    they may have no equilibrium.
     """
     counts = (FRICTION_STEPS,) if newton.system.has_friction else STEPS
     for count in counts:
@@ -150,7 +150,7 @@ def _load(newton: Newton, state: State, before: float, force: float) -> State:
 
 
 def _steps(newton: Newton, state: State, ends: tuple[float, float], count: int) -> State:
-    """Go from one force to another in so many steps of equal size."""
+    """Step from one force to another in `count` steps of equal size."""
     system = newton.system
     for part in np.linspace(0, 1, count + 1)[1:].tolist():
         tolerance = FORCE_TOLERANCE

@@ -1,7 +1,7 @@
-"""Give the elements of a scene their material constants.
+"""Material constants of the elements of a scene.
 
-Tissue is not one per element: each of its four points has the mean modulus of the
-quarter of the element around it, read off the voxels.
+Tissue is not constant in an element: each of its four points gets the mean modulus of the
+quarter of the element around it, sampled from the voxels.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from palpate.workers.blind.scene import Scene
 from palpate.workers.blind.solver.element_energy import ElementMaterials
 from palpate.workers.blind.solver.quadratic_element import QuadraticMesh, points_in_cells
 
-SAMPLES = 64  # read in every element
+SAMPLES = 64  # per element
 
 
 def _spread(count: int) -> FloatArray:
@@ -26,7 +26,7 @@ def _spread(count: int) -> FloatArray:
 
 
 def is_glandular(labels: Volume, points: FloatArray) -> FloatArray:
-    """Return 1.0 at points (k, 3) whose voxel is glandular, else 0."""
+    """Return 1.0 at points (k, 3) in glandular voxels, else 0."""
     index = np.rint((points - np.asarray(labels.origin_mm)) / labels.spacing_mm).astype(np.intp)
     x, y, z = np.clip(index, 0, np.array(labels.shape_xyz) - 1).T
     return (labels.values[z, y, x] == Tissue.GLANDULAR).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Make the undeformed body of a case: voxels, and a mesh of quadratic tetrahedra."""
+"""The undeformed body of a case: voxels, and a mesh of quadratic tetrahedra."""
 
 from dataclasses import dataclass
 
@@ -9,19 +9,19 @@ from palpate.workers.body.mesh.hierarchy import build_hierarchy
 from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
 
 SPACING_MM = 0.8
-CORNERS = 2000  # of the tetrahedra; with the middles of their edges about 14,000 nodes
+CORNERS = 2000  # of the tetrahedra; with the mid-edge nodes about 14,000 nodes
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Hold the labels of the undeformed body and its mesh."""
+    """The labels of the undeformed body and its mesh."""
 
     labels: Volume
     mesh: QuadraticMesh
 
 
 def body_of(anatomy: Anatomy, corners: int = CORNERS, spacing_mm: float = SPACING_MM) -> Body:
-    """Draw and mesh a body of fat and glandular tissue.
+    """Generate and mesh a body of fat and glandular tissue.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def body_of(anatomy: Anatomy, corners: int = CORNERS, spacing_mm: float = SPACIN
     Raises
     ------
     InputError
-        If the anatomy or the sizes make no sense.
+        If the anatomy or the sizes are invalid.
     """
     settings = BreastPhantom(
         lower_mm=anatomy.lower_mm,

@@ -1,4 +1,4 @@
-"""Draw the case that a seed makes: a fixed table of kinds, everything else at random."""
+"""Random cases: a fixed table of kinds, everything else drawn from a seed."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -62,7 +62,7 @@ OTHERS: Final[Mapping[type[Cause], float]] = MappingProxyType(
 )
 CONTROL, PAIR, TRIPLE = "control", "pair", "triple"
 TOGETHER: Final[Mapping[str, int]] = MappingProxyType({PAIR: 2, TRIPLE: 3})
-"""How many causes act where more than one does; no two of them have one effect."""
+"""Number of causes of the kinds with several; no two of them have the same effect."""
 
 KINDS: Final[Mapping[str, float]] = MappingProxyType(
     {CONTROL: 0.18, PAIR: 0.10, TRIPLE: 0.04}
@@ -73,14 +73,14 @@ KINDS: Final[Mapping[str, float]] = MappingProxyType(
 
 BY_KIND: Final = {cause.kind: cause for cause in (*SINGLES, *OTHERS)}
 AXES: Final = ("y", "x")
-# That compress a body of 20 mm mean half section by some 15 and 25 %, in N. Along its longer
-# axis a breast between smooth plates slips aside under more.
+# Compress a body of 20 mm mean half section by some 15 and 25 %, in N. Along its longer axis a
+# breast between smooth plates slips aside under larger forces.
 FORCES_N: Final = MappingProxyType({"y": (15.0, 32.0), "x": (10.0, 20.0)})
 
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """Press with plates normal to an axis, ``x`` or ``y``, by the force that is reported."""
+    """Compression by plates normal to an axis, ``x`` or ``y``, with the reported force."""
 
     axis: str
     force_n: float
@@ -88,7 +88,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Truth:
-    """Describe a case before it is made: what a diagnosis should find.
+    """Description of a case before it is made: the correct diagnosis.
 
     Parameters
     ----------
@@ -102,9 +102,9 @@ class Truth:
     loads : tuple of Load
         The loaded scans in order.
     noise_sd_mm : float
-        Of the segmentation of every scan, as it is stated.
+        Stated noise of the segmentation of every scan.
     deviations : Deviations
-        What is off besides the causes.
+        Deviations other than the causes.
     """
 
     seed: int
@@ -118,7 +118,7 @@ class Truth:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Return the names of the causes in the catalogue of a diagnosis; some have none."""
+        """Return the catalogue names of the causes' effects; causes without one are left out."""
         return tuple(c.effect for c in self.causes if c.effect is not None)
 
     @property
@@ -128,7 +128,7 @@ class Truth:
 
     @property
     def catalogued(self) -> bool:
-        """Say whether a diagnosis has a word for every cause."""
+        """Return True if the catalogue of a diagnosis has every cause."""
         return all(c.effect is not None for c in self.causes)
 
     @property
@@ -175,14 +175,14 @@ def draw(
     kind : str, optional
         One of `KINDS`; drawn by their shares where none is given.
     one_direction : bool
-        Only plates normal to y.
+        Use only plates normal to y.
     world : World
-        What is off besides the causes; all else is the same in both worlds.
+        Level of deviations other than the causes; everything else is the same in both worlds.
 
     Raises
     ------
     InputError
-        If the seed is negative or there is no such kind.
+        If the seed is negative or the kind is unknown.
     """
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise InputError(f"The seed of a case must be a whole number >= 0, got {seed!r}.")
@@ -212,7 +212,7 @@ def _classes(kind: str, rng: np.random.Generator) -> tuple[type[Cause], ...]:
 
 
 def _different(count: int, rng: np.random.Generator) -> tuple[type[Cause], ...]:
-    """Draw causes of the catalogue that all have effects of their own."""
+    """Draw causes of the catalogue whose effects all differ."""
     while True:
         causes = tuple(SINGLES[n] for n in rng.choice(len(SINGLES), count, replace=False))
         if len({cause.effect for cause in causes}) == count:
@@ -232,7 +232,7 @@ def _anatomy(rng: np.random.Generator) -> Anatomy:
 
 
 def _loads(rng: np.random.Generator, anatomy: Anatomy) -> list[Load]:
-    """Return two forces for either axis, in proportion to the section that the plates press on."""
+    """Return two forces for either axis, proportional to the compressed section."""
     length, width, depth = (2 * h for h in anatomy.half_mm)
     section = {"y": length * depth / (160 * 53), "x": width * depth / (90 * 53)}
     return [

@@ -1,7 +1,7 @@
-"""Describe the nominal physics of a breast between plates, and where reality may differ.
+"""The nominal physics of a breast between plates, and its possible deviations.
 
-Distances are in mm; stiffness goes by factors and lengths, so nothing here has a unit of
-stress but the wall's springs.
+Distances are in mm; stiffness is given by factors and lengths, so only the wall's springs have a
+unit of stress.
 """
 
 import math
@@ -21,12 +21,12 @@ NU = 0.49
 
 @dataclass(frozen=True, slots=True)
 class Anatomy:
-    """Give size and inside of a breast: two half ellipsoids on the chest wall.
+    """Size and interior of a breast: two half ellipsoids on the chest wall.
 
     Parameters
     ----------
     seed : int
-        Of the compartments.
+        Seed of the compartments.
     lower_mm, upper_mm, half_width_mm, depth_mm : float
         Semi-axes below and above the nipple (x), across (y) and deep (z).
     compartments : int
@@ -43,7 +43,7 @@ class Anatomy:
 
     @property
     def centre_mm(self) -> Triple:
-        """Return the middle of the box around the body."""
+        """Return the centre of the bounding box of the body."""
         return (self.upper_mm - self.lower_mm) / 2, 0.0, self.depth_mm / 2
 
     @property
@@ -56,10 +56,10 @@ class Anatomy:
         return np.asarray((points - self.centre_mm) / np.asarray(self.half_mm))
 
     def skin(self, count: int = 4000) -> tuple[FloatArray, FloatArray]:
-        """Spread points (count, 3) over the ellipsoids and return the area of each, in mm^2.
+        """Return points (count, 3) spread over the ellipsoids, and the area of each in mm^2.
 
-        On the unit sphere they are a Fibonacci lattice; a point n has the area
-        ``det A |A^-1 n|`` times that on the sphere, A the diagonal matrix of the semi-axes.
+        On the unit sphere they are a Fibonacci lattice; a point n has the area ``det A |A^-1 n|``
+        times its area on the sphere, A the diagonal matrix of the semi-axes.
         """
         z = (np.arange(count) + 0.5) / count
         turn = np.pi * (1 + math.sqrt(5)) * np.arange(count)
@@ -70,13 +70,13 @@ class Anatomy:
         return sphere * axes, 2 * np.pi / count * stretch
 
     def depth_inside(self, points: FloatArray) -> FloatArray:
-        """Return how far points (k, 3) lie inside the ellipsoids, in mm, roughly."""
+        """Return the approximate depth of points (k, 3) inside the ellipsoids, in mm."""
         axes = self._axes(points)
         scaled = np.linalg.norm(points / axes, axis=1)
         return np.asarray((1 - scaled) * axes.min(axis=1))
 
     def _axes(self, points: FloatArray) -> FloatArray:
-        """Return the semi-axes of the ellipsoid that each point (k, 3) belongs to, (k, 3)."""
+        """Return the semi-axes of the ellipsoid of each point (k, 3), (k, 3)."""
         along = np.where(points[:, 0] < 0, self.lower_mm, self.upper_mm)
         others = np.full((len(points), 2), (self.half_width_mm, self.depth_mm))
         return np.column_stack([along, others])
@@ -84,7 +84,7 @@ class Anatomy:
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """Hold what a diagnosis does not know, in kPa."""
+    """Constants unknown to a diagnosis, in kPa."""
 
     E_fat_kpa: float
     E_gl_kpa: float
@@ -93,29 +93,29 @@ class Constants:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Hold all that a solution depends on; without changes, the nominal physics.
+    """Complete input of a solution; by default, the nominal physics.
 
     Parameters
     ----------
     anatomy : Anatomy
     constants : Constants
     gravity_g : tuple of float
-        That of the loaded scans less that of the reference scan.
+        Gravity of the loaded scans minus gravity of the reference scan.
     force_factor : float
         Share of the plate's force that the body carries.
     tilt_deg : tuple of float
-        Of the upper plate, about the first in-plane axis (the axis of compression x z)
+        Tilt of the upper plate, about the first in-plane axis (the axis of compression x z)
         and about z.
     sag_mm : float
-        By which the upper plate bends away, 50 mm across from its pivot.
+        Distance by which the upper plate bends away, 50 mm across from its pivot.
     plate_edge_mm : float
-        z at which both plates begin.
+        z at which both plates start.
     friction : tuple of Field
-        Coulomb's coefficients; they add up.
+        Coulomb coefficients; they add up.
     wall_compliance : Field or None
-        Of the chest wall along z, in mm/kPa.
+        Compliance of the chest wall along z, in mm/kPa.
     wall_rise_mm : Field or None
-        How far the chest wall moves forward before the plates press.
+        Forward motion of the chest wall before compression.
     wall_grip : Field or None
         Springs along the chest wall on top of the nominal ones, in kPa/mm.
     skin_grip : Field or None
@@ -125,23 +125,21 @@ class Scene:
     fibres : callable or None
         From points (k, 3) to unit vectors (k, 3).
     ln_gland_fibres : Field or None
-        ln of the fibres' stiffness in glandular tissue over that in fat.
+        ln of the ratio of the fibres' stiffness in glandular tissue to that in fat.
     fung : float
         Exponent of Fung's law.
     growth : tuple of callable
-        From points (k, 3) and whether each is glandular (k,) to stretches at which the
-        tissue is free of stress, less 1.
+        From points (k, 3) and their glandular flags (k,) to stress-free stretches, minus 1.
     skin_n_per_m : float
-        E t of a skin.
+        E t of the skin.
     segmentation_mm : tuple of float
-        How far the outline and the glandular labels of the loaded scans reach too far.
+        Distances by which the outline and the glandular labels of the loaded scans extend too far.
     image_scale : tuple of float
-        By which part the loaded scans are drawn too large along x, y and z, about the middle
-        of the body.
+        Relative enlargement of the loaded scans along x, y and z, about the centre of the body.
     nu : float
         Poisson's ratio.
     wall_spring_factor : float
-        On the springs along the chest wall.
+        Factor on the springs along the chest wall.
     """
 
     anatomy: Anatomy
@@ -168,6 +166,6 @@ class Scene:
     wall_spring_factor: float = 1.0
 
     def drawn(self, places: FloatArray) -> FloatArray:
-        """Return where a loaded scan draws what is at these places (n, 3)."""
+        """Return positions in a loaded scan of material at these points (n, 3)."""
         away = places - np.asarray(self.anatomy.centre_mm)
         return np.asarray(places + np.asarray(self.image_scale) * away)

@@ -1,8 +1,8 @@
-r"""Make the segmented scan of a body: labels on voxels, drawn by a hand that errs.
+r"""Segmented scans of a body: voxel labels with segmentation errors.
 
 A blurred label is the normal distribution of the distance to its boundary, so
-:math:`d = \sigma \Phi^{-1}(v)` gives a distance below the size of a voxel. The boundary is
-moved along its normal by a random field that has waves of two lengths.
+:math:`d = \sigma \Phi^{-1}(v)` gives a distance finer than the size of a voxel. The boundary is
+moved along its normal by a random field with two correlation lengths.
 """
 
 from dataclasses import dataclass, replace
@@ -18,27 +18,27 @@ from palpate.workers.comparison.warp.warp_volume import warp_grey
 
 BLUR_VOXELS = 0.8
 MARGIN_MM = 6.0
-# Halves of the variance; together about those of one length of 4 mm.
+# Half of the variance each; together similar to a single length of 4 mm.
 LENGTHS_MM = (3.4, 4.8)
 PIECE_RADIUS_MM = (3.0, 5.0)
-# Of a boundary's scatter, left by voxels of 0.8 mm and by the blur of who looks at it.
+# Share of a boundary's scatter that survives voxels of 0.8 mm and the blur of an observer.
 KEPT = 0.93
 
 
 @dataclass(frozen=True, slots=True)
 class Segmenter:
-    """Describe how a scan is segmented.
+    """Errors of a segmentation.
 
     Parameters
     ----------
     sd_mm : float
-        Of the boundaries along their normals.
+        Scatter of the boundaries along their normals.
     outline_mm, glandular_mm : float
-        How far all labels, and the glandular ones, reach too far.
+        Distances by which all labels, and the glandular ones, extend too far.
     ln_at_wall : float
-        ln of how much larger the scatter is at the chest wall than at the nipple.
+        ln of the ratio of the scatter at the chest wall to that at the nipple.
     pieces : int
-        Pieces of gland that are missed, and as many that are added.
+        Number of pieces of gland that are missed, and of those added.
     """
 
     sd_mm: float
@@ -49,10 +49,10 @@ class Segmenter:
 
 
 def glandular_share(labels: Volume) -> Volume:
-    """Blur glandular labels, half at their boundary, with a margin; air is the nearest tissue.
+    """Blur glandular labels, half at their boundary, with a margin; air gets the nearest tissue.
 
-    The elements alone then decide where a deformed body ends. Cut by its own voxels too, it
-    would lose what either of them lacks: a tenth of a voxel all around.
+    The extent of a deformed body is then determined by the elements alone. If the voxels cut it
+    too, it would lose about a tenth of a voxel all around.
     """
     wide = padded(labels, MARGIN_MM)
     _, (z, y, x) = ndimage.distance_transform_edt(
@@ -64,12 +64,12 @@ def glandular_share(labels: Volume) -> Volume:
 
 
 def deformed_labels(share: Volume, fine: FineMesh, displacement_mm: FloatArray) -> Volume:
-    """Label the body under a displacement of its quadratic nodes, with air around.
+    """Label the body under a displacement of its quadratic nodes, surrounded by air.
 
     Parameters
     ----------
     share : Volume
-        Of the undeformed body, from `glandular_share`.
+        Share of the undeformed body, from `glandular_share`.
     fine : FineMesh
     displacement_mm : ndarray, shape (n, 3)
     """
@@ -88,13 +88,13 @@ def padded(labels: Volume, margin_mm: float) -> Volume:
 
 
 def segmented(labels: Volume, segmenter: Segmenter, rng: np.random.Generator) -> Volume:
-    """Draw the labels again as an erring hand does.
+    """Segment the labels again, with errors.
 
     Parameters
     ----------
     labels : Volume
-        Fat and glandular tissue with air around; the body's end at the chest wall is not
-        drawn but cut.
+        Fat and glandular tissue surrounded by air; the body's end at the chest wall is a cut, which
+        stays straight.
     segmenter : Segmenter
     rng : numpy Generator
 
@@ -125,7 +125,7 @@ def _redrawn(
     offset_mm: float,
     rng: np.random.Generator,
 ) -> NDArray[np.bool_]:
-    """Return the voxels within the boundary after it has moved outwards by offset and noise."""
+    """Return the voxels inside the boundary after it has moved outwards by offset and noise."""
     # "nearest" continues the body straight through the cut at the chest wall.
     share = ndimage.gaussian_filter(inside.astype(np.float32), BLUR_VOXELS, mode="nearest")
     depth = BLUR_VOXELS * min(spacing_mm) * ndtri(np.clip(share, 1e-6, 1 - 1e-6))

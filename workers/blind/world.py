@@ -1,10 +1,10 @@
-"""How kind the cases of a blind set are; see `workers.blind.deviations`."""
+"""Difficulty of the cases of a blind set; see `workers.blind.deviations`."""
 
 from enum import StrEnum
 
 
 class World(StrEnum):
-    """How kind the cases of a set are."""
+    """Difficulty of the cases of a set."""
 
     plain = "plain"
     hard = "hard"

@@ -1,6 +1,6 @@
-"""Write a case as files: what may be known in one folder, the truth in another.
+"""Case files: public data in one folder, the truth in another.
 
-Nothing of the kind shows in the names, order, precision or times of the files.
+Names, order, precision and times of the files reveal nothing about the kind of a case.
 """
 
 import gzip
@@ -30,7 +30,7 @@ from palpate.workers.blind.solver.material_points import points_on
 from palpate.workers.blind.solver.system import topology_of
 
 POINTS = 1500  # on each interface
-TIME_S = 1_000_000_000  # all files are of this time
+TIME_S = 1_000_000_000  # modification time of all files
 
 
 def write_case(
@@ -47,9 +47,9 @@ def write_case(
     ----------
     truth : Truth
     case_folder : Path
-        Gets ``case.yaml`` and the segmented scans; its name is the case's id.
+        Receives ``case.yaml`` and the segmented scans; its name is the case's id.
     truth_folder : Path
-        Gets ``truth.json`` and ``truth.npz``: ``points`` (k, 3) on the true interfaces,
+        Receives ``truth.json`` and ``truth.npz``: ``points`` (k, 3) on the true interfaces,
         ``interface`` (k,), 0 for the outline and 1 for the boundary of the glandular
         tissue, and ``displacement`` (scans, k, 3), all in mm and without noise.
     corners, spacing_mm
@@ -58,7 +58,7 @@ def write_case(
     Raises
     ------
     NoEquilibriumError
-        If a load finds none.
+        If the solver finds no equilibrium for a load.
     InputError
         If the body cannot be made or meshed.
     """
@@ -79,7 +79,7 @@ def write_case(
 
 
 def scan_names(loads: tuple[Load, ...]) -> list[str]:
-    """Return the files of the loaded scans: by axis, counted from the smallest force."""
+    """Return the file names of the loaded scans: by axis, numbered from the smallest force."""
     count: dict[str, int] = {}
     names = []
     for load in loads:
@@ -90,7 +90,7 @@ def scan_names(loads: tuple[Load, ...]) -> list[str]:
 
 def _scans(truth: Truth, body: Body, solutions: list[Solution]) -> dict[str, Volume]:
     fine, share = fine_mesh_of(body.mesh), glandular_share(body.labels)
-    # As many streams as scans, apart from those that drew the truth.
+    # As many streams as scans, separate from those of the truth.
     streams = np.random.SeedSequence([truth.seed, 1]).spawn(len(solutions) + 1)
     rngs = [np.random.default_rng(s) for s in streams]
     outline, gland = truth.scene.segmentation_mm
@@ -168,7 +168,7 @@ def _write_truth(truth: Truth, body: Body, solutions: list[Solution], folder: Pa
 
 
 def _write_volume(path: Path, labels: Volume) -> None:
-    """Write NRRD by hand: packages write the time into the header."""
+    """Write NRRD directly: packages write the time into the header."""
     sizes = " ".join(str(n) for n in labels.shape_xyz)
     steps = " ".join(
         f"({','.join(f'{step:g}' if i == k else '0' for k in range(3))})"

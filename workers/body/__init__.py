@@ -1,1 +1,1 @@
-"""Make a body: phantoms, images and their meshes."""
+"""Bodies: phantoms, images and their meshes."""

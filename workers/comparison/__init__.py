@@ -1,1 +1,1 @@
-"""Measure how alike two bodies are: deformed volumes, similarity scores, interface distances."""
+"""Comparison of two bodies: deformed volumes, similarity scores, interface distances."""

@@ -1,1 +1,1 @@
-"""The functions that Dask workers run, and the store that they share."""
+"""Functions run by Dask workers, and the store that they share."""

@@ -1,8 +1,8 @@
-"""Bodies, meshes and what is prepared from them, by digest: made once, cached by each process.
+"""Bodies, meshes and data prepared from them, by digest: made once, cached in each process.
 
-A body or a mesh is named after its content. What was asked for leads there through a small
-record under the digest of the request and of the code that makes it, so that code which
-changes without changing the content makes nothing else stale.
+A body or a mesh is named after its content. A small record maps the digest of a request, and of
+the code that fulfils it, to that content; so code that changes without changing the content
+makes nothing else stale.
 """
 
 import threading
@@ -55,7 +55,7 @@ class BodyStore:
         self.organ = organ
 
     def bring_body(self, spec: Door) -> str:
-        """Return the digest of the body that is described, which is then in the store.
+        """Add the body of a specification to the store if missing, and return its digest.
 
         Raises
         ------
@@ -78,12 +78,12 @@ class BodyStore:
         return self._made(request, self.has_body, make)
 
     def bring_aligned(self, target: str, reference: str, case: CaseSpec) -> tuple[str, Facts]:
-        """Return the digest of a stored target after alignment, and how it was moved."""
+        """Return the digest of a stored target after alignment, and its motion."""
         body, motion = aligned_target(self.organ, self.body(target), self.body(reference), case)
         return self.add(body, {"kind": "image", "motion": dict(motion)}), motion
 
     def bring_mesh(self, body: str, case: CaseSpec) -> tuple[str, dict[str, Any]]:
-        """Return the digest of the mesh of a stored body, and facts of both; it is then stored."""
+        """Add the mesh of a stored body to the store; return its digest, and facts of both."""
         request = self._request("mesh", body, self.organ.mesh_settings(case))
 
         def make() -> str:
@@ -101,18 +101,18 @@ class BodyStore:
         return name, load_meta(self.store.layout.mesh(name))["facts"]
 
     def add(self, body: Any, meta: Mapping[str, Any]) -> str:
-        """Store a body under the digest of its content; images apart from simulated bodies."""
+        """Store a body under the digest of its content, separately for images and simulations."""
         name = self._body_digest(body, meta.get("kind") == "image")
         if not self.has_body(name):
             self.save_body(name, body, meta)
         return name
 
     def has_body(self, name: str) -> bool:
-        """Return whether a body is in the store, complete."""
+        """Return True if a body is complete in the store."""
         return has_volume(self.store, name)
 
     def save_body(self, name: str, body: Any, meta: Mapping[str, Any]) -> None:
-        """Store a body under a digest that is known already, such as that of an evaluation."""
+        """Store a body under a known digest, such as the digest of an evaluation."""
         arrays = self.organ.body_to_arrays(body)
         if isinstance(arrays, Volume):
             save_volume(self.store, name, arrays, meta=meta)
@@ -134,18 +134,18 @@ class BodyStore:
         return self._cached("model", name, lambda: self.organ.prepare(self.mesh(name)))
 
     def landmarks(self, name: str, case: CaseSpec) -> Any:
-        """Return what the load must know of the place of a stored body."""
+        """Return the landmarks of a stored body that its load needs."""
         load = case.model_dump_json(exclude={"reference", "mesh", "constants"})
         what = f"landmarks {load}"
         return self._cached(what, name, lambda: self.organ.landmarks(self.body(name), case))
 
     def scorer(self, target: str, spec: ScoreSpec) -> Any:
-        """Return what compares bodies with a stored target; each thread has its own."""
+        """Return the scorer of bodies against a stored target; each thread has its own."""
         what = f"scorer {spec.model_dump_json()} {threading.get_ident()}"
         return self._cached(what, target, lambda: self.organ.scorer(self.body(target), spec))
 
     def coarse(self, name: str, spacing_mm: float) -> str:
-        """Return the digest of a stored body in coarser voxels; its own where it is as coarse."""
+        """Return the digest of a stored body in coarser voxels; its own if it is as coarse."""
         request = self._request("coarse body", name, spacing_mm)
 
         def make() -> str:
@@ -160,7 +160,7 @@ class BodyStore:
         return self._made(request, self.has_body, make)
 
     def observation(self, body: str, mesh: str, target: str) -> Any:
-        """Return what residuals need of a body and its target."""
+        """Return the data of a body and its target that residuals need."""
         organ = differentiable(self.organ)
         return self._cached(
             f"observation {body} {mesh}",
@@ -171,7 +171,7 @@ class BodyStore:
         )
 
     def imaged(self, name: str) -> bool:
-        """Return whether a stored body comes from an image rather than from a simulation."""
+        """Return True if a stored body comes from an image, False if from a simulation."""
         return volume_meta(self.store, name).get("kind") not in ("simulated", "evaluation")
 
     def setup(
@@ -182,7 +182,7 @@ class BodyStore:
         score: ScoreSpec | None = None,
         observed: bool = False,
     ) -> Setup:
-        """Return what an evaluation needs beside the constants.
+        """Return the inputs of an evaluation other than the constants.
 
         Parameters
         ----------
@@ -190,11 +190,11 @@ class BodyStore:
         prepared : mapping
             Digests: ``volume`` of the undeformed body and ``mesh``.
         target : str, optional
-            Digest of the body to be explained.
+            Digest of the target body.
         score : ScoreSpec, optional
-            How it is compared; not at all by default.
+            Settings of the comparison; no comparison by default.
         observed : bool
-            Whether residuals are wanted too.
+            True if residuals are wanted too.
         """
         body, mesh = prepared["volume"], prepared["mesh"]
         imaged = target is not None and self.imaged(target)
@@ -213,7 +213,7 @@ class BodyStore:
         )
 
     def _objective(self, target: str, score: ScoreSpec) -> dict[str, Any]:
-        """Return the objective of a study, and what it asks of a deformed body."""
+        """Return the objective of a study, and its measure of a deformed body."""
         objective = objective_named(score.objective)
         make = objective.measure
         if make is None:
@@ -228,7 +228,7 @@ class BodyStore:
         return name if adapted is None else self.add(adapted, {"kind": "image"})
 
     def _find(self, given: str) -> str:
-        """Return the digest of the stored volume that has this digest or name."""
+        """Return the digest of the stored volume with this digest or name."""
         found = find_volume(self.store, given)
         if found is not None:
             return found
@@ -254,7 +254,7 @@ class BodyStore:
         return digest(f"{kind} request", *parts, code_version(*organ_modules(self.organ.name)))
 
     def _made(self, request: str, has: Callable[[str], bool], make: Callable[[], str]) -> str:
-        """Return the name of what a request has made; make it unless the store has it."""
+        """Return the digest of the result of a request; compute it unless it is stored."""
         path = self.store.layout.field(request)
         if exists(path):
             name = str(load_meta(path)["made"])
@@ -273,7 +273,7 @@ class BodyStore:
 def aligned_target(
     organ: Organ[Any, Any, Any], target: Any, reference: Any, case: CaseSpec
 ) -> tuple[Any, Facts]:
-    """Return a target in the frame of the undeformed body, and how it was moved.
+    """Return a target in the frame of the undeformed body, and its motion.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""The digest of the source code that a result depends on, derived from its imports.
+"""Digests of the source code that a result depends on, derived from its imports.
 
-A result that is stored under the digest of its inputs alone becomes stale when the code
-changes. The code's part of that digest is found by following the import statements from
-the module that makes the result: what it reaches counts, what it does not reach does not.
+A result stored under the digest of its inputs alone becomes stale when the code changes. So the
+digest also covers the code: every module reached by import statements from the module that
+makes the result, and no other.
 """
 
 import dis
@@ -22,13 +22,13 @@ _IMPORT = dis.opmap["IMPORT_NAME"]
 
 @cache
 def code_version(*modules: str) -> str:
-    """Return a digest of the source of all that some modules import, themselves included.
+    """Return a digest of the source of some modules and of everything they import.
 
     Parameters
     ----------
     *modules : str
-        Dotted names, such as ``"palpate.workers.tasks.evaluation"``. Of a plug-in the whole
-        top-level package counts that it imports from, and the version of its distribution.
+        Dotted names, such as ``"palpate.workers.tasks.evaluation"``. For a plug-in, its whole
+        top-level package counts as far as it is imported, and the version of its distribution.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def code_version(*modules: str) -> str:
 
 
 def reached(modules: Iterable[str], packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
-    """Return the modules of some packages that these modules reach by their imports.
+    """Return the modules of some packages that are reached from these modules by imports.
 
     Imports inside functions and for type checkers count. The ``__init__`` of every package
     on the way counts, because Python runs it.
@@ -56,14 +56,14 @@ def reached(modules: Iterable[str], packages: Iterable[str] = PACKAGES) -> dict[
     Parameters
     ----------
     modules : iterable of str
-        Where to begin.
+        Starting modules.
     packages : iterable of str
-        Packages that are followed; others are left out.
+        Packages whose imports are followed; others are left out.
 
     Returns
     -------
     dict of str to Path
-        The file of each module that is reached.
+        The file of each module reached.
     """
     roots = tuple(packages)
     files: dict[str, Path] = {}
@@ -112,9 +112,9 @@ def _parents(module: str) -> Iterator[str]:
 
 @cache
 def _imported(file: Path, module: str, roots: tuple[str, ...] = PACKAGES) -> tuple[str, ...]:
-    """Return the modules that a file names in import statements.
+    """Return the modules named in the import statements of a file.
 
-    ``from package import name`` names the module ``package.name`` where there is one.
+    ``from package import name`` names the module ``package.name`` if there is one.
     """
     names: list[str] = []
     for level, base, members in _import_statements(file):
@@ -128,7 +128,7 @@ def _import_statements(file: Path) -> list[tuple[int, str, tuple[str, ...]]]:
     """Return level, module and members of each import statement of a file, in order.
 
     They are read from the compiled code: `ast.parse` fails while another thread of the process
-    parses too (cpython issue 106905), be it only a string in a template.
+    is parsing too (cpython issue 106905), even if it parses only a string in a template.
     """
     found: dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]] = {}
     waiting = [compile(file.read_bytes(), str(file), "exec", dont_inherit=True)]
@@ -141,9 +141,9 @@ def _import_statements(file: Path) -> list[tuple[int, str, tuple[str, ...]]]:
 
 
 def _imports_of(code: CodeType) -> dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]]:
-    """Return the import statements of one code object by their place in the file."""
+    """Return the import statements of one code object by their position in the file."""
     found: dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]] = {}
-    level: Any = 0  # with `members` the two constants that are loaded before
+    level: Any = 0  # with `members`, the two constants loaded before the import
     members: Any = None
     for step in dis.get_instructions(code):
         if step.opname == "IMPORT_NAME":

@@ -1,9 +1,9 @@
-"""Ends an evaluation that overruns its deadline: with its process, as nothing else stops it.
+"""A deadline for evaluations, enforced by ending the process.
 
-A future that is cancelled runs on, and a compiled kernel hears no signal. So the process of the
-worker goes, its nanny starts another, and the scheduler sends the task again. What has overrun
-is written into the store before; after `MOST_OVERRUNS` the evaluation has ended, with that as
-its reason. Processes without a nanny are left alone, as nobody would start them again.
+A cancelled future runs on, and a compiled kernel ignores signals. So the process of the worker
+ends, its nanny starts another, and the scheduler sends the task again. The overrun is recorded
+in the store first; after `MOST_OVERRUNS` the evaluation ends, with that as its reason. Processes
+without a nanny are left alone, because nothing would restart them.
 """
 
 import os
@@ -28,13 +28,13 @@ Evaluate = Callable[[EvaluationRequest], EvaluationResult]
 def evaluate_within(
     deadline_s: float, evaluate: Evaluate, request: EvaluationRequest
 ) -> EvaluationResult:
-    """Evaluate a candidate, in so many seconds.
+    """Evaluate a candidate within `deadline_s` seconds.
 
     Returns
     -------
     dict
-        As `evaluate` returns it; diverged if the deadline was overrun `MOST_OVERRUNS` times.
-        That is no property of the candidate alone, so the store does not keep it.
+        The result of `evaluate`; diverged if the deadline was overrun `MOST_OVERRUNS` times.
+        That depends on the machine too, so it is not stored.
     """
     store = open_store(request["store"])
     numbers = range(1, MOST_OVERRUNS + 1)
@@ -75,7 +75,7 @@ def _remove(places: Iterable[Place]) -> None:
 def _has_nanny() -> bool:
     try:
         return get_worker().nanny is not None
-    except ValueError:  # no worker, but the process of a user
+    except ValueError:  # not a worker but the user's own process
         return False
 
 

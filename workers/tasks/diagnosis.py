@@ -1,16 +1,16 @@
-"""What a diagnosis sends to Dask: a small request in, a small record out.
+"""Dask tasks of a diagnosis: a small request in, a small record out.
 
 ::
 
     prepare_scan       a case               > points, body, shapes or distances in the store
     calibrate_nominal  a case               > constants, points and noise in the store
-    analyse_effect     one effect, one scan > what it would do to the residuals
+    analyse_effect     one effect, one scan > its change of the residuals
     fit_effects        up to three effects  > the most probable constants and magnitudes
-    read_noise_again   the best effect      > constants and noise, read where it puts the points
-    weigh_hypotheses   all of these         > what is still wanted, or the outcome
+    read_noise_again   the best effect      > constants and noise, estimated at its points
+    weigh_hypotheses   all of these         > the fits still missing, or the outcome
 
-Every task is idempotent: what the store has is not made again. A request names digests, so
-workers need the store and nothing else. `workers.tasks.diagnosis_store` knows what lies where.
+Every task is idempotent: stored results are not computed again. A request names digests, so
+workers need only the store; its contents are described in `workers.tasks.diagnosis_store`.
 Nothing depends on which process runs which task.
 """
 
@@ -56,16 +56,16 @@ from palpate.workers.tasks.task_store import Part
 
 @dataclass(frozen=True, slots=True)
 class WeighingRecord:
-    """What is still missing.
+    """Parts that are still missing.
 
     Parameters
     ----------
     wanted : tuple of tuple of str
         Joint fits, by the names of their effects.
     read_at : tuple of str
-        Effects at whose fit the noise is read for these; none for the first reading.
+        Effects at whose joint fit the noise is estimated; empty for the first estimate.
     unread : bool
-        Whether that reading itself is missing.
+        True if that estimate itself is missing.
     """
 
     wanted: tuple[tuple[str, ...], ...] = ()
@@ -74,12 +74,12 @@ class WeighingRecord:
 
     @property
     def is_open(self) -> bool:
-        """Whether anything is missing."""
+        """True if anything is missing."""
         return self.unread or bool(self.wanted)
 
 
 def prepare_scan(request: DiagnosisRequest, name: str) -> PreparationRecord:
-    """Make what has this name in `workers.diagnosis.problem.preparation`, for all processes."""
+    """Prepare a scan by a name of `workers.diagnosis.problem.preparation`, for all processes."""
     store = DiagnosisStore(request)
     part = store.preparation(name)
     if not part.is_finished:
@@ -90,14 +90,14 @@ def prepare_scan(request: DiagnosisRequest, name: str) -> PreparationRecord:
 
 
 def calibrate_nominal(request: DiagnosisRequest, threads: int = 1) -> CalibrationRecord:
-    """Find the nominal constants, the points that can be trusted and their noise.
+    """Find the nominal constants, the reliable points and their noise.
 
     Parameters
     ----------
     request : DiagnosisRequest
         See `workers.tasks.diagnosis_store.named`.
     threads : int
-        That would have nothing else to do.
+        Number of threads that would otherwise be idle.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def calibrate_nominal(request: DiagnosisRequest, threads: int = 1) -> Calibratio
 def read_noise_again(
     request: DiagnosisRequest, effects: tuple[str, ...], threads: int = 1
 ) -> CalibrationRecord:
-    """Read the noise where the joint fit of `effects` puts the points; fit the constants again."""
+    """Estimate the noise at the points of the joint fit of `effects`; fit the constants again."""
     store = DiagnosisStore(request)
     part = store.read_again_at(effects).reading
     if not part.is_finished:
@@ -137,7 +137,7 @@ def read_noise_again(
 def _save_reading(
     part: Part, inverse: InverseProblem, fit: SolvedFit, arrays: Arrays, seconds: float
 ) -> None:
-    """Keep a reading of the noise, and the constants that were fitted under it."""
+    """Save a noise estimate and the constants fitted under it."""
     record = CalibrationRecord(
         points=len(inverse.points),
         left_out=inverse.left_out,
@@ -155,7 +155,7 @@ def _save_reading(
 
 
 def analyse_effect(request: DiagnosisRequest, effect: str, scan: int) -> SensitivityRecord:
-    """Find what one effect would do to the residuals of one scan."""
+    """Compute the change of the residuals of one scan by one effect."""
     store = DiagnosisStore(request)
     part = store.sensitivity(effect, scan)
     if not part.is_finished:
@@ -183,7 +183,7 @@ def fit_effects(
     read_at : tuple of str
         See `WeighingRecord`.
     threads : int
-        That would have nothing else to do.
+        Number of threads that would otherwise be idle.
     """
     store = DiagnosisStore(request, read_at)
     part = store.joint_fit(effects)
@@ -201,8 +201,8 @@ def fit_effects(
 def weigh_hypotheses(request: DiagnosisRequest, threads: int = 1) -> WeighingRecord:
     """Advance the diagnosis as far as the stored parts allow.
 
-    Without a missing one it ends, and its outcome is in the store with the residuals on the
-    interfaces. `threads` would have nothing else to do.
+    If nothing is missing, the diagnosis ends; its outcome is stored with the residuals on the
+    interfaces. `threads` is the number of threads that would otherwise be idle.
     """
     store = DiagnosisStore(request)
     part = store.outcome
@@ -222,7 +222,7 @@ def weigh_hypotheses(request: DiagnosisRequest, threads: int = 1) -> WeighingRec
 
 
 def replay(store: DiagnosisStore, course: Course) -> Diagnosis | WeighingRecord:
-    """Send what is stored to a diagnosis: it, or what is missing first."""
+    """Run a diagnosis on its stored parts; return it, or the first missing parts."""
     reached = advance(course)
     while not isinstance(reached, Diagnosis):
         if isinstance(reached, SecondReading):
@@ -240,9 +240,9 @@ def replay(store: DiagnosisStore, course: Course) -> Diagnosis | WeighingRecord:
 
 
 def model_displacements(diagnosis: Diagnosis, each: Each) -> Displacements:
-    """Return those of the nodes before, and after where an effect is accused and simulated.
+    """Return nodal displacements before, and after if an effect is accused and simulated.
 
-    What the store has of a joint fit are its points; the body is solved once more.
+    Only the points of a joint fit are stored, so the body is solved once more.
     """
     inverse, nominal = diagnosis.analysis.inverse, diagnosis.analysis.nominal
     found = {"before": [one.at.solution.displacement_mm for one in nominal.predictions]}
@@ -264,7 +264,8 @@ def model_displacements(diagnosis: Diagnosis, each: Each) -> Displacements:
 def residual_maps(diagnosis: Diagnosis) -> Arrays:
     """Return residuals on the interfaces, (scans, points) in mm, before and after.
 
-    Their noise too, where the points go, ``moved_``, and the observed normals there.
+    The result also has their noise, the displaced points ``moved_``, and the observed normals
+    there.
     """
     analysis = diagnosis.analysis
     inverse, nominal = analysis.inverse, analysis.nominal
@@ -287,12 +288,12 @@ def residual_maps(diagnosis: Diagnosis) -> Arrays:
 
 
 def kept_of(before: InterfacePoints, after: InterfacePoints) -> BoolArray:
-    """Return which points of `before` are still in `after`, shape (k,).
+    """Return a mask of the points of `before` that are still in `after`, shape (k,).
 
     Raises
     ------
     ValueError
-        If `after` is not a part of `before`, in its order.
+        If `after` is not a subset of `before`, in its order.
     """
     rows = {(int(i), *p): n for n, (i, p) in enumerate(_rows(before))}
     index = np.array([rows[(int(i), *p)] for i, p in _rows(after)], dtype=np.intp)

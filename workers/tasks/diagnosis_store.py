@@ -1,20 +1,20 @@
-"""What the store holds of a diagnosis, and what a process makes of it once.
+"""The stored parts of a diagnosis, and objects built from them once per process.
 
 ::
 
-    source         what was imaged or measured; see `workers.tasks.sources`
+    source         the scans or measurements; see `workers.tasks.sources`
     preparation    points, body, distances; see `workers.diagnosis.problem.preparation`
     calibration    points kept, noise, constants, derivatives
     sensitivity    columns of one effect in one scan
-    joint fit      of some effects with the constants
-    reading        noise, constants and derivatives, read again where an effect puts the points
+    joint fit      some effects fitted with the constants
+    reading        noise, constants and derivatives, estimated at the points of a joint fit
     outcome        the summary, and residuals on the interfaces
 
-The mesh is made from the source and the preparations; a process builds it once. A process that
-works alone makes the preparations for itself, and keeps none.
-The nominal equilibria are solved again from rest at the stored constants, those of another
-reading of the noise from there, in every process alike: what a joint fit finds does not depend on
-who computes it.
+Each process builds the mesh once from the source and the preparations. A process that works
+alone makes the preparations itself and does not store them.
+The nominal equilibria are solved again from rest at the stored constants, and those of another
+noise estimate start from there, in every process alike: a joint fit does not depend on the
+process that computes it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -52,20 +52,20 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisRequest:
-    """What is asked of a diagnosis: all that a task needs to find the rest in the store.
+    """Request for a diagnosis: everything a task needs to find the rest in the store.
 
     Parameters
     ----------
     store : str
-        Folder that all workers see.
+        Folder visible to all workers.
     source : SourceName
-        What is diagnosed; see `workers.tasks.sources.add_source`.
+        The source to diagnose; see `workers.tasks.sources.add_source`.
     nodes : int
-        Of the mesh.
+        Number of nodes of the mesh.
     spacing_mm : float
-        Between points on the interfaces.
+        Distance of points on the interfaces.
     effects : tuple of str
-        Those of the source's catalogue that are suspected.
+        Suspected effects of the source's catalogue.
     name : str
         Digest of all of these and of the code; see `named`.
     """
@@ -80,17 +80,17 @@ class DiagnosisRequest:
 
 @dataclass(frozen=True, slots=True)
 class PreparationRecord:
-    """How long it took."""
+    """Duration of a preparation."""
 
     seconds: float
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationRecord:
-    """What the nominal fit has found.
+    """Result of the nominal fit.
 
-    `points` are kept on the interfaces, `left_out` are those that some scan does not show clearly,
-    `scans` is the number of scans; `cost` is minus twice the log posterior.
+    `points` is the number of points kept on the interfaces, `left_out` the number not clearly
+    visible in some scan, `scans` the number of scans; `cost` is minus twice the log posterior.
     """
 
     points: int
@@ -105,7 +105,7 @@ class CalibrationRecord:
 
 @dataclass(frozen=True, slots=True)
 class SensitivityRecord:
-    """Whether an effect acts on a scan and could be simulated, or does nothing there."""
+    """Sensitivity to an effect in one scan: whether it acts and can be simulated, or is idle."""
 
     acts: bool
     idle: bool
@@ -114,7 +114,7 @@ class SensitivityRecord:
 
 @dataclass(frozen=True, slots=True)
 class JointFitRecord:
-    """How a joint fit has ended; without numbers if no start could be simulated."""
+    """Result of a joint fit; without numbers if no start could be simulated."""
 
     simulated: bool
     seconds: float
@@ -126,47 +126,47 @@ class JointFitRecord:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """A diagnosis that has ended: its summary, and the names of its loaded scans."""
+    """A finished diagnosis: its summary, and the names of its loaded scans."""
 
     summary: Summary
     scans: tuple[str, ...]
 
 
 def named(request: DiagnosisRequest) -> DiagnosisRequest:
-    """Return the request under the digest of all that its result depends on, code included."""
+    """Return the request named by the digest of everything its result depends on, code included."""
     code = diagnosis_code(request.source.kind)
     how = [request.nodes, request.spacing_mm, list(request.effects)]
     return replace(request, name=digest("diagnosis", request.source.digest, *how, code))
 
 
 def diagnosis_code(kind: str) -> str:
-    """Return a digest of all source code that a diagnosis of a kind of source depends on."""
+    """Return a digest of all source code that a diagnosis of this kind of source depends on."""
     return code_version("palpate.workers.tasks.diagnosis", source_module(kind), *plugged_modules())
 
 
 def plugged_modules() -> list[str]:
     """Return the modules of all effects and laws of other distributions.
 
-    A diagnosis may suspect the effects; its model may have the laws.
+    A diagnosis may suspect the effects, and its model may use the laws.
     """
     return [p.module for p in foreign_plugins() if p.group in ("effects", "laws")]
 
 
 class DiagnosisStore:
-    """One diagnosis in its store.
+    """The stored parts of one diagnosis.
 
     Parameters
     ----------
     request : DiagnosisRequest
-        With its name; see `named`.
+        The request, with its name; see `named`.
     read_at : tuple of str
-        Effects at whose joint fit the noise is read; none where the nominal model puts the
-        points. What the store has of joint fits is that under this reading.
+        Effects at whose joint fit the noise is estimated; none for the points of the nominal
+        model. Joint fits are stored separately for each such estimate.
 
     Raises
     ------
     StoreError
-        If this process would give it another name.
+        If this process derives another name for the diagnosis.
     """
 
     def __init__(self, request: DiagnosisRequest, read_at: Sequence[str] = ()) -> None:
@@ -180,19 +180,19 @@ class DiagnosisStore:
         self.parts = TaskStore(request.store)
 
     def read_again_at(self, effects: Sequence[str]) -> "DiagnosisStore":
-        """Return the same diagnosis with the noise read where a joint fit puts the points."""
+        """Return the same diagnosis with the noise estimated at the points of a joint fit."""
         return DiagnosisStore(self.request, effects)
 
-    # What was diagnosed
+    # The source
 
     @property
     def source(self) -> Source:
-        """What was imaged or measured."""
+        """The scans or measurements."""
         return stored_source(self.request.source, self.parts)
 
     @property
     def effects(self) -> list[Effect]:
-        """The part of the catalogue that is suspected."""
+        """The suspected effects of the catalogue."""
         return [e for e in self.source.effects if e.name in self.request.effects]
 
     def combination(self, names: Sequence[str]) -> list[Effect]:
@@ -212,32 +212,32 @@ class DiagnosisStore:
         )
 
     def finer(self) -> Model | None:
-        """Return a finer mesh of the same body; None where it would tell nothing new."""
+        """Return a finer mesh of the same body; None if it would add no information."""
         nodes = round(SETTINGS.mesh.finer_ratio * self.request.nodes)
         return self.source.finer(nodes, self.read_prepared)
 
     @property
     def preparations(self) -> Sequence[str]:
-        """Names of what `prepare` can make."""
+        """Names accepted by `prepare`."""
         source = self.source
         return source.preparations if isinstance(source, PreparedSource) else ()
 
     def prepare(self, name: str) -> Prepared:
-        """Make what has this name in `workers.diagnosis.problem.preparation`."""
+        """Make a preparation, by its name in `workers.diagnosis.problem.preparation`."""
         source = self.source
         if not isinstance(source, PreparedSource):
             raise KeyError(name)
         return source.prepare(name, self.request.spacing_mm)
 
     def read_prepared(self, name: str) -> Prepared:
-        """Return what has this name, from the store or made now."""
+        """Return a preparation, from the store or made now."""
         part = self.preparation(name)
         return part.load(PreparationRecord)[1] if part.is_finished else self.prepare(name)
 
     # The parts
 
     def preparation(self, name: str) -> Part:
-        """Return what is made of the scans before anything is fitted."""
+        """Return the part of a preparation of the scans, made before any fit."""
         return self._part("preparation", name)
 
     @property
@@ -246,12 +246,12 @@ class DiagnosisStore:
         return self._part("calibration")
 
     def sensitivity(self, effect: str, scan: int) -> Part:
-        """Return columns of one effect in one scan."""
+        """Return the columns of one effect in one scan."""
         return self._part("sensitivity", effect, scan)
 
     @property
     def reading(self) -> Part:
-        """Noise, constants and derivatives; those of the calibration unless read again."""
+        """Noise, constants and derivatives; from the calibration unless estimated again."""
         return self._part("reading", *self.read_at) if self.read_at else self.calibration
 
     def joint_fit(self, effects: Sequence[str]) -> Part:
@@ -263,11 +263,11 @@ class DiagnosisStore:
         """The summary, and residuals on the interfaces."""
         return self._part("outcome")
 
-    # What they are together
+    # Objects built from the parts
 
     @property
     def inverse(self) -> InverseProblem:
-        """The body with the points of the calibration and the noise as it was read."""
+        """The body with the points of the calibration and the estimated noise."""
         return self._cached("inverse", self._inverse)
 
     @property
@@ -282,7 +282,7 @@ class DiagnosisStore:
         return self._cached("analysis", lambda: self._analysis(nominal))
 
     def has_joint_fit(self, effects: Sequence[Effect]) -> bool:
-        """Return whether a joint fit has ended."""
+        """Return True if a joint fit has ended."""
         return self.joint_fit([e.name for e in effects]).is_finished
 
     def load_joint_fit(self, effects: Sequence[Effect]) -> JointFit | None:
@@ -304,7 +304,7 @@ class DiagnosisStore:
         return JointFit(tuple(effects), fit, record.log_evidence)
 
     def single_fits(self) -> list[JointFit]:
-        """Return all single effects that were fitted under the first reading."""
+        """Return the fits of all single effects under the first noise estimate."""
         stored = [[e] for e in self.effects if self._first.has_joint_fit([e])]
         found = [self._first.load_joint_fit(one) for one in stored]
         return [one for one in found if one is not None]
@@ -312,7 +312,7 @@ class DiagnosisStore:
     def save_joint_fit(
         self, effects: Sequence[str], fitted: JointFit | None, seconds: float
     ) -> None:
-        """Keep a joint fit; None says that no start could be simulated."""
+        """Save a joint fit; None means that no start could be simulated."""
         part = self.joint_fit(effects)
         if fitted is None:
             part.save(JointFitRecord(False, seconds), {})
@@ -332,7 +332,7 @@ class DiagnosisStore:
 
     @property
     def _first(self) -> "DiagnosisStore":
-        """The same diagnosis with the noise read where the nominal model puts the points."""
+        """The same diagnosis with the noise estimated at the points of the nominal model."""
         return DiagnosisStore(self.request)
 
     def _inverse(self) -> InverseProblem:

@@ -1,18 +1,18 @@
-"""The tasks of a study: a small record in, a small record out.
+"""Dask tasks of a study: a small record in, a small record out.
 
 ::
 
     prepare_case    a case                       > body and mesh in the store
-    make_target     a case and a target          > the deformed body to be explained
+    make_target     a case and a target          > the deformed body to be matched
     prepare_level   a body and its target        > both in coarser voxels, and a coarser mesh
     evaluate        a candidate                  > field, score and record in the store
-    keep_volume     an evaluation that is done   > its deformed body in the store
+    keep_volume     a finished evaluation        > its deformed body in the store
     score_bodies    two stored bodies            > the score of each part
 
-Every task is idempotent: what the store has is not made again. Arrays never travel;
-workers read them by digest and hold those used last in `workers.resources.CACHE`. Tasks
-only load and save: `workers.tasks.pipeline` says what happens in between. Constants in
-these records have inside names and units, ``{"E_fat": 0.01}``.
+Every task is idempotent: stored results are not computed again. Arrays are never sent;
+workers read them by digest and cache the most recent in `workers.resources.CACHE`. Tasks
+only load and save; `workers.tasks.pipeline` does the computation in between. Constants in
+these records have internal names and units, ``{"E_fat": 0.01}``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,7 +55,7 @@ from palpate.workers.tasks.pipeline import Watch
 
 
 def case_organ(case: SpecJson) -> Organ[Any, Any, Any]:
-    """Return the organ that a case is about.
+    """Return the organ of a case.
 
     Raises
     ------
@@ -66,35 +66,35 @@ def case_organ(case: SpecJson) -> Organ[Any, Any, Any]:
 
 
 def spec_of(case: SpecJson) -> OrganSpec:
-    """Return what may be stated of the organ that a case is about; see `case_organ`."""
+    """Return the specification class of a case's organ; see `case_organ`."""
     return organ_spec(str(case.get("organ", DEFAULT)))
 
 
 def case_of(case: SpecJson) -> CaseSpec:
-    """Return a case as its organ understands it.
+    """Validate a case with the model of its organ.
 
     Raises
     ------
     InputError
-        If it makes no sense.
+        If it is invalid.
     """
     return validated(spec_of(case).case, case, "The case")
 
 
 def prepare_case(case: SpecJson, store: str) -> PreparedBody:
-    """Bring the undeformed body and its mesh into the store.
+    """Add the undeformed body and its mesh to the store.
 
     Parameters
     ----------
     case : mapping
-        As `CaseSpec` writes it.
+        As written by `CaseSpec`.
     store : str
-        Where the store is.
+        Location of the store.
 
     Raises
     ------
     InputError
-        If the case makes no sense, or its image cannot be read or meshed.
+        If the case is invalid, or its image cannot be read or meshed.
     """
     organ, spec = case_organ(case), case_of(case)
     bodies = BodyStore(open_store(store), organ)
@@ -108,7 +108,7 @@ def prepare_case(case: SpecJson, store: str) -> PreparedBody:
 def prepare_level(
     case: SpecJson, prepared: PreparedBody, target: str, spacing_mm: float, nodes: int, store: str
 ) -> PreparedLevel:
-    """Bring body and target in coarser voxels, and a mesh of fewer nodes, into the store.
+    """Add body and target in coarser voxels, and a mesh of fewer nodes, to the store.
 
     Raises
     ------
@@ -129,15 +129,15 @@ def prepare_level(
 
 
 def make_target(case: SpecJson, target: SpecJson, store: str) -> PreparedTarget:
-    """Bring the deformed body that is to be explained into the store.
+    """Add the deformed body to be matched to the store.
 
     A simulated target takes its constants from `target`, then from the case; an
-    image is read and its labels are named.
+    image is read and its labels are translated.
 
     Raises
     ------
     InputError
-        If the target makes no sense, or its simulation does not converge.
+        If the target is invalid, or its simulation does not converge.
     """
     organ = case_organ(case)
     wanted = validated(spec_of(case).target, target, "The target")
@@ -169,13 +169,13 @@ def make_target(case: SpecJson, target: SpecJson, store: str) -> PreparedTarget:
 
 
 def simulate_once(case: SpecJson, constants: Mapping[str, float], store: str) -> EvaluationResult:
-    """Deform the body of a case with these constants, compared with nothing.
+    """Deform the body of a case with these constants, without a comparison.
 
     Returns
     -------
     dict
         ``digest``, under which the field is stored; ``volume``, the digest of the
-        deformed body, made from its content (None when diverged); the rest as for
+        deformed body, derived from its content (None if diverged); otherwise as for
         `evaluate`.
     """
     spec = case_of(case)
@@ -204,15 +204,15 @@ def evaluate(request: EvaluationRequest) -> EvaluationResult:
     Returns
     -------
     dict
-        ``score`` is None when diverged and may hold -inf; ``reused`` says whether the
-        store had it; ``seconds`` are those of each stage.
+        ``score`` is None if diverged and may contain -inf; ``reused`` is True if the result was
+        already stored; ``seconds`` has the time of each stage.
 
     Raises
     ------
     InputError
-        If the request makes no sense.
+        If the request is invalid.
     StoreError
-        If the driver runs another version, or the store lacks what the request names.
+        If the driver runs another version, or the store lacks an item named in the request.
     """
     spec, score = case_of(request["case"]), _score_of(request)
     bodies = BodyStore(open_store(request["store"]), case_organ(request["case"]))
@@ -250,7 +250,7 @@ def evaluation_digest(
     score: SpecJson | None = None,
     free: Sequence[FreeParameter] = (),
 ) -> str:
-    """Return the name of an evaluation: all that its result depends on, the code included."""
+    """Return the digest of everything that an evaluation depends on, the code included."""
     spec = case_of(case)
     how = validated(spec_of(case).score, score or {}, "The score")
     parts = _dependencies(spec, prepared, spec.complete(constants), how)
@@ -259,17 +259,17 @@ def evaluation_digest(
 
 
 def keep_volume(request: EvaluationRequest) -> str:
-    """Store the deformed body of an evaluation that is done, made from its stored field.
+    """Store the deformed body of a finished evaluation, computed from its stored field.
 
     Parameters
     ----------
     request : dict
-        As it was evaluated.
+        The request of the evaluation.
 
     Returns
     -------
     str
-        The digest of evaluation and body. A diverged evaluation has no body.
+        The digest of both evaluation and body. A diverged evaluation has no body.
 
     Raises
     ------
@@ -308,7 +308,7 @@ def _dependencies(
     values: Mapping[str, float],
     score: ScoreSpec | None = None,
 ) -> list[Any]:
-    """Return all that a simulation depends on: bodies by content, the case, constants, code."""
+    """Return everything a simulation depends on: bodies by content, the case, constants, code."""
     settings = spec.model_dump(mode="json", exclude={"reference", "mesh", "constants"})
     others = [*(acting.module for acting in acting_plugins(values)), *spec.plugged_modules]
     if score is not None:
@@ -359,9 +359,9 @@ def _result(
 
 
 def _save(store: Store, result: EvaluationResult, solution: Solution) -> EvaluationResult:
-    """Store the field first, the record last: it vouches for the rest.
+    """Store the field first and the record last, which guarantees the rest.
 
-    What comes back is what a later reader will find.
+    Return the result as a later reader will find it.
     """
     name = result["digest"]
     if np.isfinite(solution.displacement_mm).all():
@@ -371,7 +371,7 @@ def _save(store: Store, result: EvaluationResult, solution: Solution) -> Evaluat
 
 
 def _has(bodies: BodyStore, body: str | None) -> bool:
-    """Return whether a body is there, where one is expected: somebody may have removed it."""
+    """Return True if no body is expected or it exists; it may have been removed."""
     return body is None or bodies.has_body(body)
 
 

@@ -1,4 +1,4 @@
-"""The task that says what a fitted body tells; see `workers.organs.registry.Findings`."""
+"""The task that computes findings about a fitted body; see `workers.organs.registry.Findings`."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from palpate.workers.tasks.evaluation import case_of, case_organ, spec_of
 
 
 def find(request: EvaluationRequest) -> dict[str, Any]:
-    """Return the findings of an evaluation that is done, as plain values; maybe none."""
+    """Return the findings of a finished evaluation as plain values; possibly empty."""
     organ, spec = case_organ(request["case"]), case_of(request["case"])
     module = findings_of(spec.organ)
     if module is None:

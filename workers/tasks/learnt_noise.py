@@ -1,4 +1,4 @@
-"""The learnt noise of a calibration as arrays in the store, and back."""
+"""Conversion of a calibration's learnt noise to arrays in the store and back."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from palpate.workers.diagnosis.problem.pressed_points import with_pressed_points
 
 
 def noise_arrays(inverse: InverseProblem) -> Arrays:
-    """Return all of it that points and stated noise do not give again.
+    """Return the parts of the learnt noise that points and stated noise do not determine.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def noise_arrays(inverse: InverseProblem) -> Arrays:
 
 
 def with_stored_noise(inverse: InverseProblem, arrays: Arrays) -> InverseProblem:
-    """Return a problem, with the points of its calibration, with the noise that was learnt."""
+    """Return a problem, reduced to its calibrated points, with its learnt noise."""
     inverse = with_pressed_points(inverse, list(arrays["noise_pressed"]))
     parts = NoiseParts(
         stated=stated_covariances(inverse),

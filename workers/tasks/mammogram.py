@@ -1,4 +1,4 @@
-"""Mammograms of the body of a study, pressed as the study presses it."""
+"""Mammograms of the body of a study under its own compression."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ class TakenView:
     ----------
     view : {"CC", "MLO"}
     fitted : Mammogram
-        Of the body with the constants that the study has found.
+        Mammogram of the body with the constants found by the study.
     target : Mammogram or None
-        With those of the target, in the same geometry; None where they are not known.
+        Mammogram with the target's constants, in the same geometry; None if they are unknown.
     """
 
     view: View
@@ -49,9 +49,9 @@ def take_view(
     Parameters
     ----------
     case : dict
-        Of a breast, as `CaseSpec` writes it; its plates are turned to the view.
+        A case of a breast, as written by `CaseSpec`; its plates are turned to the view.
     fitted, target : mapping of str to float
-        Constants, inside names and units.
+        Constants, in internal names and units.
     view : {"CC", "MLO"}
     store : str
     pixel_mm : float
@@ -66,8 +66,8 @@ def take_view(
     """
     if case.get("organ", "breast") != "breast":
         raise InputError(
-            f"A mammogram is of a breast, and this study is of the {case['organ']}. Name a study "
-            "of a breast."
+            f"A mammogram needs a study of a breast, but this one is of the {case['organ']}. Name "
+            "a study of a breast."
         )
     load = {**case["load"], "oblique_deg": OBLIQUE_DEG[view]}
     turned = {**case, "load": load}

@@ -1,7 +1,7 @@
-"""The order of an evaluation: solve, deform, score. Values in, values out.
+"""The stages of an evaluation: solve, deform, score.
 
-Nothing here knows a store or a cluster; `workers.tasks.evaluation` loads what goes in and
-saves what comes out.
+This module uses neither store nor cluster; `workers.tasks.evaluation` loads its inputs and
+saves its results.
 """
 
 import time
@@ -28,28 +28,28 @@ from palpate.workers.spec import CaseSpec
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What all candidates of a study share.
+    """Inputs shared by all candidates of a study.
 
     Parameters
     ----------
     organ : Organ
     case : CaseSpec
     body, mesh, model
-        Of the undeformed body; see `Organ`.
+        Mesh and model of the undeformed body; see `Organ`.
     landmarks
-        Of the undeformed body.
+        Landmarks of the undeformed body.
     target
-        The body to be explained; None where nothing is compared.
+        The target body; None if nothing is compared.
     target_landmarks
-        Of an imaged target; None for a simulated one.
+        Landmarks of an imaged target; None for a simulated one.
     scorer : Scorer or None
         Compares deformed bodies with the target.
     observation
-        What residuals need of body and target; None where they are not asked for.
+        Data of body and target that residuals need; None if they are not requested.
     objective : Objective
-        By which candidates are ranked.
+        Ranks the candidates.
     measure : callable or None
-        What the objective asks of a deformed body beside the organ's own score.
+        The objective's measure of a deformed body, in addition to the organ's own score.
     """
 
     organ: Organ[Any, Any, Any]
@@ -68,7 +68,7 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """A candidate that was simulated.
+    """A simulated candidate.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Evaluation:
         ``jc``, ``mhd_mm``, ``mhd_voxels``, ``gsf`` and the objective; None if it diverged or is
         not compared.
     fit : dict or None
-        Its least-squares problem; None if it diverged or is not asked for.
+        Its least-squares problem; None if it diverged or was not requested.
     """
 
     solution: Solution
@@ -89,14 +89,14 @@ class Evaluation:
 
 
 class Watch:
-    """Adds up the seconds that are spent in each stage."""
+    """Stopwatch that adds up the seconds spent in each stage."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time what happens inside."""
+        """Time the enclosed block."""
         start = time.perf_counter()
         try:
             yield
@@ -117,11 +117,11 @@ def evaluate(
     ----------
     setup : Setup
     constants : mapping of str to float
-        Every parameter, inside names and units; see `CaseSpec.complete`.
+        Every parameter, in internal names and units; see `CaseSpec.complete`.
     watch : Watch
-        Is told the seconds of the stages ``solve``, ``deform`` and ``score``.
+        Receives the seconds of the stages ``solve``, ``deform`` and ``score``.
     free : sequence of FreeParameter
-        Parameters by which residuals are differentiated.
+        Parameters with respect to which residuals are differentiated.
     """
     organ = setup.organ
     fit: FitJson | None = None

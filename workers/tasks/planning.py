@@ -1,13 +1,13 @@
-"""What a plan sends to Dask: a small request in, a small record out.
+"""Dask tasks of a plan: a small request in, a small record out.
 
 ::
 
     list_loads      a case or a study    > the planned loads, and those that could be added
-    analyse_load    one of them          > what its scan will show of constants and effects
-    weigh_plan      all of them          > what can be told, and what would tell more
+    analyse_load    one of them          > the sensitivity of its scan to constants and effects
+    weigh_plan      all of them          > the detectable effects, and loads that would add more
 
-Every task is idempotent: what the store has is not made again. A request names digests, so
-workers need the store and nothing else.
+Every task is idempotent: stored results are not computed again. A request names digests, so
+workers need only the store.
 """
 
 import time
@@ -32,18 +32,18 @@ NOMINAL = "nominal"
 
 @dataclass(frozen=True, slots=True)
 class PlanRequest:
-    """What is asked of a plan: all that a task needs to find the rest in the store.
+    """Request for a plan: everything a task needs to find the rest in the store.
 
     Parameters
     ----------
     store : str
-        Folder that all workers see.
+        Folder visible to all workers.
     source : SourceName
-        What is planned; see `workers.tasks.sources.add_source`.
+        The source to plan for; see `workers.tasks.sources.add_source`.
     nodes : int
-        Of the mesh.
+        Number of nodes of the mesh.
     spacing_mm : float
-        Between points on the interfaces.
+        Distance of points on the interfaces.
     name : str
         Digest of all of these and of the code; see `named`.
     """
@@ -65,7 +65,7 @@ class LoadsRecord:
 
 @dataclass(frozen=True, slots=True)
 class LoadRecord:
-    """Whether the nominal model converges under one load, and how far the plates travel."""
+    """Result for one load: whether the nominal model converges, and the travel of the plates."""
 
     name: str
     simulated: bool
@@ -74,7 +74,7 @@ class LoadRecord:
 
 
 def named(request: PlanRequest) -> PlanRequest:
-    """Return the request under the digest of all that its result depends on, code included."""
+    """Return the request named by the digest of everything its result depends on, code included."""
     how = [request.nodes, request.spacing_mm, _code(request.source.kind)]
     return replace(request, name=digest("plan", request.source.digest, *how))
 
@@ -90,7 +90,7 @@ def list_loads(request: PlanRequest) -> LoadsRecord:
 
 
 def analyse_load(request: PlanRequest, number: int) -> LoadRecord:
-    """Simulate one load, and what every effect would do to its scan."""
+    """Simulate one load, and the change of its scan by every effect."""
     part = _part(request, "load", number)
     if not part.is_finished:
         begun = time.perf_counter()
@@ -105,7 +105,7 @@ def analyse_load(request: PlanRequest, number: int) -> LoadRecord:
 
 
 def weigh_plan(request: PlanRequest) -> PlanSummary:
-    """Find what the acquisition can tell, and what else would tell more.
+    """Determine which effects the acquisition can detect, and which loads would add more.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def weigh_plan(request: PlanRequest) -> PlanSummary:
 
 
 def stored_plan(request: PlanRequest) -> PlanSummary | None:
-    """Return the plan if the store has it."""
+    """Return the plan, or None if it is not stored."""
     part = _part(request, "summary")
     return part.record(PlanSummary) if part.is_finished else None
 
@@ -147,7 +147,7 @@ def _stored(request: PlanRequest, number: int) -> LoadSensitivity | None:
 
 
 def _body(request: PlanRequest) -> tuple[InverseProblem, list[CandidateLoad]]:
-    """Return the body at rest and all loads; made once by each process."""
+    """Return the body at rest and all loads; cached in each process."""
 
     def make() -> tuple[InverseProblem, list[CandidateLoad]]:
         acquisition = _acquisition(request)

@@ -1,7 +1,7 @@
-"""What a path is to a diagnosis or a plan, and how it enters the store: once, by content.
+"""Sources of a diagnosis or a plan, read from a path and stored once, by content.
 
-Only these functions and `workers.tasks.studies` look at a path. What a task is told is the
-digest under which all of a source lies in the store, and its kind.
+Only these functions and `workers.tasks.studies` read paths. Tasks receive the kind of a source
+and the digest under which all of it is stored.
 """
 
 import shlex
@@ -48,7 +48,7 @@ class SourceName:
 
 @dataclass(frozen=True, slots=True)
 class StoredContent:
-    """A source in the store; its arrays lie beside this record.
+    """A source in the store; its arrays are stored with this record.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class StoredContent:
 
 
 def open_source(path: Path, store: Location | None = None) -> Source:
-    """Read what lies at a path as the source of a diagnosis.
+    """Read the source of a diagnosis from a path.
 
     Parameters
     ----------
@@ -74,12 +74,12 @@ def open_source(path: Path, store: Location | None = None) -> Source:
         A case or its folder, the folder of a study that has run, or the file of a bench
         experiment.
     store : str or Path, optional
-        Where a case may name volumes.
+        Store that contains the volumes named in a case.
 
     Raises
     ------
     InputError
-        If it is nothing that can be diagnosed.
+        If the path cannot be diagnosed.
     """
     with reading(path, "a case or an experiment"):
         check_regular(path)
@@ -92,25 +92,25 @@ def open_source(path: Path, store: Location | None = None) -> Source:
     missing = "" if path.exists() else "there is nothing at that path; "
     raise InputError(
         f"{path} cannot be diagnosed: {missing}expected a folder with case.yaml and "
-        "its scans, the file of a bench experiment, or the folder of a study that `palpate run` "
-        "has made. `palpate new diagnosis NAME` writes a case, `palpate new experiment NAME` an "
-        "experiment."
+        "its scans, the file of a bench experiment, or the folder of a study made by "
+        "`palpate run`. `palpate new diagnosis NAME` writes a case, `palpate new experiment NAME` "
+        "an experiment."
     )
 
 
 def check_source(source: HasContent, *, anyway: bool = False) -> list[Finding]:
-    """Check what is to be diagnosed or planned, before anything is fitted.
+    """Check a source of a diagnosis or a plan, before anything is fitted.
 
     Parameters
     ----------
     source : Source or PlannedSource
     anyway : bool
-        Accept what looks implausible.
+        Accept implausible inputs.
 
     Raises
     ------
     InputError
-        With every reason.
+        If the source is refused; lists all reasons.
     """
     with reading("What is to be diagnosed", "a case or an experiment"):
         if isinstance(source, CheckedSource):
@@ -122,13 +122,13 @@ def check_source(source: HasContent, *, anyway: bool = False) -> list[Finding]:
 
 
 def source_caveats(source: HasContent, findings: list[Finding]) -> tuple[str, ...]:
-    """Return the statements with which the results of a source begin."""
+    """Return the caveats shown before the results of a source."""
     own = source.caveats if isinstance(source, CheckedSource) else ()
     return tuple(dict.fromkeys((*own, *caveats_of(findings))))
 
 
 def volumes_of(store: Location | None) -> Callable[[str], Volume | None]:
-    """Return what finds the volumes of a store by their names."""
+    """Return a function that finds the volumes of a store by name."""
 
     def find(name: str) -> Volume | None:
         if store is None:
@@ -145,12 +145,12 @@ def _reader_of(path: Path) -> Reader | None:
 
 
 def understood(path: Path) -> list[tuple[str, str]]:
-    """Return what a case or an experiment was understood to say; nothing for a study.
+    """Return the parsed settings of a case or an experiment; empty for a study.
 
     Raises
     ------
     InputError
-        If it does not make sense.
+        If it is invalid.
     """
     with reading(path, "a case or an experiment"):
         check_regular(path)
@@ -160,18 +160,18 @@ def understood(path: Path) -> list[tuple[str, str]]:
 
 
 def is_plannable(path: Path) -> bool:
-    """Return whether further scans can be planned for what lies at a path."""
+    """Return True if further scans can be planned for the source at a path."""
     reader = None if is_study(path) else _reader_of(path)
     return is_study(path) or (reader is not None and reader.plans)
 
 
 def refuse_study_file(path: Path) -> None:
-    """Say that a study file has to run before it can be diagnosed or planned.
+    """Refuse a study file, which has to be run before it can be diagnosed or planned.
 
     Raises
     ------
     InputError
-        If a path is a study file.
+        If the path is a study file.
     """
     if not path.is_file() or path.suffix not in (".yaml", ".yml"):
         return
@@ -189,12 +189,12 @@ def refuse_study_file(path: Path) -> None:
 
 
 def open_planned(path: Path, store: Location | None = None) -> PlannedSource:
-    """Read what is known of an acquisition before its loaded scans.
+    """Read the part of an acquisition that is known before its loaded scans.
 
     Raises
     ------
     InputError
-        If `path` is neither the folder of a case nor that of a study.
+        If `path` is neither the folder of a case nor the folder of a study.
     """
     with reading(path, "a case"):
         check_regular(path)
@@ -212,7 +212,7 @@ def open_planned(path: Path, store: Location | None = None) -> PlannedSource:
 
 
 def check_nodes(nodes: int, source: HasContent) -> None:
-    """Refuse a mesh that is too coarse for a scanned body, before anything is sent to workers.
+    """Refuse a mesh that is too coarse for a scanned body, before any work is sent to workers.
 
     Raises
     ------
@@ -225,7 +225,7 @@ def check_nodes(nodes: int, source: HasContent) -> None:
 
 
 def add_source(source: HasContent, store: TaskStore) -> SourceName:
-    """Bring a source into the store and return its name; what is there is kept.
+    """Add a source to the store and return its name; existing content is kept.
 
     Raises
     ------
@@ -243,23 +243,23 @@ def add_source(source: HasContent, store: TaskStore) -> SourceName:
 
 
 def stored_source(name: SourceName, store: TaskStore) -> Source:
-    """Make a source again from the store; once in each process.
+    """Rebuild a source from the store; cached in each process.
 
     Raises
     ------
     StoreError
-        If it is not there.
+        If it is not in the store.
     """
     return store.cached(("source", name), lambda: source_of(_content(name, store)))
 
 
 def stored_planned(name: SourceName, store: TaskStore) -> PlannedSource:
-    """Make again from the store what is known before the loaded scans; once in each process.
+    """Rebuild the part of a source known before the loaded scans; cached in each process.
 
     Raises
     ------
     StoreError
-        If it is not there.
+        If it is not in the store.
     """
     return store.cached(("planned", name), lambda: planned_source_of(_content(name, store)))
 

@@ -1,4 +1,4 @@
-"""The folder of a study, as far as a diagnosis needs it: what was asked, found and stored."""
+"""The parts of a study's folder that a diagnosis needs."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from palpate.workers.tasks.body_store import BodyStore
 
 
 def is_study(folder: Path) -> bool:
-    """Return whether `palpate run` has made this folder."""
+    """Return True if the folder contains a study made by `palpate run`."""
     return StudyLayout(folder).journal.is_file()
 
 
@@ -31,7 +31,7 @@ def open_study(folder: Path) -> StudySource:
     Parameters
     ----------
     folder : Path
-        Of the study. Its store must still hold the volumes that it was run with.
+        Folder of the study. Its store must still contain the volumes that it was run with.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def open_study(folder: Path) -> StudySource:
     evaluations = [r for r in records if isinstance(r, EvaluationRecord)]
     if not sessions or not studies:
         raise InputError(
-            f"The study {folder} has not run: nothing is known of its body. Run it first with "
+            f"The study {folder} has not run, so it has no body yet. Run it first with "
             f"`palpate run {folder}`."
         )
     spec = studies[0].spec

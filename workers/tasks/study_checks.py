@@ -1,4 +1,4 @@
-"""Plausibility checks of studies, cases and imported bodies, whatever their organ."""
+"""Plausibility checks of studies, cases and imported bodies of any organ."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -30,19 +30,18 @@ def study_findings(
 ) -> Iterator[Finding]:
     """Yield the findings of an organ about a study.
 
-    Images come into the store on the way, where the workers find them. A body that is
-    generated is not made here.
+    Images are added to the store for the workers. Generated bodies are not made here.
 
     Parameters
     ----------
     case, target, score
-        As the organ understands them.
+        Validated by the organ's models.
     store : str
-        Where the store is.
+        Location of the store.
     searched : mapping of str to (float, float)
-        Searched intervals, inside names and units.
+        Searched intervals, in internal names and units.
     elsewhere : bool
-        The workers may see files that this process does not: those are not checked here.
+        True if the workers may see files that this process does not; those are not checked.
 
     Raises
     ------
@@ -70,7 +69,7 @@ def _checks(case: CaseSpec, searched: Mapping[str, Bounds]) -> StudyChecks | Non
 
 
 def _imaged(bodies: BodyStore, spec: Door, elsewhere: bool) -> Any | None:
-    """Return a body that comes from an image; None if it is generated or cannot be seen here."""
+    """Return a body that comes from an image; None if it is generated or not visible here."""
     files = bodies.organ.body_files(spec)
     if not files:
         return None
@@ -83,15 +82,15 @@ def _imaged(bodies: BodyStore, spec: Door, elsewhere: bool) -> Any | None:
 
 
 def imported_findings(organ: str, body: Any, name: str, *, anyway: bool) -> list[Finding]:
-    """Check one body on its own, such as one that is imported; `name` is used in messages.
+    """Check a single body, such as an imported one; `name` is used in messages.
 
-    A body in several pieces, or with slices that are not labelled, is only named: a study of
-    it is refused.
+    A body in several pieces, or with unlabelled slices, is only reported here, but a study of it
+    is refused.
 
     Raises
     ------
     InputError
-        With every reason, if it cannot be such an organ.
+        If the body cannot be such an organ; lists all reasons.
     """
     checks = checks_of(organ)
     found: list[Finding] = (
@@ -107,14 +106,14 @@ def check_case(case: CaseSpec, store: str | None = None, *, anyway: bool = False
     ----------
     case : CaseSpec
     store : str, optional
-        Its images are brought there and checked too.
+        Store to which its images are added to be checked too.
     anyway : bool
-        Accept what looks implausible.
+        Accept implausible inputs.
 
     Raises
     ------
     InputError
-        With every reason.
+        If the case is refused; lists all reasons.
     """
     found = case_findings(case)
     if store is not None and not any(finding.severity == "impossible" for finding in found):
@@ -125,7 +124,7 @@ def check_case(case: CaseSpec, store: str | None = None, *, anyway: bool = False
 
 
 def case_findings(case: CaseSpec, body: Any | None = None) -> list[Finding]:
-    """Return the findings about a case without a target, and about its body where it is given."""
+    """Return the findings about a case without a target, and about its body if given."""
     checks = _checks(case, {})
     if checks is None:
         return []

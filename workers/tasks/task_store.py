@@ -1,7 +1,7 @@
-"""What tasks keep: a record and arrays under the digest of all that they depend on.
+"""Results of tasks: a record and arrays under the digest of everything they depend on.
 
-A part is written whole or not at all, so what has its name is finished, and whoever asks for
-the same name anywhere gets the same thing. Records are frozen dataclasses; see
+A part is written whole or not at all, so a name exists only once its part is finished, and the
+same name means the same content everywhere. Records are frozen dataclasses; see
 `storage.records.typed_json`.
 """
 
@@ -31,7 +31,7 @@ class TaskStore:
     Parameters
     ----------
     location : str or Path
-        The store, which is made where it is missing.
+        The store, created if missing.
 
     Raises
     ------
@@ -43,27 +43,27 @@ class TaskStore:
         self.store = open_store(location)
 
     def path(self, name: str) -> Place:
-        """Return where the part with this digest lies."""
+        """Return the path of the part with this digest."""
         return self.store.layout.field(name)
 
     def has(self, name: str) -> bool:
-        """Return whether a part is finished."""
+        """Return True if a part is finished."""
         return exists(self.path(name))
 
     def save(self, name: str, record: object, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write a part that is finished; one that is there is kept.
+        """Write a finished part; an existing one is kept.
 
         Parameters
         ----------
         name : str
-            Digest of all that the part depends on.
+            Digest of everything the part depends on.
         record : dataclass
         arrays : mapping of str to ndarray
 
         Raises
         ------
         StoreError
-            If the file system refuses.
+            If the store cannot be written.
         """
         save_arrays(self.path(name), arrays, to_json(record))
 
@@ -89,7 +89,7 @@ class TaskStore:
         return self._typed(name, kind, meta), arrays
 
     def add_volume(self, volume: Volume) -> str:
-        """Store a volume under the digest of its content, and return that."""
+        """Store a volume under the digest of its content, and return the digest."""
         place = [list(volume.spacing_mm), list(volume.origin_mm), *volume.frame_facts]
         name = digest("image", array_digest(volume.values), place)
         if not has_volume(self.store, name):
@@ -97,11 +97,11 @@ class TaskStore:
         return name
 
     def volume(self, name: str) -> Volume:
-        """Return a stored volume; read once by each process."""
+        """Return a stored volume, cached in this process."""
         return self.cached(("volume", name), lambda: load_volume(self.store, name))
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return a value that this process makes once for this store."""
+        """Return a value that this process computes once for this store."""
         return CACHE.get(("task", str(self.store.root), key), make)
 
     def _typed(self, name: str, kind: type[R], meta: Mapping[str, Any]) -> R:
@@ -109,8 +109,8 @@ class TaskStore:
             return from_json(kind, meta)
         except ValueError as error:
             raise StoreError(
-                f"{self.path(name)} does not hold what was expected: {error}. Remove that folder "
-                "and run the same command again: it is made again."
+                f"{self.path(name)} has unexpected content: {error}. Remove that folder "
+                "and run the same command again to recreate it."
             ) from error
 
 
@@ -122,7 +122,7 @@ class Part:
     ----------
     store : TaskStore
     name : str
-        Digest of all that the part depends on.
+        Digest of everything the part depends on.
     """
 
     store: TaskStore
@@ -130,22 +130,22 @@ class Part:
 
     @property
     def path(self) -> Place:
-        """Where it lies."""
+        """Path of the part."""
         return self.store.path(self.name)
 
     @property
     def is_finished(self) -> bool:
-        """Whether it is there."""
+        """True if the part is in the store."""
         return self.store.has(self.name)
 
     def save(self, record: object, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write it; see `TaskStore.save`."""
+        """Write the part; see `TaskStore.save`."""
         self.store.save(self.name, record, arrays)
 
     def record(self, kind: type[R]) -> R:
-        """Read its record; see `TaskStore.record`."""
+        """Read the record; see `TaskStore.record`."""
         return self.store.record(self.name, kind)
 
     def load(self, kind: type[R]) -> tuple[R, Arrays]:
-        """Read its record and arrays; see `TaskStore.load`."""
+        """Read record and arrays; see `TaskStore.load`."""
         return self.store.load(self.name, kind)

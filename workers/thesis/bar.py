@@ -1,10 +1,10 @@
 """The cantilever bar of thesis section 3.3.2: a gold deformation and eight wrong ones.
 
-The thesis prints neither size, material nor force of its bar, and the directions of F0
-to F4 were in a figure that is lost. Here they are, stated once: a soft square bar that
-the gold force bends by about its own thickness; F0 and F1 along -x, F2 against them, F3
-and F4 along -y and y. This is the reading under which the deformations that the thesis
-numbers 1 to 8, from best to worst, are further and further from the gold one.
+The thesis gives no size, material or force of its bar, and the figure with the directions of F0
+to F4 is lost. The values assumed here: a soft square bar bent by the gold force by about its
+own thickness; F0 and F1 along -x, F2 opposite to them, F3 and F4 along -y and y. With them the
+deformations 1 to 8, which the thesis numbers from best to worst, are further and further from
+the gold one.
 """
 
 from collections.abc import Mapping
@@ -31,9 +31,9 @@ LENGTH_MM, SIDE_MM = 100.0, 20.0
 GEL = Constants(young_mpa=0.03, poisson=0.49)
 # Bends the tip by about one side: F L^3 / 3 E I = 22 mm by beam theory.
 GOLD_FORCE_N = 0.026
-WRONG = 1.2  # F1 to F4 in parts of F0
+WRONG = 1.2  # F1 to F4 as multiples of F0
 
-# Directions of the forces in parts of F0; the thesis' table of configurations.
+# Directions of the forces, in multiples of F0; the thesis' table of configurations.
 _F0, _F1, _F2 = (-1.0, 0.0), (-WRONG, 0.0), (WRONG, 0.0)
 _F3, _F4 = (0.0, -WRONG), (0.0, WRONG)
 DEFORMATIONS: dict[int, tuple[str, tuple[tuple[float, float], ...]]] = {
@@ -46,20 +46,20 @@ DEFORMATIONS: dict[int, tuple[str, tuple[tuple[float, float], ...]]] = {
     7: ("F4", (_F4,)),
     8: ("F3 and F2", (_F3, _F2)),
 }
-# From best to worst; within a group the thesis does not rank.
+# From best to worst; the thesis does not rank within a group.
 GROUPS: tuple[tuple[int, ...], ...] = ((1, 2), (3, 4), (5, 6, 7), (8,))
 
 NODES: dict[Scale, int] = {"sketch": 600, "reduced": 3_000, "full": 30_000}
 VOXEL_MM: dict[Scale, float] = {"sketch": 2.0, "reduced": 1.0, "full": 0.5}
 
 
-# Displacement of the nodes in mm, and how the simulation ended.
+# Displacement of the nodes in mm, and the outcome of the simulation.
 Bent = tuple[FloatArray, Outcome]
 
 
 @dataclass(frozen=True, eq=False)
 class Bar:
-    """A meshed bar and its undeformed voxels; z runs along it, z = 0 is clamped.
+    """A meshed bar and its undeformed voxels; its axis is z, and z = 0 is clamped.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Bar:
     model : Model
         Prepared for the solver.
     voxels : Volume
-        Glandular inside, which is the label that scores compare.
+        Labelled glandular inside, the label that scores compare.
     """
 
     mesh: TetMesh
@@ -84,13 +84,13 @@ class BarRow:
     number : int
         1 to 8, from best to worst.
     forces : str
-        What is applied, in the words of the thesis.
+        Applied forces, in the notation of the thesis.
     force_n : tuple of float
-        The sum of the forces on the free end.
+        Sum of the forces on the free end.
     tip_mm : tuple of float
         Mean displacement of the free end.
     outcome : Outcome
-        How the simulation ended.
+        Outcome of the simulation.
     coefficients : Coefficients or None
         None if it did not converge.
     """
@@ -111,7 +111,7 @@ class BarExperiment:
     ----------
     scale : {"sketch", "reduced", "full"}
     nodes : int
-        Of the finest mesh.
+        Number of nodes of the finest mesh.
     voxel_mm : float
     gold_tip_mm : tuple of float
         Mean displacement of the free end under F0.
@@ -144,13 +144,13 @@ def make_bar(scale: Scale) -> Bar:
 
 
 def bend(bar: Bar, force_n: Triple, material: Constants = GEL) -> Bent:
-    """Load the free end of the bar by a force that keeps its direction.
+    """Load the free end of the bar with a force of constant direction.
 
     Parameters
     ----------
     bar : Bar
     force_n : tuple of float
-        Along x, y and z.
+        Force along x, y and z.
     material : Constants
 
     Returns
@@ -170,7 +170,7 @@ def bend(bar: Bar, force_n: Triple, material: Constants = GEL) -> Bent:
 
 
 def force_of(number: int) -> Triple:
-    """Sum of the forces of deformation `number` in N; 0 is the gold one."""
+    """Return the sum of the forces of deformation `number` in N; 0 is the gold one."""
     parts = (_F0,) if number == 0 else DEFORMATIONS[number][1]
     total = np.sum(parts, axis=0) * GOLD_FORCE_N
     return float(total[0]), float(total[1]), 0.0
@@ -179,7 +179,7 @@ def force_of(number: int) -> Triple:
 def compared_bars(
     scale: Scale, bar: Bar, bent: Mapping[int, Bent], surface: Surface = "boundary"
 ) -> BarExperiment:
-    """Compare bars that are bent already: number 0 is the gold one, 1 to 8 the others.
+    """Compare bent bars: number 0 is the gold one, 1 to 8 the others.
 
     Raises
     ------

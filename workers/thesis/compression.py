@@ -27,13 +27,13 @@ from palpate.workers.mechanics.materials.mooney_rivlin import MooneyRivlin
 View = Literal["CC", "MLO"]
 LawName = Literal["neo-Hookean", "Mooney-Rivlin"]
 AXES: dict[View, Triple] = {"CC": CC_AXIS, "MLO": mlo_axis(45.0)}
-# Part of the thickness that the plates take away.
+# Reduction of the thickness by the plates, as a fraction.
 REDUCTION: dict[View, float] = {"CC": 0.50, "MLO": 0.25}
-# Thesis Table 4.1, after Gefen and Dilmoney (2007); the Mooney-Rivlin constants of Tanner
-# et al. (2006) are not printed: the same shear moduli, two thirds of them in c10.
+# Thesis Table 4.1, after Gefen and Dilmoney (2007). It omits the Mooney-Rivlin constants of Tanner
+# et al. (2006); here they have the same shear moduli, two thirds of them in c10.
 SHEAR_MPA = {Tissue.FAT: 0.01275, Tissue.GLANDULAR: 0.03675}
 POISSON, C10_SHARE = 0.49, 2 / 3
-# Nodes that touch the fixed plate at first are held; on a round body they are few.
+# Nodes initially in contact with the fixed plate are held; on a round body they are few.
 TOUCHING_MM = 2.0
 
 
@@ -69,14 +69,14 @@ class CompressionRow:
     law : {"neo-Hookean", "Mooney-Rivlin"}
     adaptive, homogeneous : Outcome
     compartments : int
-        That have voxels in both.
+        Compartments with voxels in both.
     lost : int
-        That have voxels in one only; they are in no mean.
+        Compartments with voxels in one only; excluded from all means.
     centroid_mm, volume_mm3 : float
         Distance of the centroids; magnitude of the difference of the volumes.
     jc, mhd_mm : float
     whole_jc, whole_mhd_mm : float
-        Of all glandular compartments as one set.
+        Scores of all glandular compartments as one set.
     adaptive_s_per_1000, homogeneous_s_per_1000 : float
         Processor seconds of the solver per 1000 tetrahedra.
     """
@@ -99,7 +99,7 @@ class CompressionRow:
 
 
 def constants_of(law: LawName) -> dict[Tissue, Constants]:
-    """Constants of fat and gland (thesis Table 4.1).
+    """Return the constants of fat and gland (thesis Table 4.1).
 
     Raises
     ------
@@ -118,12 +118,12 @@ def constants_of(law: LawName) -> dict[Tissue, Constants]:
 
 
 def compression_problem(labels: Volume, view: View, law: LawName) -> Problem:
-    """Two frictionless plates; the one above the body moves.
+    """Return the problem of two frictionless plates, of which the one above the body moves.
 
-    The chest wall slides in its plane, and the nodes that touch the fixed plate at first
-    are held in all directions. They are taken from the voxels, so that two meshes are
-    held at one place. Literal as this is, it lets an oblique body turn between the plates
-    until they press it.
+    The chest wall slides in its plane, and the nodes initially in contact with the fixed plate are
+    held in all directions. They are selected by the voxels, so that two meshes are held in the same
+    place. With this literal reading an oblique body can rotate between the plates until they
+    press it.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def compression_problem(labels: Volume, view: View, law: LawName) -> Problem:
 
 
 def compress(phantom: Phantom, hierarchy: Hierarchy, view: View, law: LawName) -> Compressed:
-    """Compress a phantom on a mesh and carry its voxels along."""
+    """Compress a phantom on a mesh and deform its voxels."""
     mesh = hierarchy.finest.mesh
     model = prepare(hierarchy)
     problem = compression_problem(phantom.labels, view, law)
@@ -171,7 +171,7 @@ def compress(phantom: Phantom, hierarchy: Hierarchy, view: View, law: LawName) -
 def compared(
     number: int, view: View, law: LawName, adaptive: Compressed, homogeneous: Compressed
 ) -> CompressionRow:
-    """Row of two compressions of one phantom; nan where one of them did not converge."""
+    """Return the comparison of two compressions of one phantom; nan if one did not converge."""
     common, lost, means, whole = 0, 0, np.full(4, np.nan), (np.nan, np.nan)
     if adaptive.compartments is not None and homogeneous.compartments is not None:
         each, lost = _each_compartment(homogeneous.compartments, adaptive.compartments)
@@ -192,9 +192,9 @@ def _as_set(ids: Volume) -> Volume:
 
 
 def _each_compartment(first: Volume, second: Volume) -> tuple[FloatArray, int]:
-    """Return centroid distance, volume difference, JC and MHD of each, shape (k, 4).
+    """Return centroid distance, volume difference, JC and MHD of each compartment, shape (k, 4).
 
-    Also how many have voxels in one volume only.
+    Also return the number of compartments with voxels in one volume only.
     """
     in_first, in_second = (ndimage.find_objects(v.values) for v in (first, second))
     rows, lost = [], 0
@@ -219,6 +219,6 @@ def _part(ids: Volume, box: tuple[slice, ...], number: int) -> Volume:
 
 
 def _centroid(part: Volume) -> NDArray[np.float64]:
-    """Mean place of the voxels."""
+    """Return the mean position of the voxels."""
     at = np.argwhere(part.values)[:, ::-1].mean(axis=0)
     return np.asarray(np.asarray(part.origin_mm) + at * np.asarray(part.spacing_mm))

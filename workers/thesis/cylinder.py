@@ -1,7 +1,7 @@
 """The rotated cylinder of thesis sections 3.3.2 and 3.3.3 (Figs. 3.6 to 3.8).
 
-The axis of rotation is taken perpendicular to that of the cylinder: about its own axis
-nothing would change. The thesis prints no size; here the length is four diameters.
+The axis of rotation is assumed perpendicular to the axis of the cylinder: a rotation about its
+own axis would change nothing. The thesis gives no size; here the length is four diameters.
 """
 
 import math
@@ -22,7 +22,7 @@ ANGLES_DEG = (0, 1, 2, *range(5, 180, 5), 178, 179, 180)
 
 @dataclass(frozen=True)
 class CylinderRow:
-    """A cylinder turned by an angle against itself.
+    """A cylinder rotated by an angle, compared with itself.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class CylinderRow:
     jc, dc : float
         Jaccard and Dice coefficient.
     mhd_mm : float
-        D22.
+        The variant D22.
     gsf : float
         -inf where the voxels are identical.
     """
@@ -43,10 +43,10 @@ class CylinderRow:
 
 
 def cylinder(angle_deg: float, voxel_mm: float) -> Volume:
-    """Voxels of a cylinder in the x-y plane whose axis is turned from x by an angle.
+    """Return voxels of a cylinder in the x-y plane whose axis is rotated from x by an angle.
 
-    A voxel belongs to it if its centre does. Voxel centres lie half a voxel beside the
-    planes of symmetry, so that a turn by 180 degrees gives the same voxels.
+    A voxel belongs to it if its centre does. Voxel centres are half a voxel off the planes of
+    symmetry, so that a rotation by 180 degrees gives the same voxels.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def cylinder(angle_deg: float, voxel_mm: float) -> Volume:
     at = (np.arange(n) - (n - 1) / 2) * voxel_mm
     z = ((np.arange(n_z) - (n_z - 1) / 2) * voxel_mm)[:, None, None]
     turn = math.radians(angle_deg)
-    # Rounded so that a turn by 90 or 180 degrees has no error in its last digit.
+    # Rounded so that rotations by 90 or 180 degrees have no error in the last digit.
     c, s = round(math.cos(turn), 15), round(math.sin(turn), 15)
     along = np.abs(c * at[None, :] + s * at[:, None])
     across = (c * at[:, None] - s * at[None, :]) ** 2
@@ -71,7 +71,7 @@ def cylinder(angle_deg: float, voxel_mm: float) -> Volume:
 
 
 def cylinder_row(angle_deg: float, voxel_mm: float, surface: Surface = "boundary") -> CylinderRow:
-    """Compare the turned cylinder with the one along x."""
+    """Compare the rotated cylinder with the one along x."""
     turned, still = cylinder(angle_deg, voxel_mm), cylinder(0.0, voxel_mm)
     found = coefficients(turned, still, (Tissue.GLANDULAR,), surface)
     return CylinderRow(angle_deg, found.jc, found.dc, found.mhd_mm, found.gsf)
@@ -80,7 +80,7 @@ def cylinder_row(angle_deg: float, voxel_mm: float, surface: Surface = "boundary
 def cylinder_experiment(
     scale: Scale = "reduced", surface: Surface = "boundary"
 ) -> tuple[CylinderRow, ...]:
-    """Turn the cylinder from 0 to 180 degrees.
+    """Rotate the cylinder from 0 to 180 degrees.
 
     Parameters
     ----------

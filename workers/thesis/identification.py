@@ -1,4 +1,4 @@
-"""What the searches of thesis section 4.5 are asked: bodies, targets, bounds.
+"""The searches of thesis section 4.5: bodies, targets, bounds.
 
 The thesis gives X1 to phantoms 1 to 5, X2 to 6 to 10, both without skin, and X3, with skin,
 to phantoms 1 to 5 again.
@@ -36,12 +36,12 @@ BOUNDS: dict[str, tuple[float, float]] = {
 PHANTOMS: dict[TargetName, range] = {"X1": range(1, 6), "X2": range(6, 11), "X3": range(1, 6)}
 NODES: dict[Scale, int] = {"sketch": 1_200, "reduced": 5_000, "full": 90_000}
 SPACING_MM: dict[Scale, float] = {"sketch": 1.0, "reduced": 0.5, "full": 0.2}
-# The reduced body is half as long in every direction: the same pressure.
+# The reduced body is half as long in every direction; this gives the same pressure.
 FORCE_N: dict[Scale, float] = {"sketch": 25.0, "reduced": 25.0, "full": 100.0}
 
 
 def runs_at(scale: Scale) -> list[tuple[TargetName, int]]:
-    """Return target and phantom of every search of a scale."""
+    """Return target and phantom of every search at a scale."""
     check_scale(scale)
     return [
         (name, number)
@@ -52,7 +52,7 @@ def runs_at(scale: Scale) -> list[tuple[TargetName, int]]:
 
 
 def case_of(target: TargetName, number: int, scale: Scale) -> dict[str, Any]:
-    """Return the case of a study, as `workers.spec` reads it.
+    """Return the case of a study, in the format of `workers.spec`.
 
     Raises
     ------
@@ -80,5 +80,5 @@ def case_of(target: TargetName, number: int, scale: Scale) -> dict[str, Any]:
 
 
 def bounds_of(target: TargetName) -> dict[str, tuple[float, float]]:
-    """Return the bounds of the constants that are searched for a target."""
+    """Return the search bounds of the constants for a target."""
     return {name: BOUNDS[name] for name in TARGETS[target]}

@@ -18,18 +18,18 @@ PIXEL_MM: dict[Scale, float] = {"sketch": 0.8, "reduced": 0.3, "full": 0.2}
 
 @dataclass(frozen=True, eq=False)
 class MammogramPair:
-    """Adaptive and homogeneous mesh, seen by one unit.
+    """Mammograms of adaptive and homogeneous mesh from the same unit.
 
     Parameters
     ----------
     adaptive, homogeneous : Mammogram
-        With different noise of one strength.
+        Mammograms with different noise of equal strength.
     adaptive_picture, homogeneous_picture, difference : ndarray of uint8
         Bright where tissue is dense; grey where both agree.
     attenuation_rms : float
         Root mean square of the difference of ln(open / energy) behind the body.
     quantum_rms : float
-        What noise alone contributes to it.
+        Contribution of noise alone.
     """
 
     adaptive: Mammogram
@@ -60,7 +60,7 @@ def mammogram_pair(
     first, second = adaptive.labels, homogeneous.labels
     if first is None or second is None:
         reasons = [c.outcome.reason for c in (adaptive, homogeneous) if c.labels is None]
-        raise InputError(f"There is no mammogram of a body that diverged: {'; '.join(reasons)}.")
+        raise InputError(f"A diverged body has no mammogram: {'; '.join(reasons)}.")
     geometry = geometry_of(first, AXES[view], Unit(pixel_mm=pixel_mm))
     spectrum = spectrum_of(beam)
     clean = [expose(body, geometry, spectrum) for body in (first, second)]

@@ -33,10 +33,10 @@ SMALLEST_MM: dict[MeshKind, float] = {
 # 425,000 tetrahedra in 250 ml, 12 to a cell: 0.588 mm3 each (thesis section 4.4.3).
 HOMOGENEOUS_CELL_MM = float(np.cbrt(12 * 250_000 / 425_000))
 MEASURES = ("M1", "M2", "M3", "M4", "aspect")
-# Of the histograms: the measures lie between 0 and 1, aspect ratios from 10 on are bad.
+# Of the histograms: the measures are between 0 and 1, aspect ratios from 10 on are bad.
 BINS = 40
 RANGES = {name: (1.0, 10.0) if name == "aspect" else (0.0, 1.0) for name in MEASURES}
-# Cells of a sketch are so many times as large.
+# Factors on the cell sizes.
 COARSER: dict[Scale, float] = {"sketch": 2.4, "reduced": 1.0, "full": 1.0}
 
 
@@ -51,7 +51,7 @@ class QualityRow:
         See `KINDS`.
     tets, nodes : int
     seconds : float
-        Of the processor, to make the mesh and the coarser ones below it.
+        Processor seconds to make the mesh and its coarser levels.
     mean : dict of str to float
         Means of M1 to M4 and the aspect ratio, all 1 for a regular tetrahedron.
     m5 : float
@@ -60,9 +60,9 @@ class QualityRow:
     bad : int
         Tetrahedra of aspect ratio 10 or more.
     agreement : Agreement
-        With the voxels of the phantom.
+        Agreement with the voxels of the phantom.
     histograms : dict of str to tuple of int
-        Tetrahedra in `BINS` equal bins of `RANGES`; what lies outside is in the end bins.
+        Number of tetrahedra in `BINS` equal bins of `RANGES`; outliers are in the end bins.
     """
 
     phantom: int
@@ -107,24 +107,24 @@ def mesh_of(materials: Volume, kind: MeshKind, scale: Scale = "reduced") -> Hier
 
 
 def kinds_at(scale: Scale, *, other_mesher: bool) -> tuple[MeshKind, ...]:
-    """Kinds that are measured at a scale; the coarsest cells do not fit a sketch."""
+    """Return the kinds measured at a scale; the coarsest cells do not fit a sketch."""
     large = {"sketch": ("adaptive 2 mm", "adaptive 3 mm"), "reduced": (), "full": ()}[scale]
     return tuple(k for k in KINDS if k not in large and (other_mesher or k != "fTetWild"))
 
 
 @dataclass(frozen=True, eq=False)
 class MadeMesh:
-    """A mesh of a phantom, before it is measured.
+    """A mesh of a phantom.
 
     Parameters
     ----------
     mesh : TetMesh
     inside : ndarray of bool, shape (tets,)
-        Which tetrahedra are glandular.
+        True for glandular tetrahedra.
     materials : Volume
         The phantom, see `workers.thesis.phantoms.two_materials`.
     seconds : float
-        Of the processor, to make it.
+        Processor seconds to make it.
     """
 
     mesh: TetMesh
@@ -133,13 +133,13 @@ class MadeMesh:
     seconds: float
 
     def coronal_section(self) -> tuple[PlaneSection, BoolArray]:
-        """Cut the mesh where its phantom has its glandular tissue in the mean (Fig. 4.14).
+        """Cut the mesh at the mean height of the phantom's glandular tissue (Fig. 4.14).
 
         Returns
         -------
         section : PlaneSection
         glandular : ndarray of bool
-            Which polygons are glandular.
+            True for glandular polygons.
         """
         layers = np.nonzero(self.materials.values == Tissue.GLANDULAR)[0]
         origin, spacing = self.materials.origin_mm[2], self.materials.spacing_mm[2]
@@ -148,12 +148,12 @@ class MadeMesh:
 
 
 def made_mesh(number: int, kind: MeshKind, scale: Scale = "reduced") -> MadeMesh:
-    """Mesh phantom `number`, 1 to 10.
+    """Return a mesh of phantom `number`, 1 to 10.
 
     Raises
     ------
     InputError
-        If the number, the kind or the scale is unknown, or another mesher is not installed.
+        If the number, the kind or the scale is unknown, or the mesher is not installed.
     """
     check_scale(scale)
     materials = two_materials(thesis_phantom(number, scale).labels)
@@ -193,7 +193,7 @@ def _histogram(values: FloatArray, limits: tuple[float, float]) -> tuple[int, ..
 
 
 def aspect_rows(rows: tuple[QualityRow, ...]) -> tuple[AspectRow, ...]:
-    """Average over the meshes' means, and the worst of all (thesis Table 4.2)."""
+    """Return average and worst aspect ratio of each kind of mesh (thesis Table 4.2)."""
     found = []
     for kind in KINDS:
         of_kind = [row for row in rows if row.kind == kind]

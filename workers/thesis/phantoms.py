@@ -11,7 +11,7 @@ from palpate.workers.thesis.scale import Scale, check_scale
 
 COUNT = 10
 SPARSEST, DENSEST = 0.07, 0.35
-# The thesis prints 250 ml and 170 x 100 x 50 mm, which is a body of 445 ml; this is the
+# The thesis states 250 ml and 170 x 100 x 50 mm, which is a body of 445 ml; this is the
 # one of 250 ml, with voxels of 0.2 mm.
 FULL = BreastPhantom.preset("250ml", spacing_mm=0.2)
 # An eighth of that volume with compartments, ligaments and skin of the same size.
@@ -27,7 +27,7 @@ REDUCED = BreastPhantom(
 # The same body in coarse voxels.
 SKETCH = replace(REDUCED, spacing_mm=1.0)
 SETTINGS: dict[Scale, BreastPhantom] = {"sketch": SKETCH, "reduced": REDUCED, "full": FULL}
-# Those that an experiment takes: a sketch one for the first five, and one for the others.
+# Phantoms used by an experiment: a sketch uses one of the first five, and one of the others.
 NUMBERS: dict[Scale, tuple[int, ...]] = {
     "sketch": (3, 8),
     "reduced": tuple(range(1, COUNT + 1)),
@@ -36,14 +36,14 @@ NUMBERS: dict[Scale, tuple[int, ...]] = {
 
 
 def density_of(number: int) -> float:
-    """Glandular fraction of phantom `number`, 1 to 10: evenly from 7 to 35 %."""
+    """Return the glandular fraction of phantom `number`, 1 to 10: evenly from 7 to 35 %."""
     if not 1 <= number <= COUNT:
         raise InputError(f"The phantoms have the numbers 1 to {COUNT}, got {number}.")
     return float(np.linspace(SPARSEST, DENSEST, COUNT)[number - 1])
 
 
 def thesis_phantom(number: int, scale: Scale = "reduced") -> Phantom:
-    """Phantom `number`; all have one outline, each its own compartments.
+    """Return phantom `number`; all have the same outline, but different compartments.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def thesis_phantom(number: int, scale: Scale = "reduced") -> Phantom:
 
 
 def two_materials(labels: Volume) -> Volume:
-    """Glandular tissue and fat; skin and ligaments count as fat (thesis section 4.4.1)."""
+    """Return labels of gland and fat; skin and ligaments count as fat (thesis section 4.4.1)."""
     values = np.where(labels.values == Tissue.AIR, Tissue.AIR, Tissue.FAT).astype(np.uint8)
     values[labels.values == Tissue.GLANDULAR] = Tissue.GLANDULAR
     return replace(labels, values=values)

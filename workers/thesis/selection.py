@@ -1,4 +1,4 @@
-"""The argument by which thesis section 3.3.2 selects its coefficients."""
+"""The argument of thesis section 3.3.2 for its choice of coefficients."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,7 +13,7 @@ OVERLAPS, SIGNED = ("JC", "DC"), ("dV", "SM")
 
 @dataclass(frozen=True)
 class Selection:
-    """What the eight deformations say of each coefficient.
+    """Behaviour of each coefficient over the eight deformations.
 
     Parameters
     ----------
@@ -21,13 +21,13 @@ class Selection:
         The 28 coefficients over the deformations that converged, each divided by its
         largest magnitude (thesis Fig. 3.5).
     numbers : tuple of int
-        Those deformations.
+        The deformations that converged.
     kept, rejected : tuple of str
         Hausdorff variants under which each of deformations 5 to 7 is worse than each of 1
         to 4, and the others.
     monotone : dict of str to bool
-        Whether a coefficient, GSF among them, worsens from each of `GROUPS` to the next.
-        Of volume difference and signed mean the magnitude counts, of JC and DC the fall.
+        True if a coefficient, including GSF, worsens from each of `GROUPS` to the next. For
+        volume difference and signed mean the magnitude counts, for JC and DC the fall.
     """
 
     curves: dict[str, tuple[float, ...]]
@@ -54,7 +54,7 @@ def select(experiment: BarExperiment) -> Selection:
 
 
 def _misfit(name: str, values: dict[int, float]) -> dict[int, float]:
-    """Return the same numbers turned so that more is worse."""
+    """Return the values with signs such that more is worse."""
     if name in OVERLAPS:
         return {n: -v for n, v in values.items()}
     if name in SIGNED:
@@ -63,7 +63,7 @@ def _misfit(name: str, values: dict[int, float]) -> dict[int, float]:
 
 
 def monotone_in_groups(misfit: dict[int, float]) -> bool:
-    """Whether every deformation of a group has a larger misfit than all of the group before."""
+    """Return True if the misfits of each group all exceed those in the group before."""
     return all(_worse(misfit, better, worse) for better, worse in pairwise(GROUPS))
 
 

@@ -345,7 +345,8 @@ class TestValues:
         np.testing.assert_array_equal(read_volume(tmp_path / "a.nii").values % 7, breast() % 7)
 
     @pytest.mark.parametrize(
-        ("bad", "said"), [(2e-3, "it holds 0.002"), (np.nan, "it holds NaN"), (np.inf, "infinity")]
+        ("bad", "said"),
+        [(2e-3, "it contains 0.002"), (np.nan, "it contains NaN"), (np.inf, "infinity")],
     )
     def test_other_numbers_are_none(self, bad: float, said: str) -> None:
         values = breast().astype(float)

@@ -219,7 +219,7 @@ class TestSlices:
             (["s1.tif", "s2.tif", "s3.5.tif", "s4.tif"], r"differ by 1\.5 between"),
             (["t1z1.tif", "t1z2.tif", "t2z1.tif", "t2z2.tif"], "two slices of the number"),
             (["s1.tif", "s2.tif", "mask3.tif"], "differ in more than a number"),
-            (["a1_z3.tif", "a2_z2.tif", "a3_z1.tif"], "ask for different orders"),
+            (["a1_z3.tif", "a2_z2.tif", "a3_z1.tif"], "give different orders"),
         ],
     )
     def test_refuses_slices_that_are_no_row(

@@ -1,4 +1,4 @@
-"""Boxes of quadratic tetrahedra, to be pressed between plates normal to y."""
+"""Boxes of quadratic tetrahedra, compressed between plates normal to y."""
 
 from itertools import permutations
 
@@ -13,7 +13,7 @@ Y_FRAME = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 
 def block(counts, sides):
-    """A box from x, y = -side / 2 and z = 0, six tetrahedra to a cell (Kuhn)."""
+    """Return a box from x, y = -side / 2 and z = 0, six tetrahedra per cell (Kuhn)."""
     nx, ny, nz = counts
     axes = [np.linspace(-0.5, 0.5, n + 1) for n in (nx, ny)] + [np.linspace(0, 1, nz + 1)]
     x, y, z = np.meshgrid(*axes, indexing="ij")
@@ -35,27 +35,27 @@ def block(counts, sides):
 
 
 def materials(mesh: QuadraticMesh, mu=0.01, kappa=0.5, eta=0.0, fung=0.0, growth=1.0):
-    """The same everywhere, fibres along z."""
+    """Return uniform materials, fibres along z."""
     shape = (len(mesh.cells), 4)
     fibre = np.tile([0.0, 0.0, 1.0], (*shape, 1))
     return ElementMaterials(*(np.full(shape, v) for v in (mu, kappa, eta, fung, growth)), fibre)
 
 
 def plates(half, slopes=(0.0, 0.0), sag=0.0, edge=-np.inf):
-    """At y = -half and half; slopes and sag are of the upper one; both begin at z = edge."""
+    """Return plates at y = -half and half, both from z = edge; the upper one slopes and sags."""
     pivot = np.zeros(3)
     lower = Plate(Y_FRAME, pivot, -half, -1.0, np.zeros(2), 0.0, 50.0, edge)
     return lower, Plate(Y_FRAME, pivot, half, 1.0, np.array(slopes), sag, 50.0, edge)
 
 
 def wall(topology: Topology, spring):
-    """Springs in MPa/mm along x and y, held along z."""
+    """Return springs in MPa/mm along x and y, fixed along z."""
     places = (len(topology.mesh.wall), len(FACE_WEIGHTS), 1)
     return Wall(np.tile([spring, spring, 0.0], places))
 
 
 def pressed(mesh, of, half, spring=1e-7, friction=0.0, gravity=(0.0, 0.0, 0.0), sheet=None):
-    """A block between flat plates."""
+    """Return a block between flat plates."""
     topology = topology_of(mesh)
     rubbing = np.full(topology.skin.areas.shape, friction)
     return System(

@@ -1,4 +1,4 @@
-"""The nominal physics of the generator are those that the diagnosis assumes."""
+"""The generator has the nominal physics assumed by the diagnosis."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def service_problem(truth, load, frame):
 
 
 @pytest.mark.parametrize("number", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_control_moves_as_the_solver_of_the_diagnosis_says(truth, body, number):
+def test_control_moves_like_the_solution_of_the_diagnosis(truth, body, number):
     load = truth.loads[number]
     ours = solve_scene(truth.scene, topology_of(body.mesh), body.labels, [load])[0]
     hierarchy = build_hierarchy(body.labels, nodes=5000)
@@ -70,7 +70,7 @@ def test_a_control_moves_as_the_solver_of_the_diagnosis_says(truth, body, number
 
 
 @pytest.mark.parametrize("axis", ["y", "x"])
-def test_a_tilt_leans_the_way_of_the_catalogue(truth, axis):
+def test_tilt_has_the_sign_of_the_catalogue(truth, axis):
     scene = replace(truth.scene, tilt_deg=(3.0, -2.0))
     plate = plates_of(scene, axis)[1]
     direction = tuple(float(x) for x in IN_AXES[axis][2])
@@ -93,7 +93,7 @@ def test_a_tilt_leans_the_way_of_the_catalogue(truth, axis):
     assert ours - ours.mean() == pytest.approx(theirs - theirs.mean(), abs=0.05)
 
 
-def test_a_turn_and_a_gradient_go_the_way_of_the_catalogue(truth):
+def test_rotation_and_gradient_have_the_sign_of_the_catalogue(truth):
     body = truth.anatomy
     nodes = np.array(
         [np.subtract(body.centre_mm, body.half_mm), np.add(body.centre_mm, body.half_mm)]

@@ -1,4 +1,4 @@
-"""A whole case as files, looked at with the eyes of the diagnosis."""
+"""A complete case as files, read like by the diagnosis."""
 
 import json
 from dataclasses import replace
@@ -50,7 +50,7 @@ def body():
     return body_of(draw(3).anatomy, 800, 0.8)
 
 
-def test_truth_lies_on_the_interfaces_that_the_scans_show(folder):
+def test_truth_is_on_the_interfaces_in_the_scans(folder):
     case, hidden = made(folder, 4, "tilt")
     truth = np.load(hidden / "truth.npz")
     noise = json.loads((hidden / "truth.json").read_text())["noise_sd_mm"]
@@ -69,8 +69,8 @@ def test_truth_lies_on_the_interfaces_that_the_scans_show(folder):
 
 
 @pytest.mark.slow
-def test_a_scan_of_the_hard_world_shows_the_body_where_its_pose_puts_it(folder):
-    """Two millimetres off along y in the second scan, and no other cause."""
+def test_scan_of_the_hard_world_has_its_pose(folder):
+    """A pose two millimetres off along y in the second scan, and no other cause."""
     pose = (0.0, 2.0, 0.0, 0.0, 0.0, 0.0)
     off = Deviations(noise_factor=0.5, poses=((0.0,) * 6, pose))
     truth = replace(draw(4, "control", one_direction=True), deviations=off)
@@ -88,7 +88,7 @@ def test_a_scan_of_the_hard_world_shows_the_body_where_its_pose_puts_it(folder):
 
 
 @pytest.mark.slow
-def test_a_scan_of_another_scale_draws_the_body_larger(folder):
+def test_scan_of_another_scale_has_a_larger_body(folder):
     """By 2 % along y, about the middle of the body at rest: 0.9 mm at a flank of 45 mm."""
     truth = draw(4, "control", one_direction=True)
     scale = ImageScale((0.0, 0.02, 0.0), truth.anatomy.centre_mm)
@@ -108,7 +108,7 @@ def test_a_scan_of_another_scale_draws_the_body_larger(folder):
         assert np.median(np.abs(unscaled)) > 0.4
 
 
-def test_loads_move_the_body_more_than_noise_and_the_larger_more(folder):
+def test_loads_move_the_body_more_than_noise_in_order_of_size(folder):
     _, hidden = made(folder, 4, "tilt")
     truth = np.load(hidden / "truth.npz")
     low, high = np.linalg.norm(truth["displacement"], axis=2).mean(axis=1)
@@ -119,7 +119,7 @@ def test_loads_move_the_body_more_than_noise_and_the_larger_more(folder):
     assert 0.1 < shares[0] < shares[1] < 0.32
 
 
-def test_a_control_and_a_case_differ_in_their_scans_alone(folder):
+def test_control_and_case_differ_only_in_their_scans(folder):
     cases = [made(folder, 4, kind)[0] for kind in ("tilt", "control")]
     for case in cases:
         assert sorted(p.name for p in case.iterdir()) == FILES
@@ -136,7 +136,7 @@ def test_a_control_and_a_case_differ_in_their_scans_alone(folder):
 
 
 @pytest.mark.slow
-def test_the_same_truth_writes_the_same_bytes(folder, tmp_path):
+def test_same_truth_writes_same_bytes(folder, tmp_path):
     case, hidden = made(folder, 4, "control")
     truth = draw(4, "control", one_direction=True)
     write_case(truth, tmp_path / "control-case", tmp_path / "truth", **COARSE)
@@ -164,7 +164,7 @@ def test_case_names_loads_axes_and_plates(folder):
 
 
 @pytest.mark.slow
-def test_noise_has_the_size_and_length_it_is_said_to_have(body):
+def test_noise_has_its_stated_size_and_length(body):
     labels = padded(body.labels, 6.0)
     hands = [segmented(labels, Segmenter(0.3), np.random.default_rng(s)) for s in (1, 2)]
     noise = from_repeat(*hands, spacing_mm=3.0, clear_mm=1.5)
@@ -172,7 +172,7 @@ def test_noise_has_the_size_and_length_it_is_said_to_have(body):
     assert noise.correlation_mm == pytest.approx(4.0, rel=0.2)
 
 
-def test_offsets_move_the_boundaries_by_what_they_say():
+def test_offsets_move_the_boundaries_by_their_size():
     # A ball of 15 mm with a glandular one of 8 mm in it.
     axis = (np.arange(50) - 24.5) * 0.8
     far = np.sqrt(axis[:, None, None] ** 2 + axis[:, None] ** 2 + axis**2)
@@ -189,7 +189,7 @@ def test_offsets_move_the_boundaries_by_what_they_say():
     assert shrunk == pytest.approx(-0.4, abs=0.1)
 
 
-def test_material_points_move_as_a_quadratic_field_does(body):
+def test_material_points_follow_a_quadratic_field(body):
     points = points_on(body.mesh, body.labels, 300, 7)
     assert set(points.interface) == {0, 1}
     assert points.points[:, 2].min() > 4
@@ -200,7 +200,7 @@ def test_material_points_move_as_a_quadratic_field_does(body):
     assert np.allclose(points.moved(bent(body.mesh.nodes)), bent(points.points), atol=1e-9)
 
 
-def test_points_outside_are_in_no_element(body):
+def test_outside_points_are_in_no_element(body):
     corners = body.mesh.nodes[body.mesh.cells[5, :4]]
     inside = corners.mean(axis=0)
     cells, weights = locate(body.mesh, np.array([inside, [0, 0, 500.0]]))
@@ -208,7 +208,7 @@ def test_points_outside_are_in_no_element(body):
     assert weights[0] == pytest.approx(0.25)
 
 
-def test_small_linear_elements_fill_the_body_and_carry_a_quadratic_field(body):
+def test_fine_elements_fill_the_body_and_interpolate_a_quadratic_field(body):
     fine = fine_mesh_of(body.mesh)
     x = fine.mesh.nodes[fine.mesh.tets]
     six = np.linalg.det(x[:, 1:] - x[:, :1])
@@ -216,7 +216,7 @@ def test_small_linear_elements_fill_the_body_and_carry_a_quadratic_field(body):
     assert len(six) == 64 * len(whole)
     assert six.min() > 0
     assert six.sum() == pytest.approx(np.linalg.det(whole[:, 1:] - whole[:, :1]).sum())
-    # Neighbours share their nodes: about 10.7 tetrahedra to two nodes of a large mesh.
+    # Neighbours share their nodes: about 10.7 tetrahedra per two nodes of a large mesh.
     assert len(fine.mesh.nodes) < len(six) / 4.5
 
     def bent(x):
@@ -225,7 +225,7 @@ def test_small_linear_elements_fill_the_body_and_carry_a_quadratic_field(body):
     assert np.allclose(fine.interpolation @ bent(body.mesh.nodes), bent(fine.mesh.nodes))
 
 
-def test_a_body_at_rest_shows_its_own_labels(body):
+def test_body_at_rest_keeps_its_labels(body):
     still = np.zeros_like(body.mesh.nodes)
     rest = deformed_labels(glandular_share(body.labels), fine_mesh_of(body.mesh), still)
     ours = np.count_nonzero(rest.values == Tissue.GLANDULAR)

@@ -1,4 +1,4 @@
-"""What causes do to a body, by laws that need no second solver."""
+"""Effects of causes on a body, by laws that need no second solver."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def body(truth):
 
 @pytest.fixture(scope="module")
 def pressed(truth, body):
-    """Solve the smaller load, with a cause or without."""
+    """Return a function that solves the smaller load, with a cause or without."""
     topology = topology_of(body.mesh)
 
     def solve(cause=None):
@@ -52,7 +52,7 @@ def root_mean_square(vectors):
 
 
 def volume(mesh, displacement_mm):
-    """Of the tetrahedra between the corners."""
+    """Return the volume of the tetrahedra between the corners."""
     x = (mesh.nodes + displacement_mm)[mesh.cells[:, :4]]
     return np.linalg.det(x[:, 1:] - x[:, :1]).sum() / 6
 
@@ -71,26 +71,26 @@ def volume(mesh, displacement_mm):
     ],
     ids=str,
 )
-def test_a_cause_of_some_size_moves_the_body(pressed, control, cause, least_mm, most_mm):
+def test_cause_moves_the_body_by_a_plausible_amount(pressed, control, cause, least_mm, most_mm):
     away = pressed(cause).displacement_mm - control.displacement_mm
     assert least_mm < root_mean_square(away) < most_mm
 
 
 @pytest.mark.slow
-def test_short_plates_press_what_lies_in_front_of_their_edge_alone(truth, body, pressed):
+def test_short_plates_press_only_in_front_of_their_edge(truth, body, pressed):
     edge = 10.0
     found = pressed(ShortPlate(edge))
     upper = truth.anatomy.half_width_mm - found.travel_mm
     x = (body.mesh.nodes + found.displacement_mm)[np.unique(body.mesh.skin)]
     in_front = x[:, 2] > edge + EDGE_FADE_MM
-    # Between the points at which plates press nodes may stand out a little.
+    # Nodes between the points at which plates press may protrude a little.
     assert x[in_front, 1].max() < upper + 0.3
     assert x[~in_front, 1].max() > upper + 1.0
     assert (x[in_front, 1] > upper - 0.3).any()
 
 
-def test_a_wall_that_rises_is_where_it_is_said_and_pushes_the_body(truth, body, pressed, control):
-    """Tissue hardly loses volume: as much as the wall takes is pushed out in front."""
+def test_rising_wall_is_in_place_and_pushes_the_body(truth, body, pressed, control):
+    """Tissue hardly loses volume: the volume of the rise is pushed out in front."""
     cause = WallRise(5.0, -3.0, 20.0, 2.0)
     wall = np.unique(body.mesh.wall)
     found = pressed(cause)
@@ -101,7 +101,7 @@ def test_a_wall_that_rises_is_where_it_is_said_and_pushes_the_body(truth, body, 
     assert abs(taken) < 0.1 * 2 * np.pi * 20.0**2 * 2.0
 
 
-def test_a_tether_holds_what_it_is_tied_to(truth, body, pressed, control):
+def test_tether_holds_its_patch_of_skin(truth, body, pressed, control):
     tether = Tether(10.0, 60.0, 2.0)
     nodes = np.unique(body.mesh.skin)
     held = nodes[tether.apply_to(truth.scene).skin_grip(body.mesh.nodes[nodes]) > 0]
@@ -112,7 +112,7 @@ def test_a_tether_holds_what_it_is_tied_to(truth, body, pressed, control):
 
 
 @pytest.mark.slow
-def test_a_swollen_gland_makes_the_body_larger_by_what_it_has_taken_up(body, pressed, control):
+def test_swollen_gland_enlarges_the_body_by_its_uptake(body, pressed, control):
     inside = body.labels.values[body.labels.values != Tissue.AIR]
     share = np.mean(inside == Tissue.GLANDULAR)
     found = volume(body.mesh, pressed(Swelling(0.1, 0.0)).displacement_mm)
@@ -120,7 +120,7 @@ def test_a_swollen_gland_makes_the_body_larger_by_what_it_has_taken_up(body, pre
     assert grown == pytest.approx(0.1 * share, rel=0.1)
 
 
-def test_the_area_of_the_skin_is_that_of_the_mesh_and_of_a_sphere(truth, body):
+def test_area_of_the_skin_matches_the_mesh_and_a_sphere(truth, body):
     points, areas = truth.anatomy.skin()
     assert truth.anatomy.depth_inside(points) == pytest.approx(0, abs=1e-9)
     x = body.mesh.nodes[body.mesh.skin[:, :3]]
@@ -133,7 +133,7 @@ def test_the_area_of_the_skin_is_that_of_the_mesh_and_of_a_sphere(truth, body):
     assert areas[points[:, 0] > 25].sum() == pytest.approx(np.pi * 50 * 25, rel=0.01)
 
 
-def test_a_tether_is_as_stiff_on_the_mesh_as_it_was_drawn(truth, body):
+def test_tether_keeps_its_stiffness_on_the_mesh(truth, body):
     skin = topology_of(body.mesh).skin
     totals = []
     for seed in range(60):
@@ -146,7 +146,7 @@ def test_a_tether_is_as_stiff_on_the_mesh_as_it_was_drawn(truth, body):
     assert tether_of(truth.scene, skin) is None
 
 
-def test_the_scale_of_a_scan_is_about_the_middle_of_the_body(truth):
+def test_scan_is_scaled_about_the_centre_of_the_body(truth):
     scene = replace(truth.scene, image_scale=(0.0, 0.02, 0.0))
     low = np.subtract(truth.anatomy.centre_mm, truth.anatomy.half_mm)
     high = np.add(truth.anatomy.centre_mm, truth.anatomy.half_mm)

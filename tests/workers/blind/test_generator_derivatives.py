@@ -33,7 +33,7 @@ def random_matter(mesh):
 
 
 def rubbed(system, state):
-    """Friction that sticks at some points and slides at others."""
+    """Set friction that sticks at some points and slides at others."""
     system.renew_friction(state)
     for friction_state in system.friction_states:
         friction_state.origin[:] = 0.05 * np.random.default_rng(4).standard_normal(
@@ -47,7 +47,7 @@ def systems(mesh):
     smooth = np.zeros(top.skin.areas.shape)
     of, still = materials(mesh), np.zeros(3)
     flat, bent = plates(2.5), plates(2.6, slopes=(0.1, -0.07), sag=4.0)
-    # Most points of the skin lie where the plates begin to press, or fully do.
+    # Most points of the skin are where the plates start to press, or fully do.
     short = plates(2.6, slopes=(0.1, -0.07), sag=4.0, edge=-0.5)
     springs = np.random.default_rng(6).uniform(0, 1e-2, smooth.shape)
     return {
@@ -63,13 +63,13 @@ def systems(mesh):
 
 
 def nudged(system, state, seed):
-    """A random direction of all that is free, the travel included."""
+    """Return a random direction of all free components, including the travel."""
     rng = np.random.default_rng(seed)
     return State(rng.standard_normal(state.u.shape) * system.free, rng.standard_normal())
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_force_is_the_slope_of_the_energy(mesh, name):
+def test_force_is_the_derivative_of_the_energy(mesh, name):
     state = random_state(mesh, 0)
     system = rubbed(systems(mesh)[name], state)
     force, _ = system.linearised(state, FORCE_N)
@@ -81,7 +81,7 @@ def test_force_is_the_slope_of_the_energy(mesh, name):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_tangent_is_the_slope_of_the_force(mesh, name):
+def test_tangent_is_the_derivative_of_the_force(mesh, name):
     state = random_state(mesh, 0)
     system = rubbed(systems(mesh)[name], state)
     _, tangent = system.linearised(state, FORCE_N)

@@ -1,4 +1,4 @@
-"""What is off in the hard world: how much, how often, and that it does what it says."""
+"""Deviations in the hard world: size, frequency and effect."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ from palpate.workers.comparison.observation.signed_distance import signed_distan
 HARD = [draw(seed, "control", world=World.hard) for seed in range(200)]
 
 
-def test_in_the_plain_world_nothing_is_off():
+def test_plain_world_has_no_deviations():
     truth = draw(5, "tilt")
     assert truth.deviations == Deviations()
     assert (truth.scene.nu, truth.scene.wall_spring_factor) == (NU, 1.0)
@@ -28,13 +28,13 @@ def test_in_the_plain_world_nothing_is_off():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_body_causes_and_loads_are_those_of_the_plain_world(kind):
+def test_body_causes_and_loads_are_the_same_in_both_worlds(kind):
     plain, hard = draw(5, kind), draw(5, kind, world=World.hard)
     assert replace(hard, deviations=plain.deviations) == plain
     assert hard.deviations != plain.deviations
 
 
-def test_everything_is_a_little_off_by_what_is_said():
+def test_deviations_have_their_stated_sizes():
     off = [truth.deviations for truth in HARD]
     assert len({one.nu for one in off}) > 50
     assert all(0.488 <= one.nu <= 0.492 for one in off)
@@ -52,8 +52,8 @@ def test_everything_is_a_little_off_by_what_is_said():
     assert tilts.std() == pytest.approx(0.3, rel=0.15)
 
 
-def test_bodies_of_any_shape_fill_the_same_box_and_are_whole():
-    """No point passes another one: the map keeps its orientation everywhere."""
+def test_bodies_of_any_shape_fill_the_same_box_without_folds():
+    """No point passes another: the map preserves orientation everywhere."""
     inside = np.random.default_rng(3).uniform(-1, 1, (4000, 3)) * [1.0, 1.0, 0.5] + [0, 0, 0.5]
     for truth in HARD[:30]:
         body = truth.anatomy
@@ -70,7 +70,7 @@ def test_bodies_of_any_shape_fill_the_same_box_and_are_whole():
         assert np.abs(there - points).max() > 2.0
 
 
-def test_labels_of_a_reshaped_body_are_those_of_its_mesh():
+def test_labels_of_a_reshaped_body_match_its_mesh():
     truth = HARD[0]
     body = body_of(truth.anatomy, 800, 1.2)
     other = reshaped(body, truth.deviations.shape)
@@ -88,21 +88,21 @@ def test_labels_of_a_reshaped_body_are_those_of_its_mesh():
     assert np.median(np.abs(away)) < 0.5
 
 
-def test_a_pose_is_a_rigid_motion():
+def test_pose_is_a_rigid_motion():
     off = replace(Deviations(), poses=((0.3, -0.2, 0.1, 0.4, -0.3, 0.5),))
     places = np.random.default_rng(2).uniform(-60, 60, (50, 3))
     shown = off.posed(0, places)
     apart = [np.linalg.norm(p[:, None] - p, axis=2) for p in (places, shown)]
     assert apart[0] == pytest.approx(apart[1], abs=1e-9)
     middle = (places.min(axis=0) + places.max(axis=0)) / 2
-    # To first order a turn is the cross product with its vector.
+    # To first order a rotation is the cross product with its vector.
     turn = np.radians([0.4, -0.3, 0.5])
     expected = np.cross(turn, places - middle) + np.array([0.3, -0.2, 0.1])
     assert shown - places == pytest.approx(expected, abs=0.005)
     assert Deviations().posed(0, places) is places
 
 
-def test_fibres_are_tilted_with_and_without_a_cause_that_turns_them():
+def test_fibres_are_tilted_with_and_without_a_fibre_cause():
     points = np.random.default_rng(3).uniform(-30, 30, (20, 3)) + np.array([0.0, 0.0, 30.0])
     off = replace(Deviations(), fibre_tilt_deg=(3.0, 0.0))
     straight = replace(HARD[0], deviations=off).scene.fibres(points)

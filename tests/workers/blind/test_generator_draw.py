@@ -1,4 +1,4 @@
-"""Which cases are drawn, and that their words are those of the diagnosis."""
+"""The distribution of random cases, and their terms, which match the diagnosis."""
 
 import ast
 import json
@@ -19,14 +19,14 @@ FAMILIES = {e.name: e.family for e in BREAST_EFFECTS}
 ROOM = Path(workers.__file__).parent
 
 
-def test_shares_sum_to_one_and_are_met():
+def test_shares_sum_to_one_and_match_the_draws():
     assert sum(KINDS.values()) == pytest.approx(1)
     kinds = Counter(draw(seed).kind for seed in range(600))
     for kind, share in KINDS.items():
         assert abs(kinds[kind] - 600 * share) < 4.5 * np.sqrt(600 * share)
 
 
-def test_shares_are_those_of_the_protocol():
+def test_shares_follow_the_protocol():
     assert 0.15 <= KINDS["control"] <= 0.2
     assert KINDS["pair"] == 0.1
     assert KINDS["triple"] == 0.04
@@ -38,13 +38,13 @@ def test_shares_are_those_of_the_protocol():
     assert unlike == ["wall_rise"]
 
 
-def test_a_case_is_a_function_of_its_seed():
+def test_case_is_determined_by_its_seed():
     for kind in (None, "inclusion", "pair", "triple"):
         assert draw(17, kind) == draw(17, kind)
     assert draw(17).anatomy != draw(18).anatomy
 
 
-def test_body_constants_and_forces_do_not_tell_the_kind():
+def test_body_constants_and_forces_do_not_depend_on_the_kind():
     cases = [draw(5, kind) for kind in KINDS]
     for case in cases:
         assert case.anatomy == cases[0].anatomy
@@ -55,7 +55,7 @@ def test_body_constants_and_forces_do_not_tell_the_kind():
 
 
 @pytest.mark.parametrize("kind", BY_KIND)
-def test_every_cause_speaks_the_words_of_the_catalogue(kind):
+def test_every_cause_uses_terms_of_the_catalogue(kind):
     cause = BY_KIND[kind]
     assert cause.kind == kind
     if cause.effect is not None:
@@ -65,7 +65,7 @@ def test_every_cause_speaks_the_words_of_the_catalogue(kind):
 
 
 @pytest.mark.parametrize("kind", BY_KIND)
-def test_every_cause_changes_the_scene_and_nothing_of_the_body(kind):
+def test_every_cause_changes_the_scene_but_not_the_body(kind):
     for seed in range(5):
         truth = draw(seed, kind)
         nominal = Scene(truth.anatomy, truth.constants)
@@ -101,8 +101,8 @@ def test_fields_of_a_cause_are_finite_everywhere_in_the_box(kind):
 
 
 @pytest.mark.parametrize(("kind", "count"), [("pair", 2), ("triple", 3)])
-def test_causes_that_act_together_have_effects_of_their_own(kind, count):
-    """An adhesion and a tether are one effect; 60 triples would have them together in five."""
+def test_simultaneous_causes_have_different_effects(kind, count):
+    """An adhesion and a tether are one effect; 60 triples would combine them in five."""
     for seed in range(60):
         truth = draw(seed, kind)
         assert len(truth.causes) == len(truth.families) == count
@@ -110,8 +110,8 @@ def test_causes_that_act_together_have_effects_of_their_own(kind, count):
         assert all(type(c) in SINGLES for c in truth.causes)
 
 
-def test_magnitudes_are_of_the_sizes_that_are_said():
-    """Ranges as the classes state them, spread evenly on a logarithmic scale."""
+def test_magnitudes_have_their_stated_ranges():
+    """Ranges given in the classes, spread evenly on a logarithmic scale."""
     ranges = {
         "swelling": ("volume_fraction", 0.01, 0.12),
         "oedema": ("volume_fraction", 0.05, 0.5),
@@ -142,7 +142,7 @@ def test_scans_are_too_large_or_too_small_along_one_axis():
     assert 60 < np.count_nonzero(scales.sum(axis=1) > 0) < 140
 
 
-def test_lumps_lie_inside_the_body():
+def test_lumps_are_inside_the_body():
     for seed in range(50):
         truth = draw(seed, "inclusion")
         lump, body = truth.causes[0], truth.anatomy
@@ -150,7 +150,7 @@ def test_lumps_lie_inside_the_body():
         along = body.upper_mm if x > 0 else body.lower_mm
         assert (x / along) ** 2 + (y / body.half_width_mm) ** 2 + (z / body.depth_mm) ** 2 < 1
         assert z >= lump.radius_mm
-        # The volume is that of a ball of its radius, whatever the stretch.
+        # The volume equals a ball of its radius, whatever the stretch.
         inside = truth.scene.ln_stiffness[0]
         sharp = replace(lump, fade=0.0).apply_to(Scene(body, truth.constants)).ln_stiffness[0]
         cloud = np.random.default_rng(1).uniform(-30, 30, (40_000, 3)) + lump.centre_mm
@@ -159,7 +159,7 @@ def test_lumps_lie_inside_the_body():
         assert inside(np.array([lump.centre_mm]))[0] == pytest.approx(np.log(lump.ratio))
 
 
-def test_loads_press_both_ways_and_grow():
+def test_loads_use_both_axes_and_increase():
     loads = draw(3).loads
     assert [load.axis for load in loads] == ["y", "y", "x", "x"]
     assert loads[0].force_n < loads[1].force_n
@@ -168,7 +168,7 @@ def test_loads_press_both_ways_and_grow():
     assert draw(3, one_direction=True).causes == draw(3).causes
 
 
-def test_the_record_is_plain_json_and_complete():
+def test_record_is_complete_plain_json():
     for kind in KINDS:
         record = json.loads(json.dumps(draw(8, kind).record()))
         assert record["kind"] == kind
@@ -177,12 +177,12 @@ def test_the_record_is_plain_json_and_complete():
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, True, "3"])
-def test_seeds_are_whole_numbers(seed):
+def test_refuses_invalid_seeds(seed):
     with pytest.raises(InputError, match="seed"):
         draw(seed)
 
 
-def test_an_unknown_kind_is_refused_with_those_there_are():
+def test_unknown_kind_is_refused_with_a_list():
     with pytest.raises(InputError, match="bent_plate"):
         draw(1, "bending")
 

@@ -28,7 +28,7 @@ def at_rest(system, force_n, tolerance=1e-7):
 
 
 def density(stretches, mu, kappa, eta, fung):
-    """Energy of a block stretched along x, y and z, with fibres along z."""
+    """Return the energy of a block stretched along x, y and z, with fibres along z."""
     J = np.prod(stretches)
     shear = J ** (-2 / 3) * np.sum(np.square(stretches)) - 3
     pull = max(J ** (-2 / 3) * stretches[2] ** 2 - 1, 0.0)
@@ -39,8 +39,8 @@ def density(stretches, mu, kappa, eta, fung):
 @pytest.mark.parametrize(
     "constants", [(0.01, 0.5, 0.0, 0.0), (0.004, 0.2, 0.08, 0.0), (0.004, 0.2, 0.02, 6.0)]
 )
-def test_a_uniform_block_is_pressed_as_exactly_as_the_energy_says(constants):
-    # Free sides and no friction: stretches are uniform and make the sides free of stress.
+def test_uniform_block_matches_the_exact_solution(constants):
+    # Free sides and no friction: stretches are uniform and make the sides stress-free.
     mu, kappa, eta, fung = constants
     mesh = block((3, 2, 2), SIDES)
     system = pressed(mesh, materials(mesh, mu, kappa, eta, fung), SIDES[1] / 2)
@@ -57,7 +57,7 @@ def test_a_uniform_block_is_pressed_as_exactly_as_the_energy_says(constants):
         ends = [density([free[0], y + s, free[1]], *constants) for s in (1e-5, -1e-5)]
         return free, (ends[0] - ends[1]) / 2e-5
 
-    # Both plates let the body in by the nominal pressure over the penalty.
+    # Both plates penetrate by the nominal pressure over the penalty.
     y = fsolve(lambda s: (load(s[0])[1] + pressure) * 1e3, 0.85)[0]
     free, _ = load(y)
     dug = 2 * pressure / PENALTY_N_PER_MM3
@@ -66,13 +66,13 @@ def test_a_uniform_block_is_pressed_as_exactly_as_the_energy_says(constants):
     spread = np.ptp(state.u, axis=0)
     assert spread[0] == pytest.approx((free[0] - 1) * SIDES[0], abs=2e-4)
     assert spread[2] == pytest.approx((free[1] - 1) * SIDES[2], abs=2e-4)
-    # Straight lines stay straight: middles of edges are where the ends say.
+    # Straight lines stay straight: mid-edge nodes are at the mean of their ends.
     ends = mesh.ends[mesh.corners :]
     middles = state.u[ends].mean(axis=1)
     assert np.abs(state.u[mesh.corners :] - middles).max() < 1e-4
 
 
-def test_a_swollen_block_is_larger_and_free_of_stress():
+def test_swollen_block_is_larger_and_stress_free():
     mesh = block((2, 2, 2), SIDES)
     grown = materials(mesh, growth=1.02)
     u = 0.02 * mesh.nodes
@@ -80,7 +80,7 @@ def test_a_swollen_block_is_larger_and_free_of_stress():
     assert energy(cells_of(mesh), grown, 0 * u) > 1e-2
 
 
-def test_a_sheet_has_the_stiffness_of_a_sheet_in_tension():
+def test_sheet_has_its_tensile_stiffness():
     # E t of a thin strip: under a small uniaxial strain the energy is E t e^2 / 2 per area.
     mesh = block((2, 1, 1), SIDES)
     strain = 1e-4
@@ -92,7 +92,7 @@ def test_a_sheet_has_the_stiffness_of_a_sheet_in_tension():
     assert sheet_energy(sheet_of(mesh, 3.0), u) == pytest.approx(wanted, rel=1e-3)
 
 
-def test_gradients_integrate_to_the_volume_of_a_deformed_body():
+def test_gradients_integrate_to_the_deformed_volume():
     mesh = block((2, 2, 1), SIDES)
     cells: Cells = cells_of(mesh)
     assert cells.volumes.sum() == pytest.approx(SIDES.prod())
@@ -102,7 +102,7 @@ def test_gradients_integrate_to_the_volume_of_a_deformed_body():
 
 
 def layered(mesh):
-    """Stiffer above z = 8, where elements end."""
+    """Return materials that are stiffer above z = 8, where elements end."""
     of = materials(mesh, 0.004, 0.2)
     high = mesh.nodes[mesh.cells[:, :4], 2].mean(axis=1) > 8
     of.mu[high] *= 4
@@ -111,7 +111,7 @@ def layered(mesh):
 
 
 def felupe_force(closed, counts):
-    """Force of the layered block whose y faces come closer, by quadratic hexahedra."""
+    """Return the force of the layered block with approaching y faces, by quadratic hexahedra."""
     mesh = (
         felupe.Cube(a=(-12, -10, 0), b=(12, 10, 16), n=tuple(c + 1 for c in counts))
         .add_midpoints_edges()
@@ -142,7 +142,7 @@ def felupe_force(closed, counts):
     return -force[high, 1].sum(), mesh.points, field[0].values
 
 
-def test_a_layered_block_agrees_with_hexahedra_of_another_program():
+def test_layered_block_agrees_with_hexahedra_of_felupe():
     mesh = block((6, 5, 6), SIDES)
     system = pressed(mesh, layered(mesh), SIDES[1] / 2)
     state = at_rest(system, 2.0, 1e-6)
@@ -155,7 +155,7 @@ def test_a_layered_block_agrees_with_hexahedra_of_another_program():
     assert ours == pytest.approx(theirs, abs=0.02 * abs(theirs))
 
 
-def test_friction_holds_up_to_its_coefficient_times_the_force():
+def test_friction_is_limited_by_coefficient_times_force():
     # Two plates carry 2 mu F of the weight at most; springs on the wall carry the rest.
     mesh = block((3, 2, 2), SIDES)
     force, friction, spring = 1.0, 0.25, 0.002
@@ -172,7 +172,7 @@ def test_friction_holds_up_to_its_coefficient_times_the_force():
     assert held == pytest.approx(2 * friction * force, rel=0.01)
 
 
-def test_conjugate_gradients_solve_what_a_factorisation_solves():
+def test_conjugate_gradients_agree_with_a_factorisation():
     mesh = block((4, 3, 3), SIDES)
     system = pressed(mesh, layered(mesh), SIDES[1] / 2, 1e-5)
     state = at_rest(system, 1.0, 1e-4)

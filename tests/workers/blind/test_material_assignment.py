@@ -15,14 +15,14 @@ from palpate.workers.blind.scene import NU, Constants, Scene
 from tests.workers.blind.pressed_blocks import block
 
 SIDES = np.array([30.0, 20.0, 16.0])
-SLOPE = 1e-3  # of the stiffness for a mm: exp is linear to 0.02 %
-# Of a corner's quarter, the points nearest to it: its own barycentric coordinate is the largest
-# of four, (1 + 1/2 + 1/3 + 1/4) / 4 in the mean, and the others are alike.
+SLOPE = 1e-3  # of the stiffness per mm: exp is linear to 0.02 %
+# In a corner's quarter, the points nearest to it, the corner's barycentric coordinate is the
+# largest of four, (1 + 1/2 + 1/3 + 1/4) / 4 in the mean, and the others are alike.
 OWN = 25 / 48
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_stiffness_that_grows_along_an_axis_is_that_of_each_quarter(axis):
+def test_stiffness_gradient_gives_the_mean_of_each_quarter(axis):
     mesh = block((2, 2, 1), SIDES)
     labels = Volume(np.full((16, 20, 30), Tissue.FAT, np.uint8), (1.0,) * 3, (-14.5, -9.5, 0.5))
     scene = Scene(draw(1).anatomy, Constants(10.0, 40.0, 80.0))
@@ -37,8 +37,8 @@ def test_a_stiffness_that_grows_along_an_axis_is_that_of_each_quarter(axis):
     np.testing.assert_allclose(materials.eta / 0.080, materials.mu / mu, rtol=1e-12)
 
 
-def test_glandular_tissue_beyond_a_plane_stiffens_the_points_there():
-    """Corners at x = -15 and 15 of elements that are cut at x = 0 by the tissue's boundary."""
+def test_glandular_tissue_beyond_a_plane_stiffens_its_points():
+    """Corners at x = -15 and 15 of elements that the tissue's boundary cuts at x = 0."""
     mesh = block((1, 1, 1), SIDES)
     values = np.full((16, 20, 30), Tissue.FAT, np.uint8)
     values[:, :, 15:] = Tissue.GLANDULAR
@@ -50,8 +50,8 @@ def test_glandular_tissue_beyond_a_plane_stiffens_the_points_there():
     assert materials.kappa == pytest.approx(materials.mu * 2 * (1 + NU) / (3 * (1 - 2 * NU)))
 
 
-def test_fibres_of_the_gland_have_a_stiffness_of_their_own():
-    """Six times that of fat beyond a plane, as much as it elsewhere."""
+def test_fibres_of_the_gland_have_their_own_stiffness():
+    """Six times the stiffness in fat beyond a plane, equal elsewhere."""
     mesh = block((1, 1, 1), SIDES)
     values = np.full((16, 20, 30), Tissue.FAT, np.uint8)
     values[:, :, 15:] = Tissue.GLANDULAR
@@ -66,7 +66,7 @@ def test_fibres_of_the_gland_have_a_stiffness_of_their_own():
 
 
 def test_deviations_reach_materials_springs_and_fibres():
-    """With nu 0.48 instead of 0.49 tissue is half as stiff to a change of its volume."""
+    """With nu 0.48 instead of 0.49 tissue is half as stiff against volume changes."""
     mesh = block((1, 1, 1), SIDES)
     labels = Volume(np.full((16, 20, 30), Tissue.FAT, np.uint8), (1.0,) * 3, (-14.5, -9.5, 0.5))
     plain = Scene(draw(1).anatomy, Constants(10.0, 40.0, 80.0))

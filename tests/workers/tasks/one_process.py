@@ -1,4 +1,4 @@
-"""Diagnoses by the tasks and the store that a cluster uses, all in this process."""
+"""Diagnoses with the tasks and the store of a cluster, all in this process."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,14 +18,14 @@ def diagnosed_store(
     spacing_mm: float | None = None,
     effects: Iterable[str] | None = None,
 ) -> DiagnosisStore:
-    """Run a diagnosis to its end and return what the store has of it."""
+    """Run a diagnosis to its end and return its store."""
     request = request_for(source, store, nodes, spacing_mm, effects)
     run(request, InThisProcess())
     return DiagnosisStore(request)
 
 
 def diagnosis_in(store: DiagnosisStore) -> Diagnosis:
-    """Return the diagnosis that a store has been brought to."""
+    """Return the finished diagnosis in a store."""
     reached = replay(store, diagnose(store.analysis, store.effects))
     assert isinstance(reached, Diagnosis)
     return reached

@@ -1,4 +1,4 @@
-"""The code's part of a digest: whatever an evaluation reaches by imports, and nothing else."""
+"""The code's part of a digest: the modules that an evaluation imports, and nothing else."""
 
 import ast
 import shutil
@@ -15,9 +15,9 @@ from palpate.workers.tasks.code_version import _imported, code_version, reached
 
 ROOT = Path(__file__).parents[3]
 EVALUATION = ("palpate.workers.tasks.evaluation", *organ_modules("breast"))
-# Read once: what a result is named after must not depend on who looks.
+# Read once: the digest of a result must not depend on who computes it.
 REACHED = reached(EVALUATION)
-# Rooms that earlier hand-written lists left out although evaluations depend on them.
+# Modules that earlier hand-written lists omitted although evaluations depend on them.
 FORGOTTEN = (
     "palpate.workers.mechanics.parameters",
     "palpate.workers.mechanics.effects.boundary",
@@ -41,7 +41,7 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def versions_in(root: Path, files: list[Path]) -> list[str]:
-    """Return the version as it stands, then with each of the files changed alone."""
+    """Return the current version, then the version with each of the files changed alone."""
     script = f"""
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -70,7 +70,7 @@ for name in sys.argv[1:]:
     return ran.stdout.split()
 
 
-def test_every_file_that_an_evaluation_imports_counts(copied: Path) -> None:
+def test_every_imported_file_counts(copied: Path) -> None:
     files = [copied / file.relative_to(ROOT) for file in REACHED.values()]
     before, *after = versions_in(copied, files)
     assert len(after) == len(files) > 100
@@ -78,7 +78,7 @@ def test_every_file_that_an_evaluation_imports_counts(copied: Path) -> None:
     assert unnoticed == []
 
 
-def test_a_file_that_no_evaluation_imports_does_not_count(copied: Path) -> None:
+def test_files_that_are_not_imported_do_not_count(copied: Path) -> None:
     apart = [
         "workers/diagnosis/outcome/pictures/drawings.py",
         "workers/diagnosis/verdict/verdict.py",
@@ -92,12 +92,12 @@ def test_a_file_that_no_evaluation_imports_does_not_count(copied: Path) -> None:
 
 
 @pytest.mark.parametrize("module", FORGOTTEN)
-def test_what_used_to_be_forgotten_counts(module: str) -> None:
+def test_formerly_omitted_modules_count(module: str) -> None:
     assert module in REACHED
 
 
-def test_all_that_python_has_loaded_is_among_what_was_reached() -> None:
-    """The import statements are read as text; running them must load nothing else."""
+def test_every_module_loaded_by_python_is_reached() -> None:
+    """Import statements are read from the code; running them must load nothing else."""
     script = (
         f"import sys, {', '.join(EVALUATION)}\n"
         "print(*(n for n in sys.modules if n.startswith(('palpate.workers', 'palpate.storage'))))"
@@ -108,7 +108,7 @@ def test_all_that_python_has_loaded_is_among_what_was_reached() -> None:
     assert set(ran.stdout.split()) <= set(REACHED)
 
 
-def test_an_import_counts_wherever_it_stands(tmp_path: Path) -> None:
+def test_imports_count_at_any_position(tmp_path: Path) -> None:
     blocks = (
         "import json as a",
         "if x:\n    import json as b\nelif y:\n    import json as c\nelse:\n    import json as d",
@@ -123,12 +123,12 @@ def test_an_import_counts_wherever_it_stands(tmp_path: Path) -> None:
     assert _imported(file, "every_block") == ("json",) * 11
 
 
-def test_a_module_that_is_missing_is_named() -> None:
+def test_missing_module_is_named() -> None:
     with pytest.raises(ModuleNotFoundError, match=r"workers\.nowhere"):
         code_version("palpate.workers.nowhere")
 
 
-def test_several_threads_find_the_same_version() -> None:
+def test_version_is_the_same_in_several_threads() -> None:
     """Python 3.11 cannot parse in several threads at once; a template parses its strings."""
     ended = threading.Event()
 

@@ -1,4 +1,4 @@
-"""The tasks as a worker runs them, on a small breast and a real store."""
+"""The tasks as run by a worker, on a small breast and a real store."""
 
 import json
 import math
@@ -55,7 +55,7 @@ def evaluated(study):
     return tasks.evaluate(study.request())
 
 
-def test_facts_say_what_body_and_mesh_are_like(study):
+def test_facts_describe_body_and_mesh(study):
     facts = study.prepared["facts"]
     assert facts["nodes"] == pytest.approx(1200, rel=0.1)
     assert facts["levels"][-1] == facts["nodes"]
@@ -65,13 +65,13 @@ def test_facts_say_what_body_and_mesh_are_like(study):
     assert facts["voxels"] * 0.008 == pytest.approx(facts["volume_ml"])
 
 
-def test_preparing_again_makes_nothing_again(study, monkeypatch):
+def test_preparing_again_reuses_stored_results(study, monkeypatch):
     monkeypatch.setattr(Breast, "make_body", None)
     monkeypatch.setattr(Breast, "make_mesh", None)
     assert tasks.prepare_case(CASE, study.store) == study.prepared
 
 
-def test_a_target_knows_its_constants_in_the_store_only_by_its_content(study):
+def test_stored_target_does_not_reveal_its_constants(study):
     meta = volume_meta(study.house, study.target)
     assert meta["constants"]["E_fat"] == 0.012
     assert meta["constants"]["E_glandular"] == 0.03
@@ -79,20 +79,20 @@ def test_a_target_knows_its_constants_in_the_store_only_by_its_content(study):
     assert tasks.make_target(CASE, {"constants": HIDDEN}, study.store) == study.made
 
 
-def test_a_target_that_was_removed_is_made_again(study):
+def test_removed_target_is_computed_again(study):
     withdraw(study.house.layout.volume(study.target))
     assert tasks.make_target(CASE, {"constants": HIDDEN}, study.store)["target"] == study.target
     assert has_volume(study.house, study.target)
 
 
-def test_the_hidden_constants_score_minus_infinity(study):
+def test_hidden_constants_score_minus_infinity(study):
     found = tasks.evaluate(study.request(constants={"E_fat": 0.012, "E_glandular": 0.03}))
     assert found["status"] == "done"
     assert found["score"]["gsf"] == -math.inf
     assert found["score"]["jc"] == 1.0
 
 
-def test_an_evaluation_is_a_small_record(study, evaluated):
+def test_evaluation_is_a_small_record(study, evaluated):
     assert evaluated["status"] == "done"
     assert evaluated["reason"] == ""
     assert not evaluated["reused"]
@@ -103,20 +103,20 @@ def test_an_evaluation_is_a_small_record(study, evaluated):
     assert len(json.dumps(evaluated)) < 5000
 
 
-def test_its_field_and_record_are_in_the_store_and_its_volume_is_not(study, evaluated):
+def test_field_and_record_are_stored_but_not_the_volume(study, evaluated):
     name = evaluated["digest"]
     assert load_field(study.house, name).shape == (study.prepared["facts"]["nodes"], 3)
     assert load_evaluation(study.house, name)["score"] == evaluated["score"]
     assert not has_volume(study.house, name)
 
 
-def test_an_evaluation_that_the_store_has_is_not_computed_again(study, evaluated, monkeypatch):
+def test_stored_evaluation_is_not_computed_again(study, evaluated, monkeypatch):
     monkeypatch.setattr(Breast, "solve", None)
     again = tasks.evaluate(study.request())
     assert again == evaluated | {"reused": True}
 
 
-def test_a_volume_kept_later_is_the_one_that_was_scored(study, evaluated):
+def test_volume_kept_later_is_the_scored_one(study, evaluated):
     name = tasks.keep_volume(study.request())
     assert name == evaluated["digest"]
     one = tasks.score_bodies(CASE, study.store, study.target, name)
@@ -130,7 +130,7 @@ def test_a_volume_kept_later_is_the_one_that_was_scored(study, evaluated):
     np.testing.assert_array_equal(load_volume(study.house, name).values, kept.values)
 
 
-def test_the_digest_depends_on_all_that_changes_the_result(study):
+def test_digest_depends_on_everything_that_changes_the_result(study):
     def name(case=CASE, target=study.target, constants=None, score=None, prepared=study.prepared):
         constants = constants or {"E_fat": 0.014}
         return tasks.evaluation_digest(case, prepared, target, constants, score)
@@ -148,19 +148,19 @@ def test_the_digest_depends_on_all_that_changes_the_result(study):
     assert name() == name(case=CASE | {"organ": "breast"}, score={"labels": ["glandular"]})
 
 
-def test_a_constant_counts_wherever_it_is_stated(study):
+def test_constants_count_in_case_and_request(study):
     by_case = tasks.evaluation_digest(
         CASE | {"constants": {"E_fat_kpa": 14}}, study.prepared, study.target, {}
     )
     assert by_case == tasks.evaluate(study.request())["digest"]
 
 
-def test_a_worker_of_another_version_refuses(study):
+def test_worker_of_another_version_refuses(study):
     with pytest.raises(StoreError, match="different versions"):
         tasks.evaluate(study.request(digest="0" * 16))
 
 
-def test_a_simulation_that_diverges_is_an_ordinary_ending(study, monkeypatch):
+def test_divergence_is_an_ordinary_result(study, monkeypatch):
     solve = Breast.solve
 
     def interrupted(*args):
@@ -180,14 +180,14 @@ def test_a_simulation_that_diverges_is_an_ordinary_ending(study, monkeypatch):
     assert tasks.evaluate(request) == found | {"reused": True}
 
 
-def test_a_target_that_diverges_is_refused(study, monkeypatch):
+def test_refuses_target_that_diverges(study, monkeypatch):
     record = {"status": "diverged", "reason": "no step descends"}
     monkeypatch.setattr(tasks, "simulate_once", lambda *_: record)
     with pytest.raises(InputError, match="cannot be simulated: no step descends"):
         tasks.make_target(CASE, {"constants": HIDDEN}, study.store)
 
 
-def test_the_undeformed_body_is_a_poor_match(study, evaluated):
+def test_undeformed_body_is_a_poor_match(study, evaluated):
     before = tasks.score_bodies(CASE, study.store, study.target, study.prepared["volume"])[
         "glandular"
     ]
@@ -195,7 +195,7 @@ def test_the_undeformed_body_is_a_poor_match(study, evaluated):
     assert before["gsf"] > evaluated["score"]["gsf"]
 
 
-def test_a_target_on_other_voxels_and_another_mesh_can_be_matched(study):
+def test_matches_target_with_other_voxels_and_another_mesh(study):
     fine = tasks.make_target(CASE, {"constants": HIDDEN, "mesh": {"nodes": 1600}}, study.store)[
         "target"
     ]
@@ -223,7 +223,7 @@ def block(tmp_path):
     }
 
 
-def test_an_image_is_read_once_and_named_by_its_content(tmp_path, monkeypatch):
+def test_image_is_read_once_and_named_by_its_content(tmp_path, monkeypatch):
     store = str(tmp_path / "store")
     case = {"reference": block(tmp_path), "mesh": {"nodes": 1200}}
     first = tasks.prepare_case(case, store)
@@ -238,7 +238,7 @@ def test_an_image_is_read_once_and_named_by_its_content(tmp_path, monkeypatch):
     assert tasks.prepare_case(again, store)["volume"] == first["volume"]
 
 
-def test_a_stored_volume_is_found_by_digest_and_by_name(tmp_path):
+def test_stored_volume_is_found_by_digest_and_by_name(tmp_path):
     house = open_store(tmp_path / "store")
     values = np.zeros((30, 40, 50), np.uint8)
     values[:26, 4:36, 4:46] = Tissue.FAT
@@ -248,19 +248,19 @@ def test_a_stored_volume_is_found_by_digest_and_by_name(tmp_path):
         assert made == {"target": "abc123", "kind": "image"}
 
 
-def test_a_volume_that_is_nowhere_is_told_where_it_was_looked_for(tmp_path):
+def test_missing_volume_lists_the_searched_places(tmp_path):
     with pytest.raises(InputError, match=r"neither a file or folder .* nor a volume of the store"):
         tasks.make_target(CASE, {"volume": "nowhere"}, str(tmp_path / "store"))
 
 
-def test_skin_that_the_mesh_cannot_resolve_is_refused(study):
+def test_refuses_skin_that_the_mesh_cannot_resolve(study):
     case = CASE | {"model": {"skin": "layer"}}
     with pytest.raises(InputError, match=r"skin is .* mm thick, the elements are .*membrane"):
         tasks.prepare_case(case, study.store)
 
 
-def test_imaged_plates_stand_where_the_target_is(study):
-    """The plates of an imaged target are found at its place, wherever that is."""
+def test_imaged_plates_are_at_the_target(study):
+    """The plates of an imaged target are found at any position of the target."""
     case = CASE | {"load": {"plate_distance_mm": {"final": 44}}}
     made = tasks.make_target(case, {"constants": HIDDEN}, study.store)
     body = load_volume(study.house, made["target"])

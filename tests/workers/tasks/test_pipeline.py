@@ -1,4 +1,4 @@
-"""Phantom > mesh > solve > deform > score, the real thing on a small breast."""
+"""Phantom > mesh > solve > deform > score, without stand-ins, on a small breast."""
 
 import math
 
@@ -57,26 +57,26 @@ def target(breast):
     return breast.deformed(case())
 
 
-def test_the_constants_of_the_target_score_minus_infinity(breast, target):
+def test_constants_of_the_target_score_minus_infinity(breast, target):
     again = pressed(breast.model, case(), case().complete(), breast.extent)
     body = ORGAN.deform(breast.labels, breast.hierarchy, again.displacement_mm)
     score = ORGAN.scorer(target, BreastScore()).score(body)
     assert (score.jc, score.mhd_mm, score.gsf) == (1.0, 0.0, -math.inf)
 
 
-def test_constants_further_away_score_worse(breast, target):
+def test_score_worsens_away_from_the_target(breast, target):
     scorer = ORGAN.scorer(target, BreastScore())
     gsf = [scorer.score(breast.deformed(case(), E_fat=e)).gsf for e in (0.0105, 0.02)]
     assert gsf == sorted(gsf)
     assert gsf[1] < scorer.score(breast.labels).gsf
 
 
-def test_the_modulus_of_skin_is_not_felt_without_skin(breast):
+def test_skin_modulus_has_no_effect_without_skin(breast):
     soft, stiff = (breast.press(case(), E_skin=e).displacement_mm for e in (0.2, 3.0))
     np.testing.assert_array_equal(soft, stiff)
 
 
-def test_a_membrane_of_skin_holds_the_body_together(breast):
+def test_skin_membrane_stiffens_the_body(breast):
     bare = breast.press(case()).outcome
     skin = case(model={"skin": "membrane"})
     soft, stiff = (breast.press(skin, E_skin=e).outcome for e in (0.2, 3.0))
@@ -95,13 +95,13 @@ def test_skin_that_is_not_modelled_is_fat(breast):
     np.testing.assert_array_equal(of_fat.displacement_mm, with_skin.displacement_mm)
 
 
-def test_the_force_between_plates_is_the_one_asked_for(breast):
+def test_force_between_plates_is_the_requested_one(breast):
     outcome = breast.press(case(load={"force_n": 60.0})).outcome
     assert outcome.plate_force_n == pytest.approx(60.0, rel=1e-6)
     assert outcome.force_imbalance < 1e-3
 
 
-def test_the_body_ends_between_the_plates_where_the_target_was(breast):
+def test_body_is_compressed_at_the_position_of_the_target(breast):
     asked = case(load={"plate_distance_mm": {"final": 40}})
     # An imaged target from 1 to 41 mm; voxels of 2 mm end within one of the plates.
     lower, upper = extent_of(breast.deformed(asked, target=(1.0, 41.0)))
@@ -109,7 +109,7 @@ def test_the_body_ends_between_the_plates_where_the_target_was(breast):
     assert upper == pytest.approx(41.0, abs=2.0)
 
 
-def test_a_candidate_is_made_on_the_voxels_of_the_target(breast):
+def test_candidate_has_the_voxels_of_the_target(breast):
     fine = Volume(np.zeros((1, 1, 1), np.uint8), (1.5, 1.5, 1.5), (0.3, 0.4, 0.5))
     solution = breast.press(case())
     mesh = breast.hierarchy
@@ -120,20 +120,20 @@ def test_a_candidate_is_made_on_the_voxels_of_the_target(breast):
     assert count[0] == pytest.approx(count[1], rel=0.02)
 
 
-def test_a_volume_on_its_own_voxels_stays_as_it_is(breast):
+def test_volume_on_its_own_lattice_is_unchanged(breast):
     assert on_lattice(breast.labels, breast.labels) is breast.labels
 
 
-def test_a_volume_on_other_voxels_keeps_every_corner():
+def test_volume_on_another_lattice_keeps_every_corner():
     block = Volume(np.full((4, 4, 4), 2, np.uint8), (2.0, 2.0, 2.0))
     lattice = Volume(np.zeros((1, 1, 1), np.uint8), (1.0, 1.0, 1.0), (0.5, 0.5, 0.5))
     moved = on_lattice(block, lattice)
     assert moved.on_lattice_of(lattice)
-    # The faces of the block lie on faces of the lattice: 8 voxels for each, and none else.
+    # The faces of the block are on faces of the lattice: 8 voxels for each, and no others.
     assert np.count_nonzero(moved.values == 2) == 8 * 64
 
 
-def test_an_image_becomes_tissues_cropped_to_the_body(tmp_path):
+def test_image_becomes_tissues_cropped_to_the_body(tmp_path):
     values = np.zeros((6, 8, 8), np.int16)
     values[0:4, 2:6, 2:6] = 7
     values[1:3, 3:5, 3:5] = 9
@@ -147,7 +147,7 @@ def test_an_image_becomes_tissues_cropped_to_the_body(tmp_path):
     assert np.count_nonzero(volume.values == Tissue.FAT) == 64 - 8
 
 
-def test_a_watch_adds_up_the_time_of_a_stage():
+def test_watch_adds_up_the_time_of_a_stage():
     watch = pipeline.Watch()
     for _ in range(2):
         with watch.stage("solve"):

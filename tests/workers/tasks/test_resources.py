@@ -1,4 +1,4 @@
-"""The bounded cache of a process, and what a Dask worker is told."""
+"""The bounded cache of a process, and the settings of a Dask worker."""
 
 import os
 import threading
@@ -19,7 +19,7 @@ def kilobyte():
     return np.zeros(128)
 
 
-def test_a_value_is_made_once():
+def test_value_is_computed_once():
     made = []
     cache = Cache()
     for _ in range(3):
@@ -27,7 +27,7 @@ def test_a_value_is_made_once():
     assert made == [1]
 
 
-def test_the_value_used_longest_ago_leaves_first():
+def test_least_recently_used_value_is_evicted_first():
     cache = Cache(capacity_bytes=2 * 1024)
     cache.get("a", kilobyte)
     cache.get("b", kilobyte)
@@ -37,7 +37,7 @@ def test_the_value_used_longest_ago_leaves_first():
     assert cache.used_bytes == 2 * 1024
 
 
-def test_a_value_larger_than_the_cache_stays_alone():
+def test_value_larger_than_the_cache_is_kept_alone():
     cache = Cache(capacity_bytes=10)
     cache.get("a", kilobyte)
     cache.get("b", kilobyte)
@@ -45,7 +45,7 @@ def test_a_value_larger_than_the_cache_stays_alone():
     assert len(cache) == 1
 
 
-def test_a_value_that_cannot_be_made_is_tried_again():
+def test_failed_value_is_computed_again():
     cache = Cache()
 
     def fail():
@@ -59,7 +59,7 @@ def test_a_value_that_cannot_be_made_is_tried_again():
     assert cache.get("a", lambda: 3) == 3
 
 
-def test_threads_that_ask_together_share_one_value():
+def test_concurrent_threads_share_one_value():
     cache, made, both = Cache(), [], threading.Barrier(4)
 
     def make():
@@ -79,7 +79,7 @@ def test_threads_that_ask_together_share_one_value():
     assert len(made) == 20
 
 
-def test_a_cleared_cache_is_empty():
+def test_cleared_cache_is_empty():
     cache = Cache()
     cache.get("a", kilobyte)
     cache.clear()
@@ -97,7 +97,7 @@ class Plain:
         self.array = array
 
 
-def test_bytes_are_found_wherever_arrays_hide_and_counted_once():
+def test_bytes_of_nested_arrays_are_counted_once():
     matrix = sparse.csr_matrix(np.eye(4))
     parts = sum(a.nbytes for a in (matrix.data, matrix.indices, matrix.indptr))
     value = Part(KILOBYTE, ({"a": [KILOBYTE, kilobyte()]}, Plain(kilobyte()), matrix, "text", None))
@@ -106,7 +106,7 @@ def test_bytes_are_found_wherever_arrays_hide_and_counted_once():
 
 @dataclass(frozen=True, eq=False)
 class Later:
-    """Makes an array when it is first asked for one."""
+    """An object that makes an array on first access."""
 
     seen: object
 
@@ -115,7 +115,7 @@ class Later:
         return kilobyte()
 
 
-def test_bytes_of_functions_and_of_what_is_computed_later_are_counted():
+def test_bytes_of_functions_and_late_values_are_counted():
     array = kilobyte()
     value = Later(partial(lambda a, b: array, kilobyte(), b=kilobyte()))
     assert size_bytes(value) == 3 * 1024
@@ -123,7 +123,7 @@ def test_bytes_of_functions_and_of_what_is_computed_later_are_counted():
     assert size_bytes(value) == 4 * 1024
 
 
-def test_values_that_grow_make_older_ones_leave():
+def test_growing_values_evict_older_ones():
     cache = Cache(capacity_bytes=4 * 1024)
     for name in ("a", "b", "c"):
         cache.get(name, lambda: Later(None))
@@ -135,7 +135,7 @@ def test_values_that_grow_make_older_ones_leave():
     assert [name in cache for name in "abcde"] == [False, False, True, True, True]
 
 
-def test_outside_of_dask_a_worker_is_host_and_process():
+def test_worker_name_outside_dask_is_host_and_process():
     assert worker_name().endswith(f"-{os.getpid()}")
 
 
@@ -145,7 +145,7 @@ def numba_threads():
     return numba.get_num_threads(), dict(os.environ)
 
 
-def test_a_dask_worker_computes_with_one_thread_and_knows_its_name(monkeypatch):
+def test_dask_worker_has_one_thread_and_its_name(monkeypatch):
     monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
     with Client(n_workers=1, threads_per_worker=1, dashboard_address=":0") as client:
         client.register_plugin(OneThread())
@@ -156,7 +156,7 @@ def test_a_dask_worker_computes_with_one_thread_and_knows_its_name(monkeypatch):
     assert name == "0"
 
 
-def test_a_function_that_knows_what_is_not_made_yet_has_no_bytes_of_it():
+def test_functions_with_unset_variables_are_counted():
     def known():
         return later
 

@@ -1,4 +1,4 @@
-"""Sources in a store: by content, once, and made again where their files cannot be seen."""
+"""Sources in a store: by content, once, and rebuilt without access to their files."""
 
 import shutil
 from pathlib import Path
@@ -65,7 +65,7 @@ def same(first: InverseProblem, second: InverseProblem) -> None:
 
 
 @pytest.mark.parametrize("kind", MADE)
-def test_a_source_is_made_again_without_its_files(kind: str, tmp_path: Path) -> None:
+def test_source_is_rebuilt_without_its_files(kind: str, tmp_path: Path) -> None:
     path = MADE[kind](tmp_path)
     source = open_source(path)
     before = source.inverse_problem(NODES, SPACING_MM)
@@ -80,20 +80,20 @@ def test_a_source_is_made_again_without_its_files(kind: str, tmp_path: Path) -> 
     same(before, again.inverse_problem(NODES, SPACING_MM))
 
 
-def test_a_source_enters_once_whatever_its_folder_is_called(tmp_path: Path) -> None:
+def test_source_is_stored_once_for_any_folder_name(tmp_path: Path) -> None:
     store = TaskStore(tmp_path / "store")
     first = case(tmp_path)
     name = add_source(open_source(first), store)
     kept = {p: p.stat().st_mtime_ns for p in store.store.root.rglob("zarr.json")}
     copy = Path(shutil.copytree(first, tmp_path / "copy"))
-    (copy / "truth.json").write_text("{}")  # which case.yaml does not name
+    (copy / "truth.json").write_text("{}")  # not named in case.yaml
     assert add_source(open_source(copy), store) == name
     assert {p: p.stat().st_mtime_ns for p in store.store.root.rglob("zarr.json")} == kept
     shutil.copy(copy / "pressed_20N.nrrd", copy / "pressed_8N.nrrd")
     assert add_source(open_source(copy), store) != name
 
 
-def test_a_plan_needs_the_scan_at_rest_only(tmp_path: Path) -> None:
+def test_plan_needs_only_the_scan_at_rest(tmp_path: Path) -> None:
     folder = case(tmp_path)
     for file in folder.glob("pressed*"):
         file.unlink()
@@ -106,7 +106,7 @@ def test_a_plan_needs_the_scan_at_rest_only(tmp_path: Path) -> None:
     assert acquisition.reference.values.any()
 
 
-def test_a_kind_that_this_version_does_not_know_is_named(tmp_path: Path) -> None:
+def test_unknown_kind_is_named(tmp_path: Path) -> None:
     with pytest.raises(
         StoreError, match=r"the kind 'ultrasound', this version knows .*scanned case"
     ):
@@ -114,7 +114,7 @@ def test_a_kind_that_this_version_does_not_know_is_named(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("kind", source_kinds())
-def test_the_code_of_a_diagnosis_is_all_that_it_imports(kind: str) -> None:
+def test_code_of_a_diagnosis_includes_all_its_imports(kind: str) -> None:
     modules = reached(["palpate.workers.tasks.diagnosis", source_module(kind)])
     organ = source_module(kind).split(".")[3]
     wanted = {

@@ -45,7 +45,7 @@ def spec_of() -> StudySpec:
 
 
 def begun(folder: Path, *, ran: bool = True) -> Path:
-    """A study as `palpate run` leaves it, with two candidates evaluated."""
+    """Return a study as left by `palpate run`, with two candidates evaluated."""
     folder.mkdir(parents=True)
     spec, store = spec_of(), str(open_store(folder.parent / "store").root)
     case = spec.case.model_dump(mode="json")
@@ -77,7 +77,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return begun(tmp_path_factory.mktemp("runs") / "small")
 
 
-def test_a_study_opens_with_its_volumes_and_its_best(study: Path) -> None:
+def test_study_opens_with_its_volumes_and_best_candidate(study: Path) -> None:
     assert is_study(study)
     source = open_study(study)
     source.check()
@@ -91,18 +91,18 @@ def test_a_study_opens_with_its_volumes_and_its_best(study: Path) -> None:
     assert np.ptp(np.nonzero(pressed)[1]) < np.ptp(np.nonzero(body)[1])
 
 
-def test_a_study_that_has_not_run_says_how_to(tmp_path: Path) -> None:
+def test_study_that_has_not_run_names_the_command(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has not run.*palpate run"):
         open_study(begun(tmp_path / "runs" / "small", ran=False))
 
 
-def test_a_folder_that_is_no_study(tmp_path: Path) -> None:
+def test_refuses_folder_that_is_not_a_study(tmp_path: Path) -> None:
     assert not is_study(tmp_path)
     with pytest.raises(InputError, match="is no study"):
         open_study(tmp_path)
 
 
-def test_a_volume_that_is_gone_is_named(tmp_path: Path) -> None:
+def test_missing_volume_is_named(tmp_path: Path) -> None:
     folder = begun(tmp_path / "runs" / "small")
     (session,) = [s for s in Journal.read(StudyLayout(folder).journal) if s["kind"] == "session"]
     target = open_store(session["store"]).layout.volume(session["target"]["target"])

@@ -1,4 +1,4 @@
-"""Parts of tasks are the same in a folder and in a bucket: whole, typed, written once."""
+"""Parts of tasks are identical in a folder and in a bucket: whole, typed, written once."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ def tasks(request, tmp_path):
     return TaskStore(tmp_path / "s" if folder else request.getfixturevalue("bucket") + "/s")
 
 
-def test_a_part_is_finished_once_and_typed(tasks):
+def test_part_is_written_once_and_typed(tasks):
     part, arrays = Part(tasks, "p1"), {"z": np.arange(6.0), "kept": np.array([True, False])}
     assert not part.is_finished
     part.save(Fit(float("-inf"), True), arrays)
@@ -37,11 +37,11 @@ def test_a_part_is_finished_once_and_typed(tasks):
     record, read = part.load(Fit)
     assert record == part.record(Fit) == Fit(float("-inf"), True)
     assert all((read[name] == arrays[name]).all() for name in arrays)
-    with pytest.raises(StoreError, match="does not hold what was expected"):
+    with pytest.raises(StoreError, match="has unexpected content"):
         part.record(Other)
 
 
-def test_a_volume_is_named_by_its_content_and_read_once(tasks):
+def test_volume_is_named_by_its_content_and_read_once(tasks):
     volume = Volume(np.ones((3, 4, 5), np.uint8), (1.0, 1.0, 2.0))
     name = tasks.add_volume(volume)
     assert tasks.add_volume(volume) == name

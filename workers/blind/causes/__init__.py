@@ -1,1 +1,1 @@
-"""Define what may differ from the nominal physics, each in a form of its own."""
+"""Deviations from the nominal physics, each in a form of its own."""

@@ -1,7 +1,7 @@
-"""Define what a cause is, and how its size is drawn.
+"""The interface of causes, and random draws of their magnitudes.
 
-A cause is drawn for an anatomy and put into a scene. Magnitudes are log-uniform over what
-is plausible, so that a part of them lies below the noise of a segmentation.
+A cause is drawn for an anatomy and applied to a scene. Magnitudes are log-uniform over a
+plausible range, so that some of them are below the noise of a segmentation.
 """
 
 import math
@@ -16,10 +16,10 @@ Rng = np.random.Generator
 
 
 class Cause(Protocol):
-    """Change one thing of the nominal physics.
+    """A single deviation from the nominal physics.
 
-    ``kind`` names it here; ``effect`` and ``family`` are the words in which a diagnosis
-    would be right, None where it has none. Parameters are its fields, units in their names.
+    ``kind`` is its name here; ``effect`` and ``family`` are the correct answers of a diagnosis,
+    None if there is none. Parameters are its fields, with units in their names.
     """
 
     kind: ClassVar[str]
@@ -28,26 +28,26 @@ class Cause(Protocol):
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a cause at random for an anatomy."""
+        """Draw a random cause for an anatomy."""
         ...
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the scene with this difference."""
+        """Return the scene with this deviation."""
         ...
 
 
 def log_uniform(rng: Rng, low: float, high: float) -> float:
-    """Draw a number whose logarithm is uniform between those of `low` and `high`."""
+    """Draw a number whose logarithm is uniform between the logarithms of `low` and `high`."""
     return float(math.exp(rng.uniform(math.log(low), math.log(high))))
 
 
 def sign(rng: Rng) -> float:
-    """Draw 1 or -1, both as likely."""
+    """Draw 1 or -1 with equal probability."""
     return 1.0 if rng.random() < 0.5 else -1.0
 
 
 def direction(rng: Rng) -> Triple:
-    """Draw a unit vector, every one as likely."""
+    """Draw a unit vector, uniformly distributed."""
     vector = rng.standard_normal(3)
     return triple(vector / np.linalg.norm(vector))
 

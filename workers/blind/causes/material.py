@@ -1,4 +1,4 @@
-"""Define tissue that differs everywhere."""
+"""Causes by which tissue differs everywhere."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from palpate.workers.blind.scene import Anatomy, Scene
 
 @dataclass(frozen=True, slots=True)
 class Gradient:
-    """Stiffen tissue towards one side: ln of the stiffness is a tanh along a direction."""
+    """Tissue stiffer towards one side: ln of the stiffness is a tanh along a direction."""
 
     kind: ClassVar[str] = "gradient"
     effect: ClassVar[str | None] = "stiffness_gradient"
@@ -25,15 +25,15 @@ class Gradient:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw one at random, see `Cause.draw`."""
-        # Deep or cranio-caudal, with a little of the others.
+        """Draw a random instance, see `Cause.draw`."""
+        # Deep or cranio-caudal, with small components along the other axes.
         main = np.eye(3)[2 if rng.random() < 0.5 else 0] * sign(rng)
         mixed = main + 0.2 * rng.standard_normal(3)
         x, y, z = log_uniform(rng, 0.08, 1.0) * mixed / np.linalg.norm(mixed)
         return cls(float(x), float(y), float(z), rng.uniform(0.8, 2.0))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the scene with it, see `Cause.apply_to`."""
+        """Return the changed scene, see `Cause.apply_to`."""
         size = np.array([self.ln_x, self.ln_y, self.ln_z])
         length = float(np.linalg.norm(size))
 
@@ -46,7 +46,7 @@ class Gradient:
 
 @dataclass(frozen=True, slots=True)
 class Fibres:
-    """Turn fibres by an angle that grows from the wall and spreads across."""
+    """Fibres rotated by an angle that grows from the wall and fans out across."""
 
     kind: ClassVar[str] = "fibres"
     effect: ClassVar[str | None] = "fibre_rotation"
@@ -57,12 +57,12 @@ class Fibres:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw one at random, see `Cause.draw`."""
+        """Draw a random instance, see `Cause.draw`."""
         turn = log_uniform(rng, 2.0, 25.0)
         return cls(turn, rng.uniform(0, 360), turn * rng.uniform(-0.3, 0.3))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the scene with it, see `Cause.apply_to`."""
+        """Return the changed scene, see `Cause.apply_to`."""
         azimuth = math.radians(self.azimuth_deg)
         towards = np.array([math.cos(azimuth), math.sin(azimuth)])
 
@@ -77,7 +77,7 @@ class Fibres:
 
 @dataclass(frozen=True, slots=True)
 class Stiffening:
-    """Put Fung's exponential in place of neo-Hooke's law."""
+    """Fung's exponential law instead of the neo-Hookean law."""
 
     kind: ClassVar[str] = "stiffening"
     effect: ClassVar[str | None] = "strain_stiffening"
@@ -86,17 +86,17 @@ class Stiffening:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw one at random, see `Cause.draw`."""
+        """Draw a random instance, see `Cause.draw`."""
         return cls(log_uniform(rng, 0.3, 8.0))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the scene with it, see `Cause.apply_to`."""
+        """Return the changed scene, see `Cause.apply_to`."""
         return replace(scene, fung=self.exponent)
 
 
 @dataclass(frozen=True, slots=True)
 class SkinSheet:
-    """Cover the body with a skin that resists stretching."""
+    """A skin that resists stretching."""
 
     kind: ClassVar[str] = "skin"
     effect: ClassVar[str | None] = "skin_added"
@@ -105,17 +105,17 @@ class SkinSheet:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw one at random, see `Cause.draw`."""
+        """Draw a random instance, see `Cause.draw`."""
         return cls(log_uniform(rng, 20.0, 1500.0))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the scene with it, see `Cause.apply_to`."""
+        """Return the changed scene, see `Cause.apply_to`."""
         return replace(scene, skin_n_per_m=self.stiffness_n_per_m)
 
 
 @dataclass(frozen=True, slots=True)
 class FibreContrast:
-    """Make fibres in glandular tissue stiffer or softer than in fat, unevenly along z."""
+    """Fibres in glandular tissue stiffer or softer than in fat, unevenly along z."""
 
     kind: ClassVar[str] = "fibre_contrast"
     effect: ClassVar[str | None] = "fibre_contrast"
@@ -129,7 +129,7 @@ class FibreContrast:
         return cls(log_uniform(rng, 1.5, 15.0) ** sign(rng), rng.uniform(-0.25, 0.25))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the scene with it, see `Cause.apply_to`."""
+        """Return the changed scene, see `Cause.apply_to`."""
 
         def at(points: FloatArray) -> FloatArray:
             s = scene.anatomy.normalised(points)[:, 2]

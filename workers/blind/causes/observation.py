@@ -1,4 +1,4 @@
-"""Define scans and labels that are drawn wrongly."""
+"""Causes by which scans or labels are wrong."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from palpate.workers.blind.scene import Anatomy, Scene
 
 @dataclass(frozen=True, slots=True)
 class Segmentation:
-    """Let the labels of the loaded scans reach too far, or not far enough."""
+    """Labels of the loaded scans that extend too far, or not far enough."""
 
     kind: ClassVar[str] = "segmentation"
     effect: ClassVar[str | None] = "segmentation_offset"
@@ -23,18 +23,18 @@ class Segmentation:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw one at random, see `Cause.draw`."""
+        """Draw a random instance, see `Cause.draw`."""
         size, angle = log_uniform(rng, 0.1, 0.8), rng.uniform(0, 2 * math.pi)
         return cls(size * math.cos(angle), size * math.sin(angle))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the scene with it, see `Cause.apply_to`."""
+        """Return the changed scene, see `Cause.apply_to`."""
         return replace(scene, segmentation_mm=(self.outline_mm, self.glandular_mm))
 
 
 @dataclass(frozen=True, slots=True)
 class ImageScale:
-    """Draw the loaded scans too large or too small along one axis, about the body's middle."""
+    """Loaded scans scaled along one axis, about the centre of the body."""
 
     kind: ClassVar[str] = "image_scale"
     effect: ClassVar[str | None] = "image_scale"
@@ -50,5 +50,5 @@ class ImageScale:
         return cls(triple(part * np.eye(3)[axis]), anatomy.centre_mm)
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the scene with it, see `Cause.apply_to`."""
+        """Return the changed scene, see `Cause.apply_to`."""
         return replace(scene, image_scale=self.scale)

@@ -1,17 +1,16 @@
-r"""Press two rigid plates against the points of the skin, with Coulomb's friction.
+r"""Contact of two rigid plates with the points of the skin, with Coulomb friction.
 
 A plate is a height h over the plane normal to the axis of compression d,
 
 .. math:: g(x, t) = \pm c\, (p + h(s_1, s_2) - t - d \cdot x) , \quad
           h = a_1 s_1 + a_2 s_2 + \tfrac{f}{2} (1 - \cos \tfrac{\pi s_1}{l}) ,
 
-and presses with the penalty ``w k <-g>`` at six points of every face. A plate that begins
-at some z has w = 0 there and w = 1 a few mm further, a polynomial of degree 5 between; what
-it does at its rounded edge follows from the energy ``w k <-g>^2 / 2``. Friction is a
-return mapping from one load to the next (J. C. Simo, T. A. Laursen, Comput. Struct.
-42 (1992) 97-116): elastic slip up to the coefficient times the pressure, then sliding;
-within an iteration the pressure that limits it is that of the iteration before, so that
-the increment has a potential.
+and presses with the penalty ``w k <-g>`` at six points of every face. If a plate starts at some
+z, w grows from 0 there to 1 a few mm further as a polynomial of degree 5; the forces at this
+rounded edge follow from the energy ``w k <-g>^2 / 2``. Friction is a return mapping from one
+load to the next (J. C. Simo, T. A. Laursen, Comput. Struct. 42 (1992) 97-116): elastic slip up
+to the coefficient times the pressure, then sliding; within an iteration the limit uses the
+pressure of the previous iteration, so that the increment has a potential.
 """
 
 from typing import NamedTuple
@@ -30,28 +29,28 @@ from palpate.workers.compile_flags import CONTRACTED
 
 PENALTY_N_PER_MM3 = 1.0
 SLIP_N_PER_MM3 = 0.3
-EDGE_FADE_MM = 4.0  # over which the edge of a short plate is rounded
+EDGE_FADE_MM = 4.0  # width of the rounded edge of a short plate
 
 
 class Plate(NamedTuple):
-    """Describe one plate.
+    """A compression plate.
 
     Parameters
     ----------
     frame : ndarray, shape (3, 3)
         In-plane axes s1 and s2 and the axis d from the lower to the upper plate.
-    pivot_mm : ndarray, shape (3,)
+    Point with s1 = s2 = 0.
         Where s1 = s2 = 0.
-    start_mm : float
+    Initial position along d.
         Along d, before it moves.
-    side : float
+    1 for the upper plate, which moves by -t; -1 for the lower, which is fixed.
         1 for the upper plate, which moves by -t; -1 for the lower, which stands still.
     slopes : ndarray, shape (2,)
         a1 and a2.
     sag_mm, length_mm : float
         f and l; the plate bends away from the body by f at a distance l from its pivot.
     edge_mm : float
-        Where the plate begins: the least ``s2 . x`` at which it presses.
+        Edge of the plate: the least ``s2 . x`` at which it presses.
     """
 
     frame: FloatArray
@@ -65,18 +64,18 @@ class Plate(NamedTuple):
 
 
 class Skin(NamedTuple):
-    """Hold the points of the free surface that may touch.
+    """Points of the free surface that may touch a plate.
 
     Parameters
     ----------
     faces : ndarray of int32, shape (k, 6)
     shapes : ndarray, shape (6 points, 6 nodes)
     areas : ndarray, shape (k, 6)
-        In mm^2, of each point.
+        Area of each point, in mm^2.
     places : ndarray, shape (k, 6, 3)
-        In the undeformed body, in mm.
+        Positions in the undeformed body, in mm.
     friction : ndarray, shape (k, 6)
-        Coulomb's coefficient.
+        Coulomb coefficient.
     """
 
     faces: IntArray
@@ -87,14 +86,14 @@ class Skin(NamedTuple):
 
 
 class FrictionState(NamedTuple):
-    """Hold what friction remembers, for the points of one plate.
+    """History of friction at the points of one plate.
 
     Parameters
     ----------
     origin : ndarray, shape (k, 6, 2)
-        In-plane displacement at which the skin is not dragged, in mm.
+        In-plane displacement without elastic slip, in mm.
     pressure : ndarray, shape (k, 6)
-        That limits it, in MPa.
+        Pressure that limits friction, in MPa.
     """
 
     origin: FloatArray
@@ -110,7 +109,7 @@ def skin_of(mesh: QuadraticMesh) -> Skin:
 
 
 def no_friction_yet(skin: Skin) -> FrictionState:
-    """Return the state of friction before anything has touched."""
+    """Return the initial state of friction, before contact."""
     return FrictionState(np.zeros((*skin.areas.shape, 2)), np.zeros(skin.areas.shape))
 
 
@@ -134,7 +133,7 @@ def _place(
 
 @njit(**CONTRACTED)
 def _gap(plate: Plate, x: FloatArray, t: float, slope: FloatArray) -> tuple[float, float]:
-    """Return the gap at x and the scaled second derivative of h by s1; fill its slope."""
+    """Return the gap at x and the scaled second derivative of h by s1; store its slope."""
     s1, s2, along = 0.0, 0.0, 0.0
     for i in range(3):
         s1 += plate.frame[0, i] * (x[i] - plate.pivot_mm[i])
@@ -156,7 +155,7 @@ def _gap(plate: Plate, x: FloatArray, t: float, slope: FloatArray) -> tuple[floa
 
 @njit(**CONTRACTED)
 def _share_of_plate(plate: Plate, x: FloatArray) -> tuple[float, float, float]:
-    """Return w at x, and its first and second derivative along s2."""
+    """Return w at x, and its first and second derivatives along s2."""
     s = -plate.edge_mm
     for i in range(3):
         s += plate.frame[1, i] * x[i]
@@ -180,15 +179,15 @@ def _press(
     H: FloatArray,
     mixed: FloatArray,
 ) -> tuple[float, float]:
-    """Differentiate the energy of the penalty per area; fill the slope of the gap, too.
+    """Differentiate the penalty energy per area; store the slope of the gap too.
 
-    By x into `push` (3,) and `H` (3, 3), by x and t into `mixed` (3,). Returns the first and
-    second derivative by t.
+    Derivatives by x go into `push` (3,) and `H` (3, 3), by x and t into `mixed` (3,). Return the
+    first and second derivatives by t.
     """
     gap, bend = _gap(plate, x, t, slope)
     share, share1, share2 = _share_of_plate(plate, x)
     k = PENALTY_N_PER_MM3 if gap < 0 else 0.0
-    # The gap shrinks with the travel of the upper plate by its own cosine.
+    # The gap shrinks with the travel of the upper plate times its own cosine.
     rate = 0.0
     if plate.side > 0:
         for i in range(3):
@@ -241,7 +240,7 @@ def _elastic_slip(
     d: FloatArray,
     s: FloatArray,
 ) -> tuple[float, float]:
-    """Fill the elastic slip `s` (2,); return its length and the traction that it can reach."""
+    """Store the elastic slip `s` (2,); return its length and the limit of its traction."""
     for k in range(2):
         s[k] = -friction_state.origin[f, q, k]
         for i in range(3):
@@ -253,7 +252,7 @@ def _elastic_slip(
 def contact_energy(
     skin: Skin, plate: Plate, friction_state: FrictionState, u: FloatArray, t: float
 ) -> float:
-    """Return the energy of the penalty and of the held friction, in mJ."""
+    """Return the energy of the penalty and of friction at fixed pressure, in mJ."""
     d, x, slope, s = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
     total = 0.0
     for f in range(skin.areas.shape[0]):
@@ -285,11 +284,11 @@ def add_contact(
     border: FloatArray,
     blocks: FloatArray,
 ) -> tuple[float, float]:
-    """Add the derivatives by nodes and travel.
+    """Add the derivatives by nodal displacements and travel.
 
-    `force` (n, 3) gets the first, `blocks` (b, 3, 3) the second and `border` (n, 3) the
-    mixed one. Without `exact` what slides has its secant stiffness, above the energy.
-    Returns the derivatives by the travel: force in N, stiffness in N/mm.
+    `force` (n, 3) receives the first, `blocks` (b, 3, 3) the second and `border` (n, 3) the
+    mixed one. Unless `exact`, sliding points have their secant stiffness, an upper bound of the
+    energy. Return the derivatives by the travel: force in N, stiffness in N/mm.
     """
     d, x, slope, s = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
     push, H, mixed = np.empty(3), np.empty((3, 3)), np.empty(3)
@@ -323,7 +322,7 @@ def add_contact(
 def renew_pressure(
     skin: Skin, plate: Plate, friction_state: FrictionState, u: FloatArray, t: float
 ) -> None:
-    """Let friction be limited by the pressure that the plate has now."""
+    """Set the pressure that limits friction to the current plate pressure."""
     d, x, slope = np.empty(3), np.empty(3), np.empty(3)
     for f in range(skin.areas.shape[0]):
         for q in range(6):
@@ -337,7 +336,7 @@ def renew_pressure(
 def update_friction_origin(
     skin: Skin, plate: Plate, friction_state: FrictionState, u: FloatArray
 ) -> None:
-    """End a load step: drag what slid, or does not touch, from a new origin."""
+    """End a load step: points that slid, or do not touch, get a new origin."""
     d, s = np.empty(3), np.empty(2)
     for f in range(skin.areas.shape[0]):
         for q in range(6):

@@ -1,11 +1,11 @@
-r"""Compute energy, force and tangent of quadratic tetrahedra.
+r"""Energy, force and tangent of quadratic tetrahedra.
 
 .. math:: W = \frac{\mu}{2 b} (e^{b (\bar I_1 - 3)} - 1) + \frac{\kappa}{2} (J - 1)^2
           + \frac{\eta}{2} \langle \bar I_4 - 1 \rangle_+^2
 
-at each of four points, with :math:`\bar I = J^{-2/3} I`; neo-Hooke's law is the limit
-of b -> 0 (Fung's, Y. C. Fung, Biomechanics, 1993, section 8.3). Tissue that has grown by
-the stretch g is free of stress at ``F = g 1``.
+at each of four points, with :math:`\bar I = J^{-2/3} I`; the neo-Hookean law is the limit
+b -> 0 of Fung's (Y. C. Fung, Biomechanics, 1993, section 8.3). Tissue that has grown by
+the stretch g is stress-free at ``F = g 1``.
 
 With G the inverse transpose of F, an invariant :math:`\varphi(J) F A : F` has
 
@@ -25,7 +25,7 @@ from palpate.workers.compile_flags import CONTRACTED
 
 
 class ElementMaterials(NamedTuple):
-    """Hold the constants at the four points of each element.
+    """Material constants at the four points of each element.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class ElementMaterials(NamedTuple):
     fung : ndarray, shape (m, 4)
         The exponent b; >= 0.
     growth : ndarray, shape (m, 4)
-        The stretch g at which the tissue is free of stress.
+        The stress-free stretch g.
     fibre : ndarray, shape (m, 4, 3)
         Unit vectors.
     """
@@ -48,7 +48,7 @@ class ElementMaterials(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """Hold nodes (m, 10), gradients of the barycentric coordinates (m, 4, 3) and volumes (m,)."""
+    """Nodes (m, 10), gradients of the barycentric coordinates (m, 4, 3) and volumes (m,)."""
 
     nodes: IntArray
     gradients: FloatArray
@@ -56,13 +56,13 @@ class Cells(NamedTuple):
 
 
 def cells_of(mesh: QuadraticMesh) -> Cells:
-    """Return the elements of a mesh as the kernels take them."""
+    """Return the elements of a mesh in the form used by the kernels."""
     return Cells(np.ascontiguousarray(mesh.cells), *gradients(mesh))
 
 
 @njit(**CONTRACTED)
 def _shape_gradients(slopes: FloatArray, q: int, scale: float, out: FloatArray) -> None:
-    """Fill the gradients of the ten shape functions at point q, (10, 3)."""
+    """Store the gradients of the ten shape functions at point q, (10, 3)."""
     for a in range(4):
         for k in range(3):
             out[a, k] = (4 * POINTS[q, a] - 1) * slopes[a, k] * scale
@@ -76,7 +76,7 @@ def _shape_gradients(slopes: FloatArray, q: int, scale: float, out: FloatArray) 
 def _deformation(
     u: FloatArray, nodes: IntArray, dN: FloatArray, scale: float, F: FloatArray
 ) -> float:
-    """Fill F of the part that is not growth; return its determinant."""
+    """Store the part of F that is not growth; return its determinant."""
     for i in range(3):
         for k in range(3):
             F[i, k] = scale if i == k else 0.0
@@ -94,7 +94,7 @@ def _deformation(
 
 @njit(**CONTRACTED)
 def _cofactor(F: FloatArray, J: float, G: FloatArray) -> None:
-    """Fill the inverse transpose of F, of determinant J."""
+    """Store the inverse transpose of F, of determinant J."""
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
         for k in range(3):
@@ -104,7 +104,7 @@ def _cofactor(F: FloatArray, J: float, G: FloatArray) -> None:
 
 @njit(**CONTRACTED)
 def _invariants(F: FloatArray, fibre: FloatArray, Fa: FloatArray) -> tuple[float, float]:
-    """Return I1 and I4; fill the stretched fibre."""
+    """Return I1 and I4; store the stretched fibre."""
     first, fourth = 0.0, 0.0
     for i in range(3):
         Fa[i] = F[i, 0] * fibre[0] + F[i, 1] * fibre[1] + F[i, 2] * fibre[2]
@@ -116,7 +116,7 @@ def _invariants(F: FloatArray, fibre: FloatArray, Fa: FloatArray) -> tuple[float
 
 @njit(**CONTRACTED)
 def energy(cells: Cells, materials: ElementMaterials, u: FloatArray) -> float:
-    """Return the stored energy in mJ; infinite where an element is turned inside out."""
+    """Return the stored energy in mJ; infinite if an element is inverted."""
     F, Fa, dN = np.empty((3, 3)), np.empty(3), np.empty((10, 3))
     total = 0.0
     for m in range(len(cells.volumes)):
@@ -145,7 +145,7 @@ def energy(cells: Cells, materials: ElementMaterials, u: FloatArray) -> float:
 
 @njit(**CONTRACTED)
 def add_forces(cells: Cells, materials: ElementMaterials, u: FloatArray, out: FloatArray) -> None:
-    """Add the derivative of the energy by the nodes, in N, to `out` (n, 3)."""
+    """Add the derivative of the energy by nodal positions, in N, to `out` (n, 3)."""
     F, G, Fa, dN = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((10, 3))
     P = np.empty((3, 3))
     for m in range(len(cells.volumes)):
@@ -178,7 +178,7 @@ def add_forces(cells: Cells, materials: ElementMaterials, u: FloatArray, out: Fl
 def add_tangent(
     cells: Cells, materials: ElementMaterials, u: FloatArray, slots: IntArray, out: FloatArray
 ) -> None:
-    """Add the second derivative to blocks `out` (b, 3, 3); `slots` (m, 10, 10) names them."""
+    """Add the second derivative to blocks `out` (b, 3, 3), at the indices `slots` (m, 10, 10)."""
     F, G, Fa, dN = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((10, 3))
     K = np.empty((10, 10, 3, 3))
     # Per node: G dN, the two Q dN and fibre dN.

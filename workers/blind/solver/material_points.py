@@ -1,4 +1,4 @@
-"""Put points on the true interfaces of a body, and follow them."""
+"""Material points on the true interfaces of a body."""
 
 from dataclasses import dataclass
 
@@ -22,17 +22,17 @@ NEAREST = 40  # elements tried for each point
 
 @dataclass(frozen=True, eq=False)
 class MaterialPoints:
-    """Hold k points that move with the tissue.
+    """Set of k points that move with the tissue.
 
     Parameters
     ----------
     points : ndarray, shape (k, 3)
-        In the undeformed body, in mm.
+        Positions in the undeformed body, in mm.
     interface : ndarray of int32, shape (k,)
         `OUTLINE` or `GLANDULAR`.
     nodes : ndarray of int32, shape (k, 10)
     weights : ndarray, shape (k, 10)
-        A displacement at a point is the weighted sum of those of its nodes.
+        The displacement at a point is the weighted sum of the displacements of its nodes.
     """
 
     points: FloatArray
@@ -41,7 +41,7 @@ class MaterialPoints:
     weights: FloatArray
 
     def moved(self, displacement_mm: FloatArray) -> FloatArray:
-        """Return the displacement (k, 3) from that of the nodes (n, 3)."""
+        """Return the displacement (k, 3) of the points, from nodal displacements (n, 3)."""
         return np.asarray(np.einsum("ka,kai->ki", self.weights, displacement_mm[self.nodes]))
 
 
@@ -54,7 +54,7 @@ def points_on(mesh: QuadraticMesh, labels: Volume, count: int, seed: int) -> Mat
     labels : Volume
         `Tissue` labels of the undeformed body.
     count : int
-        On each of the two; those outside of all elements, or within 4 mm of the chest wall,
+        Number on each of the two; points outside all elements, or within 4 mm of the chest wall,
         are left out.
     seed : int
     """

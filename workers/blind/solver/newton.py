@@ -1,4 +1,4 @@
-"""Find equilibria by Newton's method with a line search on the energy."""
+"""Newton's method with a line search on the energy."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,26 +15,26 @@ from palpate.workers.blind.solver.two_level_solver import (
     factorised_coarse_tangent,
 )
 
-FORCE_TOLERANCE = 2e-5  # of the plate's force, that may be out of balance
-EXACT_FRICTION_BELOW = 0.02  # of the force; from there on friction has its exact tangent
+FORCE_TOLERANCE = 2e-5  # share of the plate's force that may be out of balance
+EXACT_FRICTION_BELOW = 0.02  # share of the force below which friction has its exact tangent
 MAX_STEPS = 120
-ENERGY_SLACK = 1e-9  # of the energy, that rounding may add
+ENERGY_SLACK = 1e-9  # share of the energy that rounding may add
 
 
 class NoEquilibriumError(PalpateError):
-    """Say that Newton's method found no equilibrium."""
+    """Failure of Newton's method to find an equilibrium."""
 
 
 @dataclass(frozen=True, slots=True)
 class SolverEffort:
-    """Count Newton steps and iterations of conjugate gradients."""
+    """Number of Newton steps and of conjugate gradient iterations."""
 
     steps: int
     iterations: int
 
 
 def interpolation_of(system: System) -> csc_matrix:
-    """Return the matrix from corners to all nodes, (n, c)."""
+    """Return the interpolation matrix from corners to all nodes, (n, c)."""
     ends = system.topology.mesh.ends
     rows = np.repeat(np.arange(len(ends)), 2)
     shape = (len(ends), system.topology.mesh.corners)
@@ -42,7 +42,7 @@ def interpolation_of(system: System) -> csc_matrix:
 
 
 class Newton:
-    """Find equilibria, keeping the coarse factor from one to the next.
+    """Equilibrium solver that reuses the coarse factorisation between solutions.
 
     Parameters
     ----------
@@ -61,15 +61,15 @@ class Newton:
     def equilibrium(
         self, state: State, force_n: float, tolerance: float = FORCE_TOLERANCE
     ) -> tuple[State, SolverEffort]:
-        """Find the state of rest under a force, from a state near it.
+        """Find the equilibrium under a force, from a state near it.
 
         Parameters
         ----------
         state : State
         force_n : float
-            That closes the plates.
+            Force that closes the plates.
         tolerance : float
-            Part of that force that may be out of balance.
+            Share of that force that may be out of balance.
 
         Returns
         -------
@@ -78,7 +78,7 @@ class Newton:
         Raises
         ------
         NoEquilibriumError
-            If it is not found.
+            If there is no convergence.
         """
         system = self.system
         total = 0
@@ -96,13 +96,13 @@ class Newton:
             total += solved.iterations
             moved = self._searched(state, State(solved.u, solved.travel), force, force_n)
             if moved is None:
-                # A factor of an unstable state may point uphill; every node on its own does not.
+                # A factor of an unstable state may point uphill; nodal scaling does not.
                 self._factor = None
                 moved = self._searched(state, self._downhill(force, tangent), force, force_n)
             if moved is None:
                 break
             state = moved
-        # The factor of where this has ended up would mislead another try.
+        # A factor from this state would mislead another attempt.
         self._factor = None
         raise NoEquilibriumError(
             f"No equilibrium under {force_n:g} N: {size:.1e} of the force is out of balance "
@@ -126,7 +126,7 @@ class Newton:
         return solved
 
     def _downhill(self, force: State, tangent: Tangent) -> State:
-        """Return a step down the slope, scaled by the stiffness of each node."""
+        """Return a steepest-descent step, scaled by the stiffness of each node."""
         stiffness = np.abs(tangent.blocks[self._diagonal]).sum(axis=2)
         return State(-force.u / stiffness, -force.travel / max(tangent.corner, 1.0))
 

@@ -1,4 +1,4 @@
-r"""Make quadratic tetrahedra from linear ones, and say where they are integrated.
+r"""Quadratic tetrahedra made from linear ones, and their integration points.
 
 With barycentric coordinates L the ten shape functions are
 
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from palpate.storage.values import FloatArray, IntArray
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
-"""Corners of the edge on which each of the nodes 4 to 9 of a tetrahedron lies."""
+"""Corners of the edges with the nodes 4 to 9 of a tetrahedron."""
 
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-"""Corners of the faces, seen from outside against the clock."""
+"""Corners of the faces, counter-clockwise seen from outside."""
 
 FACE_EDGES = np.array([[0, 1], [1, 2], [2, 0]])
 
@@ -39,19 +39,19 @@ FACE_WEIGHTS = np.repeat([0.223381589678011, 0.109951743655322], 3)
 
 @dataclass(frozen=True, eq=False)
 class QuadraticMesh:
-    """Hold tetrahedra of ten nodes.
+    """Mesh of tetrahedra with ten nodes.
 
     Parameters
     ----------
     nodes : ndarray, shape (n, 3)
-        In mm; the corners come first, then the middles of the edges.
+        Positions in mm; the corners come first, then the mid-edge nodes.
     cells : ndarray of int32, shape (m, 10)
-        Four corners, then the middles in the order of `EDGES`.
+        Four corners, then the mid-edge nodes in the order of `EDGES`.
     ends : ndarray of int32, shape (n, 2)
-        The two corners that each node lies between; a corner is both itself.
+        The two corners next to each node; for a corner, itself twice.
     skin, wall : ndarray of int32, shape (k, 6)
-        Faces of the free surface and of the chest wall: three corners against the clock
-        from outside, then the middles in the order of `FACE_EDGES`.
+        Faces of the free surface and of the chest wall: three corners, counter-clockwise
+        seen from outside, then the mid-edge nodes in the order of `FACE_EDGES`.
     """
 
     nodes: FloatArray
@@ -67,7 +67,7 @@ class QuadraticMesh:
 
 
 def quadratic(nodes: FloatArray, tets: IntArray, wall_z_mm: float) -> QuadraticMesh:
-    """Put a node in the middle of every edge.
+    """Add a node at the midpoint of every edge.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def quadratic(nodes: FloatArray, tets: IntArray, wall_z_mm: float) -> QuadraticM
     tets : ndarray of int, shape (m, 4)
         Positively oriented.
     wall_z_mm : float
-        Faces in this plane are the wall; all others are free.
+        Faces in this plane form the wall; all others are free.
     """
     count = len(nodes)
     pairs = np.sort(tets[:, EDGES].reshape(-1, 2), axis=1)
@@ -100,7 +100,7 @@ def quadratic(nodes: FloatArray, tets: IntArray, wall_z_mm: float) -> QuadraticM
 
 
 def _boundary(tets: IntArray) -> NDArray[np.int64]:
-    """Return the faces that one tetrahedron alone has, shape (k, 3)."""
+    """Return the faces that belong to a single tetrahedron, shape (k, 3)."""
     faces = tets[:, FACES].reshape(-1, 3).astype(np.int64)
     _, index, count = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
@@ -119,7 +119,7 @@ def gradients(mesh: QuadraticMesh) -> tuple[FloatArray, FloatArray]:
 
 
 def points_in_cells(mesh: QuadraticMesh) -> FloatArray:
-    """Return the places of the integration points, shape (m, 4, 3) in mm."""
+    """Return the positions of the integration points, shape (m, 4, 3) in mm."""
     return np.asarray(np.einsum("qa,mai->mqi", POINTS, mesh.nodes[mesh.cells[:, :4]]))
 
 

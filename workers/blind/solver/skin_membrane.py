@@ -1,9 +1,9 @@
-r"""Compute a skin as an incompressible neo-Hookean sheet on the six-node faces.
+r"""A skin: an incompressible neo-Hookean membrane on the six-node faces.
 
 .. math:: W = \frac{E t}{6} (\operatorname{tr} C + 1 / \det C - 3)
 
 per area, C the 2 x 2 Cauchy-Green tensor of the surface (G. A. Holzapfel, Nonlinear Solid
-Mechanics, 2000, section 6.5, in plane stress). It resists being pressed together as well.
+Mechanics, 2000, section 6.5, in plane stress). It resists compression as well.
 """
 
 from typing import NamedTuple
@@ -23,17 +23,17 @@ from palpate.workers.compile_flags import CONTRACTED
 
 
 class Sheet(NamedTuple):
-    """Hold faces with their shape in the undeformed body.
+    """Faces with their shape in the undeformed body.
 
     Parameters
     ----------
     faces : ndarray of int32, shape (k, 6)
     tangents : ndarray, shape (k, 3, 2)
-        Two right-angled directions in each face.
+        Two orthogonal directions in each face.
     slopes : ndarray, shape (k, 6, 6, 2)
         In-plane gradients of the six shape functions at the six points, in 1/mm.
     areas : ndarray, shape (k, 6)
-        Of the points, in mm^2.
+        Area of each point, in mm^2.
     stiffness : float
         E t / 6 in N/mm.
     """
@@ -46,7 +46,7 @@ class Sheet(NamedTuple):
 
 
 def sheet_of(mesh: QuadraticMesh, stiffness_n_per_mm: float) -> Sheet:
-    """Put a skin of stiffness E t on the free surface."""
+    """Return a skin of stiffness E t on the free surface."""
     x = mesh.nodes[mesh.skin[:, :3]]
     edges = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2)
     tangents, triangular = np.linalg.qr(edges)
@@ -70,7 +70,7 @@ def sheet_of(mesh: QuadraticMesh, stiffness_n_per_mm: float) -> Sheet:
 def _surface(
     sheet: Sheet, f: int, q: int, u: FloatArray, F: FloatArray
 ) -> tuple[float, float, float, float]:
-    """Fill the sheet's deformation gradient (3, 2); return c00, c11, c01 and det C."""
+    """Store the membrane's deformation gradient (3, 2); return c00, c11, c01 and det C."""
     for i in range(3):
         for k in range(2):
             F[i, k] = sheet.tangents[f, i, k]
@@ -84,7 +84,7 @@ def _surface(
 
 @njit(**CONTRACTED)
 def sheet_energy(sheet: Sheet, u: FloatArray) -> float:
-    """Return the energy in mJ; infinite where the sheet is pressed to nothing."""
+    """Return the energy in mJ; infinite if the membrane is inverted."""
     F = np.empty((3, 2))
     total = 0.0
     for f in range(len(sheet.faces)):

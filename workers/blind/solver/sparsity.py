@@ -1,4 +1,4 @@
-"""Find which blocks a tangent has, and the coarse blocks that each of them adds to."""
+"""Sparsity of a tangent, and the coarse blocks to which its blocks contribute."""
 
 from typing import NamedTuple
 
@@ -12,14 +12,14 @@ from palpate.workers.compile_flags import CONTRACTED
 
 
 class Pattern(NamedTuple):
-    """Hold blocks of 3 x 3 in compressed rows: starts (n + 1,), columns (b,), sorted."""
+    """Blocks of 3 x 3 in compressed rows: starts (n + 1,), columns (b,), sorted."""
 
     starts: IntArray
     columns: IntArray
 
 
 def pattern_of(cells: IntArray, count: int) -> Pattern:
-    """Find the blocks that elements with these nodes fill.
+    """Find the blocks filled by elements with these nodes.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def _slot(starts: IntArray, columns: IntArray, row: int, column: int) -> int:
 
 @njit(**CONTRACTED)
 def slots_of(cells: IntArray, starts: IntArray, columns: IntArray) -> IntArray:
-    """Return the number of the block of every pair of nodes of every element, (m, a, a) int32."""
+    """Return the block index of every pair of nodes of every element, (m, a, a) int32."""
     m, a = cells.shape
     out = np.empty((m, a, a), np.int32)
     for e in range(m):
@@ -61,15 +61,15 @@ def slots_of(cells: IntArray, starts: IntArray, columns: IntArray) -> IntArray:
 
 
 class Coarsening(NamedTuple):
-    """Hold the blocks of the corners, and where the blocks of all nodes go.
+    """Blocks of the corners, and the targets of the blocks of all nodes.
 
     Parameters
     ----------
     pattern : Pattern
-        Of the corners.
+        Pattern of the corners.
     targets : ndarray of int32, shape (b, 4)
-        A node in the middle of an edge moves with the mean of its ends: each block adds a
-        quarter of itself to four coarse ones.
+        A mid-edge node moves with the mean of its ends: each block adds a quarter of itself to
+        four coarse ones.
     """
 
     pattern: Pattern
@@ -94,7 +94,7 @@ def _targets(starts: IntArray, columns: IntArray, rows: IntArray, others: IntArr
 
 @njit(**CONTRACTED)
 def coarsened(targets: IntArray, fine: FloatArray, out: FloatArray) -> None:
-    """Fill Galerkin's product with the interpolation from the corners, `out` (c, 3, 3)."""
+    """Store the Galerkin product with the interpolation from the corners, `out` (c, 3, 3)."""
     out[:] = 0.0
     for b in range(len(targets)):
         for k in range(4):

@@ -1,4 +1,4 @@
-"""Sum all that acts on a body between plates: energy, out-of-balance force, tangent."""
+"""Sum of all contributions to a body between plates: energy, out-of-balance force, tangent."""
 
 from dataclasses import dataclass
 
@@ -38,7 +38,7 @@ GRAVITY_MM_PER_S2 = 9810.0
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """Hold what a mesh alone decides."""
+    """Data that depend on the mesh alone."""
 
     mesh: QuadraticMesh
     cells: Cells
@@ -65,16 +65,16 @@ def topology_of(mesh: QuadraticMesh) -> Topology:
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """Describe how the chest wall holds the body.
+    """Support of the body by the chest wall.
 
     Parameters
     ----------
     spring : ndarray, shape (k, 6, 3)
-        MPa/mm along x, y and z at the six points of every face of the wall.
+        Stiffness in MPa/mm along x, y and z at the six points of every face of the wall.
     held : bool
-        Whether nothing of it moves along z but by what it rises.
+        True if the wall does not move along z, except by its rise.
     rise_mm : ndarray, shape (n,), optional
-        How far it moves forward, and at other nodes a guess of what that moves.
+        Forward motion of the wall, and at other nodes an initial guess of the motion it causes.
     """
 
     spring: FloatArray
@@ -84,19 +84,19 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Hold displacement (n, 3) in mm and how far the plates have closed, in mm."""
+    """Displacement (n, 3) in mm and travel of the plates, in mm."""
 
     u: FloatArray
     travel: float
 
     def plus(self, step: "State", fraction: float = 1.0) -> "State":
-        """Return the state moved on by part of a step."""
+        """Return the state advanced by a fraction of a step."""
         return State(self.u + fraction * step.u, self.travel + fraction * step.travel)
 
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """Hold blocks (b, 3, 3), the mixed derivative by the travel (n, 3) and the second one by it."""
+    """Blocks (b, 3, 3), and mixed (n, 3) and second derivatives by the travel."""
 
     blocks: FloatArray
     border: FloatArray
@@ -104,7 +104,7 @@ class Tangent:
 
 
 class System:
-    """Combine a body, its materials and what acts on it; friction remembers its path.
+    """A body with its materials and loads; friction depends on the loading path.
 
     Parameters
     ----------
@@ -114,13 +114,13 @@ class System:
     plates : tuple of Plate
         Lower and upper.
     friction : ndarray, shape (k, 6)
-        Coulomb's coefficient at the points of the skin.
+        Coulomb coefficient at the points of the skin.
     gravity_g : ndarray, shape (3,)
-        In multiples of that of the earth.
+        Gravity in multiples of standard gravity.
     sheet : Sheet, optional
         A skin.
     tether : ndarray, shape (k, 6), optional
-        Springs that hold the points of the skin along all axes, in MPa/mm.
+        Springs on the points of the skin along all axes, in MPa/mm.
     """
 
     def __init__(
@@ -155,18 +155,18 @@ class System:
 
     @property
     def has_friction(self) -> bool:
-        """Say whether there is any friction."""
+        """Return True if there is any friction."""
         return bool(self.skin.friction.any())
 
     def grow(self, part: float) -> None:
-        """Let the tissue have grown by a part of all its growth, from 0 to 1."""
+        """Apply a fraction of the tissue's growth, from 0 to 1."""
         growth = 1 + part * (self._grown.growth - 1)
         self.materials = self._grown._replace(growth=growth)
 
     def raised(self, state: State, part: float) -> State:
-        """Return the state with a part more of all that the chest wall rises.
+        """Return the state after a further fraction of the chest wall's rise.
 
-        What lies in front of it comes along as a start, the less the deeper it lies.
+        As an initial guess, material in front of the wall moves along, less the further away it is.
         """
         if self._rise_mm is None:
             return state
@@ -186,10 +186,10 @@ class System:
         return float(total)
 
     def linearised(self, state: State, force_n: float, exact: bool = True) -> tuple[State, Tangent]:
-        """Return the out-of-balance force, zero where nothing is free, and the tangent.
+        """Return the out-of-balance force, zero at fixed components, and the tangent.
 
-        Without `exact` friction has a stiffness above its tangent: far from the end it
-        leads there in longer steps.
+        Unless `exact`, friction has a stiffness above its tangent, which allows longer steps far
+        from the solution.
         """
         top, u, t = self.topology, state.u, state.travel
         force = self.spring_forces(u) - self.weight
@@ -217,12 +217,12 @@ class System:
             contact.renew_pressure(self.skin, plate, friction_state, state.u, state.travel)
 
     def end_step(self, state: State) -> None:
-        """Let friction remember this state."""
+        """Store this state as the new origin of friction."""
         for plate, friction_state in zip(self.plates, self.friction_states, strict=True):
             contact.update_friction_origin(self.skin, plate, friction_state, state.u)
 
     def spring_forces(self, u: FloatArray) -> FloatArray:
-        """Return the force of the nodes on the springs of wall and skin, (n, 3) in N."""
+        """Return the nodal forces on the springs of wall and skin, (n, 3) in N."""
         starts, columns = self.topology.pattern
         out = np.empty_like(u)
         block_product(starts, columns, self.springs, u, out)

@@ -1,8 +1,7 @@
-"""Solve a tangent with one unknown more, the travel of the plates, by conjugate gradients.
+"""Conjugate gradients for a tangent with one extra unknown, the travel of the plates.
 
-The preconditioner is one symmetric cycle of two levels: a sweep of block Gauss-Seidel over
-all nodes, the corners alone by a sparse factorisation, travel included, and the sweep
-backwards.
+The preconditioner is one symmetric two-level cycle: a sweep of block Gauss-Seidel over all
+nodes, a sparse direct solution on the corners, travel included, and the backward sweep.
 """
 
 from dataclasses import dataclass
@@ -68,7 +67,7 @@ def _relax(
 
 @dataclass(frozen=True, eq=False)
 class TwoLevel:
-    """Precondition a tangent by a symmetric cycle; the coarse factor may be of an earlier one."""
+    """Symmetric preconditioner of a tangent; the coarse factor may come from an earlier tangent."""
 
     pattern: Pattern
     blocks: FloatArray
@@ -101,13 +100,13 @@ def factorised_coarse_tangent(
     corner: float,
     interpolation: csc_matrix,
 ) -> Any:
-    """Return sparse factors of the corners' tangent with the travel."""
+    """Return the sparse factorisation of the corners' tangent with the travel."""
     starts, columns = coarsening.pattern
     coarse = np.empty((len(columns), 3, 3))
     coarsened(coarsening.targets, blocks, coarse)
     inner = bsr_matrix((coarse, columns, starts))
     edge = coo_array((interpolation.T @ border).reshape(-1, 1))
-    # A plate that touches nothing yet has no stiffness of its own.
+    # A plate without contact has no stiffness of its own.
     end = coo_array([[max(corner, 1e-6)]])
     whole = vstack([hstack([coo_array(inner), edge]), hstack([edge.T, end])]).tocsc()
     return splu(
@@ -117,7 +116,7 @@ def factorised_coarse_tangent(
 
 @dataclass(frozen=True, slots=True)
 class LinearSolution:
-    """Hold a step, the iterations it took and whether the tangent turned out indefinite."""
+    """A step, its number of iterations, and True if the tangent is indefinite."""
 
     u: FloatArray
     travel: float
@@ -133,10 +132,10 @@ def conjugate_gradients(
     tolerance: float,
     most: int = 400,
 ) -> LinearSolution:
-    """Solve for minus the out-of-balance force, to a part of it.
+    """Solve for minus the out-of-balance force, to a relative tolerance.
 
-    Where a direction of negative curvature turns up, the step so far is given, or the
-    first direction itself: both lead downhill.
+    At a direction of negative curvature the step so far is returned, or the first direction
+    itself: both are descent directions.
     """
     starts, columns = cycle.pattern
     x, t = np.zeros_like(force), 0.0

@@ -1,1 +1,1 @@
-"""Read images of real organs into volumes."""
+"""Images of real organs as volumes."""

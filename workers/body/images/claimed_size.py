@@ -1,4 +1,4 @@
-"""Limits on the size that the header of an image claims, checked before memory is allocated."""
+"""Limits on the image size in a header, checked before memory is allocated."""
 
 import os
 import resource
@@ -12,7 +12,7 @@ from palpate.storage.errors import InputError
 LARGEST_BYTES = 2**30
 """Largest voxel array of an image, in bytes."""
 COPIES = 4
-"""Voxel arrays that reading and checking an image may hold at once."""
+"""Number of voxel arrays that reading and checking an image may hold at once."""
 DEFLATE, BZIP2 = 1040, 50_000
 """Largest ratio between expanded and compressed size, rounded up."""
 SLACK_BYTES = 2**16
@@ -28,7 +28,7 @@ def claimed_bytes(shape: Iterable[int], bytes_each: float, what: str) -> int:
     bytes_each : float
         Size of one element.
     what : str
-        How to name the image in messages.
+        Name of the image in messages.
 
     Returns
     -------
@@ -56,18 +56,18 @@ def claimed_bytes(shape: Iterable[int], bytes_each: float, what: str) -> int:
 
 
 def check_stored(size: int, held: int, ratio: float, what: str) -> None:
-    """Raise InputError if a file holds too little for the array that its header describes.
+    """Raise InputError if a file is too small for the array that its header describes.
 
     Parameters
     ----------
     size : int
         Bytes of the array.
     held : int
-        Bytes of the file that hold it.
+        Bytes of its data in the file.
     ratio : float
-        How often the data can be larger than the file: 1 without compression.
+        Largest ratio of the data to the file: 1 without compression.
     what : str
-        How to name the image in messages.
+        Name of the image in messages.
     """
     if size > ratio * held + (SLACK_BYTES if ratio > 1 else 0):
         raise InputError(
@@ -78,12 +78,12 @@ def check_stored(size: int, held: int, ratio: float, what: str) -> None:
 
 @cache
 def memory_bytes() -> int:
-    """Return the memory that this process may use: of the machine, its container, its limits."""
+    """Return the memory available to this process, given its machine, container and limits."""
     limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     for path in map(Path, _CGROUPS):
         try:
             limits.append(int(path.read_text()))
-        except (OSError, ValueError):  # there is no container, or no limit
+        except (OSError, ValueError):  # no container, or no limit
             continue
     for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA):
         soft, _ = resource.getrlimit(kind)

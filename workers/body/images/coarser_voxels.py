@@ -1,4 +1,4 @@
-"""Samples label volumes on coarser lattices."""
+"""Label volumes on coarser lattices."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from palpate.workers.body.images.labels import resample_labels
 def in_coarser_voxels(volume: Volume, spacing_mm: float) -> Volume:
     """Return a volume on a lattice of this spacing over the same box, by nearest voxels.
 
-    The volume itself where its voxels are as large, or nearly.
+    The volume itself is returned if its voxels are (almost) as large.
     """
     if max(volume.spacing_mm) > spacing_mm * (1 - 1e-6):
         return volume

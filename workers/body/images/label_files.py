@@ -1,4 +1,4 @@
-"""Files that name the labels of an image.
+"""Files with names of the labels of an image.
 
 ======================  ===========================================================
 ``.txt`` ``.label``     ITK-SNAP: ``IDX R G B A VIS MESH "NAME"``
@@ -27,7 +27,7 @@ def read_label_file(path: Path) -> dict[int, str]:
     Raises
     ------
     InputError
-        If the file cannot be read, or is of none of the known forms.
+        If the file cannot be read, or has an unknown format.
     """
     try:
         text = read_text(path)

@@ -1,4 +1,4 @@
-"""Maps from labels to tissues as a user writes them: in YAML, JSON or an option."""
+"""Maps from labels to tissues, as users write them in YAML, JSON or an option."""
 
 import re
 from collections.abc import Mapping
@@ -11,14 +11,14 @@ FORMS = "such as {0: air, 1: fat}, by name such as {Adipose: fat}, or a file tha
 
 
 def label_map(given: Any) -> Any:
-    """Return a map from numbers or names of labels to names of tissues, or a path as it is.
+    """Return a map from numbers or names of labels to names of tissues; a path is unchanged.
 
-    Numbers may be written as text, as JSON has keys.
+    Numbers may be strings, as keys are in JSON.
 
     Raises
     ------
     ValueError
-        If it is none of that, or names a label twice.
+        If it is invalid, or names a label twice.
     """
     if given is None or isinstance(given, str):
         return given

@@ -1,4 +1,4 @@
-"""Name the labels of an image as tissues, and find the boxes that they fill."""
+"""Labels of an image as tissues, and their bounding boxes."""
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,13 +12,13 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
 
 _TABLE = 1 << 16
-"""Widest range of labels that is counted and renamed through a table."""
+"""Widest range of labels that is counted and renamed with a table."""
 
 
 def label_counts(volume: Volume) -> dict[int, int]:
-    """Count the voxels of each label, by rising label."""
+    """Count the voxels of each label, in ascending order."""
     counts: dict[int, int] = {}
-    for part in volume.values:  # by slices: a table of indices for the whole would not fit
+    for part in volume.values:  # by slices: an index table of the whole would not fit in memory
         low, high = int(part.min()), int(part.max())
         if high - low < _TABLE:
             histogram = np.bincount((part.astype(np.int64) - low).ravel())
@@ -32,14 +32,14 @@ def label_counts(volume: Volume) -> dict[int, int]:
 
 
 def relabel(volume: Volume, label_map: Mapping[int, Tissue | str]) -> Volume:
-    """Turn the labels of an image into tissues.
+    """Convert the labels of an image to tissues.
 
     Parameters
     ----------
     volume : Volume
-        Integer labels, of any meaning.
+        Integer labels with any meaning.
     label_map : mapping of int to Tissue or str
-        Names are those of `Tissue` in any case: ``{0: "air", 1: "fat", 2: "glandular"}``.
+        Names of `Tissue` in any case: ``{0: "air", 1: "fat", 2: "glandular"}``.
         Several labels may become one tissue.
 
     Returns
@@ -50,8 +50,8 @@ def relabel(volume: Volume, label_map: Mapping[int, Tissue | str]) -> Volume:
     Raises
     ------
     InputError
-        If a name is no tissue, the map names a label that the volume does not have,
-        or the volume has a label that the map does not name.
+        If a name is not a tissue, the map names a label that the volume does not have,
+        or lacks a label of the volume.
     """
     wanted = {_label(label): tissue_named(name) for label, name in label_map.items()}
     counts = label_counts(volume)
@@ -97,12 +97,12 @@ def _renamed(volume: Volume, wanted: Mapping[int, Tissue]) -> Volume:
 
 
 def tissue_named(name: Tissue | str | int) -> Tissue:
-    """Return the tissue of a name in any case, or of its number.
+    """Return the tissue with this name, in any case, or number.
 
     Raises
     ------
     InputError
-        With the nearest name when there is one.
+        If it is unknown; the closest name is suggested.
     """
     tissue = _known_tissue(name)
     if tissue is None:
@@ -120,32 +120,32 @@ def _known_tissue(name: Tissue | str | int) -> Tissue | None:
 
 
 def default_map(volume: Volume) -> dict[int, Tissue]:
-    """Return the map for a volume whose labels are those of `Tissue` already.
+    """Return the map of a volume whose labels are already those of `Tissue`.
 
     Raises
     ------
     InputError
-        If a label is none of `Tissue`, so that only the user can know what it is.
+        If a label is not in `Tissue`, so that its meaning is unknown.
     """
     counts = label_counts(volume)
     strange = {label: count for label, count in counts.items() if _known_tissue(label) is None}
     if strange:
         raise InputError(
             f"The volume has labels that are no tissue's number: {_listed(strange)}. "
-            f"Say what each is: labels: {_written(_suggestion(counts, {}))}"
+            f"Name the tissue of each: labels: {_written(_suggestion(counts, {}))}"
         )
     return {label: Tissue(label) for label in counts}
 
 
 class Box(TypedDict):
-    """Hold the lower and upper corner (x, y, z) of a box, in mm."""
+    """The lower and upper corner (x, y, z) of a box, in mm."""
 
     lower: list[float]
     upper: list[float]
 
 
 class LabelShare(TypedDict):
-    """Hold how much of a volume carries a label, and its tissue where that is known."""
+    """Amount of a volume with a label, and its tissue if known."""
 
     tissue: NotRequired[str]
     voxels: int
@@ -153,7 +153,7 @@ class LabelShare(TypedDict):
 
 
 class LabelSummary(TypedDict):
-    """Hold what a volume is made of, see `summarise`."""
+    """Contents of a volume, see `summarise`."""
 
     shape: list[int]
     spacing_mm: list[float]
@@ -164,21 +164,21 @@ class LabelSummary(TypedDict):
 
 
 def summarise(volume: Volume, *, named: bool = False) -> LabelSummary:
-    """Describe what a volume holds, ready for JSON.
+    """Summarise the contents of a volume, ready for JSON.
 
     Parameters
     ----------
     volume : Volume
         Integer labels.
     named : bool, optional
-        Whether the labels are those of `Tissue`; each then carries its ``tissue``.
+        True if the labels are those of `Tissue`; each then has its ``tissue``.
 
     Returns
     -------
     LabelSummary
         ``shape`` (nx, ny, nz), ``spacing_mm``, ``origin_mm``; ``box_mm`` with the
-        ``lower`` and ``upper`` faces of the outermost voxels, ``body_mm`` the same of
-        the voxels that are not 0 (None when all are); ``labels`` by label (as text):
+        ``lower`` and ``upper`` faces of the outermost voxels, ``body_mm`` the same for
+        the voxels that are not 0 (None if all are); ``labels`` by label (as text):
         ``voxels`` and ``ml``.
     """
     lower, upper = np.zeros(3, dtype=np.intp), np.array(volume.shape_xyz)
@@ -206,9 +206,9 @@ def crop_to_body(volume: Volume, margin_voxels: int = 1) -> Volume:
     """Crop to the tight box around all voxels that are not air (0).
 
     The body was cut from the patient at the chest wall, the low end of z. That face
-    of it stays the first slice of the box: no margin is left below it, whatever
+    stays the first slice of the box: no margin is left below it, whatever
     `margin_voxels`, so that air never comes between body and wall. On the five other
-    sides up to `margin_voxels` of the volume's own voxels are kept; none are made up
+    sides up to `margin_voxels` of the volume's own voxels are kept; none are added
     where the body reaches the edge of the image.
 
     Parameters
@@ -232,8 +232,8 @@ def crop_to_body(volume: Volume, margin_voxels: int = 1) -> Volume:
     box = _extent(volume.values)
     if box is None:
         raise InputError(
-            "The volume is all air (0): there is no body in it. Check the label map; only the "
-            "outside of the body may be air."
+            "The volume is all air (0), without a body. Check the label map; only the outside of "
+            "the body may be air."
         )
     lower = np.maximum(box[0] - [margin_voxels, margin_voxels, 0], 0)
     upper = np.minimum(box[1] + margin_voxels, volume.shape_xyz)
@@ -246,9 +246,9 @@ def crop_to_body(volume: Volume, margin_voxels: int = 1) -> Volume:
 def resample_labels(volume: Volume, like: Volume) -> Volume:
     """Sample labels on the grid of another volume, by nearest neighbour in world coordinates.
 
-    Every voxel of `like` takes the label of the voxel of `volume` that its centre lies
-    in (on a common face, the one at higher coordinates); centres outside take AIR.
-    Coarsening this way samples and does not vote.
+    Every voxel of `like` gets the label of the voxel of `volume` that contains its centre
+    (on a common face, the one at higher coordinates); centres outside get AIR.
+    Coarsening this way is sampling, not a majority vote.
 
     Returns
     -------
@@ -292,7 +292,7 @@ def _faces(volume: Volume, lower: NDArray[np.intp], upper: NDArray[np.intp]) -> 
 
 
 _LISTED = 12
-"""Labels named in a message before the rest is only counted."""
+"""Number of labels listed in a message; the rest is only counted."""
 
 
 def _suggestion(counts: Iterable[int], wanted: Mapping[int, Tissue]) -> Iterator[tuple[int, str]]:

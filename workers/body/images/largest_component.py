@@ -1,4 +1,4 @@
-"""Keep one body in air of a label volume: no specks beside it, no holes in it."""
+"""A single connected body without holes, surrounded by air."""
 
 from dataclasses import replace
 
@@ -8,22 +8,22 @@ from scipy.ndimage import label
 from palpate.storage.values import BoolArray, Tissue, Volume
 from palpate.workers.body.images.labels import crop_to_body
 
-# Around the body: more than an interface is blurred by.
+# Width of the added air, larger than the blur of an interface.
 AIR_VOXELS = 4
 
 
 def one_body(labels: Volume, filling: Tissue = Tissue.FAT) -> Volume:
     """Keep the largest connected piece of tissue and fill its enclosed air.
 
-    Air inside of a breast and tissue beside it are errors of a segmentation; each would
-    be an interface that the other scans of the body do not have.
+    Air inside a breast and tissue outside it are segmentation errors; each would
+    be an interface that the other scans of the body lack.
 
     Parameters
     ----------
     labels : Volume
         `Tissue` labels.
     filling : Tissue
-        What enclosed air becomes.
+        Tissue that replaces enclosed air.
 
     Returns
     -------
@@ -35,7 +35,7 @@ def one_body(labels: Volume, filling: Tissue = Tissue.FAT) -> Volume:
     body = tissue
     if count > 1:
         body = pieces == int(np.argmax(np.bincount(pieces[tissue])))
-    # Holes open to the chest wall, where the scan was cut, stay.
+    # Holes open to the chest wall, where the scan was cut, are kept.
     whole = _filled(body)
     if count <= 1 and np.array_equal(whole, tissue):
         return labels
@@ -45,16 +45,16 @@ def one_body(labels: Volume, filling: Tissue = Tissue.FAT) -> Volume:
 
 
 def _filled(body: BoolArray) -> BoolArray:
-    """Return the body with the air that no way through faces leads out of."""
+    """Return the body with all air that is not connected to the outside by faces."""
     # Four times as fast as `binary_fill_holes`, which dilates the outside step by step.
     pieces, _ = label(np.pad(~body, 1, constant_values=True))
     return np.asarray(pieces[1:-1, 1:-1, 1:-1] != pieces[0, 0, 0])
 
 
 def in_air(labels: Volume) -> Volume:
-    """Put the body in a box with air around it, except below the chest wall, where it is cut.
+    """Return the body in a box with air around it, except at the chest wall, where it is cut.
 
-    A volume may end where the body touches a plate; its surface there is no cut.
+    A volume may end where the body touches a plate; its surface there is not a cut.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Tissues of the labels of an image, from the names in its file and what the user states."""
+"""Tissues of the labels of an image, from the names in its file and the user's map."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,16 +25,16 @@ NEEDED = (Tissue.FAT, Tissue.GLANDULAR)
 
 @dataclass(frozen=True, eq=False)
 class TissueImage:
-    """An image as tissues, and how its labels were understood.
+    """An image as tissues, and the meaning of its labels.
 
     Parameters
     ----------
     volume : Volume
         `Tissue` labels, cropped to the body.
     tissues : mapping of int to Tissue
-        Of every label in the file.
+        Tissue of every label in the file.
     image : LabelImage
-        The file as it was read.
+        The original image.
     """
 
     volume: Volume
@@ -71,14 +71,14 @@ def read_tissues(
 def label_tissues(image: LabelImage, stated: LabelMap | str | None) -> dict[int, Tissue]:
     """Return the tissue of every label in an image.
 
-    Numbers alone are never taken for those of `Tissue` if the file has names.
+    Numbers alone are never interpreted as those of `Tissue` if the file has names.
 
     Parameters
     ----------
     image : LabelImage
     stated : mapping, str or None
-        Tissues by number or name of a label, or the path of a file that names labels. None: by the
-        names in the image, or, without any, the numbers of `Tissue`.
+        Tissues by number or name of a label, or the path of a file with names of labels. None:
+        use the names in the image, or, without any, the numbers of `Tissue`.
 
     Raises
     ------
@@ -125,15 +125,15 @@ def _named_by_file(image: LabelImage, path: Path) -> dict[int, str]:
 
 
 def _by_number(image: LabelImage, stated: LabelMap | None) -> dict[int, Tissue]:
-    """Return tissues of an image without names."""
+    """Return the tissues of an image without names."""
     if stated is None:
         return default_map(image.volume)
     words = [key for key in stated if isinstance(key, str)]
     if words:
         raise InputError(
-            f"{image.where} has no names of labels, so it is unknown which one is {words[0]!r}. "
-            f"Give numbers; it has {', '.join(map(str, label_counts(image.volume)))}. Or give a "
-            "file that names them, such as a label description file of ITK-SNAP."
+            f"{image.where} has no names of labels, so {words[0]!r} is unknown. Give numbers; it "
+            f"has {', '.join(map(str, label_counts(image.volume)))}. Or give a file that names "
+            "them, such as a label description file of ITK-SNAP."
         )
     return {int(label): tissue_named(tissue) for label, tissue in stated.items()}
 
@@ -197,7 +197,7 @@ def _refuse_unknown(
     counts: Mapping[int, int],
     unknown: list[int],
 ) -> None:
-    """Raise InputError with a map to be completed."""
+    """Raise InputError with a map to complete."""
     listed = ", ".join(
         f"{names[k]!r} (label {k})" if k in names else f"label {k}, which has no name"
         for k in unknown
@@ -223,7 +223,7 @@ def _refuse_missing(
     by_user: Mapping[int, Tissue],
     found: Mapping[int, Tissue],
 ) -> None:
-    """Raise InputError if a tissue that is needed has no voxel."""
+    """Raise InputError if a required tissue has no voxel."""
     for tissue in NEEDED:
         if tissue not in found.values():
             empty = [

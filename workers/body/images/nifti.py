@@ -1,10 +1,10 @@
-"""Read NIfTI-1 and NIfTI-2, with nibabel.
+"""NIfTI-1 and NIfTI-2 files, read with nibabel.
 
-The file's frame is RAS and is brought to LPS. The sform is taken when the file
+The file's frame is RAS and is converted to LPS. The sform is used if the file
 has one, else the qform; see `workers.body.images.nifti_forms` for files whose
-forms contradict each other. With neither the standard attaches no orientation
+forms contradict each other. With neither, the standard defines no orientation
 (nifti1.h, "method 1"): the index axes are then x, y, z at the given ``pixdim``,
-and the place is unknown.
+and the position is unknown.
 
 Names of labels are read from a header extension with a ``LabelTable``, as
 TotalSegmentator and Connectome Workbench write it.
@@ -29,20 +29,20 @@ from palpate.workers.body.images.nifti_forms import check_forms
 from palpate.workers.body.images.scan import RAS_TO_LPS, Scan
 
 _UNIT_MM = {0: 1.0, 1: 1e3, 2: 1.0, 3: 1e-3}
-"""Millimetres in the unit of a code of ``xyzt_units``: unknown, metre, millimetre, micrometre."""
+"""Millimetres per unit of a code in ``xyzt_units``: unknown, metre, millimetre, micrometre."""
 _NAMED = re.compile(
     r"""<Label\s[^>]*?Key=["'](-?\d+)["'][^>]*>\s*(?:<!\[CDATA\[(.*?)\]\]>|([^<]*))""", re.DOTALL
 )
 HEADER_BYTES = 16 * 2**20
-"""Most bytes before the voxels: the header and its extensions."""
+"""Largest number of bytes before the voxels: the header and its extensions."""
 _REFUSE = 40
-"""Severity from which nibabel's header checks raise."""
+"""Severity from which nibabel's header checks raise errors."""
 
 
 def read_nifti(path: Path) -> Scan:
     """Read a ``.nii`` or ``.nii.gz`` file."""
     header = _header(path)
-    # Seen before nibabel's checks, which would quietly turn a zero or negative pixdim into 1.
+    # Read before nibabel's checks, which silently change a zero or negative pixdim to 1.
     pixdim = np.array(header["pixdim"][1:4], dtype=float)
     bad = ~(np.isfinite(pixdim) & (pixdim > 0))
     header["pixdim"][1:4][bad] = 1.0
@@ -63,7 +63,7 @@ def read_nifti(path: Path) -> Scan:
 
 
 def _check_size(path: Path, header: Any) -> None:
-    """Raise InputError if a header states more voxels than the file or the memory can hold."""
+    """Raise InputError if a header describes more voxels than the file or the memory can hold."""
     offset = int(header["vox_offset"])
     if not 0 <= offset <= HEADER_BYTES:
         raise InputError(

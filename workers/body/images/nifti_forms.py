@@ -1,9 +1,9 @@
-"""Checks whether the places that a NIfTI file states agree.
+"""Consistency checks of the geometry in a NIfTI file.
 
-A file can state its voxels three times: ``sform`` (an affine), ``qform`` (a rotation)
-and ``pixdim`` (spacings alone, which the qform uses). Their spacings must agree, and
-sform and qform must not mirror or exchange axes. Forms with one code are in the same
-space, where they must put every voxel at the same place; forms of different codes,
+A file can give its geometry three times: ``sform`` (an affine), ``qform`` (a rotation)
+and ``pixdim`` (only spacings, which the qform uses). Their spacings must agree, and
+sform and qform must not mirror or exchange axes. Forms with the same code are in the same
+space, where they must give every voxel the same position; forms with different codes,
 such as scanner and template, may differ by a motion.
 """
 
@@ -16,7 +16,7 @@ from palpate.storage.values import FloatArray
 from palpate.workers.body.images.scan import SPACING_TOLERANCE
 
 PLACE_TOLERANCE = 0.5
-"""Distance of one voxel's two places that is rounding, in voxels."""
+"""Distance between the two positions of a voxel that is attributed to rounding, in voxels."""
 
 
 def check_forms(header: Any, pixdim_mm: FloatArray, unit_mm: float, what: str) -> None:
@@ -26,11 +26,11 @@ def check_forms(header: Any, pixdim_mm: FloatArray, unit_mm: float, what: str) -
     ----------
     header : nibabel.Nifti1Header or Nifti2Header
     pixdim_mm : ndarray, shape (3,)
-        Spacing of the header; NaN where it states none.
+        Spacing in the header; NaN if it has none.
     unit_mm : float
         Length of the file's unit.
     what : str
-        How to name the image in messages.
+        Name of the image in messages.
     """
     if header["sform_code"] == 0:
         return
@@ -38,7 +38,7 @@ def check_forms(header: Any, pixdim_mm: FloatArray, unit_mm: float, what: str) -
     steps = np.linalg.norm(sform[:3, :3], axis=0)
     known = np.isfinite(pixdim_mm)
     if not (np.all(np.isfinite(sform)) and np.all(steps > 0)):
-        return  # it states no spacing, which has a message of its own
+        return  # no spacing, which has its own error message
     if np.any(np.abs(steps - pixdim_mm)[known] > SPACING_TOLERANCE * pixdim_mm[known]):
         other = "qform and pixdim" if header["qform_code"] else "pixdim"
         raise InputError(
@@ -51,7 +51,7 @@ def check_forms(header: Any, pixdim_mm: FloatArray, unit_mm: float, what: str) -
 
 
 def _compare(sform: FloatArray, qform: FloatArray, header: Any, what: str) -> None:
-    """Raise InputError if two affines turn, mirror or, in one space, move the image apart."""
+    """Raise InputError if two affines turn, mirror or, in the same space, shift the image."""
     advice = "Find out which one is right, and save the image with that one as both forms."
     cosines = np.sum(_unit(sform) * _unit(qform), axis=0)
     if cosines.min() < np.sqrt(0.5):

@@ -1,12 +1,12 @@
-"""Read NRRD; `workers.body.images.nrrd_header` reads the file itself.
+"""NRRD images; `workers.body.images.nrrd_header` reads the file itself.
 
-The header's ``space`` names the frame; LPS, RAS and LAS are brought to LPS.
+The header's ``space`` names the frame; LPS, RAS and LAS are converted to LPS.
 Spaces without anatomy (``scanner-xyz``, ``3D-right-handed``, ``space dimension:
-3`` or none) are taken as they are. Without ``space directions`` the index axes
-are x, y, z at the header's ``spacings``, and the place is unknown; a header that
-then states an origin all the same is refused.
+3`` or none) are used unchanged. Without ``space directions`` the index axes
+are x, y, z at the header's ``spacings``, and the position is unknown; a header that
+nevertheless has an origin is refused.
 
-Names of labels are those of 3D Slicer's segmentations (``.seg.nrrd``).
+Names of labels follow 3D Slicer's segmentations (``.seg.nrrd``).
 """
 
 import re
@@ -37,12 +37,12 @@ _FRAMES: dict[str, FloatArray] = {
 _ANATOMICAL = {name for name in _FRAMES if name.startswith(("left", "right", "lps", "ras", "las"))}
 _SEGMENT = re.compile(r"Segment(\d+)_(Name|ID|LabelValue|Layer)")
 FRAME_KEY, PLACE_KEY = "palpate_frame_uid", "palpate_place_known"
-"""Keys in which `service.export` writes what NRRD has no field for."""
+"""Keys used by `service.export` for data without an NRRD field."""
 _UNIT_MM = {"": 1.0, "mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "µm": 1e-3, "micron": 1e-3}
 
 
 def read_nrrd(path: Path) -> Scan:
-    """Read an ``.nrrd`` file, or ``.nhdr`` with its data beside it."""
+    """Read an ``.nrrd`` file, or ``.nhdr`` with a separate data file."""
     what = str(path)
     values, header = read_nrrd_file(path)
     segments = _segments(header)
@@ -64,9 +64,9 @@ def _without_directions(values: NDArray[Any], header: Mapping[str, Any], what: s
     given = [key for key in ("space origin", "axis mins", "axis maxs") if key in header]
     if given:
         raise InputError(
-            f"{what} has {' and '.join(given)} but no space directions, so the place of its voxels "
-            "is ambiguous. Save it with space directions (3D Slicer and ITK always do), or take "
-            f"{' and '.join(given)} out of the header."
+            f"{what} has {' and '.join(given)} but no space directions, so the position of its "
+            "voxels is ambiguous. Save it with space directions (3D Slicer and ITK always do), or "
+            f"remove {' and '.join(given)} from the header."
         )
     sizes = values.shape
     spacing = np.asarray(header.get("spacings", np.full(len(sizes), np.nan)), dtype=float)
@@ -108,7 +108,7 @@ def _listed(lengths: FloatArray) -> str:
 
 
 def _segments(header: Mapping[str, Any]) -> dict[int, dict[str, str]]:
-    """Return the fields of each segment of a ``.seg.nrrd``, by its number."""
+    """Return the fields of each segment of a ``.seg.nrrd``, by segment number."""
     segments: dict[int, dict[str, str]] = {}
     for key, value in header.items():
         if match := _SEGMENT.fullmatch(key):
@@ -152,7 +152,7 @@ def _names(segments: Mapping[int, Mapping[str, str]], what: str) -> dict[int, st
 def _spatial_axes(
     steps: FloatArray, header: dict[str, Any], shape: tuple[int, ...], what: str
 ) -> list[int]:
-    """Return the three axes that lie in space; one without a direction must have one voxel."""
+    """Return the three spatial axes; an axis without a direction must have one voxel."""
     if steps.shape != (len(shape), 3):
         raise InputError(
             f"{what} is not a 3-D image: it has {len(shape)} axes of sizes {shape} in a space of "
@@ -161,7 +161,7 @@ def _spatial_axes(
     kinds = header.get("kinds", ["domain"] * len(shape))
     spatial = [axis for axis, kind in enumerate(kinds) if kind in ("domain", "space", "???")]
     if len(shape) == 3 and len(spatial) == 3:
-        return spatial  # one that has no direction after all is a spacing to ask for
+        return spatial  # a missing direction becomes a spacing to ask for
     spatial = [axis for axis in spatial if not np.isnan(steps[axis]).all()]
     others = [size for axis, size in enumerate(shape) if axis not in spatial]
     if len(spatial) != 3 or any(size != 1 for size in others):

@@ -1,8 +1,8 @@
-"""Read a NRRD file as one array: its header line by line, then the voxels, and no more.
+"""Reading of an NRRD file: its header line by line, then the voxels, and no more.
 
-Which fields exist is decided here (http://teem.sourceforge.net/nrrd/format.html); pynrrd only
-parses their values. The voxels are in the file itself. A header alone, with the suffix
-``.nhdr``, names the file that holds them; in any other file the field ``data file`` is refused.
+The known fields are listed here (http://teem.sourceforge.net/nrrd/format.html); pynrrd only
+parses their values. The voxels are in the file itself. A separate header, with the suffix
+``.nhdr``, names the file with the voxels; in any other file the field ``data file`` is refused.
 """
 
 import bz2
@@ -56,13 +56,13 @@ _GZIP, _BZIP2, _TEXT = ("gzip", "gz"), ("bzip2", "bz2"), ("ascii", "text", "txt"
 
 
 def read_nrrd_file(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
-    """Return the voxels of a NRRD file, by index axis, and its header.
+    """Return the voxels of an NRRD file, by index axis, and its header.
 
     Raises
     ------
     InputError
         If a field is unknown, the file names another one without being a ``.nhdr``, or its
-        voxels are not what the header states.
+        voxels do not match its header.
     """
     with path.open("rb") as file:
         header = _header(path, file)
@@ -78,13 +78,13 @@ def read_nrrd_file(path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
 
 
 def check_attached(path: Path, what: str) -> None:
-    """Raise InputError if a file is no NRRD, or names another one for its voxels.
+    """Raise InputError if a file is not NRRD, or names another file for its voxels.
 
     Parameters
     ----------
     path : Path
     what : str
-        How to name the file in messages.
+        Name of the file in messages.
     """
     with reading(what, "NRRD"), path.open("rb") as file:
         name = _header(Path(what), file).get(DATA_FILE)
@@ -100,7 +100,7 @@ def _refuse_other_file(what: str, name: str) -> NoReturn:
 
 
 def _header(path: Path, file: BinaryIO) -> dict[str, Any]:
-    """Return fields with parsed values and keys with texts; leave `file` behind the header."""
+    """Return fields with parsed values and keys with text; leave `file` after the header."""
     magic = file.readline(64)
     if not MAGIC.fullmatch(magic):
         raise ValueError("it does not begin with NRRD and a version from 1 to 5")
@@ -127,7 +127,7 @@ def _header(path: Path, file: BinaryIO) -> dict[str, Any]:
 
 
 def _field(key: str) -> str | None:
-    """Return the field that a key is in any spelling; None if there is no such field."""
+    """Return the field for any spelling of a key; None if there is no such field."""
     return _WITHOUT_BLANKS.get("".join(key.split()).lower())
 
 
@@ -164,7 +164,7 @@ def _voxels(path: Path, file: BinaryIO, header: dict[str, Any]) -> NDArray[Any]:
         values = np.frombuffer(_expanded(path, file, encoding, size, skip, held), dtype)
     if values.size * dtype.itemsize != size:
         raise InputError(
-            f"{path} holds {values.size} voxels, but its header states {size // dtype.itemsize}. "
+            f"{path} has {values.size} voxels, but its header states {size // dtype.itemsize}. "
             "It is cut short or damaged; copy or export it again."
         )
     return values.reshape(sizes[::-1]).T
@@ -194,7 +194,7 @@ def _skip_lines(path: Path, file: BinaryIO, count: int) -> None:
 def _expanded(
     path: Path, file: BinaryIO, encoding: str, size: int, skip: int, held: int
 ) -> bytearray:
-    """Return compressed voxels; what the header does not state is not expanded."""
+    """Return decompressed voxels; nothing beyond the size in the header is decompressed."""
     if encoding not in _GZIP + _BZIP2:
         raise InputError(
             f"{path} has the encoding {encoding[:40]!r}, expected raw, gzip, bzip2 or text."
@@ -209,7 +209,7 @@ def _expanded(
     while done < size and (count := stream.readinto(view[done : done + 2**20])):
         done += count
     more = b""
-    with suppress(OSError, EOFError):  # bytes behind the stream are none of its voxels
+    with suppress(OSError, EOFError):  # bytes after the stream are not voxels
         more = stream.read(1)
     if done < size or more:
         stated = "fewer" if done < size else "more"

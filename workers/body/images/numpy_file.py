@@ -1,6 +1,6 @@
-"""Read a NumPy array, indexed ``[z, y, x]`` like every volume of the house.
+"""NumPy arrays, indexed ``[z, y, x]`` like every volume here.
 
-It carries no spacing and no frame: spacing must be given, the first voxel is
+They have no spacing and no frame: spacing must be given, the first voxel is
 at (0, 0, 0).
 """
 
@@ -13,7 +13,7 @@ from palpate.workers.body.images.scan import Scan, three_axes
 
 
 def read_numpy(path: Path) -> Scan:
-    """Read an ``.npy`` file (never one that holds pickled objects)."""
+    """Read an ``.npy`` file (never one with pickled objects)."""
     with path.open("rb") as file:
         version = np.lib.format.read_magic(file)
         read = (
@@ -22,7 +22,7 @@ def read_numpy(path: Path) -> Scan:
             else np.lib.format.read_array_header_2_0
         )
         shape, _, dtype = read(file)
-        if not dtype.hasobject:  # those are refused below
+        if not dtype.hasobject:  # objects are refused below
             size = claimed_bytes(shape, dtype.itemsize, str(path))
             check_stored(size, path.stat().st_size - file.tell(), 1, str(path))
         file.seek(0)

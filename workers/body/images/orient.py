@@ -1,13 +1,13 @@
-"""Turn a `Scan` into a `Volume`: index axes along +x, +y, +z.
+"""Conversion of a `Scan` to a `Volume`: index axes along +x, +y, +z.
 
-Two turns, both exact permutations and flips of voxels:
+Two steps, both exact permutations and flips of voxels:
 
-1. the index axes of the file are laid along the axes of its world, LPS;
-2. `axes` names which world axis becomes x, y and z of the house (the default
-   is the same ones: house x is world x, and so on).
+1. the index axes of the file are aligned with the axes of its world, LPS;
+2. `axes` names the world axes that become the body's x, y and z (by default
+   the same ones: x is world x, and so on).
 
-No voxel is interpolated. A voxel keeps its world coordinates through turn 1;
-turn 2 is a rotation of the whole frame, so house coordinates are the world's,
+No voxel is interpolated. A voxel keeps its world coordinates in step 1;
+step 2 is a rotation of the whole frame, so coordinates of the body are those of the world,
 reordered and with signs changed.
 """
 
@@ -19,7 +19,7 @@ from palpate.storage.values import FloatArray, Triple, Volume
 from palpate.workers.body.images.scan import SPACING_TOLERANCE, Scan
 
 OBLIQUE_DEG = 1.0
-"""Index axes further than this from a world axis are refused."""
+"""Index axes further than this from a world axis are refused, in degrees."""
 
 AxisOrder = NDArray[np.intp]
 
@@ -27,16 +27,16 @@ AxisOrder = NDArray[np.intp]
 def to_volume(
     scan: Scan, what: str, *, spacing_mm: Triple | None = None, axes: str | None = None
 ) -> Volume:
-    """Lay a scan along the house's axes.
+    """Align a scan with the axes of the body.
 
     Parameters
     ----------
     scan : Scan
     what : str
-        How to name the image in messages.
+        Name of the image in messages.
     spacing_mm : tuple of float, optional
-        Spacing along x, y, z of the file's world (before `axes`). Needed where the
-        file does not say; where it says, the two must agree.
+        Spacing along x, y, z of the file's world (before `axes`). Required if the
+        file has none; if it has one, both must agree.
     axes : str, optional
         See `parse_axes`.
 
@@ -48,11 +48,11 @@ def to_volume(
     Raises
     ------
     InputError
-        For an oblique scan, a missing or contradicted spacing, or bad `axes`.
+        For an oblique scan, a missing or contradictory spacing, or invalid `axes`.
 
     Notes
     -----
-    A tilt of up to `OBLIQUE_DEG` is dropped by turning the image about its centre.
+    A tilt of up to `OBLIQUE_DEG` is removed by rotating the image about its centre.
     """
     order, _ = nearest_axes(scan.directions, what)
     spacing = np.empty(3)
@@ -88,7 +88,7 @@ def to_volume(
 
 
 def nearest_axes(directions: FloatArray, what: str) -> tuple[AxisOrder, FloatArray]:
-    """Find which index axis runs along each world axis, and which way.
+    """Return the index axis along each world axis, and its direction.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def nearest_axes(directions: FloatArray, what: str) -> tuple[AxisOrder, FloatArr
     if degrees.max() > OBLIQUE_DEG:
         angles = ", ".join(f"{d:.1f}" for d in degrees)
         raise InputError(
-            f"{what} is oblique: its voxel axes lie {angles} degrees off the nearest world axes, "
+            f"{what} is oblique: its voxel axes are {angles} degrees off the nearest world axes, "
             f"at most {OBLIQUE_DEG:g} is allowed. Resample it first on an upright grid, with "
             "nearest neighbour (3D Slicer: Resample Scalar/Vector/DWI Volume)."
         )
@@ -129,7 +129,7 @@ def _settle_spacing(header: FloatArray, given: Triple | None, what: str) -> Floa
     if given is None:
         if not known.all():
             raise InputError(
-                f"{what} does not say how far apart its voxels are (x y z: {_mm(header)} mm). "
+                f"{what} has no voxel spacing (x y z: {_mm(header)} mm). "
                 "Give it with --spacing-mm X Y Z."
             )
         return header
@@ -138,8 +138,8 @@ def _settle_spacing(header: FloatArray, given: Triple | None, what: str) -> Floa
         raise InputError(f"--spacing-mm needs three positive numbers X Y Z, got {given}.")
     if not np.allclose(wanted[known], header[known], rtol=SPACING_TOLERANCE, atol=0.0):
         raise InputError(
-            f"{what} says that its spacing along x, y, z is {_mm(header)} mm, but --spacing-mm "
-            f"says {_mm(wanted)} mm. Leave the option away, or correct the file."
+            f"{what} has a spacing along x, y, z of {_mm(header)} mm, but --spacing-mm is "
+            f"{_mm(wanted)} mm. Omit the option, or correct the file."
         )
     return np.where(known, header, wanted)
 
@@ -149,23 +149,23 @@ def _mm(lengths: FloatArray) -> str:
 
 
 ANATOMICAL = {"l": "x", "r": "-x", "p": "y", "a": "-y", "s": "z", "i": "-z"}
-"""World axes (LPS) of the letters for left, right, posterior, anterior, superior and inferior."""
+"""World axes (LPS) for the letters left, right, posterior, anterior, superior and inferior."""
 
 
 def is_anatomical(axes: str | None) -> bool:
-    """Return whether axes are given by anatomical letters."""
+    """Return True if axes are given by anatomical letters."""
     return axes is not None and any(letter in ANATOMICAL for letter in axes.lower())
 
 
 def parse_axes(axes: str | None) -> FloatArray:
-    """Return the rotation from world to house frame.
+    """Return the rotation from the world frame to the body's frame.
 
     Parameters
     ----------
     axes : str, optional
-        Three world axes with an optional sign, the ones that become house x
-        (across), y (compression) and z (chest wall to nipple): ``"-z,y,x"`` stands
-        a body up whose head is at +z and whose nipple is at +x. Or the anatomical
+        Three world axes with an optional sign, the ones that become x
+        (across), y (compression) and z (chest wall to nipple): ``"-z,y,x"`` turns
+        a body upright whose head is at +z and whose nipple is at +x. Or the anatomical
         directions in which x, y and z increase, one letter of L, R, P, A, S and I
         each: ``"L S A"`` is ``"x,z,-y"``. Default: ``"x,y,z"``.
 
@@ -190,7 +190,7 @@ def parse_axes(axes: str | None) -> FloatArray:
     if sorted(bare) != ["x", "y", "z"] or not signed:
         raise InputError(
             f"axes must name x, y and z once each, with an optional sign, got {axes!r}. "
-            "Write for example -z,y,x: house x is world -z, y is y and z is x. Or give the "
+            "For example, with -z,y,x the body's x is world -z, y is y and z is x. Or give the "
             "anatomical directions in which x, y and z increase, such as L S A: one of L and R, "
             "one of P and A, one of S and I."
         )
@@ -208,7 +208,7 @@ def parse_axes(axes: str | None) -> FloatArray:
 
 
 def world_axes(axes: str | None) -> list[str]:
-    """Return the signed world axes that the user gave, perhaps by anatomical letters."""
+    """Return the signed world axes in `axes`, which may be given by anatomical letters."""
     text = ("x,y,z" if axes is None else axes).lower()
     if is_anatomical(axes):
         letters = text.replace(",", " ").split()
@@ -224,7 +224,7 @@ def _unmirrored(names: list[str]) -> list[str]:
 
 
 def _as_given(names: list[str], axes: str | None) -> str:
-    """Write signed world axes in the way of the user, letters or axes."""
+    """Format signed world axes in the user's notation, letters or axes."""
     if not is_anatomical(axes):
         return ",".join(names)
     letters = {axis: letter.upper() for letter, axis in ANATOMICAL.items()}
@@ -232,7 +232,7 @@ def _as_given(names: list[str], axes: str | None) -> str:
 
 
 def anatomical_directions(axes: str | None) -> tuple[str, str, str]:
-    """Return the letters of the anatomical directions in which house x, y and z increase."""
+    """Return the letters of the anatomical directions in which the body's x, y and z increase."""
     turn = parse_axes(axes)
     x, y, z = (
         "LPS"[w] if row[w] > 0 else "RAI"[w] for row in turn for w in [int(np.abs(row).argmax())]
@@ -241,5 +241,5 @@ def anatomical_directions(axes: str | None) -> tuple[str, str, str]:
 
 
 def opposite(letter: str) -> str:
-    """Return the anatomical direction opposite to one."""
+    """Return the opposite anatomical direction."""
     return "RLAPIS"["LRPASI".index(letter)]

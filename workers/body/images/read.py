@@ -1,4 +1,4 @@
-"""Read a label map from whatever file it is in.
+"""Label maps in any supported file format.
 
 ========================  ==========================================================
 ``.nrrd`` ``.nhdr``       `workers.body.images.nrrd_file`
@@ -45,18 +45,18 @@ _READERS: dict[str, tuple[str, Reader]] = {
 
 @dataclass(frozen=True, eq=False)
 class LabelImage:
-    """A label map with what its file says of the labels.
+    """A label map with the information about its labels in its file.
 
     Parameters
     ----------
     volume : Volume
-        Whole numbers, as they are in the file.
+        Whole numbers, unchanged from the file.
     names : mapping of int to str
-        Names of labels; empty where the file has none.
+        Names of labels; empty if the file has none.
     where : str
-        How to name the image in messages.
+        Name of the image in messages.
     anatomical : bool
-        Whether the frame of the file is that of a patient.
+        True if the frame of the file is a patient's frame.
     """
 
     volume: Volume
@@ -73,33 +73,33 @@ def read_volume(path: Path, *, spacing_mm: Triple | None = None, axes: str | Non
 def read_labels(
     path: Path, *, spacing_mm: Triple | None = None, axes: str | None = None
 ) -> LabelImage:
-    """Read a label map, with the names of its labels, along the axes of the house.
+    """Read a label map, with the names of its labels, along the axes of the body.
 
     Parameters
     ----------
     path : Path
         A file, or a folder of DICOM or TIFF slices.
     spacing_mm : tuple of float, optional
-        Voxel spacing along x, y, z of the file's frame (before `axes`), for files that
-        do not say. Where the file says, both must agree.
+        Voxel spacing along x, y, z of the file's frame (before `axes`), for files without
+        a spacing. If the file has one, both must agree.
     axes : str, optional
-        Which world axes become x (across), y (compression) and z (chest wall to
+        World axes that become x (across), y (compression) and z (chest wall to
         nipple), such as ``"-z,y,x"`` or ``"L S A"``; see `workers.body.images.orient.parse_axes`.
 
     Returns
     -------
     LabelImage
-        With integer ``values``, C-contiguous ``[z, y, x]``. Frames of patients are brought
-        to LPS (x to the left, y to posterior, z to superior), whatever the format.
+        Has integer ``values``, C-contiguous ``[z, y, x]``. Patient frames are converted
+        to LPS (x to the left, y to posterior, z to superior), in every format.
 
     Raises
     ------
     InputError
         If the file is missing, damaged, of an unknown kind, not 3-D, oblique, without
-        spacing, or holds anything but whole numbers.
+        spacing, or contains values that are not whole numbers.
     """
     path = Path(path)
-    parse_axes(axes)  # a slip in an option should not cost the reading of a large file
+    parse_axes(axes)  # finds mistakes in the option before a large file is read
     kind, reader = _reader(path)
     what = str(path)
     with reading(path, kind):
@@ -123,7 +123,7 @@ def _reader(path: Path) -> tuple[str, Reader]:
         if name.endswith(suffix):
             return _READERS[suffix]
     raise InputError(
-        f"{path} is of a kind that is not read here (suffix {path.suffix or 'none'!r}). Known: "
+        f"{path} is of an unsupported kind (suffix {path.suffix or 'none'!r}). Supported: "
         f"{', '.join(_READERS)}, or a folder of DICOM or TIFF slices."
     )
 
@@ -132,7 +132,7 @@ def _folder_reader(folder: Path) -> tuple[str, Reader]:
     suffixes = {p.suffix.lower() for p in folder.iterdir() if p.is_file() and p.name[0] != "."}
     if not suffixes:
         raise InputError(
-            f"{folder} holds no files. Give the folder that holds the slices of one image."
+            f"{folder} contains no files. Give the folder with the slices of one image."
         )
     tiff = suffixes & set(TIFF_SUFFIXES)
     if tiff and ".dcm" in suffixes:

@@ -1,6 +1,6 @@
-"""Hold what an image file says, before it is turned into the house's `Volume`.
+"""Content of an image file, before it is converted to a `Volume`.
 
-Every reader of a format returns a `Scan`: voxels by index axis and the place
+Every reader of a format returns a `Scan`: voxels by index axis and the position
 of those axes in the patient's frame, LPS (x to the left, y to posterior, z to
 superior). `workers.body.images.orient` makes a `Volume` of it.
 """
@@ -18,35 +18,35 @@ from palpate.storage.values import FloatArray
 RAS_TO_LPS = np.diag([-1.0, -1.0, 1.0])
 """From NIfTI's frame (x right, y anterior) to LPS."""
 SPACING_TOLERANCE = 1e-3
-"""Relative difference of two statements of a spacing that is rounding."""
+"""Relative difference of two spacings that is attributed to rounding."""
 LABEL_TOLERANCE = 1e-3
-"""How far a stored label may be from a whole number: scaling as floats leaves such errors."""
+"""Allowed distance of a label from a whole number, caused by scaling in floating point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """Hold voxels as a file holds them.
+    """Voxels as stored in a file.
 
     Parameters
     ----------
     values : ndarray, shape (ni, nj, nk)
-        By index axis, in any memory order.
+        Values by index axis, in any memory order.
     spacing_mm : ndarray, shape (3,)
-        Distance of voxel centres along each index axis; NaN where the file
-        does not say, or says something that is no distance.
+        Distance of voxel centres along each index axis; NaN if it is missing in the file
+        or not a valid distance.
     directions : ndarray, shape (3, 3)
         Columns are the unit vectors of the index axes in LPS.
     origin_mm : ndarray, shape (3,)
         Centre of ``values[0, 0, 0]`` in LPS.
     frame_uid : str
-        Frame of reference as DICOM names it; empty if the file names none.
+        DICOM frame of reference; empty if the file names none.
     place_known : bool
-        Whether the file states origin and orientation.
+        True if the file gives origin and orientation.
     anatomical : bool
-        Whether the frame of the file is that of a patient, so that left, posterior and
-        superior mean something.
+        True if the frame of the file is a patient's frame, so that left, posterior and
+        superior are defined.
     names : mapping of int to str
-        Names of labels, where the file has them.
+        Names of labels, if the file has them.
     """
 
     values: NDArray[Any]
@@ -60,7 +60,7 @@ class Scan:
 
     @classmethod
     def without_frame(cls, values: NDArray[Any], spacing_mm: ArrayLike | None = None) -> "Scan":
-        """Make a scan of unknown place: index axes are x, y, z, the first voxel is at (0, 0, 0)."""
+        """Make a scan of unknown position: axes are x, y, z, the first voxel is at (0, 0, 0)."""
         spacing = np.full(3, np.nan) if spacing_mm is None else np.array(spacing_mm, dtype=float)
         return cls(
             values,
@@ -79,17 +79,17 @@ class Scan:
         origin_mm: ArrayLike,
         frame: FloatArray | None = None,
     ) -> "Scan":
-        """Make a scan from the step of each index axis (columns), declared in `frame`.
+        """Make a scan from the step of each index axis (columns), given in `frame`.
 
         Parameters
         ----------
         steps_mm : array_like, shape (3, 3)
-            Column a is the way from one voxel centre to the next along index axis a.
-            When a column is zero or not finite nothing is known of the axes: all three
-            are then taken to run along the declared frame, with unknown spacing and place.
+            Column a is the step from one voxel centre to the next along index axis a.
+            If a column is zero or not finite, the axes are unknown: all three are then
+            assumed along the declared frame, with unknown spacing and position.
         origin_mm : array_like, shape (3,)
-            Centre of the first voxel; one that is not finite counts as (0, 0, 0), and the
-            place as unknown.
+            Centre of the first voxel; if not finite, (0, 0, 0) is used and the position is
+            unknown.
         frame : ndarray, shape (3, 3), optional
             Matrix from the declared frame to LPS. Default: it is LPS.
         """
@@ -112,12 +112,12 @@ def _distances(spacing: FloatArray) -> FloatArray:
 
 
 def three_axes(values: NDArray[Any], what: str) -> NDArray[Any]:
-    """Drop axes of one voxel until three are left.
+    """Drop axes of length one until three are left.
 
     Raises
     ------
     InputError
-        If the image is 2-D, or has four real axes or more.
+        If the image is 2-D, or has more than three axes longer than one.
     """
     extra = values.ndim - 3
     single = [axis for axis, size in enumerate(values.shape) if size == 1]
@@ -137,7 +137,7 @@ def check_shape(values: NDArray[Any], what: str) -> None:
         raise InputError(
             f"{what} is not a 3-D image: its shape is {values.shape}, and three axes of at "
             "least 2 voxels are needed. Give the whole stack (a multi-page file, or the "
-            "folder that holds its slices)."
+            "folder with its slices)."
         )
 
 
@@ -149,7 +149,7 @@ def whole_numbers(values: NDArray[Any], what: str) -> NDArray[Any]:
     Raises
     ------
     InputError
-        If a voxel is no whole number, or a voxel is more than one number.
+        If a voxel is not a whole number, or has several values.
     """
     if values.dtype.kind == "b":
         return values.astype(np.uint8)
@@ -169,7 +169,7 @@ def whole_numbers(values: NDArray[Any], what: str) -> NDArray[Any]:
 
 
 def _refuse_fractions(part: NDArray[Any], what: str) -> None:
-    """Raise InputError where a value is not finite, or no whole number."""
+    """Raise InputError where a value is not finite, or not a whole number."""
     finite = np.isfinite(part)
     if finite.all():
         odd = part[np.abs(part - np.rint(part)) > LABEL_TOLERANCE]
@@ -184,7 +184,7 @@ def _refuse_fractions(part: NDArray[Any], what: str) -> None:
         else "Segment the image first; resample label maps with nearest neighbour."
     )
     raise InputError(
-        f"{what} is not a label map: it holds {example}, and labels are whole numbers. {advice}"
+        f"{what} is not a label map: it contains {example}, and labels are whole numbers. {advice}"
     )
 
 

@@ -1,4 +1,4 @@
-"""Order of the slices of a folder, from the numbers in their names."""
+"""Order of the slices in a folder, by the numbers in their names."""
 
 import re
 from collections.abc import Sequence
@@ -10,22 +10,22 @@ import numpy as np
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
 
-# A minus sign follows a letter only if the names make no sense otherwise: slice-1 is slice 1.
+# A minus sign after a letter is a hyphen unless that makes no sense: slice-1 is slice 1.
 _SIGNED = re.compile(r"((?<![^\W_])[+-]?\d+(?:[.,]\d+)*)")
 _AFTER_LETTERS = re.compile(r"((?<!\d)[+-]?\d+(?:[.,]\d+)*)")
 _EVEN = 0.05
-"""How far a number may be from its place in the row, in steps."""
+"""Allowed deviation of a number from its position in the row, in steps."""
 
 
 @dataclass(frozen=True)
 class _Row:
-    """One of the numbers in the names, for all of them.
+    """One of the numbers in the names, for all files.
 
     Parameters
     ----------
     values : ndarray, shape (n,)
     decimals : int
-        Digits after the point, to which the values are rounded.
+        Digits after the decimal point.
     """
 
     values: FloatArray
@@ -56,13 +56,13 @@ def in_order(paths: Sequence[Path], what: str) -> list[Path]:
     paths : sequence of Path
         Files of one folder, one for each slice.
     what : str
-        How to name the folder in messages.
+        Name of the folder in messages.
 
     Raises
     ------
     InputError
-        If names differ in more than numbers, a number is missing or stands for two
-        slices, or two numbers in the names ask for different orders.
+        If names differ in more than numbers, a number is missing or used for two
+        slices, or two numbers in the names give different orders.
     """
     if len(paths) < 2:
         return list(paths)
@@ -75,7 +75,7 @@ def in_order(paths: Sequence[Path], what: str) -> list[Path]:
     for row in even[1:]:
         if row.order != order:
             raise InputError(
-                f"{what}: two numbers in the names of the slices ask for different orders: "
+                f"{what}: two numbers in the names of the slices give different orders: "
                 f"{paths[order[0]].name} or {paths[row.order[0]].name} first. Rename the slices "
                 "with one number each."
             )
@@ -83,7 +83,7 @@ def in_order(paths: Sequence[Path], what: str) -> list[Path]:
 
 
 def _rows(paths: Sequence[Path], what: str) -> list[_Row]:
-    """Return the numbers in the names, which must agree in all the rest."""
+    """Return the numbers in the names, which must otherwise be equal."""
     for pattern in (_SIGNED, _AFTER_LETTERS):
         split = [pattern.split(path.stem.lower()) for path in paths]
         numbers = [_apart(parts[1::2]) for parts in split]
@@ -99,7 +99,7 @@ def _rows(paths: Sequence[Path], what: str) -> list[_Row]:
 
 
 def _apart(numbers: Sequence[str]) -> list[str]:
-    """Return numbers; of those with several points, such as dates and UIDs, the parts."""
+    """Return numbers; those with several points, such as dates and UIDs, are split into parts."""
     found: list[str] = []
     for number in numbers:
         parts = re.split("[.,]", number)
@@ -113,7 +113,7 @@ def _row(numbers: Sequence[str]) -> _Row:
 
 
 def _refuse(rows: Sequence[_Row], paths: Sequence[Path], what: str) -> None:
-    """Raise InputError that names what keeps the numbers from being a row."""
+    """Raise InputError with the reason why the numbers are not an evenly spaced row."""
     if not rows:
         raise InputError(
             f"{what}: several slices have the same number in their names: "

@@ -1,7 +1,7 @@
-"""Spacings that ImageJ and OME write into TIFF files.
+"""Spacings in TIFF files of ImageJ and OME.
 
-Both state a unit. Plain resolution tags do not count, nor does ImageJ's inch: it comes
-from the resolution at which an image was to be printed.
+Both give a unit. Plain resolution tags are ignored, and so is ImageJ's inch: it comes
+from the print resolution of an image.
 """
 
 import re
@@ -25,7 +25,7 @@ _OME_SIZE = re.compile(r'PhysicalSize([XYZ])(Unit)?="([^"]*)"')
 
 
 def stated_spacing_mm(tiff: TiffFile) -> FloatArray:
-    """Return the spacing along x, y and z; NaN where the file states none with a unit."""
+    """Return the spacing along x, y and z; NaN where the file gives none with a unit."""
     if tiff.is_ome and tiff.ome_metadata:
         return _of_ome(tiff.ome_metadata)
     if tiff.is_imagej and tiff.imagej_metadata:
@@ -49,7 +49,7 @@ def _of_imagej(tiff: TiffFile, facts: dict[str, Any]) -> FloatArray:
 
 
 def _pixel(tag: Any) -> float:
-    """Return the size of a pixel from a tag with pixels in a unit, as a fraction."""
+    """Return the size of a pixel from a tag with pixels per unit, as a fraction."""
     if tag is None or not tag.value[0]:
         return np.nan
     return float(tag.value[1]) / float(tag.value[0])
@@ -63,7 +63,7 @@ def _number(given: Any) -> float:
 
 
 def _mm(unit: str) -> float:
-    """Return the length of a unit; NaN if it is none that lengths of a body have."""
+    """Return the length of a unit in mm; NaN if it is not a plausible unit of length."""
     plain = unit.strip().lower()
     for micro in ("\\u00b5", "\u00b5", "\u03bc"):  # ImageJ writes the escape itself
         plain = plain.replace(micro, "u")

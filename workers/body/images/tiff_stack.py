@@ -1,9 +1,9 @@
-"""Read TIFF, with tifffile: one file of many pages, or a folder of slices.
+"""TIFF images, read with tifffile: one file of many pages, or a folder of slices.
 
 Columns are x, rows y and pages z. A folder is sorted by the numbers in the names;
-see `workers.body.images.slice_names`. The resolution tags of plain TIFF say how to
-print an image; they are not read, and spacing must be given. ImageJ and OME state
-spacings with units, which are; see `workers.body.images.tiff_spacing`.
+see `workers.body.images.slice_names`. The resolution tags of plain TIFF describe
+printing; they are ignored, and spacing must be given. ImageJ and OME files have
+spacings with units, which are used; see `workers.body.images.tiff_spacing`.
 """
 
 import logging
@@ -26,7 +26,7 @@ from palpate.workers.body.images.slice_names import in_order
 from palpate.workers.body.images.tiff_spacing import stated_spacing_mm
 from palpate.workers.input_files import reading
 
-# Kinds of microscopes and scanners, of which some are read from several files.
+# Formats of microscopes and scanners, some of which are read from several files.
 _OTHER_KINDS = (
     "avs", "bif", "eer", "fluoview", "indica", "lsm", "mdgel", "mmstack", "ndpi", "ndtiff", "nih",
     "philips", "qpi", "scanimage", "scn", "sis", "stk", "svs",
@@ -52,12 +52,12 @@ def read_tiff(path: Path) -> Scan:
 
 
 def slices_of(folder: Path) -> list[Path]:
-    """Return the slices of a folder, the one at the lowest z first.
+    """Return the slices of a folder, from the lowest z.
 
     Raises
     ------
     InputError
-        If their names do not say in which order they are.
+        If their names do not determine their order.
     """
     return in_order([path for path in folder.iterdir() if _is_slice(path)], str(folder))
 
@@ -71,12 +71,12 @@ def slices_read(path: Path) -> list[str] | None:
 
 
 def _pages(path: Path) -> tuple[NDArray[Any], FloatArray]:
-    """Return the pages of a file, and the spacing along x, y and z that it states."""
+    """Return the pages of a file, and its spacing along x, y and z."""
     with _damage_raises(path), tifffile.TiffFile(path, _multifile=False, **_KINDS) as tiff:
         _check_ome(path, tiff)
         if len(tiff.series) != 1:
             raise InputError(
-                f"{path} holds {len(tiff.series)} images of different kinds, expected one stack "
+                f"{path} has {len(tiff.series)} images of different kinds, expected one stack "
                 "of equal pages. Save the label map alone."
             )
         series = tiff.series[0]
@@ -86,13 +86,13 @@ def _pages(path: Path) -> tuple[NDArray[Any], FloatArray]:
 
 
 def check_one_file(path: Path, what: str) -> None:
-    """Raise InputError if a file is no TIFF, or its metadata name other files.
+    """Raise InputError if a file is not TIFF, or its metadata name other files.
 
     Parameters
     ----------
     path : Path
     what : str
-        How to name the file in messages.
+        Name of the file in messages.
     """
     with (
         reading(what, "TIFF"),
@@ -104,7 +104,7 @@ def check_one_file(path: Path, what: str) -> None:
 
 
 def _check_ome(path: Path, tiff: tifffile.TiffFile) -> None:
-    """Raise InputError if OME metadata name other files, or state more than a file can hold."""
+    """Raise InputError if OME metadata name other files, or describe more than a file can hold."""
     if getattr(tiff, "is_mmstack", False) or getattr(tiff, "is_ndtiff", False):
         raise InputError(f"{path} is part of an image in several files. Save it as one TIFF file.")
     text = tiff.ome_metadata if tiff.is_ome else None
@@ -123,7 +123,7 @@ def _check_ome(path: Path, tiff: tifffile.TiffFile) -> None:
 
 
 def _check_segments(path: Path, series: tifffile.TiffPageSeries) -> None:
-    """Raise InputError if a compressed strip or tile holds more than a page needs."""
+    """Raise InputError if a compressed strip or tile contains more than a page needs."""
     for page in series.pages:
         if page is None or page.compression not in _DEFLATE:
             continue
@@ -136,7 +136,7 @@ def _check_segments(path: Path, series: tifffile.TiffPageSeries) -> None:
             stream.decompress(page.parent.filehandle.read(count), most)
             if stream.unconsumed_tail:
                 raise InputError(
-                    f"{path} is damaged: a compressed part of it holds more pixels than its page. "
+                    f"{path} is damaged: a compressed part of it has more pixels than its page. "
                     "Export it again."
                 )
 

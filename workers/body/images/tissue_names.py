@@ -1,4 +1,4 @@
-"""Tissues by the names that people and programs give to segments."""
+"""Tissues by the names that users and programs give to segments."""
 
 import re
 
@@ -21,10 +21,10 @@ _NEUTRAL = set(_SILENT.split())
 
 
 def tissue_in(name: str) -> Tissue | None:
-    """Return the tissue that a name means; None if that is not certain.
+    """Return the tissue described by a name; None if that is uncertain.
 
-    Words count, in any case: at least one names a tissue, all those name the same one, and
-    the others say nothing of a tissue ("left", "breast", "tissue", numbers).
+    Words count, in any case: at least one names a tissue, all tissue words name the same one, and
+    all other words are neutral ("left", "breast", "tissue", numbers).
 
     Examples
     --------

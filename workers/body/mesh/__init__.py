@@ -1,1 +1,1 @@
-"""Make tetrahedra from voxels."""
+"""Tetrahedral meshes from voxels."""

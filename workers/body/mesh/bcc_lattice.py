@@ -1,10 +1,10 @@
-"""Build the body-centred cubic lattice and its tetrahedra.
+"""The body-centred cubic lattice and its tetrahedra.
 
 Two neighbouring cell centres and one edge of the face between them span a
-tetrahedron: 12 to a cell, all alike, edges ``a`` (two) and ``sqrt(3)/2 a``
+tetrahedron: 12 per cell, all alike, edges ``a`` (two) and ``sqrt(3)/2 a``
 (four), the most regular lattice of tetrahedra known (Labelle and Shewchuk,
 "Isosurface stuffing", ACM Trans. Graph. 26(3), 2007). The first layer of
-corners lies in the wall; there the pyramid between a cell's centre and its
+corners is in the wall; there the pyramid between a cell's centre and its
 lower face is halved, with diagonals that alternate like a chess board.
 """
 
@@ -21,12 +21,12 @@ from palpate.workers.compile_flags import EXACT
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Hold the tetrahedra of the lattice that reach into the body.
+    """Tetrahedra of the lattice that reach into the body.
 
     Parameters
     ----------
     nodes : ndarray, shape (n, 3)
-        mm.
+        Positions in mm.
     tets : ndarray of int32, shape (m, 4)
         Positively oriented; each has at least one node inside.
     distance : ndarray, shape (n,)

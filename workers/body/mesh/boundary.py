@@ -1,4 +1,4 @@
-"""Find the boundary of a mesh of tetrahedra, part it into free surface and wall, measure it."""
+"""Boundaries of tetrahedral meshes: free surface, wall and areas."""
 
 import numpy as np
 from numba import njit
@@ -12,13 +12,13 @@ from palpate.workers.compile_flags import EXACT
 
 
 def boundary_triangles(tets: IntArray) -> IntArray:
-    """Return faces that belong to one tetrahedron only, outward oriented, shape (k, 3) int32."""
+    """Return faces that belong to a single tetrahedron, outward oriented, shape (k, 3) int32."""
     faces, _, single = _faces(tets)
     return faces[single]
 
 
 def _faces(tets: IntArray) -> tuple[IntArray, NDArray[np.int64], NDArray[np.int64]]:
-    """Return all faces (4 m, 3), the pairs of them that coincide (p, 2), and the single ones."""
+    """Return all faces (4 m, 3), the coincident pairs (p, 2), and the single ones."""
     faces = np.ascontiguousarray(tets[:, FACES].reshape(-1, 3))
     pairs, single = _pair_faces(faces, int(tets.max()) + 1)
     return faces, pairs, single
@@ -62,7 +62,7 @@ def _pair_faces(faces: IntArray, n: int) -> tuple[NDArray[np.int64], NDArray[np.
 
 
 def largest_piece(tets: IntArray) -> NDArray[np.bool_]:
-    """Mask the tetrahedra of the largest piece that hangs together by faces."""
+    """Return a mask of the tetrahedra of the largest piece connected by faces."""
     _, pairs, _ = _faces(tets)
     m = len(tets)
     owner = pairs // 4
@@ -74,10 +74,10 @@ def largest_piece(tets: IntArray) -> NDArray[np.bool_]:
 
 
 def without_nonmanifold_edges(tets: IntArray) -> IntArray:
-    """Keep the largest piece of a mesh whose boundary folds nowhere.
+    """Remove all but the largest piece of a mesh, and non-manifold edges of its boundary.
 
-    A rough outline may leave two parts that touch along an edge only, with four boundary
-    triangles around it. The tetrahedra at such an edge go, until there is none.
+    In a rough outline two parts may touch only along an edge, with four boundary triangles
+    around it. The tetrahedra at such edges are removed, until there are none.
     """
     tets = tets[largest_piece(tets)]
     while True:
@@ -103,7 +103,7 @@ def wall_nodes(nodes: FloatArray, wall_z_mm: float) -> IntArray:
 
 
 def split_boundary(triangles: IntArray, wall: IntArray) -> tuple[IntArray, IntArray]:
-    """Part boundary triangles into (free surface, wall)."""
+    """Split boundary triangles into (free surface, wall)."""
     n = int(triangles.max()) + 1
     on_wall = np.zeros(max(n, int(wall.max()) + 1 if len(wall) else 0), np.bool_)
     on_wall[wall] = True

@@ -1,7 +1,7 @@
-"""Cut the edges of tetrahedra at a surface, and put tetrahedra together from what is left.
+"""Cutting of tetrahedra's edges at a surface, and assembly of tetrahedra from the parts.
 
-A node lies before the surface where its distance is negative, behind it where it is positive.
-What the two meshers share that fit a lattice to a surface by isosurface stuffing (F. Labelle and
+A node is in front of the surface if its distance is negative, behind it if positive. Shared by
+the two meshers that fit a lattice to a surface by isosurface stuffing (F. Labelle and
 J. R. Shewchuk, ACM Trans. Graph. 26 (2007) 57).
 """
 
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from palpate.storage.values import BoolArray, FloatArray, IntArray
 from palpate.workers.compile_flags import EXACT
 
-# A node moves when an edge is cut nearer to it than this fraction of the edge: the "safe"
+# A node moves if an edge is cut closer to it than this fraction of the edge: the "safe"
 # values of the paper's table 3 for edges of length a and sqrt(3)/2 a.
 NEAR_LONG = 0.24999
 NEAR_SHORT = 0.41189
 
 
 def crossing_edges(tets: IntArray, distance: FloatArray) -> IntArray:
-    """Return edges (node before, node behind) that cross the surface, each once."""
+    """Return edges (node in front, node behind) that cross the surface, each once."""
     behind = distance[tets] > 0
     mixed = tets[behind.any(axis=1) & ~behind.all(axis=1)]
     pairs = mixed[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]].reshape(-1, 2)
@@ -41,9 +41,9 @@ def most_urgent_first(
     nodes : ndarray, shape (n, 3)
     edges : ndarray, shape (e, 2)
     cut : ndarray, shape (e,)
-        Where each is cut, as a fraction from its first node.
+        Position of each cut, as a fraction from the first node.
     cell_mm : float or ndarray, shape (e,)
-        Size of the lattice about each edge.
+        Size of the lattice around each edge.
     """
     length = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
     near = np.where(length > 0.95 * cell_mm, NEAR_LONG, NEAR_SHORT)
@@ -103,7 +103,7 @@ def add_wedge(
 ) -> int:
     """Split a wedge with corners b[0..2] below t[0..2] into three tetrahedra.
 
-    ``up[i]`` says that the diagonal of the face between the columns i and i + 1 runs from b[i]
+    ``up[i]`` means that the diagonal of the face between the columns i and i + 1 runs from b[i]
     to t[i + 1], else from b[i + 1] to t[i]; the three must not be equal.
     """
     for i in range(3):

@@ -1,4 +1,4 @@
-"""Generate one mesh of a body at one cell size: stuff, match the volume, improve."""
+"""Generation of one mesh of a body at one cell size: stuff, match the volume, improve."""
 
 from dataclasses import dataclass
 
@@ -26,14 +26,14 @@ from palpate.workers.compile_flags import EXACT
 
 @dataclass(frozen=True, eq=False)
 class FittedMesh:
-    """Hold a mesh and its nodes on the chest wall (w,)."""
+    """A mesh and its nodes on the chest wall (w,)."""
 
     mesh: TetMesh
     wall: IntArray
 
     @property
     def has_wall(self) -> bool:
-        """Say whether some triangle of the boundary lies in the wall."""
+        """Return True if a triangle of the boundary is in the wall."""
         if len(self.wall) < 3:
             return False
         return len(split_boundary(boundary_triangles(self.mesh.tets), self.wall)[1]) > 0
@@ -43,7 +43,7 @@ def fitted_mesh(outline: Outline, cell_mm: float, *, improve: bool = True) -> Fi
     """Fill an outline with tetrahedra.
 
     Flat triangles between nodes on a round outline cut off some volume, and so does the blur
-    of the outline. The nodes are therefore put on the level of the field at which the
+    of the outline. The nodes are therefore moved to the level of the field at which the
     mesh has the volume of the body's voxels.
 
     Parameters
@@ -52,8 +52,8 @@ def fitted_mesh(outline: Outline, cell_mm: float, *, improve: bool = True) -> Fi
     cell_mm : float
         Size of a lattice cell.
     improve : bool
-        Match the volume and better the worst tetrahedra; without, only the number
-        of nodes means something.
+        Match the volume and improve the worst tetrahedra; otherwise only the number
+        of nodes is meaningful.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def fitted_mesh(outline: Outline, cell_mm: float, *, improve: bool = True) -> Fi
 
 
 def _improved(mesh: TetMesh, wall: IntArray, outline: Outline, cell_mm: float) -> TetMesh:
-    """Alternate between matching the volume and moving nodes; the volume has the last word."""
+    """Alternate between volume matching and moving nodes, ending with the volume."""
     on_wall = np.zeros(len(mesh.nodes), np.bool_)
     on_wall[wall] = True
     surface, _ = split_boundary(boundary_triangles(mesh.tets), wall)

@@ -1,4 +1,4 @@
-"""Build nested meshes from a label volume, coarse to fine."""
+"""Nested meshes of a label volume, coarse to fine."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,25 +20,25 @@ from palpate.workers.body.mesh.tissue_fractions import majority_fractions, volum
 STEPS_PER_CELL = 3.5  # samples of the outline along one lattice cell
 COARSEST_CELL = 0.43  # of the body's shortest side
 RATIO = 2.3  # wanted ratio of cell sizes between levels
-LEAST_RATIO = 1.4  # closer levels are not worth their work
+LEAST_RATIO = 1.4  # smaller ratios are not worth an extra level
 COUNT_TOLERANCE = 0.06  # of the wanted number of nodes
 
 
 @dataclass(frozen=True, eq=False)
 class MeshLevel:
-    """Hold one mesh of a hierarchy.
+    """One mesh of a hierarchy.
 
     Parameters
     ----------
     mesh : TetMesh
     fractions : ndarray of float32, shape (m, 6)
-        Part of each `Tissue` in each tetrahedron; rows sum to 1. One-hot on the finest level.
+        Fraction of each `Tissue` in each tetrahedron; rows sum to 1. One-hot on the finest level.
     wall : ndarray of int32, shape (w,)
         Nodes in the plane of the chest wall.
     surface : ndarray of int32, shape (k, 3)
         Triangles of the free surface, outward: the boundary without the wall.
     prolongation : csr_matrix, shape (n, n_coarser), or None
-        Interpolates values of the next coarser level; None on the coarsest.
+        Interpolates values from the next coarser level; None on the coarsest.
     """
 
     mesh: TetMesh
@@ -50,7 +50,7 @@ class MeshLevel:
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """Hold the meshes of one body.
+    """The meshes of one body.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Hierarchy:
         Coarse to fine.
     element_size_mm : float
         Size of a lattice cell of the finest level; edges are 0.87 to 1 of it; NaN for
-        meshes that come from no lattice.
+        meshes without a lattice.
     """
 
     levels: tuple[MeshLevel, ...]
@@ -66,7 +66,7 @@ class Hierarchy:
 
     @property
     def finest(self) -> MeshLevel:
-        """Return the mesh whose solution is wanted."""
+        """Return the finest mesh, on which the solution is wanted."""
         return self.levels[-1]
 
 
@@ -92,7 +92,7 @@ def build_hierarchy(
     Raises
     ------
     InputError
-        If the volume holds no tissue, both or none of the sizes are given, or the elements
+        If the volume has no tissue, both or none of the sizes are given, or the elements
         are larger than a quarter of the body.
     """
     _check_request(element_size_mm, nodes)
@@ -118,8 +118,8 @@ def build_hierarchy(
 def _coarser_cells(cell_mm: float, shortest_mm: float) -> list[float]:
     """Return cell sizes of the coarser levels, in equal ratios up to the coarsest that still works.
 
-    The coarsest level (some 150 nodes) is factored, so its size is what should
-    not depend on the finest; the number of levels brings the ratio near `RATIO`.
+    The coarsest level (some 150 nodes) is factorised, so its size should not depend on the
+    finest; the number of levels keeps the ratio near `RATIO`.
     """
     factor = shortest_mm * COARSEST_CELL / cell_mm
     count = max(round(np.log(max(factor, 1.0)) / np.log(RATIO)), 1 if factor > LEAST_RATIO else 0)
@@ -150,7 +150,7 @@ def _mesh_of_nodes(labels: Volume, nodes: int) -> tuple[FittedMesh, Outline, flo
     """Generate a mesh with about the wanted number of nodes.
 
     A lattice has 2 / a^3 nodes per volume and the outline adds some per area, so
-    ``n(a) = 2 V / a^3 + s / a^2``; ``s`` is read off each trial, first off a coarser one.
+    ``n(a) = 2 V / a^3 + s / a^2``; ``s`` is estimated from each trial, first from a coarser one.
     """
     outline = outline_of(labels, _rough_step(labels))
     volume = outline.volume_mm3

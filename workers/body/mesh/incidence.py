@@ -1,4 +1,4 @@
-"""Find the elements around each node of a mesh."""
+"""Elements around each node of a mesh."""
 
 import numpy as np
 from numba import njit

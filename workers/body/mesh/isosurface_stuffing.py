@@ -1,11 +1,11 @@
-"""Fit the tetrahedra of a lattice to an outline by isosurface stuffing.
+"""Isosurface stuffing: fitting of a lattice's tetrahedra to an outline.
 
 Lattice nodes too close to the outline are moved onto it; the edges that still
 cross it are cut (Labelle and Shewchuk, "Isosurface stuffing", ACM Trans. Graph.
 26(3), 2007). A tetrahedron then keeps its part inside the body: a smaller
 tetrahedron, a pyramid or a wedge, split into tetrahedra. The diagonal of a cut
 face depends on that face alone, so neighbours agree. Nodes of the wall move
-within its plane only.
+only within its plane.
 """
 
 import numpy as np
@@ -35,7 +35,7 @@ def stuff_isosurface(lattice: Lattice, outline: Outline) -> TetMesh:
     Returns
     -------
     TetMesh
-        Positively oriented tetrahedra that fill the outline; not every node is in use.
+        Positively oriented tetrahedra that fill the outline; some nodes are unused.
     """
     field, frame = outline.field, outline.frame
     nodes = lattice.nodes.copy()
@@ -81,7 +81,7 @@ def _cut_fractions(
     field: NDArray[np.float32],
     frame: FloatArray,
 ) -> FloatArray:
-    """Find where each edge meets the outline, as a fraction from its inner node (Illinois rule)."""
+    """Return where each edge meets the outline, as a fraction from its inner node (Illinois)."""
     cut = np.empty(len(edges))
     for e in range(len(edges)):
         p, q = edges[e, 0], edges[e, 1]
@@ -155,15 +155,15 @@ def _snap(
         elif not on_wall or (wall[edges[chosen, 0]] and wall[edges[chosen, 1]]):
             p, q = edges[chosen, 0], edges[chosen, 1]
             nodes[v] = nodes[p] + cut[chosen] * (nodes[q] - nodes[p])
-        # else: the outline grazes the wall here; the node stays and counts as lying on it
+        # else: the outline grazes the wall here; the node stays and counts as being on it
         distance[v] = 0.0
 
 
 @njit(**EXACT)
 def _diagonal_starts_at_first(nodes: FloatArray, a: int, A: int, b: int, B: int) -> bool:
-    """Say whether the diagonal of the face (a, b, B, A) starts in a; A and B are cut points.
+    """Return True if the diagonal of the face (a, b, B, A) starts in a; A, B are cut points.
 
-    It starts at the longer remainder. This is an order of the cut edges, so that the three
+    The diagonal starts at the longer remainder. This is an order of the cut edges, so the three
     faces of a wedge never form a ring (which has no split without a new node).
     """
     ra, rb = squared_length(nodes, a, A), squared_length(nodes, b, B)

@@ -1,4 +1,4 @@
-"""How many nodes a body needs at least, estimated before it is meshed."""
+"""Smallest number of nodes for a body, estimated before meshing."""
 
 import math
 
@@ -8,21 +8,21 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import Volume
 
 FEWEST_CELLS = 4  # across the body's shortest side, for the finest mesh
-# Nodes of the coarsest mesh of a breast over those of a lattice inside it: measured 1.6 and
-# 1.7 on phantoms of 445 and 250 ml. Below the first share a body is refused unmeshed; the
-# second one is enough.
+# Ratio of the nodes of a breast's coarsest possible mesh to those of a lattice inside it: measured
+# 1.6 and 1.7 on phantoms of 445 and 250 ml. Below the first value a body is refused without
+# meshing; the second one is always sufficient.
 CERTAIN_SHARE, ENOUGH_SHARE = 1.4, 1.85
 
 
 def check_node_count(nodes: int, volume_mm3: float, smallest_extent_mm: float) -> None:
-    """Refuse a number of nodes that the mesher would refuse, without meshing.
+    """Refuse, without meshing, a number of nodes that the mesher would refuse.
 
     Parameters
     ----------
     nodes : int
-        Wanted.
+        Wanted number.
     volume_mm3, smallest_extent_mm : float
-        Of the body, and its shortest side.
+        Volume of the body, and its shortest side.
 
     Raises
     ------

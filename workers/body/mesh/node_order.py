@@ -1,4 +1,4 @@
-"""Number the nodes of a mesh so that neighbours in space are neighbours in memory."""
+"""Node numbering that keeps spatial neighbours close in memory."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,9 +7,9 @@ from palpate.storage.values import TetMesh
 
 
 def in_memory_order(mesh: TetMesh, step_mm: float) -> TetMesh:
-    """Reorder a mesh so that neighbours in space lie next to each other in memory.
+    """Reorder a mesh so that spatial neighbours are close in memory.
 
-    Nodes along a Morton curve of cubes of ``step_mm``, tetrahedra by their smallest node.
+    Nodes follow a Morton curve of cubes of ``step_mm``, tetrahedra their smallest node.
     """
     cell = ((mesh.nodes - mesh.nodes.min(axis=0)) / step_mm).astype(np.uint64)
     code = np.zeros(len(cell), np.uint64)

@@ -1,4 +1,4 @@
-"""Improve the worst tetrahedra by moving their nodes a little."""
+"""Improvement of the worst tetrahedra by small moves of their nodes."""
 
 import numpy as np
 from numba import njit
@@ -20,7 +20,7 @@ def improve_shape(
     passes: int = 4,
     good: float = 0.7,
 ) -> TetMesh:
-    """Move nodes around tetrahedra whose M3 is below ``good``, if the worst one gets better.
+    """Move nodes around tetrahedra whose M3 is below ``good`` if that improves the worst one.
 
     Nodes of the skin stay on the level ``level_mm`` of the outline, nodes of the wall in its
     plane.
@@ -46,7 +46,7 @@ def improve_shape(
 
 @njit(**EXACT)
 def _mean_ratio(nodes: FloatArray, p: int, q: int, r: int, s: int) -> float:
-    """Return M3 of one tetrahedron, negative when it is inverted."""
+    """Return M3 of one tetrahedron, negative if it is inverted."""
     ax, ay, az = nodes[q, 0] - nodes[p, 0], nodes[q, 1] - nodes[p, 1], nodes[q, 2] - nodes[p, 2]
     bx, by, bz = nodes[r, 0] - nodes[p, 0], nodes[r, 1] - nodes[p, 1], nodes[r, 2] - nodes[p, 2]
     cx, cy, cz = nodes[s, 0] - nodes[p, 0], nodes[s, 1] - nodes[p, 1], nodes[s, 2] - nodes[p, 2]
@@ -85,7 +85,7 @@ def _improve(
     field: NDArray[np.float32],
     frame: FloatArray,
 ) -> None:
-    """Search a pattern node by node: towards the neighbours' mean, then along the axes."""
+    """Try moves node by node: towards the neighbours' mean, then along the axes."""
     trial = np.empty(3)
     for sweep in range(passes):
         step = 0.12 * cell_mm * 0.6**sweep

@@ -1,7 +1,7 @@
-"""Describe the outline of a body as a smooth field, from its voxels.
+"""The outline of a body as a smooth field, from its voxels.
 
 Occupancy (labels other than air) is averaged over blocks of voxels, blurred with
-a Gaussian of standard deviation ``s`` and turned into a distance: beside a flat
+a Gaussian of standard deviation ``s`` and converted to a distance: near a flat
 surface the blurred occupancy is ``Phi(-d / s)`` with ``d`` the signed distance
 and ``Phi`` the normal distribution, so ``d = -s Phi^-1(u)``. The field is linear
 across the surface, smooth below the size of a voxel, negative inside, and
@@ -20,25 +20,25 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, Triple, Volume
 from palpate.workers.compile_flags import EXACT
 
-BLUR = 0.9  # blur in grid steps; less shows the voxels' staircase, more rounds the rim
+BLUR = 0.9  # blur in grid steps; less leaves the voxels' staircase, more rounds the rim
 MARGIN = 6  # samples of air around the body
-SATURATION = 0.006  # occupancy beyond which the distance is cut off (2.5 standard deviations)
+SATURATION = 0.006  # occupancy at which the distance is clipped (2.5 standard deviations)
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Hold the signed distance to the skin of a body that ends at the plane of the chest wall.
+    """Signed distance to the skin of a body that ends at the plane of the chest wall.
 
     Parameters
     ----------
     field : ndarray of float32, shape (nz, ny, nx)
         Signed distance in mm, negative inside; continued straight below the wall.
     origin_mm, step_mm : tuple of float
-        Place (x, y, z) of ``field[0, 0, 0]`` and distance of the samples.
+        Position (x, y, z) of ``field[0, 0, 0]`` and distance of the samples.
     wall_z_mm : float
         Lower face of the body's lowest voxels.
     volume_mm3 : float
-        Volume of the body's voxels, enclosed cavities included.
+        Volume of the body's voxels, including enclosed cavities.
     free_area_mm2 : float
         Area of the outline without the wall.
     lower_mm, upper_mm : ndarray, shape (3,)
@@ -61,14 +61,14 @@ class Outline:
 
     @property
     def frame(self) -> FloatArray:
-        """Return origin and step in one array of shape (2, 3), as the kernels take them."""
+        """Return origin and step in one array of shape (2, 3), as used by the kernels."""
         return np.array([self.origin_mm, self.step_mm])
 
 
 def outline_of(labels: Volume, step_mm: float) -> Outline:
     """Find the outline of the largest connected body in a label volume.
 
-    Pieces are told apart, and cavities filled, at the size of the samples; a pocket that
+    Pieces are separated, and cavities filled, at the resolution of the samples; a pocket that
     opens into the wall is not a cavity.
 
     Parameters
@@ -109,13 +109,13 @@ def _body_occupancy(
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return the occupancy of the blocks of the largest body and its box of voxels (2, 3).
 
-    Blocks start at the body's own lowest voxels, so that the wall is a face of blocks: when
-    smaller pieces stretch the box, it is drawn again around the body alone.
+    Blocks start at the body's own lowest voxels, so that the wall is a face of blocks: if
+    smaller pieces extend the box, it is computed again for the body alone.
     """
     box = _occupied_box(labels.values, np.array([(0, 0, 0), labels.shape_xyz], np.int64))
     if box[1, 0] <= box[0, 0]:
         raise InputError(
-            "The volume holds no tissue: every voxel is 0 (air). Check the labels, "
+            "The volume has no tissue: every voxel is 0 (air). Check the labels, "
             "or relabel the volume with labels: {value: tissue}."
         )
     for _ in range(4):
@@ -159,7 +159,7 @@ def _occupied_box(values: NDArray[np.generic], within: NDArray[np.int64]) -> NDA
 def _block_mean(
     values: NDArray[np.generic], box: NDArray[np.int64], block: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """Return the fraction of tissue in blocks of voxels from the lower corner of a box on."""
+    """Return the fraction of tissue in blocks of voxels, from the lower corner of a box."""
     n = (box[1] - box[0] + block - 1) // block
     mean = np.zeros((n[2], n[1], n[0]), np.float32)
     for k in range(box[0, 2], box[1, 2]):
@@ -200,7 +200,7 @@ def _one_solid_body(occupancy: NDArray[np.float32]) -> NDArray[np.float32]:
 def _distance(
     occupancy: NDArray[np.float32], step: FloatArray
 ) -> tuple[NDArray[np.float32], float]:
-    """Return the signed distance (see the top of the file) and the free area."""
+    """Return the signed distance (see the module docstring) and the free area."""
     sigma = BLUR * float(step.max())
     blurred = occupancy
     for axis, length in zip((0, 1, 2), step[::-1], strict=True):
@@ -219,7 +219,7 @@ def _distance(
 
 @njit(**EXACT)
 def _total_variation(u: NDArray[np.float32], step: FloatArray) -> float:
-    """Integrate the slope of ``u``: the area across which it falls from 1 to 0."""
+    """Return the integral of the slope of ``u``, the area across which it falls from 1 to 0."""
     nz, ny, nx = u.shape
     total = 0.0
     for k in range(nz):
@@ -237,7 +237,7 @@ def _total_variation(u: NDArray[np.float32], step: FloatArray) -> float:
 def distance_at(
     field: NDArray[np.float32], frame: FloatArray, x: float, y: float, z: float
 ) -> float:
-    """Interpolate the field at one point trilinearly; it goes on constantly outside its box."""
+    """Interpolate the field at one point trilinearly; it is constant outside its box."""
     nz, ny, nx = field.shape
     u = min(max((x - frame[0, 0]) / frame[1, 0], 0.0), nx - 1.000001)
     v = min(max((y - frame[0, 1]) / frame[1, 1], 0.0), ny - 1.000001)
@@ -265,8 +265,8 @@ def project(
 ) -> bool:
     """Move one point to the surface ``field = level`` along the gradient.
 
-    A point of the wall stays in its plane. Returns whether the surface was met
-    within ``reach`` mm; ``out`` then holds the place.
+    A point of the wall stays in its plane. Return True if the surface is reached
+    within ``reach`` mm; ``out`` then contains the position.
     """
     d = 0.35 * min(frame[1, 0], frame[1, 1], frame[1, 2])
     x, y, z = point[0], point[1], point[2]

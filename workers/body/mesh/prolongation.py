@@ -1,10 +1,10 @@
-"""Carry values of a coarse mesh to the nodes of a fine one.
+"""Interpolation of nodal values of a coarse mesh at the nodes of a fine one.
 
-A fine node inside the coarse mesh takes the barycentric mean of the tetrahedron
-around it. One that lies outside (the coarse outline cuts corners) continues the
-nearest tetrahedron linearly, but no barycentric weight goes below -`FARTHEST`.
-Nodes of the wall take values from coarse nodes of the wall only, so that what is
-held on the coarse wall is held on the fine one.
+A fine node inside the coarse mesh gets the barycentric mean of the tetrahedron
+around it. Outside (the coarse outline cuts corners) the nearest tetrahedron is
+extrapolated linearly, but no barycentric weight goes below -`FARTHEST`.
+Nodes of the wall only use coarse nodes of the wall, so that components held on
+the coarse wall are also held on the fine one.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from palpate.storage.values import FloatArray, IntArray, TetMesh
 from palpate.workers.body.mesh.boundary import boundary_triangles, split_boundary
 from palpate.workers.compile_flags import EXACT
 
-FARTHEST = 0.75  # in barycentric weight: this part of an altitude outside the tetrahedron
+FARTHEST = 0.75  # in barycentric weight: this fraction of an altitude outside the tetrahedron
 
 
 def prolongation(
@@ -49,7 +49,7 @@ def prolongation(
         _, triangles = split_boundary(boundary_triangles(coarse.tets), coarse_wall)
         corners = np.zeros((len(triangles), 4, 3))
         corners[:, :3, :2] = coarse.nodes[triangles][:, :, :2]
-        # A made-up tip one unit above the plane; points of the plane give it no weight.
+        # An artificial tip one unit above the plane, with zero weight for points of the plane.
         corners[:, 3] = corners[:, 0] + np.array([0.0, 0.0, 1.0])
         lifted = np.column_stack([triangles, triangles[:, 0]])
         flat = fine_nodes[fine_wall] * np.array([1.0, 1.0, 0.0])
@@ -64,7 +64,7 @@ def prolongation(
 def _interpolate(
     corners: FloatArray, tets: IntArray, points: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return nodes (n, 4) and weights (n, 4) for points, from ``corners`` (m, 4, 3) of elements."""
+    """Return nodes (n, 4) and weights (n, 4) of points, from ``corners`` (m, 4, 3) of elements."""
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
     low, high = corners.min(axis=1), corners.max(axis=1)
     bin_mm = float(np.median((high - low).max(axis=1)))
@@ -139,7 +139,7 @@ def _locate(
                             if least > best:
                                 best = least
                                 best_m = m
-            # Inside a tetrahedron the first ring has it; outside, one more ring is looked at.
+            # A point inside is found in the first ring; outside, one more ring is searched.
             if best >= 0 or (best_m >= 0 and ring > 0):
                 break
         chosen[p] = best_m
@@ -158,7 +158,7 @@ def _least_weight(x: FloatArray, base: FloatArray, inverse: FloatArray) -> float
 
 @njit(**EXACT)
 def _weights(x: FloatArray, base: FloatArray, inverse: FloatArray, weight: FloatArray) -> None:
-    """Fill barycentric weights, none below -`FARTHEST`, tiny ones dropped, sum 1."""
+    """Store barycentric weights, none below -`FARTHEST`, tiny ones dropped, sum 1."""
     total = 0.0
     for c in range(3):
         w = 0.0

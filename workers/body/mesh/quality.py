@@ -1,13 +1,13 @@
-"""Measure how good the tetrahedra of a mesh are.
+"""Quality measures of tetrahedra.
 
-Every measure is 1 for the regular tetrahedron. M1..M4 and M5 lie in [0, 1]; the
-aspect ratio grows without bound as a tetrahedron gets worse.
+Every measure is 1 for the regular tetrahedron. M1..M4 and M5 are in [0, 1]; the
+aspect ratio grows without bound as a tetrahedron degrades.
 
 ========  ====================================================================
 M1        3 r / R, inscribed over circumscribed radius
 M2        2 sqrt(6) r / longest edge
 M3        12 (3 V)^(2/3) / sum of squared edges (mean ratio)
-M4        smallest solid angle / 0.55129 sr (that of the regular tetrahedron)
+M4        smallest solid angle / 0.55129 sr (its value in the regular tetrahedron)
 M5        smallest / largest volume; one number for a mesh
 aspect    longest edge / shortest altitude / 1.2247
 ========  ====================================================================
@@ -73,7 +73,7 @@ def measures(mesh: TetMesh) -> dict[str, FloatArray]:
 def _smallest_solid_angle(x: FloatArray, volume: FloatArray) -> FloatArray:
     """Return the smallest of the four solid angles of each tetrahedron, in sr.
 
-    Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983), give tan(angle / 2).
+    Uses tan(angle / 2) of Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983).
     """
     smallest = np.full(len(x), np.inf)
     for corner in range(4):
@@ -90,7 +90,7 @@ def _smallest_solid_angle(x: FloatArray, volume: FloatArray) -> FloatArray:
 
 
 class Distribution(TypedDict):
-    """Hold extremes, mean and percentiles of a measure over all tetrahedra."""
+    """Extremes, mean and percentiles of a measure over all tetrahedra."""
 
     min: float
     mean: float
@@ -101,7 +101,7 @@ class Distribution(TypedDict):
 
 
 class MeshSummary(TypedDict):
-    """Hold size and quality of a mesh, see `summarise`."""
+    """Size and quality of a mesh, see `summarise`."""
 
     nodes: int
     tets: int
@@ -116,7 +116,7 @@ class MeshSummary(TypedDict):
 
 
 def summarise(mesh: TetMesh) -> MeshSummary:
-    """Describe size and quality of a mesh in plain numbers, ready for JSON.
+    """Summarise size and quality of a mesh in plain numbers, ready for JSON.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Measure how thick the layer of skin is."""
+"""Thickness of the skin layer."""
 
 import numpy as np
 

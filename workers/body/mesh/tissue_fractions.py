@@ -1,7 +1,7 @@
-"""Decide which tissue a tetrahedron is made of.
+"""Tissue of the tetrahedra of a mesh.
 
-The finest mesh asks five points, the four nodes and the centroid, and takes the
-majority; the coarser ones take the parts by volume of what lies inside them.
+The finest mesh samples five points, the four nodes and the centroid, and uses the
+majority; coarser ones use volume fractions.
 Air is never counted: the mesh fills the body, so air between voxel faces and
 the smooth outline is tissue.
 """
@@ -15,14 +15,14 @@ from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
 from palpate.workers.compile_flags import EXACT
 
 N_TISSUES = len(Tissue)
-NUDGE = 1e-3  # nodes are asked this part of the way towards the centroid: never on a voxel face
+NUDGE = 1e-3  # nodes are sampled this fraction towards the centroid, to avoid voxel faces
 
 
 def majority_fractions(mesh: TetMesh, labels: Volume) -> NDArray[np.float32]:
     """Return the one-hot tissue of each tetrahedron by the vote of its nodes and centroid.
 
-    A tie goes to the centroid's tissue, and if it is not among the first, to the lower label.
-    Where all five lie in air the nearest tissue is taken.
+    A tie goes to the centroid's tissue, or, if that is not among the first, to the lower label.
+    If all five are in air the nearest tissue is used.
 
     Returns
     -------
@@ -36,9 +36,9 @@ def majority_fractions(mesh: TetMesh, labels: Volume) -> NDArray[np.float32]:
 
 
 def volume_fractions(mesh: TetMesh, labels: Volume) -> NDArray[np.float32]:
-    """Return the parts by volume of each tissue in each tetrahedron.
+    """Return the volume fraction of each tissue in each tetrahedron.
 
-    Labels are read at 256 evenly spread points; the parts are right within about 0.02.
+    Labels are sampled at 256 evenly spread points; the fractions are accurate to about 0.02.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def _checked(labels: Volume) -> NDArray[np.uint8]:
     low, high = int(values.min()), int(values.max())
     if low < 0 or high >= N_TISSUES:
         raise InputError(
-            f"Tissue labels must lie in 0 to {N_TISSUES - 1}, got {low} to {high}. "
+            f"Tissue labels must be from 0 to {N_TISSUES - 1}, got {low} to {high}. "
             "Relabel the volume with labels: {value: tissue}."
         )
     return values if values.dtype == np.uint8 else values.astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Meshes of a whole body: none of its labelled volume is lost."""
+"""Meshes of a whole body, without loss of labelled volume."""
 
 import numpy as np
 from scipy.ndimage import label
@@ -13,7 +13,7 @@ VOLUME_TOLERANCE = 0.02  # of the volume of the labels
 def mesh_whole_body(
     labels: Volume, *, element_size_mm: float | None = None, nodes: int | None = None
 ) -> Hierarchy:
-    """Mesh a label volume as `build_hierarchy` does, and compare the volumes.
+    """Mesh a label volume with `build_hierarchy`, and compare the volumes.
 
     Raises
     ------
@@ -23,7 +23,7 @@ def mesh_whole_body(
     try:
         hierarchy = build_hierarchy(labels, element_size_mm=element_size_mm, nodes=nodes)
     except InputError:
-        # What was refused is the largest piece; that there are others is the reason to give.
+        # Only the largest piece was refused; the existence of others is the reason to report.
         _check_volume(_largest_piece_ml(labels), labels)
         raise
     check_mesh_volume(hierarchy.finest.mesh, labels)

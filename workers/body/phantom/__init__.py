@@ -1,1 +1,1 @@
-"""Draw labelled voxels from a seed."""
+"""Labelled voxels generated from a seed."""

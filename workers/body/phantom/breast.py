@@ -1,4 +1,4 @@
-"""Generate a breast phantom from settings and a seed."""
+"""Breast phantoms generated from settings and a seed."""
 
 import time
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ __all__ = ["PRESETS", "BreastPhantom", "Phantom", "generate_breast"]
 
 
 class PhantomFacts(TypedDict):
-    """Hold the measured sizes of a generated breast, see `Phantom`."""
+    """Measured sizes of a generated breast, see `Phantom`."""
 
     volume_ml: float
     interior_ml: float
@@ -40,7 +40,7 @@ class PhantomFacts(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class Phantom:
-    """Hold a generated breast.
+    """A generated breast.
 
     Parameters
     ----------
@@ -49,10 +49,10 @@ class Phantom:
     labels : Volume of uint8
         Tissue of each voxel, see `storage.values.Tissue`.
     facts : PhantomFacts
-        What came out, ready for JSON: ``volume_ml`` of the body, ``interior_ml``
+        Measured values, ready for JSON: ``volume_ml`` of the body, ``interior_ml``
         inside the skin, ``glandular_fraction`` and ``ligament_fraction`` of that
         interior, ``skin_ml``, ``compartments`` (with at least one voxel),
-        ``glandular_compartments``, ``split_compartment`` (whether one of them is
+        ``glandular_compartments``, ``split_compartment`` (True if one of them is
         glandular in part), ``voxels`` of the body and ``seconds``.
     """
 
@@ -64,7 +64,7 @@ class Phantom:
 def generate_breast(settings: BreastPhantom, seed: int) -> Phantom:
     """Generate the labelled voxels of a breast.
 
-    The house frame: x vertical (upwards, 0 at the height of the nipple), y the
+    Coordinates: x vertical (upwards, 0 at the height of the nipple), y the
     direction of compression, z from the chest wall (the voxel faces at z = 0) to
     the nipple. Equal settings and seed give equal voxels, bit for bit. The
     same seed gives the same compartments at every voxel size and glandular
@@ -79,7 +79,7 @@ def generate_breast(settings: BreastPhantom, seed: int) -> Phantom:
     Raises
     ------
     InputError
-        If the seed is not a whole number >= 0, or if the compartments hold too
+        If the seed is not a whole number >= 0, or if the compartments have too
         little tissue for the glandular fraction.
 
     References

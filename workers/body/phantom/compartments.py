@@ -1,7 +1,7 @@
-"""Draw compartments of adipose and glandular tissue: where they are and how they lie.
+"""Compartments of adipose and glandular tissue: positions, sizes and directions.
 
 Each compartment i is the class of a Gaussian maximum-a-posteriori classifier
-with equal priors. A point belongs to the compartment of largest discriminant
+with equal priors. A point belongs to the compartment with the largest discriminant
 
     f_i(x) = -1/2 (x - m_i)^T S_i (x - m_i) + 1/2 log det S_i
 
@@ -24,7 +24,7 @@ NEAR_AXIS = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Compartments:
-    """Hold Gaussian classes in space, n of them.
+    """Gaussian classes in space, n of them.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def draw_compartments(settings: BreastPhantom, rng: np.random.Generator) -> Comp
     """Draw seeds, sizes and directions of the compartments of a breast.
 
     They depend on the outline and on the number of compartments only, so the
-    same generator gives the same anatomy at every voxel size and density.
+    They depend only on the outline and on the number of compartments, so the
 
     Notes
     -----
@@ -76,10 +76,10 @@ def vertical_semi_axis(settings: BreastPhantom, x: FloatArray) -> FloatArray:
 
 
 def layer_frames(settings: BreastPhantom, points_mm: FloatArray) -> FloatArray:
-    """Return right-angled directions of the tissue layers at points inside the outline.
+    """Return orthogonal directions of the tissue layers at points inside the outline.
 
-    Nested ellipsoids keep the depth a and scale the other semi-axes by one
-    factor, so each passes through the nipple; one goes through every point.
+    Nested ellipsoids keep the depth a and scale the other semi-axes by the same
+    factor, so each passes through the nipple; one passes through every point.
 
     Returns
     -------
@@ -104,9 +104,9 @@ def layer_frames(settings: BreastPhantom, points_mm: FloatArray) -> FloatArray:
 def _draw_seeds(
     settings: BreastPhantom, n: int, distance_mm: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Draw uniform points inside the outline, none closer to another than `distance_mm`.
+    """Draw uniform points inside the outline, at least `distance_mm` apart.
 
-    The balls of that size fill 5 % of the body, so a free place is found soon.
+    Balls of that size fill 5 % of the body, so a free position is found quickly.
     """
     b, a = settings.half_width_mm, settings.depth_mm
     low = np.array([-settings.lower_mm, -b, 0.0])

@@ -1,4 +1,4 @@
-"""Choose which compartments are glandular, at random, to meet a volume fraction."""
+"""Random choice of the glandular compartments, to meet a volume fraction."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -23,14 +23,14 @@ Labels = NDArray[np.uint8]
 Counts = NDArray[np.int64]
 
 TOLERANCE: Final = 0.005  # of the wanted volume; a compartment is split beyond it
-LOOK_AHEAD: Final = 10  # compartments that may take the last place in the race
+LOOK_AHEAD: Final = 10  # candidates for the last place in the race
 GLAND_WIDTH: Final = 0.4  # of the distance from the nipple axis to the skin
 GLAND_HEIGHT: Final = 0.6  # vertical size relative to that: fat above and below
 
 
 @dataclass(frozen=True, eq=False)
 class GlandularChoice:
-    """List the compartments that become glandular tissue.
+    """The compartments of glandular tissue.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def gland_weight(settings: BreastPhantom, points_mm: FloatArray) -> FloatArray:
     .. math:: w = e^{-(\rho/0.4)^2} \sqrt{z/a}, \qquad
               \rho^2 = \frac{(y/b)^2 + (x/0.6c)^2}{1 - (z/a)^2}
 
-    The distance rho from the axis of the nipple is relative to that of the
-    skin: gland fills a cone-like body behind the nipple, fat lies around it and
+    The distance rho from the axis of the nipple is relative to the distance of the
+    skin: gland fills a cone-like body behind the nipple, with fat around it and
     in front of the chest wall.
 
     Parameters
@@ -80,9 +80,9 @@ def choose_compartments(
     """Choose compartments whose voxels add up to `wanted`.
 
     An exponential race: compartment i arrives at a time drawn with rate w_i,
-    which is weighted drawing without replacement [1]_. Compartments are taken
-    as they arrive while they fit. For the last place, the one of the next ten
-    that brings the sum closest to `wanted` is taken, or none if that is closer.
+    which is weighted drawing without replacement [1]_. Compartments are chosen
+    in order of arrival while they fit. For the last place, the one of the next ten
+    that brings the sum closest to `wanted` is chosen, or none if that is closer.
     If the sum is still off by more than half a percent (few or large
     compartments), the first that did not fit is split instead, and the sum is exact.
 
@@ -124,10 +124,10 @@ def choose_compartments(
 def label_tissue(
     ids: Ids, settings: BreastPhantom, choice: GlandularChoice, compartments: int
 ) -> Labels:
-    """Turn compartment ids into tissue labels, shape (nz, ny, nx).
+    """Convert compartment ids to tissue labels, shape (nz, ny, nx).
 
-    In a split compartment the voxels of largest `gland_weight` are glandular, so
-    the cut runs along the surface of the gland.
+    In a split compartment the voxels with the largest `gland_weight` are glandular, so
+    the cut follows the surface of the gland.
     """
     table = np.full(FIRST_ID + compartments, int(Tissue.FAT), dtype=np.uint8)
     table[AIR_ID] = Tissue.AIR

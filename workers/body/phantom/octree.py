@@ -1,9 +1,9 @@
-"""Fill the voxels of a breast by recursive partitioning.
+"""Voxels of a breast by recursive partitioning.
 
-A box of voxels is dropped when it lies in air, filled at once when it lies in
+A box of voxels is skipped if it is in air, filled at once if it is in
 the skin or in one compartment, and split otherwise. Small boxes are evaluated
 voxel by voxel with the few compartments that are left. Every bound is rigorous:
-the result is that of evaluating each voxel with all compartments.
+the result equals an evaluation of each voxel with all compartments.
 
 References
 ----------
@@ -46,14 +46,14 @@ IN_AIR, IN_SKIN, INSIDE, MIXED = range(4)
 
 
 def partition(settings: BreastPhantom, compartments: Compartments) -> tuple[Ids, int]:
-    """Find the ids of all voxels, by octree.
+    """Compute the ids of all voxels, by octree.
 
     Returns
     -------
     ids : ndarray of uint16, shape (nz, ny, nx)
         0 air, 1 skin, 2 ligament, ``FIRST_ID + i`` compartment i.
     boxes : int
-        Boxes looked at.
+        Number of boxes visited.
     """
     nx, ny, nz = settings.shape_xyz
     ids = np.zeros((nz, ny, nx), dtype=np.uint16)
@@ -74,7 +74,7 @@ def partition(settings: BreastPhantom, compartments: Compartments) -> tuple[Ids,
 
 
 def shape_vector(settings: BreastPhantom) -> FloatArray:
-    """Return lengths of the outline and its layers in mm, as the kernels take them."""
+    """Return lengths of the outline and its layers in mm, as used by the kernels."""
     shape = np.empty(6)
     shape[LOWER] = settings.lower_mm
     shape[UPPER] = settings.upper_mm
@@ -94,7 +94,7 @@ def _near_far(low: float, high: float) -> tuple[float, float]:
 
 @njit(**EXACT)
 def _place(box: Box, origin: FloatArray, spacing: float, shape: FloatArray) -> int:
-    """Say where all voxel centres of a box on one side of x = 0 lie, if in one place.
+    """Return the region of all voxel centres of a box on one side of x = 0, or MIXED.
 
     The depth below the skin grows with the value 1 - q and falls with the
     gradient and the curvature of q, so their bounds on the box bound the depth.
@@ -207,13 +207,13 @@ def _fill(ids: Ids, box: Box, value: int) -> None:
 
 @njit(**EXACT)
 def _push_parts(box: Box, level: int, stack: Box, top: int) -> int:
-    """Put the parts of a box on the stack, halved along its longer sides."""
+    """Push the parts of a box, halved along its longer sides, on the stack."""
     longest = max(box[1] - box[0], box[3] - box[2], box[5] - box[4])
     edges = np.empty((3, 3), dtype=np.int32)
     parts = np.empty(3, dtype=np.int32)
     for axis in range(3):
         low, high = box[2 * axis], box[2 * axis + 1]
-        # A side is left whole while it is at most half the longest: boxes become cubes.
+        # A side is kept whole if it is at most half the longest: boxes become cubes.
         parts[axis] = 2 if 2 * (high - low) > longest else 1
         edges[axis, 0] = low
         edges[axis, 1] = low + (high - low) // 2 if parts[axis] == 2 else high
@@ -240,10 +240,10 @@ def _traverse(
     S: FloatArray,
     offset: FloatArray,
 ) -> int:
-    """Visit all boxes, depth first; return how many there were.
+    """Visit all boxes, depth first; return their number.
 
-    A box of one level reads the candidates of that level and leaves its own
-    on the next, where only its parts and theirs look before the box is done.
+    A box of one level reads the candidates of that level and writes its own to the next, which
+    are read only by its parts and theirs before the box is done.
     """
     n = offset.shape[0]
     lists = np.empty((MAX_LEVELS + 1, n), dtype=np.int16)

@@ -1,4 +1,4 @@
-"""Set size, voxels and tissue shares of a breast phantom."""
+"""Settings of a breast phantom: size, voxels and tissue fractions."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -12,7 +12,7 @@ MAX_VOXELS: Final = 600_000_000  # 1.8 GB of ids and labels together
 
 @dataclass(frozen=True)
 class Limit:
-    """Bound a setting, and give its unit in messages."""
+    """Bounds of a setting, with its unit for messages."""
 
     low: float
     high: float
@@ -34,7 +34,7 @@ LIMITS: Final = {
 
 @dataclass(frozen=True)
 class BreastPhantom:
-    """Set up a breast phantom made of quadratic compartments.
+    """Settings of a breast phantom made of quadratic compartments.
 
     The outline is two half ellipsoids on a flat chest wall (z = 0) that share
     the plane x = 0: semi-axes `lower_mm` below it, `upper_mm` above it,
@@ -63,14 +63,14 @@ class BreastPhantom:
     Raises
     ------
     InputError
-        If a setting is not a number or lies outside its `LIMITS`, if skin fills
-        the body or if the box would hold more than `MAX_VOXELS`.
+        If a setting is not a number or is outside its `LIMITS`, if skin fills
+        the body or if the box would have more than `MAX_VOXELS`.
 
     Notes
     -----
-    A voxel is skin or ligament when its *centre* lies in the layer of nominal
-    thickness, at every spacing. The share of each tissue then hardly depends on
-    the voxel size. Voxels larger than a layer show it with holes; thickening it
+    A voxel is skin or ligament if its *centre* is in the layer of nominal
+    thickness, at every spacing. The fraction of each tissue then hardly depends on
+    the voxel size. Voxels larger than a layer leave holes in it; thickening it
     to two voxels instead would turn a third of the body into ligament at 1 mm.
 
     References
@@ -110,7 +110,7 @@ class BreastPhantom:
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> Self:
-        """Return settings known by a name, with some of them changed.
+        """Return the settings of a preset, with some of them changed.
 
         Parameters
         ----------
@@ -146,12 +146,12 @@ class BreastPhantom:
 
     @property
     def voxels_below(self) -> int:
-        """Count voxels along x below the plane x = 0, which is a voxel face."""
+        """Number of voxels along x below the plane x = 0, which is a voxel face."""
         return _voxels(self.lower_mm, self.spacing_mm)
 
     @property
     def shape_xyz(self) -> tuple[int, int, int]:
-        """Count voxels along x, y and z of the smallest box around the body.
+        """Number of voxels along x, y and z of the smallest box around the body.
 
         The planes x = 0, y = 0 and z = 0 are voxel faces.
         """
@@ -178,10 +178,10 @@ def _check(name: str, value: object, limit: Limit) -> None:
     number = isinstance(value, Real) and not isinstance(value, bool)
     if not number or not limit.low <= value <= limit.high:  # type: ignore[operator]  # also NaN
         raise InputError(
-            f"{name} must lie between {limit.low:g} and {limit.high:g}{limit.unit}, got {value!r}."
+            f"{name} must be between {limit.low:g} and {limit.high:g}{limit.unit}, got {value!r}."
         )
 
 
 def _voxels(length_mm: float, spacing_mm: float) -> int:
-    """Count voxels that cover a length; 50 mm are 250 of 0.2 mm in spite of rounding."""
+    """Return the number of voxels that cover a length; 50 mm are 250 of 0.2 mm despite rounding."""
     return math.ceil(length_mm / spacing_mm - 1e-9)

@@ -1,4 +1,4 @@
-"""Classify a point of the breast: air, skin, ligament or one of the compartments.
+"""Classification of a point of the breast: air, skin, ligament or one of the compartments.
 
 These few lines define the phantom; `workers.body.phantom.octree` only avoids most of
 their evaluations.
@@ -30,7 +30,7 @@ LOWER, UPPER, HALF_WIDTH, DEPTH, SKIN, HALF_LIGAMENT = range(6)
 def ray_length(F: float, g: float, kappa: float) -> float:
     """Return the smallest root s >= 0 of ``F - g s + kappa s^2 / 2``; infinity if there is none.
 
-    The distance, along its gradient, to the surface where a quadratic function
+    This is the distance, along its gradient, to the surface where a quadratic function
     vanishes: value F >= 0, gradient length g >= 0 and curvature kappa along it.
     """
     square = g * g - 2.0 * F * kappa
@@ -47,7 +47,7 @@ def skin_depth(q: float, gx: float, gy: float, gz: float, c: float, b: float, a:
     """Return the distance to the outline along the outward gradient, in mm.
 
     `q` = (x/c)^2 + (y/b)^2 + (z/a)^2 <= 1 and (gx, gy, gz) its gradient. The outline
-    lies where 1 - q vanishes, so the curvature enters with a minus sign.
+    is where 1 - q vanishes, so the curvature has a minus sign.
     """
     g2 = gx * gx + gy * gy + gz * gz
     if g2 == 0.0:
@@ -68,7 +68,7 @@ def compartment_at(
     offset: FloatArray,
     half: float,
 ) -> int:
-    """Return the id of the winning compartment, or of ligament closer than `half` to a wall.
+    """Return the id of the winning compartment, or of ligament if a wall is closer than `half`.
 
     The wall to another compartment j is where f_best - f_j vanishes; as the
     difference is quadratic, `ray_length` along its gradient is exact.
@@ -130,7 +130,7 @@ def fill_voxels(
     Parameters
     ----------
     ids : ndarray of uint16, shape (nz, ny, nx)
-        Written inside the box; air is left as it is (0).
+        Written inside the box; air is left unchanged (0).
     box : ndarray of int32, shape (6,)
         First and last-plus-one voxel along x, y and z: x0, x1, y0, y1, z0, z1.
     origin : ndarray, shape (3,)

@@ -1,1 +1,1 @@
-"""The 28 similarity coefficients that thesis section 3.3.2 compares."""
+"""The 28 similarity coefficients compared in thesis section 3.3.2."""

@@ -32,7 +32,7 @@ class Coefficients:
     jc, dc : float
         Jaccard and Dice coefficient (Eqs. 3.17, 3.18).
     volume_difference_mm3 : float
-        Volume of X less that of Y.
+        Volume of X minus volume of Y.
     hausdorff_mm : tuple of float
         D5 to D24 (Table 3.1), 20 numbers.
     signed_mean_mm : float
@@ -58,7 +58,7 @@ class Coefficients:
 
     @property
     def by_name(self) -> dict[str, float]:
-        """The 28 coefficients under their names in the thesis, see `NAMES`."""
+        """The 28 coefficients by their names in the thesis, see `NAMES`."""
         surface = (self.mean_to_y_mm, self.mean_to_x_mm, self.sd_to_y_mm, self.sd_to_x_mm)
         overlap = (self.jc, self.dc, self.volume_difference_mm3)
         values = (*overlap, *self.hausdorff_mm, self.signed_mean_mm, *surface)
@@ -76,24 +76,24 @@ def coefficients(
     labels: Iterable[Tissue] = (Tissue.GLANDULAR,),
     surface: Surface = "boundary",
 ) -> Coefficients:
-    """Compare the voxels of some tissues by all 28 coefficients.
+    """Compute all 28 coefficients for the voxels of some tissues.
 
     Parameters
     ----------
     simulated, real : Volume
         X and Y: labels on one lattice; the boxes may differ.
     labels : iterable of Tissue
-        The voxels of these labels together are the set that is compared.
+        The voxels of all these labels form the compared set.
     surface : {"boundary", "all"}
         "boundary": every distance runs from boundary voxels to boundary voxels, as the
         numbers of the thesis imply. "all": D5 to D24 and the signed mean run over all
-        voxels to the set, as Eqs. 3.20 to 3.25 say, and means and standard deviations
+        voxels to the set, following Eqs. 3.20 to 3.25, and means and standard deviations
         over surface voxels to the set.
 
     Raises
     ------
     InputError
-        If `surface` is neither, a set is empty or the lattices differ.
+        If `surface` is unknown, a set is empty or the lattices differ.
     """
     if surface not in ("boundary", "all"):
         raise InputError(f"The surface is 'boundary' or 'all', got {surface!r}.")

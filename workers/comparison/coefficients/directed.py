@@ -21,11 +21,11 @@ class DirectedDistances:
     Parameters
     ----------
     squared : ndarray of int64, shape (k,)
-        Squared distances other than zero, ascending, in units of the metric.
+        Nonzero squared distances, ascending, in units of the metric.
     count : int
-        Number of voxels that were measured, those at distance zero included; > 0.
+        Number of voxels, including those at distance zero; > 0.
     unit_mm : float
-        Millimetres of a distance 1.
+        Millimetres per unit of distance.
     """
 
     squared: NDArray[np.int64]
@@ -33,10 +33,10 @@ class DirectedDistances:
     unit_mm: float
 
     def percentile_mm(self, percent: int) -> float:
-        """Ranked distance: the smallest that at least `percent` of the voxels do not exceed.
+        """Return the smallest distance that at least `percent` of the voxels do not exceed.
 
-        This is the K-th ranked value of Dubuisson and Jain (1994), one of the distances
-        themselves and never a value between two of them.
+        This is the K-th ranked value of Dubuisson and Jain (1994), always one of the distances
+        and never interpolated.
         """
         rank = max(1, -(-percent * self.count // 100)) - (self.count - len(self.squared))
         return math.sqrt(int(self.squared[rank - 1])) * self.unit_mm if rank > 0 else 0.0
@@ -48,7 +48,7 @@ class DirectedDistances:
 
     @property
     def sd_mm(self) -> float:
-        """Standard deviation over all voxels (divided by their number)."""
+        """Standard deviation over all voxels (not n - 1)."""
         mean_square = int(self.squared.sum()) / self.count * self.unit_mm**2
         return math.sqrt(max(mean_square - self.mean_mm**2, 0.0))
 
@@ -62,12 +62,12 @@ class DirectedDistances:
 def directed_distances(
     queries: VoxelSet, features: VoxelSet, metric: Metric, *, query_kind: int, feature_kind: int
 ) -> DirectedDistances:
-    """Measure from each voxel of one set to the nearest of another, exactly.
+    """Measure the exact distance from each voxel of one set to the nearest voxel of another.
 
     Parameters
     ----------
     queries, features : VoxelSet
-        Not empty, on one lattice.
+        Non-empty sets on one lattice.
     metric : Metric
     query_kind, feature_kind : int
         ``INTERIOR`` for all voxels of a set, ``BOUNDARY`` for its boundary voxels.
@@ -85,6 +85,6 @@ def directed_distances(
 
 
 def _around(a: VoxelSet, b: VoxelSet) -> tuple[Index, Index]:
-    """Half-open box around two sets."""
+    """Return the half-open box around two sets."""
     (z0, y0, x0), (z1, y1, x1) = np.minimum(a.start, b.start), np.maximum(a.stop, b.stop)
     return (int(z0), int(y0), int(x0)), (int(z1), int(y1), int(x1))

@@ -2,7 +2,7 @@
 
 from palpate.workers.comparison.coefficients.directed import DirectedDistances
 
-# D1 to D4 combine minima and are zero whenever the sets touch; the thesis leaves them out.
+# D1 to D4 combine minima and are zero whenever the sets touch; the thesis omits them.
 FIRST_KEPT = 5
 VARIANTS = tuple(range(FIRST_KEPT, 25))
 HAUSDORFF, MODIFIED_HAUSDORFF = 18, 22
@@ -22,7 +22,7 @@ def hausdorff_variants_mm(to_y: DirectedDistances, to_x: DirectedDistances) -> d
     Returns
     -------
     dict of int to float
-        D1 to D24 in mm; D18 is Hausdorff's distance, D22 the modified one.
+        D1 to D24 in mm; D18 is the Hausdorff distance, D22 the modified one.
 
     References
     ----------

@@ -1,1 +1,1 @@
-"""Mammograms of labelled voxels: a cone of x-rays, tissue by tissue (thesis section 4.4)."""
+"""Mammograms of labelled voxels by a cone beam of x-rays (thesis section 4.4)."""

@@ -1,4 +1,4 @@
-"""How strongly each tissue attenuates x-rays."""
+"""X-ray attenuation of each tissue."""
 
 from typing import Final
 
@@ -19,19 +19,19 @@ TABLES: Final = {
 
 
 def attenuation_per_mm(tissue: Tissue, energies_kev: FloatArray) -> FloatArray:
-    """Linear attenuation coefficient, scatter included, in 1/mm.
+    """Return the linear attenuation coefficient, scatter included, in 1/mm.
 
     Parameters
     ----------
     tissue : Tissue
-        Air does not attenuate.
+        Air has no attenuation.
     energies_kev : ndarray
-        5 to 40 keV; between the rows of the table the logarithms are interpolated.
+        5 to 40 keV; logarithms are interpolated between the rows of the table.
 
     Raises
     ------
     InputError
-        If an energy lies outside the table.
+        If an energy is outside the table.
 
     Examples
     --------
@@ -45,12 +45,12 @@ def attenuation_per_mm(tissue: Tissue, energies_kev: FloatArray) -> FloatArray:
     known, values = table(TABLES[tissue]).T
     if energies.size and not (known[0] <= energies.min() and energies.max() <= known[-1]):
         raise InputError(
-            f"Attenuation is known from {known[0]:g} to {known[-1]:g} keV, asked for "
-            f"{energies.min():g} to {energies.max():g} keV. Use a spectrum of mammography."
+            f"Attenuation is known from {known[0]:g} to {known[-1]:g} keV, but {energies.min():g} "
+            f"to {energies.max():g} keV was requested. Use a spectrum of mammography."
         )
     return np.asarray(np.exp(np.interp(np.log(energies), np.log(known), np.log(values))))
 
 
 def attenuation_table(energies_kev: FloatArray) -> FloatArray:
-    """Coefficients of all tissues in the order of `Tissue`, shape (tissues, energies), 1/mm."""
+    """Return coefficients of all tissues in the order of `Tissue`, (tissues, energies), 1/mm."""
     return np.stack([attenuation_per_mm(tissue, energies_kev) for tissue in Tissue])

@@ -1,7 +1,7 @@
 """Digital Mammography X-Ray Images (DICOM PS3.3, A.27).
 
-Written by hand from the tables of the standard. Pixels for processing are linear in the
-energy that the detector read; those for presentation are the logarithm of the
+Written directly from the tables of the standard. Pixels for processing are linear in the
+energy read by the detector; those for presentation are the logarithm of the
 attenuation, dense tissue bright.
 """
 
@@ -25,7 +25,7 @@ SOP_CLASSES = {
     "presentation": "1.2.840.10008.5.1.4.1.1.1.2",
     "processing": "1.2.840.10008.5.1.4.1.1.1.2.1",
 }
-# CID 4014, and where columns and rows run to in a left breast: anterior, then right or feet.
+# CID 4014, and the directions of columns and rows in a left breast: anterior, then right or feet.
 VIEWS = {
     "CC": ("399162004", "cranio-caudal", ["A", "R"]),
     "MLO": ("399368009", "medio-lateral oblique", ["A", "FR"]),
@@ -37,9 +37,9 @@ LARGEST = 2**BITS - 1
 def mammogram_dataset(
     mammogram: Mammogram, view: View, intent: Intent = "presentation", body_name: str = "PHANTOM^"
 ) -> FileDataset:
-    """Describe a mammogram of a left breast in the terms of DICOM.
+    """Return the DICOM data set of a mammogram of a left breast.
 
-    Unique identifiers follow from the pixels, so that equal mammograms give equal files.
+    Unique identifiers are derived from the pixels, so that equal mammograms give equal files.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def _identifiers(pixels: Any, view: str, intent: str) -> dict[str, Any]:
 
 
 def _patient_and_study(name: str) -> dict[str, Any]:
-    """Modules Patient, General Study, General Series and General Equipment."""
+    """Return the modules Patient, General Study, General Series and General Equipment."""
     return {
         "PatientName": name,
         "PatientID": name,
@@ -117,7 +117,7 @@ def _patient_and_study(name: str) -> dict[str, Any]:
 
 
 def _image(view: str, intent: str) -> dict[str, Any]:
-    """Modules General Image, DX Anatomy, Mammography Image and Acquisition Context."""
+    """Return the modules General Image, DX Anatomy, Mammography Image and Acquisition Context."""
     code, meaning, orientation = VIEWS[view]
     of_view = _code(code, meaning)
     of_view.ViewModifierCodeSequence = Sequence([])
@@ -141,7 +141,7 @@ def _image(view: str, intent: str) -> dict[str, Any]:
 
 
 def _beam_and_detector(mammogram: Mammogram) -> dict[str, Any]:
-    """Modules DX Detector, Mammography's geometry and X-Ray Acquisition Dose."""
+    """Return the modules DX Detector, Mammography's geometry and X-Ray Acquisition Dose."""
     g = mammogram.geometry
     normal = np.cross(g.down_mm, g.right_mm)
     height = abs(float((g.source_mm - g.first_mm) @ normal)) / float(np.linalg.norm(normal))
@@ -165,7 +165,7 @@ def _beam_and_detector(mammogram: Mammogram) -> dict[str, Any]:
 
 
 def _pixels(pixels: Any, intent: str) -> dict[str, Any]:
-    """Modules Image Pixel, DX Image and VOI LUT."""
+    """Return the modules Image Pixel, DX Image and VOI LUT."""
     rows, columns = pixels.shape
     shown = intent == "presentation"
     values = {

@@ -1,4 +1,4 @@
-"""From lengths in tissue to what an ideal detector reads, with its noise."""
+"""Readings of an ideal detector behind known lengths of tissue, with noise."""
 
 from dataclasses import dataclass
 
@@ -18,12 +18,12 @@ ELECTRONIC_EVENTS = 100.0
 
 @dataclass(frozen=True)
 class Noise:
-    """What blurs the reading of a pixel.
+    """Noise of a pixel's reading.
 
     Parameters
     ----------
     seed : int
-        Of both random processes.
+        Seed of both random processes.
     electronic_kev : float
         Standard deviation of the electronic noise, in keV of absorbed energy. Some 2,000
         electrons of 50 eV each in amorphous selenium are 100 keV.
@@ -47,7 +47,7 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Mammogram:
-    """What a detector reads.
+    """Reading of a detector.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Mammogram:
 
     @property
     def log_attenuation(self) -> FloatArray:
-        """ln(open / energy); a pixel that reads less than 1 keV counts as 1 keV."""
+        """ln(open / energy); readings below 1 keV count as 1 keV."""
         return np.asarray(np.log(self.open_kev / np.maximum(self.energy_kev, 1.0)))
 
 
@@ -88,16 +88,16 @@ def expose(
         Labels of `Tissue`.
     geometry : Geometry
     spectrum : Spectrum, optional
-        Tungsten behind rhodium if not given.
+        Tungsten with a rhodium filter by default.
     mas : float
         Tube current times time, > 0.
     noise : Noise, optional
-        None for the expected reading.
+        Noise of the reading; by default, the expected reading is returned.
 
     Raises
     ------
     InputError
-        If the exposure is not positive, or a value is no label.
+        If the exposure is not positive, or a value is not a label.
     """
     lengths = path_lengths_mm(body, geometry)
     return read_out(lengths, geometry, spectrum or spectrum_of("w_rh"), mas=mas, noise=noise)
@@ -118,8 +118,8 @@ def read_out(
     .. math:: N_E = \text{mAs} \, \phi_E \, A \cos\theta \, (1000 / r)^2
               \exp\Big(-\sum_t \mu_t(E) L_t\Big)
 
-    photons and reads :math:`\sum_E E N_E`. With noise, N is drawn from Poisson's law in
-    each bin, and the electronics add a second Poisson process less its mean.
+    photons and reads :math:`\sum_E E N_E`. With noise, N is drawn from a Poisson distribution in
+    each bin, and the electronics add a second Poisson process minus its mean.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def read_out(
     open_kev = (energies @ photons).reshape(geometry.rows, geometry.columns)
     energy = np.empty_like(open_kev)
     generator = None if noise is None else np.random.default_rng(noise.seed)
-    for row in range(geometry.rows):  # row by row, to keep the bins of few pixels at a time
+    for row in range(geometry.rows):  # row by row, to limit the memory of the energy bins
         part = photons[:, row * geometry.columns : (row + 1) * geometry.columns]
         counts = part * np.exp(-(attenuation.T @ lengths_mm[row].T.astype(np.float64)))
         if generator is not None:
@@ -153,9 +153,9 @@ def read_out(
 
 
 def _weight_mm2(geometry: Geometry) -> FloatArray:
-    """Area of each pixel as the focal spot sees it, brought to the distance of the table."""
+    """Return the area of each pixel seen from the focal spot, scaled to the table's distance."""
     ray = geometry.pixels_mm - geometry.source_mm
     distance = np.linalg.norm(ray, axis=-1)
-    normal = np.cross(geometry.down_mm, geometry.right_mm)  # as long as a pixel is large
+    normal = np.cross(geometry.down_mm, geometry.right_mm)  # its length is the pixel's area
     seen = np.abs(ray @ normal) / distance
     return np.asarray(seen * (TABLE_DISTANCE_MM / distance) ** 2)

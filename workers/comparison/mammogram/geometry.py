@@ -1,4 +1,4 @@
-"""Where the focal spot, the body and the pixels of the detector stand."""
+"""Positions of the focal spot, the body and the pixels of the detector."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ CC_AXIS: Triple = (0.0, 1.0, 0.0)
 
 
 def mlo_axis(oblique_deg: float = 45.0) -> Triple:
-    """From the lower to the upper plate of a mediolateral oblique view."""
+    """Return the direction from the lower to the upper plate of a mediolateral oblique view."""
     angle = np.radians(oblique_deg)
     return -float(np.sin(angle)), float(np.cos(angle)), 0.0
 
@@ -23,16 +23,16 @@ class Unit:
     Parameters
     ----------
     source_mm : float
-        From the focal spot to the plane of the detector.
+        Distance from the focal spot to the plane of the detector.
     gap_mm : float
-        From the detector up to the plate that the body lies on.
+        Distance from the detector up to the plate under the body.
     pixel_mm : float
         Edge of a pixel.
 
     Raises
     ------
     InputError
-        If a length is not positive, or the plate lies beyond the focal spot.
+        If a length is not positive, or the plate is beyond the focal spot.
     """
 
     source_mm: float = 650.0
@@ -59,7 +59,7 @@ class Geometry:
     first_mm : ndarray, shape (3,)
         Centre of the pixel [0, 0].
     down_mm, right_mm : ndarray, shape (3,)
-        From a pixel to the one in the next row, and in the next column.
+        Steps from a pixel to the next row, and to the next column.
     rows, columns : int
     """
 
@@ -82,31 +82,31 @@ class Geometry:
 def geometry_of(
     body: Volume, axis: Triple = CC_AXIS, unit: Unit = Unit(), support_mm: float | None = None
 ) -> Geometry:
-    """Stand a compressed body on the detector.
+    """Place a compressed body on the detector.
 
-    The focal spot is above the edge of the chest wall, z = the lowest voxel faces, and
-    above the middle of the body along the wall; no pixel lies behind the wall. Rows run
-    along the wall, columns from the wall to the nipple.
+    The focal spot is above the edge of the chest wall, z = the lowest voxel faces, and above the
+    middle of the body along the wall; no pixel is behind the wall. Rows run along the wall, columns
+    from the wall to the nipple.
 
     Parameters
     ----------
     body : Volume
         Labels; 0 is air.
     axis : tuple of float
-        From the lower to the upper plate, across z.
+        Direction from the lower to the upper plate, perpendicular to z.
     unit : Unit
     support_mm : float, optional
-        Upper face of the lower plate along the axis; where the body begins if not given.
+        Upper face of the lower plate along the axis; by default, the start of the body.
 
     Raises
     ------
     InputError
-        If the volume is all air, the axis is not across z, or the body reaches the
+        If the volume is all air, the axis is not perpendicular to z, or the body reaches the
         focal spot.
     """
     up = np.asarray(axis, np.float64)
     if not (np.linalg.norm(up) > 0 and abs(up[2]) < 1e-9 * np.linalg.norm(up)):
-        raise InputError(f"The axis of compression must lie across z, got {axis}.")
+        raise InputError(f"The axis of compression must be perpendicular to z, got {axis}.")
     up = up / np.linalg.norm(up)
     out = np.array([0.0, 0.0, 1.0])
     along = np.cross(up, out)
@@ -117,7 +117,7 @@ def geometry_of(
     if heights.max() >= plane + unit.source_mm:
         raise InputError(
             f"The body reaches {heights.max() - plane:.4g} mm above the detector, the focal spot "
-            f"stands at {unit.source_mm:g} mm. Give the volume of the compressed body, in mm."
+            f"is at {unit.source_mm:g} mm. Give the volume of the compressed body, in mm."
         )
     wall = float(corners[:, 2].min())
     middle = float((corners @ along).min() + (corners @ along).max()) / 2
@@ -133,15 +133,15 @@ def geometry_of(
 
 
 def _corners(body: Volume) -> FloatArray:
-    """Corners of the columns of voxels along z that hold tissue, shape (k, 3).
+    """Return the corners of the columns of voxels along z that contain tissue, shape (k, 3).
 
-    Lowest and highest z are those of the whole body, so that its shadow lies inside
-    that of the corners.
+    Lowest and highest z are those of the whole body, so that its shadow is inside the shadow of
+    the corners.
     """
     tissue = body.values != Tissue.AIR
     y, x = np.nonzero(tissue.any(axis=0))
     if not len(y):
-        raise InputError("The volume is all air: there is no body in it. Check its label map.")
+        raise InputError("The volume is all air, without a body. Check its label map.")
     z = np.flatnonzero(tissue.any(axis=(1, 2)))
     origin, step = np.asarray(body.origin_mm), np.asarray(body.spacing_mm)
     ends = []

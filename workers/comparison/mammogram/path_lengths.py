@@ -1,4 +1,4 @@
-"""Exact lengths of rays in each tissue (Siddon's line integrals)."""
+"""Exact path lengths of rays in each tissue (Siddon's line integrals)."""
 
 import numpy as np
 from numba import njit
@@ -10,15 +10,15 @@ from palpate.workers.comparison.mammogram.geometry import Geometry
 from palpate.workers.compile_flags import EXACT, EXACT_UNCHECKED
 
 N_TISSUES = len(Tissue)
-# Pixels of a square are followed one after the other: their rays share cache lines.
+# Pixels are processed in square tiles: their rays share cache lines.
 TILE = 32
 
 
 def path_lengths_mm(body: Volume, geometry: Geometry) -> NDArray[np.float32]:
-    """Length of each ray in each tissue.
+    """Return the length of each ray in each tissue.
 
-    A ray goes from the focal spot to the centre of a pixel and from voxel to voxel,
-    where it meets the planes between them [1]_; no step is taken inside a voxel, so the
+    A ray goes from the focal spot to the centre of a pixel and from voxel to voxel at its
+    intersections with the planes between them [1]_; there are no steps inside a voxel, so the
     lengths are exact for these voxels.
 
     Parameters
@@ -30,12 +30,12 @@ def path_lengths_mm(body: Volume, geometry: Geometry) -> NDArray[np.float32]:
     Returns
     -------
     ndarray of float32, shape (rows, columns, tissues)
-        In mm. In air only what lies inside the box of `body`.
+        In mm. For air, only the length inside the box of `body`.
 
     Raises
     ------
     InputError
-        If a value is no label.
+        If a value is not a label.
 
     References
     ----------
@@ -109,7 +109,7 @@ def _one_ray(
     way: FloatArray,
     total: FloatArray,
 ) -> None:
-    """Add the part of a ray from ``start`` (0) to ``start + way`` (1) that each label holds."""
+    """Add the part of a ray from ``start`` (0) to ``start + way`` (1) in each label."""
     enter, leave = 0.0, 1.0
     for c in range(3):
         if way[c] == 0.0:
@@ -120,7 +120,7 @@ def _one_ray(
             enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
     if not enter < leave:
         return
-    # Part of the ray at the next plane along each axis, and from plane to plane.
+    # Ray parameter at the next plane along each axis, and from plane to plane.
     cx, sx, tx, dx = _first_plane(start[0], way[0], enter, count[0])
     cy, sy, ty, dy = _first_plane(start[1], way[1], enter, count[1])
     cz, sz, tz, dz = _first_plane(start[2], way[2], enter, count[2])
@@ -129,7 +129,7 @@ def _one_ray(
     left_x = count[0] - cx if sx > 0 else cx + 1
     left_y = count[1] - cy if sy > 0 else cy + 1
     left_z = count[2] - cz if sz > 0 else cz + 1
-    since = enter  # where the present label began
+    since = enter  # start of the current label
     label = flat[at]
     while True:
         if tx <= ty and tx <= tz:
@@ -163,7 +163,7 @@ def _one_ray(
 def _first_plane(
     start: float, way: float, enter: float, count: int
 ) -> tuple[int, int, float, float]:
-    """Voxel at the entry, direction, part of the ray at its far plane, and between planes."""
+    """Return the entry voxel, direction, ray parameter at its far plane, and between planes."""
     at = min(max(int(np.floor(start + enter * way)), 0), count - 1)
     if way > 0.0:
         return at, 1, (at + 1 - start) / way, 1.0 / way

@@ -1,4 +1,4 @@
-"""Mammograms as grey values that a screen or a file can show."""
+"""Grey values of mammograms for screens and files."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,17 +7,17 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
 from palpate.workers.comparison.mammogram.exposure import Mammogram
 
-# Of the pixels behind the body; what is darker or brighter saturates.
+# Of the pixels behind the body; darker and brighter values saturate.
 PERCENTILES = (1.0, 99.5)
-# A pixel behind less than this attenuation, ln(open / energy), shows air.
+# Pixels with less attenuation than this, ln(open / energy), count as air.
 AIR = 0.05
 EQUAL = 128
-# Of the range of attenuations behind the body: so large a difference saturates.
+# Fraction of the range of attenuations behind the body at which a difference saturates.
 LARGEST_DIFFERENCE = 0.1
 
 
 def presentation_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16]:
-    """Dense tissue bright, air dark: the logarithm of the attenuation in whole numbers.
+    """Return the log attenuation in whole numbers: dense tissue bright, air dark.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def presentation_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16
 
 
 def processing_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16]:
-    """Energy in whole numbers, linear; the open field takes nine tenths of the scale.
+    """Return the energy in whole numbers, linear; the open field is at nine tenths of the scale.
 
     Parameters
     ----------
@@ -58,10 +58,10 @@ def grey_picture(mammogram: Mammogram) -> NDArray[np.uint8]:
 
 
 def difference_picture(first: Mammogram, second: Mammogram) -> NDArray[np.uint8]:
-    """Signed difference of attenuations (thesis Fig. 4.18): grey where they are equal.
+    """Return the signed difference of attenuations (thesis Fig. 4.18): grey if equal.
 
-    White, and black, where the first, and the second, attenuates more by a tenth of the
-    range that the first one shows; differences of breasts are hundredths of it.
+    White (black) means that the first (second) attenuates more by a tenth of the first one's
+    range; differences of breasts are hundredths of it.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def difference_picture(first: Mammogram, second: Mammogram) -> NDArray[np.uint8]
     a, b = first.log_attenuation, second.log_attenuation
     if a.shape != b.shape:
         raise InputError(
-            f"The mammograms have {a.shape} and {b.shape} pixels. Take both in one geometry."
+            f"The mammograms have {a.shape} and {b.shape} pixels. Take both in the same geometry."
         )
     low, high = window_of(a)
     grey = EQUAL + 127 * (a - b) / (LARGEST_DIFFERENCE * (high - low))
@@ -79,7 +79,7 @@ def difference_picture(first: Mammogram, second: Mammogram) -> NDArray[np.uint8]
 
 
 def window_of(attenuation: FloatArray) -> tuple[float, float]:
-    """Darkest and brightest attenuation of a picture."""
+    """Return the darkest and brightest attenuation of a picture."""
     body = attenuation[attenuation > AIR]
     if not body.size:
         return 0.0, 1.0

@@ -10,25 +10,25 @@ from palpate.workers.comparison.mammogram.tables import table
 Beam = Literal["mo_mo", "rh_rh", "w_rh"]
 BEAMS: tuple[Beam, ...] = get_args(Beam)
 TABLE_DISTANCE_MM = 1000.0
-# Bins with a smaller part of all photons are left out.
+# Bins with a smaller fraction of all photons are omitted.
 NEGLIGIBLE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Photons that reach the body.
+    """Photon spectrum that reaches the body.
 
     Parameters
     ----------
     energies_kev : ndarray, shape (k,)
         Ascending.
     photons_per_mm2_mas : ndarray, shape (k,)
-        In each bin, per mAs, at 1000 mm from the focal spot.
+        Photons in each bin, per mAs, at 1000 mm from the focal spot.
 
     Raises
     ------
     InputError
-        If the arrays differ in shape, or no photon is in them.
+        If the arrays differ in shape, or contain no photons.
     """
 
     energies_kev: FloatArray
@@ -38,18 +38,18 @@ class Spectrum:
         energies, photons = self.energies_kev, self.photons_per_mm2_mas
         if energies.shape != photons.shape or energies.ndim != 1 or not photons.sum() > 0:
             raise InputError(
-                "A spectrum needs as many energies as numbers of photons, and some photons; got "
+                "A spectrum needs as many photon counts as energies, and some photons; got "
                 f"shapes {energies.shape} and {photons.shape}."
             )
 
 
 def spectrum_of(beam: Beam) -> Spectrum:
-    """Spectrum of an anode and a filter at 28 kVp, behind a compression plate.
+    """Return the spectrum of an anode and a filter at 28 kVp, behind a compression plate.
 
     Parameters
     ----------
     beam : {"mo_mo", "rh_rh", "w_rh"}
-        Anode and filter: molybdenum, rhodium, or tungsten behind rhodium.
+        Anode and filter: molybdenum, rhodium, or tungsten with a rhodium filter.
 
     Raises
     ------

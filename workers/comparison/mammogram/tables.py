@@ -1,4 +1,4 @@
-"""Small tables that come with the package; the first lines of each say where it is from."""
+"""Small tables in the package; the first lines of each give its source."""
 
 from functools import lru_cache
 from importlib.resources import files
@@ -15,12 +15,12 @@ def table(name: str) -> FloatArray:
     Parameters
     ----------
     name : str
-        Of a file in ``tables/``, without its ending.
+        Name of a file in ``tables/``, without its suffix.
     """
     text = (
         files("palpate.workers.comparison.mammogram").joinpath("tables", f"{name}.csv").read_text()
     )
     rows = [line.split(",") for line in text.splitlines() if not line.startswith("#")]
     values = np.array(rows[1:], dtype=np.float64)  # the first row names the columns
-    values.setflags(write=False)  # shared by everyone who asks again
+    values.setflags(write=False)  # cached and shared
     return values

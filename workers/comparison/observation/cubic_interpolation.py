@@ -1,8 +1,8 @@
-r"""Interpolate a field on a lattice, and its gradient, between the lattice points.
+r"""Interpolation of a field on a lattice, and of its gradient.
 
 Cubic convolution [1]_ through four samples an axis: exact at the lattice points,
 exact for quadratics, once continuously differentiable, and without a system to
-solve. The gradient is that of the interpolated field, not an interpolated gradient.
+solve. The gradient is the exact derivative of the interpolated field.
 
 References
 ----------
@@ -29,14 +29,14 @@ def at_points(
     spacing_mm, origin_mm : tuple of float
         Along x, y, z, as in `storage.values.Volume`.
     points : ndarray, shape (k, 3)
-        (x, y, z) in mm. Outside of the lattice the value of the nearest point of its
-        box is taken, with no slope across the box.
+        (x, y, z) in mm. Outside the lattice the value of the nearest point of its
+        box is used, with no slope across the box.
 
     Returns
     -------
     value : ndarray, shape (k,)
     gradient : ndarray, shape (k, 3)
-        Along x, y, z, for a millimetre.
+        Along x, y, z, per millimetre.
     """
     index = (points - np.asarray(origin_mm)) / np.asarray(spacing_mm)
     value, gradient = _interpolate(values, np.ascontiguousarray(index))
@@ -74,7 +74,7 @@ def _interpolate(values: NDArray[np.float32], index: FloatArray) -> tuple[FloatA
 def _weights(
     where: float, n: int, at: NDArray[np.int64], weight: FloatArray, slope: FloatArray
 ) -> None:
-    """Fill four samples around a place on an axis of n, their weights and derivatives of these."""
+    """Store four samples around a position on an axis of n, their weights and derivatives."""
     outside = where < 0.0 or where > n - 1.0
     where = min(max(where, 0.0), n - 1.0)
     first = min(int(where), max(n - 2, 0))

@@ -1,8 +1,8 @@
-"""Blur voxels with a Gaussian: axis by axis, whole lines at a time, in single precision.
+"""Gaussian blur of voxels: axis by axis, whole lines at a time, in single precision.
 
-The same as `scipy.ndimage.gaussian_filter` with ``mode="nearest"``, to the rounding of single
-precision, in a fifth of the time: of a scan of 8 million voxels the blur took as long as the
-distances to its interfaces.
+Equal to `scipy.ndimage.gaussian_filter` with ``mode="nearest"`` up to single-precision rounding,
+in a fifth of the time: for a scan of 8 million voxels that blur took as long as the distances to
+its interfaces.
 """
 
 from collections.abc import Sequence
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from palpate.workers.compile_flags import CONTRACTED
 
-PIECE = 4096  # voxels of a line that are summed before the next: their neighbours stay in the cache
+PIECE = 4096  # voxels of a line summed before the next, so that their neighbours stay cached
 
 Voxels = NDArray[np.float32]
 
 
 def blurred(values: Voxels, sigma: Sequence[float], reach: float) -> Voxels:
-    """Return voxels blurred; beyond the volume they go on as at its face.
+    """Return blurred voxels; beyond the volume its outermost values are continued.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def blurred(values: Voxels, sigma: Sequence[float], reach: float) -> Voxels:
     sigma : sequence of float
         Standard deviation along z, y and x, in voxels; > 0.
     reach : float
-        Standard deviations after which the Gaussian is cut off.
+        Cut-off of the Gaussian, in standard deviations.
     """
     values = np.ascontiguousarray(values, dtype=np.float32)
     for axis, width in enumerate(sigma):
@@ -53,7 +53,7 @@ def half_kernel(sigma: float, reach: float) -> Voxels:
 
 @njit(**CONTRACTED)
 def _blur_across_lines(values: Voxels, weights: Voxels, out: Voxels) -> None:
-    """Blur along the middle axis of (a, n, b): pieces of lines of b are sums of such pieces."""
+    """Blur along the middle axis of (a, n, b): lines of b are weighted sums of such lines."""
     n, b = values.shape[1:]
     for a in range(values.shape[0]):
         for first in range(0, b, PIECE):

@@ -1,4 +1,4 @@
-"""Put material points on the tissue interfaces of a reference scan."""
+"""Material points on the tissue interfaces of a reference scan."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ from palpate.storage.values import BoolArray, FloatArray, IntArray, Tissue, Volu
 from palpate.workers.comparison.observation.isosurface import SMOOTH_VOXELS, Surface, surface
 from palpate.workers.comparison.observation.signed_distance import SignedDistance, distance_to
 
-SMALLEST_VOXELS = 30  # a ball of so many voxels is the smallest part that counts
-# Points put down at random, no two nearer than r, end up with one for 1.44 r^2 (Renyi's
+SMALLEST_VOXELS = 30  # parts smaller than a ball of so many voxels are ignored
+# Random points at distances of at least r reach a density of one per 1.44 r^2 (Renyi's
 # parking in the plane, coverage 0.547; J. Feder, J. Theor. Biol. 87 (1980) 237-254).
 CLOSEST = 0.835
 SEED = 20140213
@@ -23,14 +23,14 @@ SEED = 20140213
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """Name a boundary of tissue that both scans show.
+    """A tissue boundary that is visible in both scans.
 
     Parameters
     ----------
     name : str
-        In the words of a report.
+        Name used in reports.
     inside : tuple of Tissue
-        The tissues that it encloses.
+        The enclosed tissues.
     """
 
     name: str
@@ -43,21 +43,21 @@ GLANDULAR = Interface("glandular", (Tissue.GLANDULAR,))
 
 @dataclass(frozen=True, eq=False)
 class InterfacePoints:
-    """Hold points spread evenly on interfaces, k in all.
+    """Set of k points spread evenly on interfaces.
 
     Parameters
     ----------
     points : ndarray, shape (k, 3)
         (x, y, z) in mm.
     normals : ndarray, shape (k, 3)
-        Of length 1, out of the tissue.
+        Unit normals pointing out of the tissue.
     interface : ndarray of int32, shape (k,)
-        Which of the interfaces asked for.
+        Index of the interface.
     area_mm2 : ndarray, shape (k,)
-        Area of interface that the point stands for.
+        Area of interface represented by the point.
     part : ndarray of int32, shape (k,)
-        Connected piece of interface, such as the shell of one compartment of gland;
-        counted through all interfaces, in each from the largest.
+        Index of the connected piece of interface, such as the shell of one compartment of
+        gland; numbered through all interfaces, in each from the largest.
     """
 
     points: FloatArray
@@ -70,7 +70,7 @@ class InterfacePoints:
         return len(self.points)
 
     def of(self, index: NDArray[np.integer]) -> "InterfacePoints":
-        """Return the points of some numbers only."""
+        """Return the points with these indices."""
         return InterfacePoints(
             self.points[index],
             self.normals[index],
@@ -96,15 +96,15 @@ def interface_points(
         `Tissue` labels, z from the chest wall to the nipple.
     interfaces : sequence of Interface
     spacing_mm : float
-        One point stands for about the square of it (a fifth more where it is as short as
-        three voxels); none are nearer than 0.8 of it, unless they look opposite ways. > 0.
+        Each point represents about its square (a fifth more if it is as short as three voxels);
+        points are at least 0.8 of it apart, unless their normals are opposite. > 0.
     wall_margin_mm : float
-        No points nearer than this to the lowest point of the body, where the scan ends
+        No points closer than this to the lowest point of the body, where the scan ends
         and not the tissue. >= 0.
     clear_mm : float
-        Only points with so much of one tissue on either side, along the normal. At thin
-        strands and clefts, about as thick as the errors of a segmentation, another
-        drawing of the same image may have none, and the nearest interface is another one.
+        Use only points with this thickness of one tissue on either side, along the normal.
+        Strands and clefts about as thin as the errors of a segmentation may be missing in
+        another segmentation of the same image, where the nearest interface is another one.
         0 keeps all; >= 0.
     smooth_voxels : float
         See `workers.comparison.observation.isosurface.surface`.
@@ -112,23 +112,23 @@ def interface_points(
     Returns
     -------
     InterfacePoints
-        The same ones each time. Faces of the volume's box that cut tissue carry none,
+        The same points on every call. Faces of the volume's box that cut tissue have none,
         nor do pieces of the size of a few voxels.
 
     Raises
     ------
     InputError
-        If a distance makes no sense, an interface is not in the volume, or no point is left.
+        If a distance is invalid, an interface is not in the volume, or no point is left.
     """
     if not (spacing_mm > 0 and wall_margin_mm >= 0 and clear_mm >= 0):
         raise InputError(
-            "Points need a spacing > 0 mm, a margin >= 0 mm from the chest wall and a clear way "
-            f">= 0 mm to either side, found {spacing_mm}, {wall_margin_mm} and {clear_mm}."
+            "Points need a spacing > 0 mm, a margin >= 0 mm from the chest wall and a clearance "
+            f">= 0 mm on either side, found {spacing_mm}, {wall_margin_mm} and {clear_mm}."
         )
     smallest = (36 * np.pi) ** (1 / 3) * (SMALLEST_VOXELS * labels.voxel_mm3) ** (2 / 3)
     body = surface(labels, OUTLINE.inside, smooth_voxels)
     counted = _parts(body, smallest) >= 0
-    # A body of a few voxels is one of no counted part; any height will do for it.
+    # A body of a few voxels has no part of that size; any height will do for it.
     lowest = body.vertices[counted if counted.any() else slice(None), 2].min() + wall_margin_mm
     spread = []
     for interface in interfaces:
@@ -146,7 +146,7 @@ def interface_points(
     count = [len(points) for points, _, _, _ in spread]
     if not sum(count):
         raise InputError(
-            f"No interface point lies more than {wall_margin_mm} mm above the chest-wall end of "
+            f"No interface point is more than {wall_margin_mm} mm above the chest-wall end of "
             "the body. Lower the margin, or check that z runs from the chest wall to the nipple."
         )
     points, normals, area, part = (np.concatenate(column) for column in zip(*spread, strict=True))
@@ -156,7 +156,7 @@ def interface_points(
 
 
 def _parts(drawn: Surface, smallest_mm2: float) -> IntArray:
-    """Return the connected piece of each vertex, from the largest; -1 where it is too small."""
+    """Return the connected piece of each vertex, from the largest; -1 if it is too small."""
     n = len(drawn.vertices)
     ends = drawn.triangles[:, [0, 1, 1, 2]].reshape(-1, 2).T
     edges = coo_matrix((np.ones(ends.shape[1], np.int8), ends), shape=(n, n))
@@ -170,7 +170,7 @@ def _parts(drawn: Surface, smallest_mm2: float) -> IntArray:
 
 
 def _has_clearance(drawn: Surface, distance: SignedDistance, clear_mm: float) -> BoolArray:
-    """Say whether a way along the normal leads at least half as far from every interface."""
+    """Return True where both ways along the normal stay clear of every interface."""
     way = clear_mm * drawn.normals()
     inwards, _ = distance.at(drawn.vertices - way)
     outwards, _ = distance.at(drawn.vertices + way)
@@ -188,14 +188,14 @@ def _points_on_surface(
     if not len(points):
         return points, normals, area, parts
     kept = _thin_out(points, normals, CLOSEST * spacing_mm)
-    # A vertex belongs to the nearest point that looks the same way.
+    # A vertex belongs to the nearest point with a similar normal.
     places = np.column_stack([points, spacing_mm * normals])
     _, owner = KDTree(places[kept]).query(places)
     return points[kept], normals[kept], _sums(owner, area, int(kept.sum())), parts[kept]
 
 
 def _thin_out(points: FloatArray, normals: FloatArray, closest_mm: float) -> BoolArray:
-    """Choose points so that none of one side are nearer to each other than `closest_mm`."""
+    """Select points of which those on the same side are at least `closest_mm` apart."""
     near = KDTree(points)
     taken = np.zeros(len(points), np.bool_)
     kept = np.zeros(len(points), np.bool_)
@@ -212,16 +212,16 @@ def _sums(owner: ArrayLike, parts: FloatArray, count: int) -> FloatArray:
 
 
 def checked_interfaces(interface: NDArray[np.integer], known: int) -> None:
-    """Check that numbers of interfaces are below the number known.
+    """Check that all interface indices are known.
 
     Raises
     ------
     InputError
-        Naming the highest number found.
+        If one is not; names the highest index.
     """
     highest = int(interface.max(initial=-1))
     if highest >= known:
         raise InputError(
-            f"A point lies on interface number {highest}, but only {known} were observed. "
-            "Observe the interfaces that the points were made for, in the same order."
+            f"A point is on interface number {highest}, but only {known} were observed. "
+            "Observe the interfaces of the points, in the same order."
         )

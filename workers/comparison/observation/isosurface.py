@@ -1,15 +1,15 @@
-r"""Draw the interface of a tissue between its voxels, as triangles.
+r"""Subvoxel interface of a tissue, as triangles.
 
-The indicator of the tissue is blurred and its level 0.5 is drawn by marching
+The indicator of the tissue is blurred and its level 0.5 is extracted by marching
 cubes [1]_. A Gaussian g_s of standard deviation s pulls a curved level inwards by
 s^2 / 2 times the sum of the principal curvatures [2]_: a fifth of a voxel for
-s = 1.5 on a sphere of ten. In ``2 g_s - g_2s`` that term cancels, since it is
-carried by the density of the kernel on a plane through its centre times the
-variance along it, proportional to s.
+s = 1.5 on a sphere of ten. In ``2 g_s - g_2s`` that term cancels, since it is proportional
+to the density of the kernel on a plane through its centre times the
+variance along it, hence to s.
 
-Labels alone do not say where, within a voxel, an interface along the grid lies: on
+Labels alone do not locate an interface along the grid within a voxel: on
 spheres of 6 to 40 voxels the level errs by 0.04 voxels in the mean, and by up to
-0.4 where the sphere runs along the grid.
+0.4 where the sphere is parallel to the grid.
 
 References
 ----------
@@ -31,13 +31,13 @@ from palpate.workers.comparison.observation.cubic_interpolation import at_points
 from palpate.workers.comparison.observation.gaussian_blur import blurred
 
 LEVEL = 0.5
-SMOOTH_VOXELS = 1.5  # less shows the staircase of the voxels, more loses thin sheets
+SMOOTH_VOXELS = 1.5  # less leaves a staircase of voxels, more loses thin sheets
 FARTHEST = 3.5  # reach of a Gaussian in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Hold the level 0.5 of a blurred indicator.
+    """Level 0.5 of a blurred indicator.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ class Surface:
     start : tuple of int
         Index (z, y, x) of ``field[0, 0, 0]`` in the volume.
     spacing_mm, origin_mm : tuple of float
-        Of the field.
+        Lattice of the field.
     vertices : ndarray, shape (n, 3)
         (x, y, z) in mm.
     triangles : ndarray of int32, shape (m, 3)
-        Of no particular orientation. Where the tissue is cut off by the box of the
-        volume the surface is open: a cut is no interface.
+        In no particular orientation. Where the box of the volume cuts the tissue, the
+        surface is open: a cut is not an interface.
     """
 
     field: NDArray[np.float32]
@@ -62,7 +62,7 @@ class Surface:
     triangles: IntArray
 
     def normals(self) -> FloatArray:
-        """Return unit normals at the vertices, out of the tissue, shape (n, 3)."""
+        """Return unit normals at the vertices, pointing out of the tissue, shape (n, 3)."""
         _, slope = at_points(self.field, self.spacing_mm, self.origin_mm, self.vertices)
         length = np.linalg.norm(slope, axis=1, keepdims=True)
         return np.asarray(-slope / np.maximum(length, np.finfo(float).tiny))
@@ -77,21 +77,21 @@ class Surface:
 def surface(
     labels: Volume, inside: tuple[Tissue, ...], smooth_voxels: float = SMOOTH_VOXELS
 ) -> Surface:
-    """Draw the interface of a tissue.
+    """Extract the interface of a tissue.
 
     Parameters
     ----------
     labels : Volume
         `Tissue` labels.
     inside : tuple of Tissue
-        The tissues that the interface encloses.
+        The enclosed tissues.
     smooth_voxels : float
         s, along each axis; 0 for none. Sheets thinner than 0.9 s vanish.
 
     Raises
     ------
     InputError
-        If the tissue is not there, fills the volume, or is too small for the blur.
+        If the tissue is missing, fills the volume, or is too small for the blur.
     """
     if not smooth_voxels >= 0:
         raise InputError(f"The blur is a number of voxels >= 0, found {smooth_voxels}.")
@@ -105,7 +105,7 @@ def surface(
     field, start = _blurred(mask, smooth_voxels)
     if not field.min() < LEVEL < field.max():
         raise InputError(
-            f"The blurred indicator of {names} lies between {field.min():.2f} and "
+            f"The blurred indicator of {names} is between {field.min():.2f} and "
             f"{field.max():.2f}, expected both sides of {LEVEL}: the tissue fills the volume or is "
             "smaller than the blur. Check the labels, or lower smooth_voxels."
         )
@@ -126,7 +126,7 @@ def surface(
 def _blurred(
     mask: NDArray[np.bool_], smooth_voxels: float
 ) -> tuple[NDArray[np.float32], tuple[int, int, int]]:
-    """Blur the mask in the box where it is not 0; return it and the first index of that box."""
+    """Return the mask blurred in its bounding box, and the first index of that box."""
     radius = int(np.ceil(FARTHEST * 2 * smooth_voxels))
     start, box = [], []
     for axis in range(3):
@@ -136,7 +136,7 @@ def _blurred(
         box.append(slice(first, int(there[-1]) + radius + 2))
     field = mask[tuple(box)].astype(np.float32)
     if smooth_voxels > 0:
-        # Beyond the volume the tissue goes on as at its face.
+        # Beyond the volume its outermost values are continued.
         narrow, wide = (
             blurred(field, (s, s, s), FARTHEST) for s in (smooth_voxels, 2 * smooth_voxels)
         )

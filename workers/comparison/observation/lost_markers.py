@@ -1,8 +1,8 @@
-"""Frames in which a marker was lost, whatever number stands for its place.
+"""Frames in which a marker was lost, however its position is recorded.
 
-A tracker that loses a marker leaves the cell empty, writes one number into all three
-coordinates (0, -1, 9999), puts the marker somewhere else for some frames, or repeats its
-last place while all others move on.
+A tracker that loses a marker leaves the cell empty, writes the same number for all three
+coordinates (0, -1, 9999), misplaces the marker for some frames, or repeats its
+last position while all others move.
 """
 
 import itertools
@@ -12,20 +12,20 @@ import numpy as np
 
 from palpate.storage.values import BoolArray, FloatArray, IntArray
 
-# A marker that moves this much more than any other has jumped.
+# A marker that moves this many times more than any other has jumped.
 ALONE = 5.0
-# And so has one that moves this much more than it usually does.
+# So has one that moves this many times more than usual.
 UNUSUAL = 20.0
-# Frames for which a place must be repeated, while others move, to be stale.
+# Number of frames that must repeat a position, while others move, to be stale.
 STALE_FRAMES = 3
-# Steps that are smaller than this part of the largest are rest.
+# Steps smaller than this fraction of the largest count as rest.
 REST = 0.1
-# Markers that stand still this often by themselves are never called stale.
+# Markers that rest more often than this while others move are never called stale.
 OFTEN_STILL = 0.1
 
 
 def without_lost(places_mm: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return places of markers, shape (t, 3) each, with nan where a marker was lost."""
+    """Return positions of markers, shape (t, 3) each, with nan where a marker was lost."""
     names = list(places_mm)
     seen = np.stack([np.asarray(places_mm[name], np.float64) for name in names])
     seen[~np.isfinite(seen)] = np.nan
@@ -38,7 +38,7 @@ def without_lost(places_mm: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 def _placeholders(seen: FloatArray, lost: BoolArray) -> BoolArray:
-    """Return frames with one number in all coordinates that is no place, shape (k, t)."""
+    """Return a mask of frames with a placeholder number in all coordinates, shape (k, t)."""
     same = ~lost & (seen[..., 0] == seen[..., 1]) & (seen[..., 1] == seen[..., 2])
     found = np.zeros_like(lost)
     for number in np.unique(seen[..., 0][same]):
@@ -51,7 +51,7 @@ def _placeholders(seen: FloatArray, lost: BoolArray) -> BoolArray:
 
 
 def _jumped(seen: FloatArray, lost: BoolArray, asked: BoolArray) -> BoolArray:
-    """Return which frames in question are far from where their marker is otherwise."""
+    """Return a mask of the frames in question in which the marker is far from its other frames."""
     found = np.zeros_like(lost)
     for marker, frame in np.argwhere(asked):
         known = np.flatnonzero(~lost[marker])
@@ -67,7 +67,7 @@ def _jumped(seen: FloatArray, lost: BoolArray, asked: BoolArray) -> BoolArray:
 
 
 def _usual(steps: FloatArray) -> float:
-    """Return a usual step among those that are not zero; 0 where they are too few to know.
+    """Return a usual nonzero step; 0 if there are too few.
 
     It is the lower quartile: many of few steps may be jumps.
     """
@@ -76,7 +76,7 @@ def _usual(steps: FloatArray) -> float:
 
 
 def _excursions(seen: FloatArray, lost: BoolArray) -> BoolArray:
-    """Return frames in which one marker alone jumps away, before it jumps back."""
+    """Return a mask of frames in which a single marker jumps away, before it jumps back."""
     found = np.zeros_like(lost)
     if len(seen) < 2:
         return found
@@ -106,7 +106,7 @@ def _largest_other_step(
 
 
 def _stale(seen: FloatArray, lost: BoolArray) -> BoolArray:
-    """Return frames that repeat the last place of a marker exactly while others move on."""
+    """Return a mask of frames that repeat a marker's last position while others move."""
     found = np.zeros_like(lost)
     if len(seen) < 2 or seen.shape[1] < STALE_FRAMES + 2:
         return found
@@ -126,7 +126,7 @@ def _stale(seen: FloatArray, lost: BoolArray) -> BoolArray:
                 continue
             net = np.linalg.norm(places[:, last + 1] - places[:, first], axis=1)
             if np.median(np.nan_to_num(np.delete(net, marker))) < ALONE * resolution:
-                continue  # nobody moves by more than rounding
+                continue  # no motion beyond rounding
             goes_along = np.median(usual) > REST * np.median(others[outside])
             if goes_along and (usual == 0).mean() < OFTEN_STILL:
                 found[marker, first + 1 : last + 2] = True

@@ -1,12 +1,12 @@
-r"""Estimate how well the displacements of markers are known.
+r"""Noise of the displacements of markers, estimated from repeats.
 
 Component c of the displacement of marker i in repeat r scatters as
 
 .. math:: d_{rci} = \mu_{ci} + a_{rc} + e_{rci}, \qquad a \sim N(0, \sigma_a^2),
           \quad e \sim N(0, \sigma_e^2):
 
-what all markers of a recording share, and what each has for itself. Repeats tell both, by
-the analysis of variance; what they share with each other they cannot tell.
+a common error of all markers of a recording, and one of each marker. An analysis of variance
+of repeats estimates both, but not an error that all repeats share.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from palpate.storage.values import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Hold standard deviations of one recording: of each marker, and common to all of them."""
+    """Standard deviations of one recording: of each marker, and common to all markers."""
 
     own_mm: float
     common_mm: float
@@ -32,7 +32,7 @@ def scatter_of(repeats: FloatArray) -> Scatter:
     Raises
     ------
     InputError
-        If there is one recording only.
+        If there is only one recording.
     """
     r, k, axes = repeats.shape
     if r < 2:
@@ -51,18 +51,18 @@ def component_covariance(
 ) -> FloatArray:
     """Return the covariance of the components of all states, shape (3 s k, 3 s k).
 
-    Row ``3 (s k + i) + c`` is component c of point i in state s. What a recording has for
-    itself falls with the number of repeats. Errors that all repeats share, a base that was
-    set down askew or a body that was not at rest, do not: they are believed to be as large
-    as those that repeats show, and no smaller than `floor`.
+    Row ``3 (s k + i) + c`` is component c of point i in state s. Errors of single recordings
+    decrease with the number of repeats. Errors that all repeats share, such as a tilted base or a
+    body that was not at rest, do not: they are assumed to be as large as the errors between
+    repeats, and at least `floor`.
 
     Parameters
     ----------
     scatters : sequence of Scatter
-        Of one recording of each state.
+        Scatter of one recording of each state.
     points : int
     repeats : sequence of int
-        Of each state.
+        Number of repeats of each state.
     floor : Scatter
     """
     size = 3 * points

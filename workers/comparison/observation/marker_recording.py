@@ -1,6 +1,6 @@
-"""Read the places of markers over time from a table.
+"""Positions of markers over time, read from a table.
 
-The place of a marker at rest and under load are means over windows of time.
+Positions at rest and under load are means over time windows.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,13 +27,13 @@ LENGTHS = {
     "nm": 1e-6,
 }
 SECONDS = ("s", "sec")
-# A marker that is visible in no more than this part of the frames of a window is not seen there.
+# A marker visible in at most this fraction of a window's frames counts as not seen in it.
 LEAST_VISIBLE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Hold places of markers in the frame of the cameras.
+    """Positions of markers in the frame of the cameras.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Recording:
     places_mm : dict of str to ndarray, shape (t, 3)
         nan where a marker was not seen.
     name : str
-        Of the file, for messages.
+        Name of the file, for messages.
     """
 
     times_s: FloatArray
@@ -49,15 +49,15 @@ class Recording:
     name: str = "the recording"
 
     def mean(self, name: str, window_s: tuple[float, float]) -> FloatArray:
-        """Return the mean place of a marker in a window of time, shape (3,).
+        """Return the mean position of a marker in a time window, shape (3,).
 
-        Times below zero count from the end of the recording; so does the end of a window
-        that begins there and ends at zero.
+        Negative times count from the end of the recording; a window from a negative time to zero
+        lasts until the end.
 
         Raises
         ------
         InputError
-            If it was not seen there.
+            If the marker was not seen in it.
         """
         last = float(self.times_s[-1])
         low, high = (last + s if s < 0 else s for s in window_s)
@@ -100,13 +100,13 @@ def read_recording(
     path : Path
         Comma-separated, names of the columns in the first line.
     time : str
-        The column of the time in s.
+        Name of the column with the time in s.
     column : str
-        Names of the other columns, with {marker} and {axis} in it.
+        Name pattern of the other columns, with {marker} and {axis}.
     names : sequence of str
-        The markers that are wanted.
+        The markers to read.
     mm_per_unit : float
-        1000 for a table in m.
+        Length unit of the table: 1000 for m.
 
     Raises
     ------

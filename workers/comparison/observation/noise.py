@@ -1,19 +1,19 @@
-r"""Model how much interfaces scatter because they were drawn by somebody.
+r"""Scatter of interfaces by segmentation errors.
 
-A segmentation moves an interface along its normal by a smooth random amount. For
+A segmentation shifts an interface along its normal by a smooth random amount. For
 two points of the same interface at the reference distance h, with normals n and n',
 
 .. math:: K = \exp\left(-\frac{h^2}{2 l^2}\right) \frac{1 + n \cdot n'}{2} ,
 
-so that two sides of a thin sheet err on their own. Both factors, and with them
-their product (Schur), are positive semi-definite; to switch off pairs of points by
-the sign of ``n . n'`` would not be. Residuals of points i, j in states s, t have
+so that errors of the two sides of a thin sheet are independent. Both factors, and with them
+their product (Schur), are positive semi-definite; excluding pairs of points by
+the sign of ``n . n'`` would break that. Residuals of points i, j in states s, t have
 
 .. math:: C_{si,tj} = (\sigma_{ref}^2 + \delta_{st} \sigma^2) K_{ij}
           + \delta_{st} \delta_{ij} \nu^2 :
 
-the reference scan was drawn once, for all states; each deformed scan on its own. What a plate
-presses flat has none of the first.
+the reference scan was segmented once, for all states; each deformed scan separately. Where a
+plate flattens the surface, the first term vanishes.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ SMALLEST_NUGGET = 1e-3  # of the largest standard deviation; less and Cholesky m
 
 @dataclass(frozen=True, slots=True)
 class SegmentationNoise:
-    """Describe the random error of interfaces along their normals.
+    """Random error of interfaces along their normals.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ class SegmentationNoise:
     reference_sd_mm : float
         Standard deviation in the reference scan; >= 0.
     nugget_mm : float
-        Standard deviation of what a residual errs by on its own, from both scans: what
-        the voxels leave of an interface, some 0.08 of a voxel. At least a thousandth of
+        Standard deviation of the independent error of each residual, from both scans: the
+        effect of the voxels on an interface, some 0.08 of a voxel. At least a thousandth of
         the largest of the others.
 
     Raises
     ------
     InputError
-        If a number is outside of these bounds.
+        If a number is outside these bounds.
     """
 
     sd_mm: float
@@ -66,16 +66,16 @@ class SegmentationNoise:
             and 0 < self.nugget_mm >= least
         ):
             raise InputError(
-                "Segmentation noise needs finite deviations, and a part at each point and a "
+                "Segmentation noise needs finite deviations, and an error at each point and a "
                 f"correlation length above zero; found {self.sd_mm:g} mm in the loaded scans and "
                 f"{self.reference_sd_mm:g} mm at rest, {self.nugget_mm:g} mm at each point, "
                 f"correlated over {self.correlation_mm:g} mm. Check the units and voxel sizes of "
-                "the scans, and the noise that their file states."
+                "the scans, and the noise given in their file."
             )
 
 
 def correlation(points: InterfacePoints, correlation_mm: float) -> FloatArray:
-    """Return the correlation K of the smooth part, see the top of the file.
+    """Return the correlation K of the smooth part; see the module docstring.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def covariance(
     states : int
         Number of deformed scans; >= 1.
     free : ndarray, shape (states, k), optional
-        Part of the reference scan's error that each point carries along, 0 to 1; all of it.
+        Fraction of the reference scan's error that each point keeps, 0 to 1; by default 1.
 
     Returns
     -------

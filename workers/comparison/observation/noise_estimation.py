@@ -1,13 +1,13 @@
-r"""Estimate the noise of a segmentation from two segmentations of one image.
+r"""Segmentation noise, estimated from two segmentations of one image.
 
 Both scatter about the truth, so the signed distance r of one to the other has twice
-the variance; its nugget is that of a residual, which also lies between two scans.
+the variance; its nugget equals the nugget of a residual, which also compares two scans.
 Half the mean square of ``r_i - r_j`` over pairs at distance h (the variogram, [1]_) is
 fitted by
 
 .. math:: \gamma(h) = \nu^2 + 2 \sigma^2 \left(1 - e^{-h^2 / 2 l^2}\right) .
 
-A shift common to all points drops out: that is a bias, not noise.
+A shift common to all points cancels: it is bias, not noise.
 
 References
 ----------
@@ -36,7 +36,7 @@ from palpate.workers.comparison.observation.residual import observe, residual
 
 BINS = 24
 FEWEST_PAIRS = 1000
-MOST_POINTS = 6000  # spread more widely if there were more: pairs grow with their square
+MOST_POINTS = 6000  # more are thinned out: the number of pairs grows with the square
 
 
 def from_repeat(
@@ -56,7 +56,7 @@ def from_repeat(
     first, second : Volume
         Two segmentations of the same image; the order does not matter.
     interfaces : sequence of Interface
-        Those that are taken together in one estimate.
+        Interfaces combined in one estimate.
     spacing_mm, wall_margin_mm, clear_mm, smooth_voxels : float
         See `workers.comparison.observation.interface.interface_points`.
     reach_mm : float
@@ -65,7 +65,7 @@ def from_repeat(
     Returns
     -------
     SegmentationNoise
-        With the reference scan drawn as well as the others.
+        With equal noise in the reference scan and the others.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def from_repeat(
     h, half_square, pairs = variogram(points, r, reach_mm)
     if pairs.sum() < FEWEST_PAIRS:
         raise InputError(
-            f"Only {int(pairs.sum())} pairs of interface points lie within {reach_mm} mm, expected "
+            f"Only {int(pairs.sum())} pairs of interface points are within {reach_mm} mm, expected "
             f"{FEWEST_PAIRS} or more. Lower spacing_mm or wall_margin_mm."
         )
     nugget, sd_of_both, length = _fitted(h, half_square, pairs, reach_mm)
@@ -103,14 +103,14 @@ def variogram(
     Parameters
     ----------
     points : InterfacePoints
-        k points; pairs lie on the same interface and look the same way.
+        Set of k points; pairs are on the same interface with similar normals.
     r : ndarray, shape (k,)
     reach_mm : float
 
     Returns
     -------
     distance_mm, half_square, pairs : ndarray, shape (b,)
-        Mean distance, value and number of pairs of each bin that holds any.
+        Mean distance, value and number of pairs of each non-empty bin.
     """
     i, j = KDTree(points.points).query_pairs(reach_mm, output_type="ndarray").T
     same = points.interface[i] == points.interface[j]
@@ -137,7 +137,7 @@ def _fitted(
         return np.asarray(p[0] ** 2 + p[1] ** 2 * (1 - np.exp(-0.5 * (h / p[2]) ** 2)))
 
     def misfit(p: FloatArray) -> FloatArray:
-        # Cressie's weights: a value scatters in proportion to itself.
+        # Cressie's weights: the scatter of a value is proportional to the value.
         return np.asarray(np.sqrt(pairs) * (gamma / np.maximum(model(p), 1e-12) - 1))
 
     sill = float(np.sqrt(max(gamma.max(), 1e-12)))

@@ -1,8 +1,8 @@
-"""Tables of numbers as instruments and spreadsheets export them.
+"""Tables of numbers exported by instruments and spreadsheets.
 
-Read are UTF-8 and UTF-16; commas, semicolons, tabs and blanks between the columns; decimal
-points and decimal commas; lines of comments and one row of units. Whatever can be read in
-two ways is refused with its line.
+Supported are UTF-8 and UTF-16; commas, semicolons, tabs and blanks between the columns; decimal
+points and decimal commas; comment lines and one row of units. Ambiguous numbers are refused,
+with their line.
 """
 
 import csv
@@ -22,7 +22,7 @@ LONGEST = 100  # characters of a number
 SHOWN = 200  # characters of a cell or a header in a message
 COMMENTS = ("#", "%")
 SEPARATORS = (",", ";", "\t", "|", None)
-# Words of a row of units.
+# Cells of a row of units.
 UNITS = frozenset(
     ("", "-", "1", "s", "sec", "ms", "min", "mm", "cm", "m", "um", "\u00b5m", "\u03bcm", "nm")
 ) | {"in", "inch", "n", "kn", "mn", "px", "pixel", "deg", "rad", "hz"}
@@ -72,22 +72,22 @@ def read_table(
     ----------
     path : Path
     columns, optional : sequence of str
-        Columns that are wanted, and columns that may be absent.
+        Required columns, and columns that may be absent.
     units : mapping of str to collection of str, optional
-        Units of a column that a row of units below the header may state.
+        Units of a column that are accepted in a row of units below the header.
 
     Raises
     ------
     InputError
-        If the file cannot be read, lacks a column or any row, repeats a column, has a row
-        of another length than its header, or a cell that is not a number.
+        If the file cannot be read, lacks a column or any row, repeats a column, has a row whose
+        length differs from its header, or a cell that is not a number.
     """
     with reading(path, "a table"):
         header, rows = _split(path, _lines(path), columns)
         _check_header(path, header, columns)
         rows = _without_units(path, header, rows, units or {})
         if not rows:
-            raise InputError(f"{path} holds no rows: expected names of columns, then numbers.")
+            raise InputError(f"{path} has no rows: expected column names, then numbers.")
         for line, cells in rows:
             if len(cells) != len(header):
                 raise InputError(_wrong_length(path, line, cells, header))
@@ -127,20 +127,20 @@ def _decoded(path: Path, raw: bytes) -> str:
 def _split(path: Path, lines: Sequence[str], columns: Sequence[str]) -> tuple[list[str], list[Row]]:
     """Return the names of the columns and the rows below them.
 
-    The header is the first line that names all columns, or else the first line that is no
-    comment; it decides what separates the columns.
+    The header is the first line that names all columns, or else the first line that is not a
+    comment; it determines the separator of the columns.
     """
     filled = [(n, text) for n, text in enumerate(lines, start=1) if text.strip(" \t,;|\"'")]
     body = [pair for pair in filled if not _is_comment(pair[1])]
     if not body:
-        raise InputError(f"{path} holds no rows: expected names of columns, then numbers.")
+        raise InputError(f"{path} has no rows: expected column names, then numbers.")
     named = [pair for pair in filled if columns[0] in pair[1]]
     candidates = [
         (line, mark, _cells(text.strip().lstrip("#% "), mark))
         for line, text in [body[0], *named]
         for mark in SEPARATORS
     ]
-    # Of equals the first counts, which is the first line that is no comment.
+    # Ties go to the first line that is not a comment.
     first, mark, header = max(candidates, key=lambda found: len(set(columns) & set(found[2])))
     return header, [(line, _cells(text, mark)) for line, text in body if line > first]
 
@@ -174,7 +174,7 @@ def _check_header(path: Path, header: Sequence[str], columns: Sequence[str]) -> 
 def _without_units(
     path: Path, header: list[str], rows: list[Row], units: Mapping[str, Collection[str]]
 ) -> list[Row]:
-    """Return the rows without a first row of units, which must be the expected ones."""
+    """Return the rows without a row of units at the top, which must be the expected ones."""
     if not rows or any(_is_number(cell) for cell in rows[0][1]) or not any(rows[0][1]):
         return rows
     line, cells = rows[0]
@@ -185,7 +185,7 @@ def _without_units(
         if unit and name in units and unit not in units[name]:
             raise InputError(
                 f"{path}, line {line}: the column {name} is in {unit}, expected "
-                f"{' or '.join(units[name])}. Convert it, or state mm_per_unit."
+                f"{' or '.join(units[name])}. Convert it, or set mm_per_unit."
             )
     return rows[1:]
 
@@ -199,19 +199,19 @@ def _wrong_length(path: Path, line: int, cells: Sequence[str], header: Sequence[
     found = f"{path}, line {line}: {len(cells)} cells below a header of {len(header)} columns."
     if len(cells) > len(header):
         return (
-            f"{found} Decimal commas between commas look like this: export with semicolons "
-            "between the columns, or with decimal points."
+            f"{found} This happens with decimal commas in comma-separated files: export with "
+            "semicolons between the columns, or with decimal points."
         )
     return f"{found} Complete the row, or remove it."
 
 
 def _tidy(cell: str) -> str:
-    """Return a cell without groups of digits, with an ordinary minus."""
+    """Return a cell without digit grouping, with an ordinary minus."""
     return _GROUPS.sub("", cell.strip().strip("\"'").replace("\u2212", "-").strip())
 
 
 def _numbers(path: Path, texts: Mapping[str, list[tuple[int, str]]]) -> dict[str, FloatArray]:
-    """Return columns as numbers, in the one convention that all their cells follow."""
+    """Return columns as numbers, in the one convention that fits all their cells."""
     cells = [(name, line, t) for name, column in texts.items() for line, t in column]
     for name, line, text in cells:
         if len(text) > LONGEST:
@@ -228,7 +228,7 @@ def _numbers(path: Path, texts: Mapping[str, list[tuple[int, str]]]) -> dict[str
 
 
 def _special(text: str) -> float | None:
-    """Return the value of a word; None for what should be digits."""
+    """Return the value of a word for a missing or infinite number; None for digits."""
     word = text.lower()
     if word in MISSING:
         return float("nan")
@@ -243,7 +243,7 @@ def _value(text: str, mark: str, group: str) -> float:
 
 
 def _convention(path: Path, cells: Sequence[tuple[str, int, str]]) -> tuple[str, str]:
-    """Return the decimal mark and the separator of thousands."""
+    """Return the decimal mark and the thousands separator."""
     texts = [text for *_, text in cells]
     if all(_PLAIN.fullmatch(text) for text in texts):
         return ".", ","
@@ -261,7 +261,7 @@ def _unreadable(
     points: Sequence[bool],
     commas: Sequence[bool],
 ) -> str:
-    """Return the message for cells that follow no convention, two, or a different one each."""
+    """Return the message for cells that fit no convention, two, or different ones."""
     pairs: Iterator[tuple[tuple[str, int, str], bool, bool]] = zip(
         cells, points, commas, strict=True
     )
@@ -275,8 +275,8 @@ def _unreadable(
     if all(points):
         name, line, text = next(c for c in cells if "," in c[2])
         return (
-            f"{path}, line {line}: {_short(text)!r} in the column {name} may be a decimal comma "
-            "or a separator of thousands. Export with decimal points and without separators."
+            f"{path}, line {line}: {_short(text)!r} in the column {name} may be a decimal "
+            "comma or a thousands separator. Export with decimal points and without separators."
         )
     by_point = next(c for c, point, comma in known if point and not comma)
     by_comma = next(c for c, point, comma in known if comma and not point)

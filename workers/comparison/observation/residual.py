@@ -1,4 +1,4 @@
-"""Measure how far moved material points are from the interfaces that a scan shows."""
+"""Residuals: signed distances of moved material points to the interfaces in a scan."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from palpate.workers.comparison.observation.signed_distance import SignedDistanc
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Hold the interfaces of one deformed state.
+    """Interfaces of one deformed state.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def observe(
     labels : Volume
         `Tissue` labels of the deformed state.
     interfaces : sequence of Interface
-        Those that the points were made for, in the same order.
+        Interfaces of the points, in the same order.
     smooth_voxels, band_mm : float
         See `workers.comparison.observation.signed_distance.signed_distance`.
 
@@ -64,17 +64,17 @@ def residual(
     Parameters
     ----------
     points_mm : ndarray, shape (k, 3)
-        Where the model has moved the points.
+        Positions of the points moved by the model.
     points : InterfacePoints
-        Of the reference scan.
+        Points of the reference scan.
     observed : Observed
 
     Returns
     -------
     r : ndarray, shape (k,)
-        In mm; positive if the model's point lies outside of the observed tissue.
+        In mm; positive if the moved point is outside the observed tissue.
     normals : ndarray, shape (k, 3)
-        Derivative of r: ``dr = normals . dx``. Close to the interface about the unit
+        Derivative of r: ``dr = normals . dx``. Close to the interface, approximately the unit
         normal out of the observed tissue.
 
     Raises
@@ -84,7 +84,7 @@ def residual(
     """
     if np.shape(points_mm) != points.points.shape:
         raise InputError(
-            f"{len(points)} points were to be moved, got positions of shape {np.shape(points_mm)}."
+            f"Expected positions of {len(points)} points, got shape {np.shape(points_mm)}."
         )
     checked_interfaces(points.interface, len(observed.distances))
     r = np.empty(len(points))

@@ -1,7 +1,7 @@
-"""Turn the frame of the cameras into that of the body.
+"""Rigid registration of the cameras' frame to the body's frame.
 
-The rigid motion that fits the places of the markers at rest best (W. Kabsch, Acta Cryst.
-A 32 (1976) 922; B. K. P. Horn, J. Opt. Soc. Am. A 4 (1987) 629) gives the rotation.
+The rotation comes from the rigid motion that best fits the markers at rest (W. Kabsch, Acta
+Cryst. A 32 (1976) 922; B. K. P. Horn, J. Opt. Soc. Am. A 4 (1987) 629).
 """
 
 import numpy as np
@@ -11,17 +11,17 @@ from palpate.storage.values import FloatArray
 
 
 def rotation_to(body_mm: FloatArray, seen_mm: FloatArray) -> FloatArray:
-    """Return the rotation R from directions of the cameras to those of the body, shape (3, 3).
+    """Return the rotation R from the cameras' frame to the body's frame, shape (3, 3).
 
     Parameters
     ----------
     body_mm, seen_mm : ndarray, shape (k, 3)
-        The same markers at rest, in the frame of the body and of the cameras.
+        Positions of the same markers at rest, in the frames of the body and of the cameras.
 
     Raises
     ------
     InputError
-        If fewer than three are given, or all lie on a line.
+        If there are fewer than three markers, or all are on a line.
     """
     a, b = body_mm - body_mm.mean(axis=0), seen_mm - seen_mm.mean(axis=0)
     spread = np.linalg.svd(a, compute_uv=False)
@@ -35,7 +35,7 @@ def rotation_to(body_mm: FloatArray, seen_mm: FloatArray) -> FloatArray:
 
 
 def misfit_mm(body_mm: FloatArray, seen_mm: FloatArray) -> FloatArray:
-    """Return the distance of each marker from its place after the best rigid motion, shape (k,)."""
+    """Return the residual of each marker after the best rigid motion, shape (k,)."""
     R = rotation_to(body_mm, seen_mm)
     left = (seen_mm - seen_mm.mean(axis=0)) @ R.T - (body_mm - body_mm.mean(axis=0))
     return np.asarray(np.linalg.norm(left, axis=1))

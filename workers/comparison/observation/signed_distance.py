@@ -1,4 +1,4 @@
-"""Compute the signed distance to the interface of a tissue, below the size of a voxel."""
+"""Signed distance to the interface of a tissue, with subvoxel accuracy."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from palpate.workers.comparison.observation.triangle_distance import distances
 
 @dataclass(frozen=True, eq=False)
 class SignedDistance:
-    """Hold the signed distance on the lattice of a volume.
+    """Signed distance on the lattice of a volume.
 
     Parameters
     ----------
@@ -37,14 +37,14 @@ class SignedDistance:
         Parameters
         ----------
         points : ndarray, shape (k, 3)
-            (x, y, z) in mm. Outside of the lattice the distance to its box is added.
+            (x, y, z) in mm. Outside the lattice the distance to its box is added.
 
         Returns
         -------
         distance : ndarray, shape (k,)
-            In mm; a continuous function of the points, smooth but for the faces of the box.
+            In mm; continuous in the points, and smooth except at the faces of the box.
         gradient : ndarray, shape (k, 3)
-            Its derivative: about the unit normal close to the interface.
+            Its derivative: approximately the unit normal close to the interface.
 
         Raises
         ------
@@ -54,7 +54,7 @@ class SignedDistance:
         points = np.asarray(points, np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise InputError(
-                f"Distances are asked at finite points of shape (k, 3), got shape {points.shape}"
+                f"Signed distances need finite points of shape (k, 3), got shape {points.shape}"
                 f" with {int(np.sum(~np.isfinite(points)))} numbers that are not finite."
             )
         distance, gradient = at_points(self.values, self.spacing_mm, self.origin_mm, points)
@@ -78,7 +78,7 @@ def signed_distance(
     labels : Volume
         `Tissue` labels.
     inside : tuple of Tissue
-        The tissues that the interface encloses.
+        The enclosed tissues.
     smooth_voxels : float
         Blur of the indicator, see `workers.comparison.observation.isosurface.surface`.
     band_mm : float
@@ -87,7 +87,7 @@ def signed_distance(
     Returns
     -------
     SignedDistance
-        For the errors see `closest` and `surface` in this package.
+        For its errors see `distances` and `surface` in this package.
 
     Raises
     ------
@@ -100,14 +100,14 @@ def signed_distance(
 
 
 def distance_to(interface: Surface, labels: Volume, band_mm: float) -> SignedDistance:
-    """Return the signed distance of every voxel centre to an interface that is drawn already.
+    """Return the signed distance of every voxel centre to an extracted interface.
 
     Parameters
     ----------
     interface : Surface
-        Of a tissue of the labels.
+        Interface of a tissue of the labels.
     labels : Volume
-        On whose lattice the distance is wanted.
+        Lattice of the result.
     band_mm : float
         Distances are cut off here; > 0.
     """

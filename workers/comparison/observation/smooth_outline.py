@@ -1,8 +1,8 @@
-"""Smooth the outline of a body: take off the roughness that its segmentation has added.
+"""Smoothing of a body's outline, to remove the roughness of its segmentation.
 
 A mesh of a rough outline touches a plate on its highest bumps, and its surface is
-longer than the body's: both look like causes of a gap. What is finer than the noise is
-correlated cannot be told from it, so it is left out.
+larger than the body's: both resemble causes of a gap. Detail finer than the correlation length of
+the noise is indistinguishable from noise, so it is removed.
 """
 
 from dataclasses import replace
@@ -18,11 +18,11 @@ FARTHEST = 3.0  # reach of a Gaussian in standard deviations
 
 
 def smooth_outline(labels: Volume, length_mm: float) -> Volume:
-    """Smooth the outline of a body on a length; tissues inside stay as they are.
+    """Smooth the outline of a body over a length; tissues inside stay unchanged.
 
     The indicator of the body is blurred by ``2 g_s - g_2s``, g_s a Gaussian of standard
-    deviation s, which keeps curved surfaces where they are; see
-    `workers.comparison.observation.isosurface`. Voxels that the body gains are fat. The face at the
+    deviation s, which keeps curved surfaces in place; see
+    `workers.comparison.observation.isosurface`. Voxels added to the body are fat. The face at the
     chest wall, the lowest slice, stays flat.
 
     Parameters

@@ -1,10 +1,10 @@
-"""Compute the distance of voxels to a surface of triangles.
+"""Distance of voxels to a surface of triangles.
 
-Each voxel inherits the nearest vertex of its neighbours, sweep by sweep [1]_, from
-the voxels that the surface passes by. Now and then that is the second nearest, so
+Each voxel inherits the nearest vertex of its neighbours, sweep by sweep [1]_, starting from
+the voxels next to the surface. Occasionally that is the second nearest, so
 close to the surface the vertices of all neighbours are compared once more, and the
 triangles around the nearest give the distance: up to 0.06 voxels too far, 0.002 in
-the mean. Farther away the vertex itself is taken, up to 0.15 voxels too far.
+the mean. Farther away the vertex itself is used, up to 0.15 voxels too far.
 
 References
 ----------
@@ -20,8 +20,8 @@ from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.body.mesh.incidence import elements_of_nodes
 from palpate.workers.compile_flags import CONTRACTED
 
-BLOCK = 16  # voxels of a line that are asked together whether a neighbour has anything nearer
-NEAR = 6.0  # voxels within which the triangles are asked
+BLOCK = 16  # voxels of a line that are checked together for a nearer vertex of a neighbour
+NEAR = 6.0  # voxels within which triangles are used
 FAR = np.float32(1e30)
 
 Place = tuple[float, float, float]
@@ -44,9 +44,9 @@ def distances(
     shape : tuple of int
         Lattice points along z, y, x.
     step : ndarray, shape (3,)
-        Their distance along x, y, z, in mm.
+        Distances of the points along x, y, z, in mm.
     band : float
-        In mm; larger distances are cut off at it.
+        In mm; larger distances are clipped to it.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def distances(
     step = np.asarray(step, np.float64)
     squared = np.full(shape, FAR, np.float32)
     points = np.ascontiguousarray(vertices, dtype=np.float64)
-    # Axis by axis, so that eight coordinates are fetched at once; the last vertex is nobody's.
+    # Axis by axis, so that eight coordinates are loaded at once; the last vertex is a placeholder.
     rough = np.full((3, len(points) + 1), FAR, np.float32)
     rough[:, :-1] = points.T
     nobody = np.uint32(len(points))
@@ -79,7 +79,7 @@ def _seed(
     nearest: IntArray,
     squared: NDArray[np.float32],
 ) -> None:
-    """Offer each vertex to the voxels around it."""
+    """Propose each vertex to the voxels around it."""
     nz, ny, nx = nearest.shape
     for v in range(points.shape[1] - 1):
         x0 = int(points[0, v] / step[0] + 0.5)
@@ -88,7 +88,7 @@ def _seed(
         for z in range(max(z0 - 1, 0), min(z0 + 2, nz)):
             for y in range(max(y0 - 1, 0), min(y0 + 2, ny)):
                 for x in range(max(x0 - 1, 0), min(x0 + 2, nx)):
-                    # No `_offer`: to count who refers to a line takes longer than the rest.
+                    # No `_offer`: its reference counting of the line takes longer than the rest.
                     d = _squared(v, points, step, z, y, x)
                     if d < squared[z, y, x]:
                         squared[z, y, x] = d
@@ -162,7 +162,7 @@ def _across(
     line: IntArray,
     squared: NDArray[np.float32],
 ) -> None:
-    """Offer the vertices of a neighbouring line."""
+    """Propose the vertices of a neighbouring line."""
     n = len(line)
     for first in range(0, n, BLOCK):
         end = min(first + BLOCK, n)
@@ -182,7 +182,7 @@ def _along(
     line: IntArray,
     squared: NDArray[np.float32],
 ) -> None:
-    """Offer each voxel's vertex to the next one, forwards and backwards."""
+    """Propose each voxel's vertex to the next one, forwards and backwards."""
     n = len(line)
     changed = False
     for first in range(1, n, BLOCK):
@@ -224,10 +224,10 @@ def _is_welcome(
     source_squared: NDArray[np.float32],
     squared: NDArray[np.float32],
 ) -> bool:
-    """Say whether any voxel of a block would take the vertex that its neighbour has now.
+    """Return True if any voxel of a block would take its neighbour's current vertex.
 
-    Most offers are in vain. As nothing is written here, eight are looked at together; far from
-    the surface no neighbour has anything to offer.
+    Most proposals fail. As nothing is written here, eight are compared at once; far from the
+    surface no neighbour has a vertex.
     """
     offered = 0
     for x in range(first, end):
@@ -252,7 +252,7 @@ def _offer(
     line: IntArray,
     squared: NDArray[np.float32],
 ) -> None:
-    """Let a voxel have a vertex if none nearer is known."""
+    """Assign a vertex to a voxel if it is nearer than the present one."""
     d = _squared(vertex, points, step, z, y, x)
     if d < squared[x]:
         squared[x] = d
@@ -327,7 +327,7 @@ def _from_vertex(at: Place, points: FloatArray, v: int) -> float:
 
 @njit(**CONTRACTED)
 def _to_triangle(at: Place, points: FloatArray, triangles: IntArray, number: int) -> float:
-    """Return the squared distance of a point to a triangle: its plane, or the nearest edge."""
+    """Return the squared distance of a point to a triangle: to its plane, or the nearest edge."""
     a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
     ax, ay, az = points[a, 0], points[a, 1], points[a, 2]
     ux, uy, uz = points[b, 0] - ax, points[b, 1] - ay, points[b, 2] - az
@@ -353,6 +353,6 @@ def _to_triangle(at: Place, points: FloatArray, triangles: IntArray, number: int
 
 @njit(**CONTRACTED)
 def _to_edge(ww: float, ew: float, ee: float) -> float:
-    """Return the squared distance to an edge e from products of e and the point less its start."""
+    """Return the squared distance to an edge e from products of e and the point minus its start."""
     along = min(max(ew / ee, 0.0), 1.0) if ee > 0.0 else 0.0
     return max(ww - 2.0 * along * ew + along * along * ee, 0.0)

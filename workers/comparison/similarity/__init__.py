@@ -1,1 +1,1 @@
-"""Score how alike two volumes are."""
+"""Similarity scores of two volumes."""

@@ -1,8 +1,8 @@
-"""Compute an exact squared distance map to a set of voxels, in whole numbers.
+"""Exact squared distance map to a set of voxels, in whole numbers.
 
 One axis after the other [1]_ [2]_: along x the distance to the next voxel of the
-set on the same line, then along y and z the lower envelope of the parabolas that
-the voxels of a line put up. All sums and the crossings of parabolas are whole
+set on the same line, then along y and z the lower envelope of the parabolas of
+the voxels of a line. All sums and the crossings of parabolas are whole
 numbers, so nothing is rounded.
 
 References
@@ -24,13 +24,13 @@ from palpate.workers.comparison.similarity.voxel_metric import Metric
 from palpate.workers.comparison.similarity.voxel_set import Index, VoxelSet
 from palpate.workers.compile_flags import EXACT, EXACT_UNCHECKED
 
-# Lines side by side that share cache lines while they are copied out and back.
+# Adjacent lines that share cache lines while they are copied out and back.
 TILE = 16
 
 
 @dataclass(frozen=True, eq=False)
 class DistanceMap:
-    """Hold squared distances in a box.
+    """Squared distances in a box.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class DistanceMap:
     start: Index
 
     def covers(self, voxels: VoxelSet) -> bool:
-        """Say whether the whole box of a set lies in the map."""
+        """Return True if the whole box of a set is inside the map."""
         stop = (a + n for a, n in zip(self.start, self.squared.shape, strict=True))
         return all(a <= b for a, b in zip(self.start, voxels.start, strict=True)) and all(
             b <= a for a, b in zip(stop, voxels.stop, strict=True)
@@ -59,7 +59,7 @@ def distance_map(
     Parameters
     ----------
     features : VoxelSet
-        Not empty; its box lies within the box asked for.
+        Not empty; its box is inside the requested box.
     least_class : int
         ``INTERIOR`` to measure to all voxels of the set, ``BOUNDARY`` to its
         boundary voxels.
@@ -70,7 +70,7 @@ def distance_map(
     Returns
     -------
     DistanceMap
-        4 bytes per voxel, or 8 where the numbers need it.
+        4 bytes per voxel, or 8 if the numbers require it.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def distance_map(
     if largest >= 2**61:
         raise InputError(
             f"Distances in a box of {shape} voxels (z, y, x) with squared spacings in the ratio "
-            f"{metric.weights} do not fit 64-bit whole numbers. Resample to more even voxels."
+            f"{metric.weights} exceed 64-bit whole numbers. Resample to more even voxels."
         )
     dtype = np.int32 if largest < np.iinfo(np.int32).max else np.int64
     squared = np.empty(shape, dtype=dtype)
@@ -140,7 +140,7 @@ def _envelope(
     begin: NDArray[np.int64],
     out: NDArray[np.integer],
 ) -> bool:
-    """Fill ``out[i] = min over j of f[j] + weight (i - j)**2``; False if every f is far."""
+    """Store ``out[i] = min over j of f[j] + weight (i - j)**2``; False if every f is far."""
     top = -1
     for u in range(n):
         fu = f[u]

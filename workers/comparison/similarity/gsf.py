@@ -1,4 +1,4 @@
-"""Compute the geometric similarity function, the number that the search minimises."""
+"""The geometric similarity function, which the search minimises."""
 
 import math
 
@@ -17,8 +17,8 @@ def gsf(jc: float, mhd_voxels: float) -> float:
     Returns
     -------
     float
-        ``-inf`` where the product is zero: identical sets, or a solid compared
-        with its own skin of boundary voxels by boundary distances.
+        ``-inf`` if the product is zero: identical sets, or a solid compared with its own
+        layer of boundary voxels by boundary distances.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Compute the modified Hausdorff distance to a fixed target (D22 of the thesis)."""
+"""The modified Hausdorff distance to a fixed target (D22 of the thesis)."""
 
 import numpy as np
 
@@ -11,18 +11,18 @@ from palpate.workers.comparison.similarity.nearest_voxel import (
 from palpate.workers.comparison.similarity.voxel_metric import Metric
 from palpate.workers.comparison.similarity.voxel_set import BOUNDARY, INTERIOR, Index, VoxelSet
 
-# Part of its size by which a distance map is made larger on each side than what needs it.
+# Margin on each side of a distance map, relative to the size it needs.
 MARGIN = 0.05
 
 
 class ModifiedHausdorff:
-    r"""Compute the modified Hausdorff distance of candidates to one target, exactly.
+    r"""Exact modified Hausdorff distance of candidates to one target.
 
     .. math:: \max\Big(\frac{1}{|X|}\sum_{x \in X} d(x, Y),
                        \frac{1}{|Y|}\sum_{y \in Y} d(y, X)\Big)
 
-    The distances of a direction are found by looking around each voxel, which
-    costs little for a good candidate, or read from an exact distance map. Both
+    The distances of one direction are found by searching around each voxel, which
+    is cheap for a good candidate, or read from an exact distance map. Both
     give the same whole numbers in the same order, hence the same result to the
     last bit. The map of the target is made when a candidate first needs it, and
     kept; it grows when a candidate leaves its box.
@@ -50,7 +50,7 @@ class ModifiedHausdorff:
         self._map: DistanceMap | None = None
 
     def distance_mm(self, candidate: VoxelSet) -> float:
-        """Return the distance of a candidate that is not empty, in mm."""
+        """Return the distance of a non-empty candidate, in mm."""
         return max(
             self._mean_mm(self._to_target(candidate), candidate),
             self._mean_mm(self._to_candidate(candidate), self._target),
@@ -66,7 +66,7 @@ class ModifiedHausdorff:
             if squared is not None:
                 return squared
             start, stop = _union_box(candidate, self._target, MARGIN)
-            self._map = None  # frees the smaller one first
+            self._map = None  # frees the smaller map first
             self._map = distance_map(self._target, self._least_class, self._metric, start, stop)
         return squared_distances_from_map(candidate, self._least_class, self._map)
 

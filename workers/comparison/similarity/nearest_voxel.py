@@ -1,17 +1,17 @@
-"""Compute squared distances from one set of voxels to another, without a distance map.
+"""Squared distances from one set of voxels to another, without a distance map.
 
-Near the optimum of a search most voxels lie in both sets or a step apart, and
-looking around each voxel beats a distance map of the whole box by far:
+Near the optimum of a search most voxels are in both sets or a step apart, and
+searching around each voxel is much faster than a distance map of the whole box:
 
-1. a *miss* is a voxel of the one set that is not in the other;
-2. around each miss the other set is looked up in order of distance, up to
+1. a *miss* is a voxel of one set that is not in the other;
+2. around each miss the other set is searched in order of distance, up to
    `NEAR` voxels: the first hit is the nearest;
-3. what is still open goes on line by line: the lines along x through the
+3. the remaining misses are searched line by line: the lines along x through the
    neighbourhood, nearest first, each with the distance to its next voxel of the
    set, until a line is itself further than the best so far.
 
 The work grows with the cube of the distance in step 2 and with its square in
-step 3, so it is counted. Past an allowance step 2 leaves the rest to step 3, and
+step 3, so it is counted. Beyond an allowance step 2 leaves the rest to step 3, and
 `squared_distances` returns None if that would cost more than a distance map.
 """
 
@@ -27,10 +27,10 @@ from palpate.workers.compile_flags import EXACT
 
 NEAR = 12
 FAR = 64
-# Looks per voxel of the box that cost about as much as: preparing step 3; a distance map.
+# Look-ups per voxel of the box that cost as much as preparing step 3, and as a distance map.
 NEAR_LOOKS = 1.0
 FAR_LOOKS = 2.0
-SAMPLE = 500  # open misses from which the work of step 3 is foretold
+SAMPLE = 500  # remaining misses from which the work of step 3 is estimated
 NO_VOXEL = np.iinfo(np.uint16).max
 
 Distances = NDArray[np.int64]
@@ -39,12 +39,12 @@ Distances = NDArray[np.int64]
 def squared_distances(
     queries: VoxelSet, features: VoxelSet, least_class: int, metric: Metric
 ) -> Distances | None:
-    """Return squared distances of the misses, found by looking around.
+    """Return squared distances of the misses, found by a local search.
 
     Parameters
     ----------
     queries, features : VoxelSet
-        Not empty. From each voxel of `queries` to the nearest of `features`.
+        Not empty. Distances run from each voxel of `queries` to the nearest of `features`.
     least_class : int
         ``INTERIOR``: all voxels of both sets; ``BOUNDARY``: the boundary voxels.
     metric : Metric
@@ -52,9 +52,8 @@ def squared_distances(
     Returns
     -------
     ndarray of int64, shape (misses,), or None
-        In the order of the lattice (z slowest), without the zeros of voxels in
-        both sets; the same as `squared_distances_from_map`. None if looking
-        around would cost more than a distance map.
+        In lattice order (z slowest), without the zeros of voxels in both sets; the same as
+        `squared_distances_from_map`. None if the search would cost more than a distance map.
     """
     offset = _offset(queries, features.start)
     where = _misses(queries.mask, least_class, features.mask, *offset)
@@ -93,7 +92,7 @@ def squared_distances_from_map(
     Returns
     -------
     ndarray of int64, shape (misses,)
-        As `squared_distances`.
+        The same as `squared_distances`.
     """
     offset = _offset(queries, distances.start)
     return _gather(queries.mask, least_class, distances.squared, *offset)
@@ -118,7 +117,7 @@ def _misses(
     oy: int,
     ox: int,
 ) -> IntArray:
-    """List (z, y, x), in the box of the features, of all query voxels that are none of them."""
+    """List (z, y, x), in the box of the features, of all query voxels that are not features."""
     nz, ny, nx = queries.shape
     fz, fy, fx = features.shape
     left, right = max(0, -ox), min(nx, fx - ox)
@@ -163,7 +162,7 @@ def _search_ball(
     allowance: int,
     squared: Distances,
 ) -> None:
-    """Fill what lies within the ball, as far as the allowance goes."""
+    """Store distances within the ball, up to the allowance."""
     nz, ny, nx = features.shape
     for i in range(where.shape[0]):
         z, y, x = where[i, 0], where[i, 1], where[i, 2]
@@ -186,7 +185,7 @@ def _search_ball(
 
 @njit(**EXACT)
 def _gaps(features: NDArray[np.uint8], least_class: int) -> NDArray[np.uint16]:
-    """Return distances along x to the next voxel of the set, in voxels; NO_VOXEL without one."""
+    """Return distances along x to the next voxel of the set, in voxels; NO_VOXEL if none."""
     nz, ny, nx = features.shape
     gaps = np.empty((nz, ny, nx), dtype=np.uint16)
     for z in range(nz):
@@ -221,7 +220,7 @@ def _search_lines(
     allowance: int,
     squared: Distances,
 ) -> bool:
-    """Fill the unsolved misses; False as soon as a distance or the work goes too far."""
+    """Store distances of the unsolved misses; False once a distance or the work is too large."""
     nz, ny, nx = gaps.shape
     for i in unsolved:
         z, y, x = where[i, 0], where[i, 1], where[i, 2]
@@ -240,7 +239,7 @@ def _search_lines(
                         best = square
             k += 1
         allowance -= k
-        # At the end of the disc a line outside it might still be nearer.
+        # At the end of the disc a line outside it may still be nearer.
         if allowance < 0 or best < 0 or (k == disc.shape[0] and best > squares[k - 1]):
             return False
         squared[i] = best

@@ -1,7 +1,7 @@
-"""The number that a search makes as good as it can: GSF, or another one by name.
+"""The objective of a search: GSF, or another score by name.
 
 A distribution offers an `Objective` as an entry point of the group ``palpate.scores``; a study
-chooses it with ``score.objective``.
+selects it with ``score.objective``.
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import Any, Literal
 from palpate.workers.plugins import load
 from palpate.workers.spec import DEFAULT_OBJECTIVE
 
-# Candidates whose (1 - JC) MHD is at most a tenth above the best one's are equally good.
+# Candidates whose (1 - JC) MHD is at most a tenth above the best are equally good.
 EQUALLY_GOOD_GSF = math.log(1.1)
 MINIMISED = "objective"
 
@@ -21,24 +21,24 @@ Measure = Callable[[Any], float]
 
 @dataclass(frozen=True, slots=True)
 class Objective:
-    """A score by which candidates are ranked.
+    """A score that ranks candidates.
 
     Parameters
     ----------
     name : str
-        Its key in a score, and what a study states under ``score.objective``.
+        Its key in a score, and the value of ``score.objective`` in a study file.
     label : str
-        For a reader: ``GSF``.
+        Name for readers, such as ``GSF``.
     direction : {"lower", "higher"}
-        Which values are better.
+        Whether lower or higher values are better.
     unit : str
-        Of its values; empty for a plain number.
+        Unit of its values; empty for a plain number.
     measure : callable, optional
-        From the target to a function of a candidate's deformed body that returns the score.
+        Maps the target to a function that returns the score of a candidate's deformed body.
         Bodies are those of the organ, such as a `Volume` of labels. Without it, the organ's own
-        score has a value of that name.
+        score must have a value of that name.
     equally_good : float
-        Candidates whose minimised value is at most so far above the best one count as equal to it.
+        Candidates whose minimised value is at most this far above the best count as equal to it.
     """
 
     name: str
@@ -50,31 +50,31 @@ class Objective:
 
     @property
     def is_default(self) -> bool:
-        """Whether the search minimises GSF."""
+        """True if the search minimises GSF."""
         return self.name == DEFAULT_OBJECTIVE
 
     @property
     def axis(self) -> str:
-        """The label of an axis of minimised values."""
+        """Axis label for minimised values."""
         sign = "" if self.direction == "lower" else "-"
         unit = f", {self.unit}" if self.unit else ""
         return f"{sign}{self.label}{unit}"
 
     def minimised(self, value: float) -> float:
-        """Return what a search minimises for a value of this score."""
+        """Return the value that a search minimises for a value of this score."""
         if math.isnan(value):
             return math.inf
         return value if self.direction == "lower" else -value
 
     def complete(self, scores: Mapping[str, float], own: float | None) -> dict[str, float]:
-        """Return the scores of a candidate with what the search minimises among them.
+        """Return the scores of a candidate, including the minimised value.
 
         Parameters
         ----------
         scores : mapping of str to float
-            The organ's own.
+            The organ's own scores.
         own : float or None
-            What `measure` returned; None where there is none.
+            The result of `measure`; None if there is none.
         """
         if self.is_default:
             return dict(scores)
@@ -99,7 +99,7 @@ def objective_named(name: str) -> Objective:
     Raises
     ------
     InputError
-        If there is none of that name; close names are suggested.
+        If the name is unknown; close names are suggested.
     """
     found: Objective = load("scores", name)
     return found

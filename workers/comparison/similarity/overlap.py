@@ -1,4 +1,4 @@
-"""Measure the overlap of two sets of voxels (Eqs. 3.17 and 3.18 of the thesis)."""
+"""Overlap of two sets of voxels (Eqs. 3.17 and 3.18 of the thesis)."""
 
 import numpy as np
 from numba import njit

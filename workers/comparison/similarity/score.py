@@ -1,4 +1,4 @@
-"""Score how alike a candidate is to the target, in the numbers of the thesis."""
+"""Similarity scores of a candidate and the target, as defined in the thesis."""
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
@@ -19,7 +19,7 @@ Surface = Literal["boundary", "all"]
 
 @dataclass(frozen=True)
 class Score:
-    """Hold the similarity of two sets of voxels.
+    """Similarity of two sets of voxels.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class Score:
         Modified Hausdorff distance; inf for an empty candidate.
     mhd_voxels : float
         `mhd_mm` divided by the geometric mean of the three spacings, which is
-        the distance in voxels where the voxels are cubes.
+        the distance in voxels for cubic voxels.
     gsf : float
         ``ln((1 - jc) mhd_voxels)``: -inf for identical sets, +inf for an empty
         candidate.
@@ -47,27 +47,26 @@ class Score:
 
 
 class Scorer:
-    """Score candidates against one target.
+    """Score of candidates against one target.
 
-    Holds what is worth keeping from one candidate to the next; not to be shared
-    between threads.
+    Caches data between candidates; not to be shared between threads.
 
     Parameters
     ----------
     target : Volume
         Labels.
     labels : iterable of Tissue
-        The voxels of these labels together are the set that is compared.
+        The voxels of all these labels form the compared set.
     surface : {"boundary", "all"}
-        Which voxels the modified Hausdorff distance runs over. "boundary", from
+        Voxels over which the modified Hausdorff distance runs. "boundary", from
         boundary voxels (those with a face neighbour outside the set) to boundary
-        voxels, is what the numbers of the thesis imply; "all", from every voxel
-        to the set, is what its Eq. 3.25 says.
+        voxels, is implied by the numbers of the thesis; "all", from every voxel
+        to the set, follows its Eq. 3.25.
 
     Raises
     ------
     InputError
-        If the target has none of the labels, or `surface` is neither.
+        If the target has none of the labels, or `surface` is unknown.
     """
 
     def __init__(
@@ -81,7 +80,7 @@ class Scorer:
         self._labels = tuple(Tissue(label) for label in labels)
         if not self._labels or Tissue.AIR in self._labels:
             raise InputError(
-                "Name one or more tissues to compare, and not AIR, which has no end; got "
+                "Name one or more tissues to compare, but not AIR, which is unbounded; got "
                 f"{[label.name.lower() for label in self._labels]}."
             )
         self._lattice = target
@@ -103,8 +102,7 @@ class Scorer:
         Parameters
         ----------
         candidate : Volume
-            On the lattice of the target; its box may differ, and outside of a
-            box there is air.
+            On the lattice of the target; its box may differ. Outside a box there is air.
 
         Returns
         -------
@@ -133,7 +131,7 @@ def score_labels(
     labels: Iterable[Tissue],
     surface: Surface = "boundary",
 ) -> dict[Tissue, Score]:
-    """Score each tissue on its own.
+    """Score each tissue separately.
 
     Parameters
     ----------
@@ -142,7 +140,7 @@ def score_labels(
     labels : iterable of Tissue
         The tissues; each must occur in the target.
     surface : {"boundary", "all"}
-        As for `Scorer`.
+        See `Scorer`.
 
     Returns
     -------
@@ -151,6 +149,6 @@ def score_labels(
     Raises
     ------
     InputError
-        As `Scorer` and `Scorer.score`.
+        See `Scorer` and `Scorer.score`.
     """
     return {label: Scorer(target, (label,), surface).score(candidate) for label in labels}

@@ -1,7 +1,7 @@
-"""Express squared distances between voxels as whole numbers.
+"""Squared distances between voxels as whole numbers.
 
-Whole numbers add without rounding, so every way of finding a nearest voxel ends
-at the same squared distance, bit for bit, and may be chosen for its speed alone.
+Whole numbers add without rounding, so every way of finding a nearest voxel gives
+the same squared distance, bit for bit, and may be chosen for its speed alone.
 """
 
 import math
@@ -23,14 +23,14 @@ SIZE_BITS = 13
 
 @dataclass(frozen=True)
 class Metric:
-    """Define the squared distance ``wz dz**2 + wy dy**2 + wx dx**2`` of two voxels.
+    """The squared distance ``wz dz**2 + wy dy**2 + wx dx**2`` of two voxels.
 
     Parameters
     ----------
     weights : tuple of int
         (wz, wy, wx); the smallest is the square of the finest spacing.
     unit_mm : float
-        Millimetres of a distance 1, the root of a squared distance 1.
+        Millimetres per unit of distance, the root of a squared distance 1.
     """
 
     weights: tuple[int, int, int]
@@ -38,7 +38,7 @@ class Metric:
 
     @classmethod
     def of_spacing(cls, spacing_mm: Triple) -> "Metric":
-        """Find weights for voxels of a spacing (x, y, z), right to 1e-7 or better.
+        """Return the metric for a spacing (x, y, z), accurate to 1e-7 or better.
 
         Isotropic voxels and small ratios of squared spacings are exact.
         """
@@ -77,7 +77,7 @@ class Metric:
 def _nearest_first(
     weights: tuple[int, ...], limit: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """List all offsets but zero of a squared length up to a limit, and their squared lengths."""
+    """List all nonzero offsets of a squared length up to a limit, and their squared lengths."""
     reach = [np.arange(-k, k + 1) for k in (math.isqrt(limit // w) for w in weights)]
     offsets = np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, len(weights))
     squares = offsets.astype(np.int64) ** 2 @ np.array(weights, dtype=np.int64)
@@ -85,5 +85,5 @@ def _nearest_first(
     order = order[(squares[order] <= limit) & (squares[order] > 0)]
     arrays = offsets[order].astype(np.int64), squares[order]
     for array in arrays:
-        array.setflags(write=False)  # shared by everyone who asks again
+        array.setflags(write=False)  # cached and shared
     return arrays

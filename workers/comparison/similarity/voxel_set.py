@@ -1,4 +1,4 @@
-"""Collect the voxels of some tissues, as a set with a place on a lattice."""
+"""Sets of voxels with a position on a lattice."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from palpate.workers.compile_flags import EXACT
 
 Index = tuple[int, int, int]
 
-# Values of a mask. A voxel belongs to the set when it is not OUTSIDE.
+# Values of a mask. A voxel belongs to the set if it is not OUTSIDE.
 OUTSIDE, INTERIOR, BOUNDARY = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelSet:
-    """Hold a set of voxels, cut out tightly.
+    """Set of voxels in its tight bounding box.
 
     Parameters
     ----------
@@ -46,21 +46,21 @@ class VoxelSet:
 
 
 def voxel_set(volume: Volume, labels: Iterable[int], lattice: Volume) -> VoxelSet:
-    """Collect the voxels that carry one of some labels.
+    """Collect the voxels that have one of some labels.
 
     Parameters
     ----------
     volume : Volume
         Labels, whole numbers from 0 to 255.
     labels : iterable of int
-        Which labels count; not AIR, which is what lies outside every box.
+        Labels of the set; not AIR, which fills everything outside the boxes.
     lattice : Volume
         Its first voxel has lattice index (0, 0, 0).
 
     Returns
     -------
     VoxelSet
-        Of size zero along every axis if no voxel carries the labels.
+        Of size zero along every axis if no voxel has the labels.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def _as_labels(values: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 @njit(**EXACT)
 def _bounds(values: NDArray[np.uint8], wanted: BoolArray) -> tuple[int, int, int, int, int, int]:
-    """Return half-open ranges along z, y, x that hold all wanted voxels; empty if there is none."""
+    """Return half-open ranges along z, y, x that contain all wanted voxels; empty if none."""
     nz, ny, nx = values.shape
     z0, z1, y0, y1, x0, x1 = nz, 0, ny, 0, nx, 0
     for z in range(nz):
@@ -132,7 +132,7 @@ def _bounds(values: NDArray[np.uint8], wanted: BoolArray) -> tuple[int, int, int
 @njit(**EXACT)
 def _classify(values: NDArray[np.uint8], wanted: BoolArray) -> tuple[NDArray[np.uint8], int, int]:
     nz, ny, nx = values.shape
-    inside = np.zeros((nz + 2, ny + 2, nx + 2), dtype=np.uint8)  # a rim of nothing around
+    inside = np.zeros((nz + 2, ny + 2, nx + 2), dtype=np.uint8)  # padded by one voxel
     for z in range(nz):
         for y in range(ny):
             source = values[z, y]

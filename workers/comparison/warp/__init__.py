@@ -1,1 +1,1 @@
-"""Turn a displacement into a deformed image."""
+"""Deformed images from displacements."""

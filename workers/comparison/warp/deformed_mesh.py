@@ -1,4 +1,4 @@
-"""Place a deformed mesh on the voxel lattice of an output image."""
+"""Deformed meshes on the voxel lattice of an output image."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,7 +15,7 @@ MAX_VOXELS = 2**32
 
 @dataclass(frozen=True, eq=False)
 class DeformedMesh:
-    """Hold a deformed mesh in the coordinates of the box of voxels around it.
+    """A deformed mesh in the coordinates of its bounding box of voxels.
 
     Parameters
     ----------
@@ -26,11 +26,11 @@ class DeformedMesh:
         The same in voxels, not snapped.
     tets : ndarray of int32, shape (m, 4)
     runs : ndarray of int32, shape (k, 4)
-        Room for the runs of one tetrahedron, see `workers.comparison.warp.rasterisation`.
+        Buffer for the runs of one tetrahedron, see `workers.comparison.warp.rasterisation`.
     shape : tuple of int
-        Of the box, (nz, ny, nx).
+        Shape of the box, (nz, ny, nx).
     spacing_mm, origin_mm : tuple of float
-        Of the box, as in `storage.values.Volume`.
+        Lattice of the box, as in `storage.values.Volume`.
     """
 
     fixed: NDArray[np.int64]
@@ -54,7 +54,7 @@ def index_coordinates(points_mm: FloatArray, lattice: Volume) -> FloatArray:
 
 
 def place_on_lattice(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume) -> DeformedMesh:
-    """Deform a mesh and find the box of voxels of a lattice that it fills.
+    """Deform a mesh and find its bounding box of voxels on a lattice.
 
     Parameters
     ----------
@@ -62,12 +62,12 @@ def place_on_lattice(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume
     displacement_mm : ndarray, shape (n, 3)
         Displacement (x, y, z) of every node.
     lattice : Volume
-        Its spacing and the phase of its voxel centres count; its box and values do not.
+        Only its spacing and the phase of its voxel centres are used.
 
     Raises
     ------
     InputError
-        If the displacement does not fit the mesh, is not finite, or throws the
+        If the displacement does not fit the mesh, is not finite, or spreads the
         body over an absurd number of voxels.
     """
     displacement = np.asarray(displacement_mm, dtype=np.float64)
@@ -96,7 +96,7 @@ def place_on_lattice(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume
         )
     fixed, bits = fixed_point(deformed - base, tets)
     # The box follows from the snapped corners, so that no run can leave it. A body
-    # thinner than a voxel may hold no centre: the box keeps one voxel all the same.
+    # thinner than a voxel may contain no centre: the box has at least one voxel.
     first = -(-fixed[used].min(axis=0) >> bits)
     end = np.maximum(-(-fixed[used].max(axis=0) >> bits), first + 1)
     fixed -= first << bits

@@ -1,4 +1,4 @@
-"""How far the tissue in each voxel of a deformed image has moved."""
+"""Displacement of the tissue in each voxel of a deformed image."""
 
 import numpy as np
 
@@ -7,23 +7,23 @@ from palpate.workers.comparison.warp.warp_volume import warp_grey
 
 
 def displacement_image(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume) -> Volume:
-    """Return the length of the displacement on the lattice of a deformed body.
+    """Return the magnitude of the displacement on the lattice of a deformed body.
 
     The position before deformation is a linear image over the box of the mesh, whose eight
-    corners hold it exactly; it is deformed as a grey image is.
+    corners define it exactly; it is deformed like a grey image.
 
     Parameters
     ----------
     mesh : TetMesh
-        At rest, n nodes.
+        Mesh at rest, n nodes.
     displacement_mm : ndarray, shape (n, 3)
     lattice : Volume
-        As for `warp_labels`.
+        See `warp_labels`.
 
     Returns
     -------
     Volume of float32
-        In mm; nan outside of the elements.
+        In mm; nan outside the elements.
     """
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     span = np.maximum(high - low, 1e-6)

@@ -1,4 +1,4 @@
-"""Find the voxels that a tetrahedron owns: runs along x, decided in whole numbers.
+"""Voxels of a tetrahedron: runs along x, determined in whole numbers.
 
 Two neighbours must agree on every voxel of the face that they share, or the
 deformed image gets holes and double writes. Rounding cannot break that
@@ -6,14 +6,14 @@ agreement here because nothing is rounded after the first step:
 
 1. Node positions are snapped once to a grid of ``2**bits`` steps per voxel
    (finer than a thousandth of a voxel for any sensible element), so both
-   neighbours see the same corners.
-2. A line of voxels along x meets a tetrahedron in the stretch between two of
-   its faces. Which faces the line pierces follows from the signs of the six
+   neighbours use the same corners.
+2. A line of voxels along x intersects a tetrahedron between two of
+   its faces. The faces that the line pierces follow from the signs of the six
    edge functions in the (y, z) plane, exact in 64-bit integers. A line through
    an edge or a corner is moved by (eps, eps**2) in (y, z), symbolically, so
    that it always pierces none or two faces.
-3. Where the line pierces a face is a ratio of integers; its ceiling is exact,
-   hence the same whichever neighbour computes it. A run is half open,
+3. The intersection of the line with a face is a ratio of integers; its ceiling is exact,
+   hence the same for both neighbours. A run is half open,
    ``[ceil(x_in), ceil(x_out))``.
 
 Along one line the runs of an unfolded mesh therefore join end to start: each
@@ -40,11 +40,10 @@ MIN_BITS = 4
 
 
 def _pierced_faces() -> NDArray[np.uint8]:
-    """Tabulate which faces are pierced, by the signs of edges 01, 02, 03, 12, 13, 23 (bits 0 to 5).
+    """Tabulate the pierced faces by the signs of edges 01, 02, 03, 12, 13, 23 (bits 0 to 5).
 
-    Bits 0 to 3 of an entry stand for faces 012, 013, 023, 123. Face abc is
-    pierced when e_ab, e_bc and e_ca = -e_ac agree in sign. Signs that no line
-    can have get no face.
+    Bits 0 to 3 of an entry represent faces 012, 013, 023, 123. Face abc is
+    pierced if e_ab, e_bc and e_ca = -e_ac agree in sign. Impossible signs get no face.
     """
     table = np.zeros(64, dtype=np.uint8)
     for signs in range(64):
@@ -96,7 +95,7 @@ def fixed_point(
 def run_buffer(
     nodes_fixed: NDArray[np.int64], tets: NDArray[np.int32], bits: int
 ) -> NDArray[np.int32]:
-    """Make room for the runs (z, y, first x, end x) of the largest tetrahedron."""
+    """Allocate a buffer for the runs (z, y, first x, end x) of the largest tetrahedron."""
     return np.empty((max(1, int(_most_lines(nodes_fixed, tets, bits))), 4), dtype=np.int32)
 
 
@@ -139,7 +138,7 @@ def _local(
 
 @njit(**EXACT)
 def _edge(ya: int, za: int, yb: int, zb: int) -> tuple[int, int, int]:
-    """Return slopes of cross(b - a, p - a) in p = (y, z), and the bias that settles a zero.
+    """Return slopes of cross(b - a, p - a) in p = (y, z), and the bias that breaks ties.
 
     With the bias, ``e + bias >= 0`` is the sign of e at (y + eps, z + eps**2);
     swapping a and b swaps it.
@@ -152,7 +151,7 @@ def _edge(ya: int, za: int, yb: int, zb: int) -> tuple[int, int, int]:
 
 @njit(**EXACT_UNCHECKED)
 def _ceil_on_face(e_bc: int, e_ca: int, e_ab: int, xa: int, xb: int, xc: int, bits: int) -> int:
-    """Return the first voxel at or beyond where the line pierces the face (all x >= 0)."""
+    """Return the first voxel at or beyond the intersection with the face (all x >= 0)."""
     area = (e_bc + e_ca + e_ab) << bits
     moment = e_bc * xa + e_ca * xb + e_ab * xc
     if area < 0:
@@ -179,7 +178,7 @@ def signed_volume(nodes: NDArray[np.int64], tets: IntArray, t: int) -> int:
 
 @njit(**EXACT_UNCHECKED)
 def tet_runs(nodes: NDArray[np.int64], tets: IntArray, t: int, bits: int, runs: IntArray) -> int:
-    """List the runs of voxels that one tetrahedron owns.
+    """List the runs of voxels of one tetrahedron.
 
     Parameters
     ----------
@@ -187,7 +186,7 @@ def tet_runs(nodes: NDArray[np.int64], tets: IntArray, t: int, bits: int, runs: 
         Positions in steps of ``2**-bits`` voxels.
     tets : ndarray of int32, shape (m, 4)
     t : int
-        Which tetrahedron.
+        Index of the tetrahedron.
     bits : int
     runs : ndarray of int32, shape (k, 4)
         Filled with rows (z, y, first x, end x), z slowest.
@@ -198,7 +197,7 @@ def tet_runs(nodes: NDArray[np.int64], tets: IntArray, t: int, bits: int, runs: 
         Number of rows filled.
     """
     v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
-    # A local origin at a voxel keeps the numbers small wherever the element lies.
+    # A local origin at a voxel keeps the numbers small at any position of the element.
     ox = min(min(nodes[v0, 0], nodes[v1, 0]), min(nodes[v2, 0], nodes[v3, 0])) >> bits
     oy = min(min(nodes[v0, 1], nodes[v1, 1]), min(nodes[v2, 1], nodes[v3, 1])) >> bits
     oz = min(min(nodes[v0, 2], nodes[v1, 2]), min(nodes[v2, 2], nodes[v3, 2])) >> bits

@@ -1,10 +1,10 @@
-"""Keep a surface layer, such as skin, whole where deformation thins it below a voxel.
+"""Closing of a surface layer, such as skin, where deformation thins it below a voxel.
 
-`warp_labels` samples a deformed body at voxel centres. A layer that pressing has stretched to
+`warp_labels` samples a deformed body at voxel centres. A layer that compression has stretched to
 less than a voxel falls between two centres, one in the tissue below and one in air, and the
-image shows tissue against air. Here such a voxel is found from the line to the centre in air: if
-the reference shows the layer on that line, the voxel takes its label. The layer is then drawn one
-voxel thick where it is thinner, which closes it; nothing else moves, and the outline stays.
+image shows tissue next to air. Such a voxel is detected on the line to the centre in air: if the
+reference has the layer on that line, the voxel gets its label. The layer is then one voxel thick
+where it is thinner, which closes it; nothing else moves, and the outline stays.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from palpate.workers.compile_flags import EXACT
 
 # (x, y, z) of the six neighbours of a voxel.
 NEIGHBOURS = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
-# A layer of an eighth of a voxel is found: 0.2 mm skin in voxels of 1.5 mm.
+# Detects a layer of an eighth of a voxel: 0.2 mm skin in voxels of 1.5 mm.
 STEPS = 8
 
 
@@ -53,11 +53,11 @@ def closed_layer(
     deformed : Volume of uint8
         From `warp_labels`.
     reference, mesh, displacement_mm
-        As they were given to `warp_labels`.
+        The arguments of `warp_labels`.
     layer : int
         Label of the layer.
     under : sequence of int
-        Labels that give way to it.
+        Labels that it may replace.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def _crosses(
     values: NDArray[np.uint8],
     layer: int,
 ) -> bool:
-    """Say whether the line from a voxel (x, y, z) to its neighbour meets the layer before air."""
+    """Return True if the line from a voxel (x, y, z) to a neighbour meets the layer before air."""
     nz, ny, nx = values.shape
     for k in range(1, STEPS + 1):
         x = at[0] + step[0] * k / STEPS

@@ -1,20 +1,20 @@
-"""Deform an image: look up, for every voxel, where in the reference it came from.
+"""Deformed images: every voxel is looked up at its position in the reference.
 
-Each voxel of the deformed body lies in one deformed tetrahedron. The affine map
-of that element takes the voxel's centre back to the reference image, where it
-picks the label of the nearest voxel (`warp_labels`) or the grey value between
-eight voxels (`warp_grey`). `workers.comparison.warp.rasterisation` decides which tetrahedron owns
-a voxel, so that none is missed and none is written twice.
+Each voxel of the deformed body is in one deformed tetrahedron. The affine map
+of that element maps the voxel's centre back to the reference image, where it
+gets the label of the nearest voxel (`warp_labels`) or the grey value between
+eight voxels (`warp_grey`). `workers.comparison.warp.rasterisation` assigns each voxel to
+one tetrahedron, so that none is missed and none is written twice.
 
-What does not move: tissue voxels of the reference outside the mesh (a mesh is
-smoother than voxels) are in no element and hence not in the result. Under zero
-displacement every voxel whose centre lies inside the mesh keeps its value
+Tissue voxels of the reference outside the mesh (a mesh is
+smoother than voxels) are in no element and hence not in the result. With zero
+displacement every voxel whose centre is inside the mesh keeps its value
 exactly. A centre exactly on the outside of the mesh counts as inside on the low
 sides and as outside on the high sides.
 
 Folded elements (volume <= 0 after deformation) write nothing. That leaves no
-hole: around a folded element the upright ones overlap, and what it covers is
-covered at least twice by them; the one that comes last in the mesh wins.
+hole: around a folded element the upright ones overlap, and they cover its region
+at least twice; the last one in the mesh wins.
 """
 
 import numpy as np
@@ -26,14 +26,14 @@ from palpate.workers.comparison.warp.deformed_mesh import index_coordinates, pla
 from palpate.workers.comparison.warp.rasterisation import signed_volume, tet_runs
 from palpate.workers.compile_flags import EXACT
 
-# A point midway between two voxels takes the upper one, whatever the last bits say.
+# A point midway between two voxels gets the upper one, regardless of rounding.
 HALF = 0.5 + 1e-7
 
 
 def warp_labels(
     reference: Volume, mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume | None = None
 ) -> Volume:
-    """Deform a label volume; a voxel takes the label of the nearest reference voxel.
+    """Deform a label volume; a voxel gets the label of the nearest reference voxel.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def warp_labels(
     displacement_mm : ndarray, shape (n, 3)
         Displacement (x, y, z) of every node.
     lattice : Volume, optional
-        Its spacing and the phase of its voxel centres are those of the result
+        Gives the spacing and the phase of the result's voxel centres
         (its box and values are not used). Default: `reference`.
 
     Returns
@@ -56,7 +56,7 @@ def warp_labels(
     Raises
     ------
     InputError
-        If the displacement does not fit the mesh, is not finite, or throws the
+        If the displacement does not fit the mesh, is not finite, or spreads the
         body over an absurd number of voxels.
     """
     deformed = place_on_lattice(mesh, displacement_mm, reference if lattice is None else lattice)
@@ -84,14 +84,14 @@ def warp_grey(
     *,
     outside: float = 0.0,
 ) -> Volume:
-    """Deform a grey volume; a voxel takes the trilinear value between reference voxels.
+    """Deform a grey volume; a voxel gets the trilinear value between reference voxels.
 
-    Within half a voxel of the border of `reference` its outermost value holds.
+    Within half a voxel of the border of `reference` its outermost value is used.
 
     Parameters
     ----------
     reference, mesh, displacement_mm, lattice
-        As for `warp_labels`; the values may be of any real type.
+        See `warp_labels`; the values may be of any real type.
     outside : float
         Value outside the elements and of voxels from outside `reference`.
 
@@ -102,7 +102,7 @@ def warp_grey(
     Raises
     ------
     InputError
-        As `warp_labels`.
+        See `warp_labels`.
     """
     deformed = place_on_lattice(mesh, displacement_mm, reference if lattice is None else lattice)
     values = np.ascontiguousarray(reference.values)
@@ -132,7 +132,7 @@ def _pull_back(
     six_volumes: int,
     m: FloatArray,
 ) -> None:
-    """Fill m (3, 4) with the affine map from voxels of the output to voxels of the reference."""
+    """Store in m (3, 4) the affine map from voxels of the output to voxels of the reference."""
     v0 = tets[t, 0]
     edges = np.empty((3, 3))
     det = 0.0
@@ -150,7 +150,7 @@ def _pull_back(
             - edges[0, 1] * (edges[1, 0] * edges[2, 2] - edges[1, 2] * edges[2, 0])
             + edges[0, 2] * (edges[1, 0] * edges[2, 1] - edges[1, 1] * edges[2, 0])
         )
-        # An element nearly as flat as the grid step: only its snapped shape is sure to be upright.
+        # An element nearly as flat as the grid step: only its snapped shape is surely upright.
         if det > 0.5 * six_volumes * step**3:
             break
     for axis in range(3):
@@ -181,7 +181,7 @@ def runs_and_map(
     runs: IntArray,
     m: FloatArray,
 ) -> int:
-    """List the runs of an element and fill its map m (3, 4); a folded element has no runs."""
+    """List the runs of an element and store its map m (3, 4); a folded element has no runs."""
     six_volumes = signed_volume(fixed, tets, t)
     if six_volumes <= 0:
         return 0
@@ -193,7 +193,7 @@ def runs_and_map(
 
 @njit(**EXACT)
 def _within(sources: FloatArray, tets: IntArray, t: int, shape: tuple[int, ...]) -> bool:
-    """Say whether all of an element comes from inside the reference box: no checks per voxel."""
+    """Return True if an element is inside the reference box, so that no voxel needs a check."""
     for corner in range(4):
         for axis in range(3):
             x = sources[tets[t, corner], axis]
@@ -248,7 +248,7 @@ def _write_nearest(
 
 @njit(**EXACT)
 def _cell(s: float, n: int) -> tuple[int, int, float]:
-    """Return lower and upper voxel around s and the weight of the upper, held at the border."""
+    """Return lower and upper voxel around s and the weight of the upper, clamped at the border."""
     s = min(max(s, 0.0), n - 1.0)
     low = int(s)
     return low, min(low + 1, n - 1), s - low

@@ -37,7 +37,7 @@ class Bend(Request):
 
 @dataclass(frozen=True)
 class Compare(Request):
-    """Compare all bars with the gold one; they are bent."""
+    """Compare all bars, already bent, with the gold one."""
 
     MODULE: ClassVar[str] = __name__
 
@@ -51,7 +51,7 @@ class Turn(Request):
 
 @dataclass(frozen=True, slots=True)
 class BentBar:
-    """How the simulation ended; beside it the displacement, in mm."""
+    """Result of bending a bar; stored with the displacement, in mm."""
 
     spent: Spent
     outcome: Outcome
@@ -59,7 +59,7 @@ class BentBar:
 
 @dataclass(frozen=True, slots=True)
 class ComparedBars:
-    """Rows of the bar."""
+    """Results of the bar experiment."""
 
     spent: Spent
     experiment: BarExperiment
@@ -67,7 +67,7 @@ class ComparedBars:
 
 @dataclass(frozen=True, slots=True)
 class TurnedCylinder:
-    """Rows of the cylinder."""
+    """Results of the cylinder experiment."""
 
     spent: Spent
     rows: tuple[CylinderRow, ...]

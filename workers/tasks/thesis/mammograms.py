@@ -14,7 +14,7 @@ from palpate.workers.thesis.mammogram import PIXEL_MM, mammogram_pair
 
 @dataclass(frozen=True)
 class Expose(Request):
-    """Take mammograms of a phantom on both meshes; both are pressed."""
+    """Take mammograms of a phantom, already pressed, on both meshes."""
 
     MODULE: ClassVar[str] = __name__
 
@@ -24,13 +24,13 @@ class Expose(Request):
 
 @dataclass(frozen=True, slots=True)
 class ExposedPhantom:
-    """Two mammograms; beside it pictures and DICOM files as bytes.
+    """Two mammograms; stored with pictures and DICOM files as bytes.
 
     Parameters
     ----------
     spent : Spent
     converged : bool
-        Whether both compressions did; else there is no picture.
+        Whether both compressions converged; if not, there are no pictures.
     attenuation_rms, quantum_rms : float
         See `workers.thesis.mammogram.MammogramPair`; nan without pictures.
     """
@@ -42,7 +42,7 @@ class ExposedPhantom:
 
 
 def take_mammograms(request: Expose) -> Spent:
-    """Take mammograms of one phantom on both meshes and keep them with their difference."""
+    """Take mammograms of one phantom on both meshes, and store them with their difference."""
     if not request.part.is_finished:
         watch = Watch()
         adaptive, homogeneous = (

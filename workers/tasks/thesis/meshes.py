@@ -65,7 +65,7 @@ class Press(Request):
 
 @dataclass(frozen=True)
 class ComparePressed(Request):
-    """Compare a phantom on both meshes; both are pressed."""
+    """Compare a phantom, already pressed, on both meshes."""
 
     MODULE: ClassVar[str] = __name__
 
@@ -76,7 +76,7 @@ class ComparePressed(Request):
 
 @dataclass(frozen=True, slots=True)
 class MeasuredMesh:
-    """A mesh of a phantom; beside it the polygons of a coronal slice, glandular or not."""
+    """A mesh of a phantom; stored with the polygons of a coronal slice, glandular or not."""
 
     spent: Spent
     row: QualityRow
@@ -84,7 +84,7 @@ class MeasuredMesh:
 
 @dataclass(frozen=True, slots=True)
 class PressedPhantom:
-    """A compression; beside it the voxels of compartments and tissues, if it converged."""
+    """A compression; stored with the voxels of compartments and tissues, if it converged."""
 
     spent: Spent
     outcome: Outcome
@@ -121,13 +121,13 @@ def measure_mesh(request: Measure) -> Spent:
 
 
 def coronal_section(request: Measure) -> tuple[FloatArray, BoolArray]:
-    """Return the slice of a mesh that is measured: polygons (m, 4, 2), and which are glandular."""
+    """Return the measured slice of a mesh: polygons (m, 4, 2), and a mask of the glandular ones."""
     _, arrays = request.part.load(MeasuredMesh)
     return np.asarray(arrays["polygons"], np.float64), np.asarray(arrays["glandular"], bool)
 
 
 def press_phantom(request: Press) -> Spent:
-    """Press a phantom on one mesh, and carry its voxels along."""
+    """Press a phantom on one mesh, and deform its voxels."""
     if not request.part.is_finished:
         watch = Watch()
         hierarchy = cached_mesh(request.store, request.phantom, request.mesh, request.scale)
@@ -161,7 +161,7 @@ def compare_pressed(request: ComparePressed) -> Spent:
 
 
 def pressed(request: Press) -> Compressed:
-    """Return a compression that is in the store."""
+    """Return a stored compression."""
     record, arrays = request.part.load(PressedPhantom)
     ids, labels = None, None
     if record.spacing_mm is not None and record.origins_mm is not None:
@@ -172,7 +172,7 @@ def pressed(request: Press) -> Compressed:
 
 
 def cached_mesh(store: str, number: int, kind: MeshKind, scale: Scale) -> Hierarchy:
-    """Return the meshes of a phantom; made once by each process as long as its memory lasts."""
+    """Return the meshes of a phantom, cached in this process."""
 
     def make() -> Hierarchy:
         labels = cached_phantom(store, number, scale).labels

@@ -1,4 +1,4 @@
-"""What the tasks of the thesis' experiments share: where a part lies, what it has cost."""
+"""Storage and timing shared by the tasks of the thesis' experiments."""
 
 import os
 import platform
@@ -17,14 +17,15 @@ from palpate.workers.thesis.scale import Scale
 
 @dataclass(frozen=True, slots=True)
 class Spent:
-    """What a part has cost.
+    """Cost of a part.
 
     Parameters
     ----------
     wall_s, cpu_s : float
-        Seconds on the clock, and of this process on a processor: on a busy machine less.
+        Wall-clock seconds, and processor seconds of this process, which are fewer on a busy
+        machine.
     machine : str
-        Where.
+        Machine that ran it.
     """
 
     wall_s: float
@@ -34,19 +35,19 @@ class Spent:
 
 @dataclass(frozen=True, slots=True)
 class Timed:
-    """The first field of every record: all that progress and estimates ask of it."""
+    """The first field of every record, enough for progress and estimates."""
 
     spent: Spent
 
 
 @dataclass(frozen=True)
 class Request:
-    """One part of an experiment; what names it are the fields of its class but `store`.
+    """One part of an experiment, named by the fields of its class other than `store`.
 
     Parameters
     ----------
     store : str
-        Folder that all workers see.
+        Folder visible to all workers.
     scale : str
         One of `workers.thesis.scale.SCALES`.
     """
@@ -58,28 +59,28 @@ class Request:
 
     @property
     def part(self) -> Part:
-        """Where its result lies."""
+        """Part with the result."""
         which = [type(self).__name__, *astuple(self)[1:]]
         return Part(TaskStore(self.store), digest("thesis", which, code_version(self.MODULE)))
 
     @property
     def kind(self) -> str:
-        """What takes about as long as itself: `press, adaptive, CC`."""
+        """Group of requests that take about equally long, such as `press, adaptive, CC`."""
         return type(self).__name__.lower()
 
     @property
     def label(self) -> str:
-        """Itself for a reader."""
+        """Description for a reader."""
         return ", ".join(str(v) for v in (type(self).__name__.lower(), *astuple(self)[2:]))
 
     @property
     def spent(self) -> Spent:
-        """What it has cost; it is finished."""
+        """Cost of the finished part."""
         return self.part.record(Timed).spent
 
 
 class Watch:
-    """Seconds since it was made.
+    """Stopwatch that starts when it is made.
 
     Examples
     --------
@@ -91,13 +92,13 @@ class Watch:
         self._wall_s, self._cpu_s = time.perf_counter(), time.process_time()
 
     def spent(self) -> Spent:
-        """Return what has been spent so far."""
+        """Return the time spent so far."""
         wall_s, cpu_s = time.perf_counter() - self._wall_s, time.process_time() - self._cpu_s
         return Spent(wall_s, cpu_s, machine())
 
 
 def machine() -> str:
-    """Name the processor, as far as the system tells, and the number of its cores."""
+    """Return the name of the processor, as far as known, and the number of its cores."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.is_file() else []
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
@@ -106,6 +107,6 @@ def machine() -> str:
 
 
 def cached_phantom(store: str, number: int, scale: Scale) -> Phantom:
-    """Return a phantom of the thesis; made once by each process."""
+    """Return a phantom of the thesis, cached in this process."""
     make = lambda: thesis_phantom(number, scale)  # noqa: E731
     return TaskStore(store).cached(("phantom", number, scale), make)

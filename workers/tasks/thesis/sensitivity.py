@@ -11,7 +11,7 @@ from palpate.workers.thesis.identification import TARGETS, TargetName, case_of
 
 @dataclass(frozen=True)
 class Vary(Request):
-    """Compare the target with the body that one other value gives."""
+    """Compare the target with the body deformed with one other value."""
 
     MODULE: ClassVar[str] = __name__
 
@@ -28,7 +28,7 @@ class Vary(Request):
 
 @dataclass(frozen=True, slots=True)
 class VariedConstant:
-    """Scores of the body with one constant changed; None where it diverged."""
+    """Scores of the body with one constant changed; None if it diverged."""
 
     spent: Spent
     jc: float | None

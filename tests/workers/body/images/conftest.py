@@ -1,4 +1,4 @@
-"""Real files of labels, written with the libraries that define the formats."""
+"""Real label files, written with the libraries that define the formats."""
 
 import tracemalloc
 from collections.abc import Callable, Iterator
@@ -18,7 +18,7 @@ WriteSegmentation = Callable[..., Path]
 
 @pytest.fixture
 def numbered() -> NDArray[np.uint16]:
-    """Voxels [i, j, k], each with a label of its own: 0, 1, 2, ..., 119."""
+    """Return voxels [i, j, k] with distinct labels: 0, 1, 2, ..., 119."""
     return np.arange(4 * 5 * 6, dtype=np.uint16).reshape(4, 5, 6)
 
 
@@ -55,7 +55,7 @@ def write_series() -> WriteSeries:
     ) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         series, paths = generate_uid(), []
-        names = np.random.default_rng(0).permutation(len(values))  # names tell nothing of order
+        names = np.random.default_rng(0).permutation(len(values))  # names are in random order
         for index, pixels in enumerate(values):
             image = _image(CTImageStorage, pixels.shape, 16)
             image.Modality, image.SeriesInstanceUID = "CT", series
@@ -121,7 +121,7 @@ def write_segmentation() -> WriteSegmentation:
 
 @pytest.fixture
 def peak_mib() -> Iterator[Callable[[], float]]:
-    """Return the most memory that Python and NumPy allocated since the test began, in MiB."""
+    """Return the peak memory allocated by Python and NumPy since the test began, in MiB."""
     tracemalloc.start()
     yield lambda: tracemalloc.get_traced_memory()[1] / 2**20
     tracemalloc.stop()

@@ -1,4 +1,4 @@
-"""DICOM: slices in space, not in folders; segmentations; what is refused."""
+"""DICOM: slices ordered by position; segmentations; refusals."""
 
 from pathlib import Path
 from typing import Any
@@ -86,14 +86,14 @@ class TestSeries:
         with pytest.raises(InputError, match=r"uneven gaps.*expected 1 mm"):
             read_volume(tmp_path)
 
-    def test_slices_beside_the_line(
+    def test_slices_off_the_line(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         def shifted(index: int, image: Any) -> None:
             image.ImagePositionPatient = [2.0 * (index == 3), 0.0, float(index)]
 
         write_series(tmp_path, slices, change=shifted)
-        with pytest.raises(InputError, match=r"not lie on one line \(2 mm off\)"):
+        with pytest.raises(InputError, match=r"not on one line \(2 mm off\)"):
             read_volume(tmp_path)
 
     def test_two_time_points(
@@ -120,14 +120,14 @@ class TestSeries:
             read_volume(tmp_path)
 
     @pytest.mark.parametrize("name", ["ImagePositionPatient", "ImageOrientationPatient"])
-    def test_no_geometry(
+    def test_missing_geometry(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any, name: str
     ) -> None:
         write_series(tmp_path, slices, change=lambda _, image: image.__delattr__(name))
         with pytest.raises(InputError, match=r"no ImagePosition|image orientation \[\]"):
             read_volume(tmp_path)
 
-    def test_one_slice_turned(
+    def test_one_rotated_slice(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         def turned(index: int, image: Any) -> None:
@@ -149,7 +149,7 @@ class TestSeries:
         with pytest.raises(InputError, match="different PixelSpacing"):
             read_volume(tmp_path)
 
-    def test_one_slice_alone(
+    def test_single_slice(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         paths = write_series(tmp_path, slices)
@@ -157,7 +157,7 @@ class TestSeries:
             read_volume(paths[0])
 
     @pytest.mark.parametrize("cut", [20, 100])
-    def test_a_slice_cut_short_is_named(
+    def test_truncated_slice_is_named(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any, cut: int
     ) -> None:
         path = write_series(tmp_path, slices)[6]
@@ -165,7 +165,7 @@ class TestSeries:
         with pytest.raises(InputError, match=rf"{path.name}.*cut short"):
             read_volume(tmp_path)
 
-    def test_a_slice_that_is_no_dicom(
+    def test_slice_that_is_not_dicom(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         path = write_series(tmp_path, slices)[6]  # an end slice: its loss would leave no gap
@@ -182,7 +182,7 @@ class TestSeries:
 class TestSegmentation:
     @pytest.fixture
     def frames(self) -> list[tuple[int, float, NDArray[np.uint8]]]:
-        """Two segments, [row, column] of 3 x 5; slot 2 of 5 has no frame at all."""
+        """Return two segments, [row, column] of 3 x 5; slot 2 of 5 has no frame."""
         outer, inner = np.zeros((3, 5), np.uint8), np.zeros((3, 5), np.uint8)
         outer[0, :2], inner[2, 3:] = 1, 1
         return [(1, 0.0, outer), (1, 6.0, outer), (2, 6.0, inner), (2, 8.0, inner), (1, 2.0, outer)]
@@ -217,7 +217,7 @@ class TestSegmentation:
         with pytest.raises(InputError, match=r"overlap \(slice 2\)"):
             read_volume(write_segmentation(tmp_path / "seg.dcm", frames))
 
-    def test_stated_gap_that_does_not_fit(
+    def test_contradictory_slice_distance(
         self, tmp_path: Path, frames: Any, write_segmentation: Any
     ) -> None:
         with pytest.raises(InputError, match=r"expected 1\.5 mm"):

@@ -1,4 +1,4 @@
-"""Files of every format: what is read, and one clear error for each way to be wrong."""
+"""Files of every format, and one clear error for each kind of defect."""
 
 import bz2
 import gzip
@@ -25,7 +25,7 @@ LPS = {
 
 @pytest.fixture
 def body() -> NDArray[np.uint8]:
-    """Labels [z, y, x] that no flip or swap leaves alike."""
+    """Return labels [z, y, x] that any flip or swap changes."""
     return np.random.default_rng(5).integers(0, 4, (6, 5, 4)).astype(np.uint8)
 
 
@@ -56,7 +56,7 @@ class TestEveryFormat:
         assert volume.origin_mm == (0.0, 0.0, 0.0)
 
     @pytest.mark.parametrize("suffix", [s for s in SUFFIXES if s != ".tiff"])
-    def test_cut_short(self, tmp_path: Path, suffix: str) -> None:
+    def test_truncated_file(self, tmp_path: Path, suffix: str) -> None:
         noise = np.random.default_rng(1).integers(0, 4, (20, 20, 20)).astype(np.uint8)
         path = save(tmp_path / f"a{suffix}", noise)
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -65,14 +65,16 @@ class TestEveryFormat:
 
     @pytest.mark.parametrize("suffix", [*SUFFIXES, ".dcm", ".nhdr"])
     @pytest.mark.parametrize("content", [b"", b"not an image at all\n" * 100])
-    def test_not_what_the_suffix_says(self, tmp_path: Path, suffix: str, content: bytes) -> None:
+    def test_content_does_not_match_the_suffix(
+        self, tmp_path: Path, suffix: str, content: bytes
+    ) -> None:
         path = tmp_path / f"a{suffix}"
         path.write_bytes(content)
         with pytest.raises(InputError, match="damaged"):
             read_volume(path, spacing_mm=UNIT)
 
     @pytest.mark.parametrize("suffix", SUFFIXES)
-    def test_a_flat_image(self, tmp_path: Path, suffix: str) -> None:
+    def test_two_dimensional_image(self, tmp_path: Path, suffix: str) -> None:
         path = save(tmp_path / f"a{suffix}", np.ones((1, 5, 4), np.uint8))
         with pytest.raises(InputError, match="not a 3-D image"):
             read_volume(path, spacing_mm=UNIT)
@@ -96,8 +98,8 @@ class TestEveryFormat:
     ) -> None:
         grey = body.astype(np.float32)
         grey[3, 2, 1] = bad
-        said = {0.5: "0.5", np.inf: "inf"}.get(bad, "NaN")
-        with pytest.raises(InputError, match=f"not a label map: it holds {said}"):
+        message = {0.5: "0.5", np.inf: "inf"}.get(bad, "NaN")
+        with pytest.raises(InputError, match=f"not a label map: it contains {message}"):
             read_volume(save(tmp_path / f"a{suffix}", grey), spacing_mm=UNIT)
 
     def test_capitals(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
@@ -113,7 +115,7 @@ class TestWhichFile:
     @pytest.mark.parametrize("name", ["body.stl", "body", "body.gz"])
     def test_unknown_suffix(self, tmp_path: Path, name: str) -> None:
         (tmp_path / name).write_bytes(b"solid")
-        with pytest.raises(InputError, match=r"not read here.*\.nrrd"):
+        with pytest.raises(InputError, match=r"unsupported kind.*\.nrrd"):
             read_volume(tmp_path / name)
 
     def test_empty_folder(self, tmp_path: Path) -> None:
@@ -127,7 +129,9 @@ class TestWhichFile:
 
 
 class TestFourAxes:
-    def test_a_single_time_point_is_no_axis(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
+    def test_axis_of_a_single_time_point_is_dropped(
+        self, tmp_path: Path, body: NDArray[np.uint8]
+    ) -> None:
         nib.save(nib.Nifti1Image(body.transpose()[..., None], np.eye(4)), tmp_path / "a.nii")
         np.save(tmp_path / "a.npy", body[None])
         header = LPS | {"space directions": np.vstack([np.full(3, np.nan), np.eye(3)])}
@@ -208,20 +212,20 @@ class TestVoxels:
 
 class TestNrrd:
     @pytest.mark.parametrize("encoding", ["raw", "gzip", "bzip2"])
-    def test_encodings_and_a_detached_header(
+    def test_encodings_and_detached_header(
         self, tmp_path: Path, body: NDArray[np.uint8], encoding: str
     ) -> None:
         for name in ("a.nrrd", "a.nhdr"):
             nrrd.write(str(tmp_path / name), body.transpose(), LPS | {"encoding": encoding})
             np.testing.assert_array_equal(read_volume(tmp_path / name).values, body)
 
-    def test_detached_data_missing(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
+    def test_missing_detached_data(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
         nrrd.write(str(tmp_path / "a.nhdr"), body.transpose(), LPS | {"encoding": "raw"})
         (tmp_path / "a.raw").unlink()
         with pytest.raises(InputError, match="cannot be read as NRRD"):
             read_volume(tmp_path / "a.nhdr")
 
-    def test_a_mirrored_space(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
+    def test_mirrored_space(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
         nrrd.write(str(tmp_path / "a.nrrd"), body.transpose(), LPS | {"space": "3D-left-handed"})
         with pytest.raises(InputError, match="Save it as left-posterior-superior"):
             read_volume(tmp_path / "a.nrrd")
@@ -232,7 +236,7 @@ class TestNrrd:
         with pytest.raises(InputError, match="inch"):
             read_volume(tmp_path / "a.nrrd")
 
-    def test_damage_inside_the_compressed_data(self, tmp_path: Path) -> None:
+    def test_damaged_compressed_data(self, tmp_path: Path) -> None:
         noise = np.random.default_rng(1).integers(0, 4, (20, 20, 20)).astype(np.uint8)
         for encoding, compress in (("gzip", gzip.compress), ("bzip2", bz2.compress)):
             path = tmp_path / f"{encoding}.nrrd"
@@ -266,14 +270,14 @@ class TestTiff:
         with pytest.raises(InputError, match="expected one slice"):
             read_volume(tmp_path, spacing_mm=UNIT)
 
-    def test_a_damaged_slice_is_named(self, tmp_path: Path) -> None:
+    def test_damaged_slice_is_named(self, tmp_path: Path) -> None:
         for z in range(3):
             tifffile.imwrite(tmp_path / f"s{z}.tif", np.zeros((5, 4), np.uint8))
         (tmp_path / "s1.tif").write_bytes(b"II*\0")
         with pytest.raises(InputError, match=r"s1\.tif is damaged"):
             read_volume(tmp_path, spacing_mm=UNIT)
 
-    def test_pages_lost_at_the_end(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
+    def test_missing_last_pages(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
         path = tmp_path / "a.tif"
         with tifffile.TiffWriter(path) as writer:
             for page in body:

@@ -1,4 +1,4 @@
-"""Labels become tissues, and boxes keep their place."""
+"""Labels become tissues, and cropped boxes keep their position."""
 
 import json
 
@@ -43,22 +43,22 @@ class TestRelabel:
         expected = np.select([values == 1, values == far], [Tissue.SKIN, Tissue.MUSCLE], 0)
         np.testing.assert_array_equal(out.values, expected)
 
-    def test_a_label_without_a_name(self) -> None:
+    def test_label_missing_in_the_map(self) -> None:
         image = volume([[[0, 0, 1], [2, 8, 8]]])
         with pytest.raises(InputError) as caught:
             relabel(image, {0: "air", 1: "skin"})
-        said = str(caught.value)
-        assert "2 (1 voxel), 8 (2 voxels)" in said
-        assert "labels: {0: air, 1: skin, 2: glandular, 8: ?}" in said
+        message = str(caught.value)
+        assert "2 (1 voxel), 8 (2 voxels)" in message
+        assert "labels: {0: air, 1: skin, 2: glandular, 8: ?}" in message
 
-    def test_a_name_without_a_label(self) -> None:
+    def test_label_missing_in_the_volume(self) -> None:
         with pytest.raises(InputError) as caught:
             relabel(volume([[[0, 1, 1]]]), {0: "air", 1: "fat", 5: "skin"})
-        said = str(caught.value)
-        assert said.startswith("Label missing in the volume: 5.")
-        assert "0 (1 voxel), 1 (2 voxels)" in said
+        message = str(caught.value)
+        assert message.startswith("Label missing in the volume: 5.")
+        assert "0 (1 voxel), 1 (2 voxels)" in message
 
-    def test_a_grey_image_is_not_listed_whole(self) -> None:
+    def test_long_lists_of_labels_are_shortened(self) -> None:
         with pytest.raises(InputError, match=r"\.\.\. \(988 more\)"):
             relabel(volume(np.arange(1000).reshape(10, 10, 10)), {})
 
@@ -70,21 +70,21 @@ class TestRelabel:
             tissue_named(typed)
 
     @pytest.mark.parametrize("typed", ["bone marrow", "", 6, -1])
-    def test_no_tissue(self, typed: str) -> None:
+    def test_unknown_tissue(self, typed: str) -> None:
         with pytest.raises(InputError, match="Known: air, fat, glandular, skin, muscle, ligament"):
             tissue_named(typed)
 
-    def test_the_map_the_wrong_way_round(self) -> None:
+    def test_inverted_map(self) -> None:
         with pytest.raises(InputError, match=r"Write \{1: fat\}, not \{fat: 1\}"):
             relabel(volume([[[1]]]), {"fat": 1})  # type: ignore[dict-item]
 
 
 class TestDefaultMap:
-    def test_what_is_there(self) -> None:
+    def test_maps_tissue_numbers(self) -> None:
         computed = default_map(volume([[[0, 2, 2]]]))
         assert computed == {0: Tissue.AIR, 2: Tissue.GLANDULAR}
 
-    def test_refuses_to_guess(self) -> None:
+    def test_refuses_unknown_labels(self) -> None:
         with pytest.raises(InputError, match=r"6 \(2 voxels\).*\{0: air, 6: \?\}"):
             default_map(volume([[[0, 6, 6]]]))
 
@@ -119,7 +119,7 @@ class TestSummarise:
         kind=st.sampled_from(["u1", "i2", "u2", "i4", "i8"]),
         seed=st.integers(0, 1000),
     )
-    def test_counts_are_those_of_numpy(self, kind: str, seed: int) -> None:
+    def test_counts_equal_numpy(self, kind: str, seed: int) -> None:
         limits = np.iinfo(kind)
         values = np.random.default_rng(seed).choice(
             np.array([limits.min, limits.max, 0, 1, 2], dtype=kind), (3, 4, 5)
@@ -141,7 +141,7 @@ class TestCrop:
         [
             (0, (2, 7, 3), (12.5, 22.0, 38.0)),
             (1, (4, 9, 4), (12.0, 21.0, 38.0)),  # nothing below z: the chest wall
-            (3, (8, 11, 6), (11.0, 20.0, 38.0)),  # y has 2 voxels to give on either side
+            (3, (8, 11, 6), (11.0, 20.0, 38.0)),  # y has only 2 voxels to spare on either side
         ],
     )
     def test_by_hand(
@@ -156,7 +156,7 @@ class TestCrop:
 
     @settings(deadline=None, max_examples=60)
     @given(seed=st.integers(0, 10_000), margin=st.integers(0, 3))
-    def test_every_body_voxel_keeps_its_place(self, seed: int, margin: int) -> None:
+    def test_every_body_voxel_keeps_its_position(self, seed: int, margin: int) -> None:
         rng = np.random.default_rng(seed)
         values = np.zeros((6, 7, 8), np.uint8)
         corner = rng.integers(0, [4, 5, 6])

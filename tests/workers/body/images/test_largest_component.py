@@ -1,4 +1,4 @@
-"""Specks and holes of a segmentation."""
+"""Removal of specks and holes of a segmentation."""
 
 import numpy as np
 from scipy.ndimage import binary_fill_holes, label
@@ -18,22 +18,22 @@ def volume(values: np.ndarray) -> Volume:
     return Volume(values, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
 
 
-def test_specks_go_and_holes_become_fat() -> None:
+def test_specks_are_removed_and_holes_become_fat() -> None:
     values = block()
     values[11, 13, 15] = Tissue.GLANDULAR
     values[4, 3, 3] = Tissue.AIR
     np.testing.assert_array_equal(one_body(volume(values)).values, block())
 
 
-def test_a_dent_and_a_hole_at_the_wall_stay() -> None:
+def test_dent_and_hole_at_the_wall_are_kept() -> None:
     values = block()
     values[8, 5, 5] = Tissue.AIR
     values[0, 6, 7] = Tissue.AIR
     np.testing.assert_array_equal(one_body(volume(values)).values, values)
 
 
-def test_what_is_filled_is_what_the_outside_does_not_reach() -> None:
-    """Crumbs of every shape, among them holes that only an edge or a corner opens."""
+def test_fills_exactly_the_enclosed_air() -> None:
+    """Random crumbs, including holes that are open only at an edge or a corner."""
     values = block()
     values[np.random.default_rng(7).random(values.shape) < 0.3] = Tissue.AIR
     after = one_body(volume(values)).values != Tissue.AIR
@@ -44,12 +44,12 @@ def test_what_is_filled_is_what_the_outside_does_not_reach() -> None:
     assert np.count_nonzero(after) > np.count_nonzero(largest)
 
 
-def test_a_clean_body_is_not_copied() -> None:
+def test_clean_body_is_not_copied() -> None:
     clean = volume(block())
     assert one_body(clean) is clean
 
 
-def test_air_around_the_body_leaves_every_voxel_where_it_was() -> None:
+def test_added_air_moves_no_voxel() -> None:
     """Voxels are longer along y than along x, and the body touches four faces of its box."""
     values = block()[:, 2:12, 2:14]
     before = Volume(values, (0.5, 1.25, 2.0), (-3.0, 4.0, 10.0))
@@ -62,4 +62,4 @@ def test_air_around_the_body_leaves_every_voxel_where_it_was() -> None:
     i, j, k = np.rint((places - before.origin_mm) / before.spacing_mm).astype(int).T
     np.testing.assert_array_equal(after.values[z, y, x], before.values[k, j, i])
     assert len(z) == np.count_nonzero(before.values)
-    assert after.values[0].any() and nz > 9  # no air below the wall; what was above is cut
+    assert after.values[0].any() and nz > 9  # no air below the wall; air above is cropped

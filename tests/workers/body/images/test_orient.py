@@ -1,4 +1,4 @@
-"""A voxel stays where its file puts it, whichever way the file lies."""
+"""A voxel keeps the position that its file gives it, whatever the file's orientation."""
 
 import itertools
 import re
@@ -25,7 +25,7 @@ RAS = np.diag([-1.0, -1.0, 1.0])
 
 
 def signed_permutations() -> Iterator[Array]:
-    """All 48 ways to lay three index axes along three world axes."""
+    """Return all 48 ways to align three index axes with three world axes."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             turn = np.zeros((3, 3))
@@ -42,7 +42,7 @@ def places(volume: Volume) -> Array:
 
 
 def stated_places(values: NDArray[Any], steps: Array, origin: Array) -> Array:
-    """The same by the definition that every format shares: origin + steps @ (i, j, k)."""
+    """Return the same by the definition common to every format: origin + steps @ (i, j, k)."""
     computed = np.full((values.size, 3), np.nan)
     for index, label in np.ndenumerate(values):
         computed[label] = origin + steps @ np.array(index, dtype=float)
@@ -103,7 +103,7 @@ class TestWorldCoordinatesSurvive:
             np.testing.assert_allclose(centres, expected, atol=1e-12)
 
     def test_dicom(self, tmp_path: Path, numbered: NDArray[np.uint16], write_series: Any) -> None:
-        # The normal is row x column, so only the 24 right-handed ways can be told apart.
+        # The normal is row x column, so only the 24 right-handed ways are distinguishable.
         for number, turn in enumerate(t for t in signed_permutations() if np.linalg.det(t) > 0):
             steps = turn * SPACING
             write_series(
@@ -128,7 +128,7 @@ class TestWorldCoordinatesSurvive:
 
 
 class TestAxes:
-    def test_rotates_the_frame(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
+    def test_axes_rotate_the_frame(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
         header = {"space": "LPS", "space directions": np.diag(SPACING), "space origin": ORIGIN}
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
         volume = read_volume(tmp_path / "a.nrrd", axes="-z,y,x")
@@ -138,13 +138,13 @@ class TestAxes:
         assert volume.shape_xyz == (6, 5, 4)
         assert volume.spacing_mm == (2.0, 1.25, 0.5)
 
-    def test_given_spacing_is_of_the_file_not_of_the_house(self, tmp_path: Path) -> None:
+    def test_given_spacing_refers_to_the_file(self, tmp_path: Path) -> None:
         np.save(tmp_path / "a.npy", np.zeros((6, 5, 4), np.uint8))
         volume = read_volume(tmp_path / "a.npy", spacing_mm=(1.0, 2.0, 3.0), axes="y,z,x")
         assert volume.spacing_mm == (2.0, 3.0, 1.0)
         assert volume.shape_xyz == (5, 6, 4)
 
-    def test_exactly_half_of_all_ways_are_rotations(self) -> None:
+    def test_exactly_half_of_all_permutations_are_rotations(self) -> None:
         accepted = 0
         for order in itertools.permutations("xyz"):
             for signs in itertools.product(("", "-"), repeat=3):
@@ -163,31 +163,33 @@ class TestAxes:
         assert accepted == 24
 
     @pytest.mark.parametrize("axes", ["x,y", "x,y,y", "x,y,w", "--x,y,z", "xyz", "", "x,y,z,z"])
-    def test_nonsense(self, axes: str) -> None:
+    def test_refuses_invalid_axes(self, axes: str) -> None:
         with pytest.raises(InputError, match="x, y and z once each"):
             parse_axes(axes)
 
-    def test_is_checked_before_the_file_is_read(self, tmp_path: Path) -> None:
+    def test_axes_are_checked_before_the_file_is_read(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="mirror"):
             read_volume(tmp_path / "missing.nrrd", axes="-x,y,z")
 
 
 class TestOblique:
-    def test_is_refused_with_its_angles(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
+    def test_oblique_image_is_refused_with_its_angles(
+        self, tmp_path: Path, numbered: NDArray[np.uint16]
+    ) -> None:
         steps = rotation(10.0, axis=2) * SPACING
         header = {"space": "LPS", "space directions": steps.T, "space origin": ORIGIN}
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
         with pytest.raises(InputError, match=r"10\.0, 10\.0, 0\.0 degrees.*Resample"):
             read_volume(tmp_path / "a.nrrd")
 
-    def test_a_sheared_dicom_series_is_refused(
+    def test_refuses_sheared_dicom_series(
         self, tmp_path: Path, numbered: NDArray[np.uint16], write_series: Any
     ) -> None:
         write_series(tmp_path / "gantry", numbered, step=(0.0, 0.5, 1.0))
         with pytest.raises(InputError, match=r"0\.0, 0\.0, 26\.6 degrees"):
             read_volume(tmp_path / "gantry")
 
-    def test_a_slight_tilt_is_turned_about_the_centre(self, numbered: NDArray[np.uint16]) -> None:
+    def test_slight_tilt_is_rotated_about_the_centre(self, numbered: NDArray[np.uint16]) -> None:
         turn = rotation(0.5, axis=0) @ np.diag([-1.0, 1.0, -1.0])
         scan = Scan.with_steps(numbered, turn * SPACING, ORIGIN)
         volume = to_volume(scan, "tilted")
@@ -197,20 +199,22 @@ class TestOblique:
         # half a diagonal times half a degree
         assert np.abs(places(volume) - tilted).max() < 0.5 * 12 * np.radians(0.5)
 
-    def test_two_axes_the_same_way(self, numbered: NDArray[np.uint16]) -> None:
+    def test_refuses_two_parallel_axes(self, numbered: NDArray[np.uint16]) -> None:
         steps = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
         with pytest.raises(InputError, match="same way"):
             to_volume(Scan.with_steps(numbered, steps, ORIGIN), "odd")
 
 
 class TestSpacing:
-    def test_contradiction_names_both(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
+    def test_contradictory_spacings_are_both_named(
+        self, tmp_path: Path, numbered: NDArray[np.uint16]
+    ) -> None:
         header = {"space": "LPS", "space directions": np.diag(SPACING), "space origin": ORIGIN}
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
         with pytest.raises(InputError, match=r"0\.5 1\.25 2 mm.*1 1 1 mm"):
             read_volume(tmp_path / "a.nrrd", spacing_mm=(1.0, 1.0, 1.0))
 
-    def test_agreement_is_judged_in_world_order(
+    def test_spacings_are_compared_in_world_order(
         self, tmp_path: Path, numbered: NDArray[np.uint16]
     ) -> None:
         turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -224,14 +228,14 @@ class TestSpacing:
         assert volume.spacing_mm == (2.0, 0.5, 1.25)
 
     @pytest.mark.parametrize("bad", [(0.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (np.nan, 1.0, 1.0), (1.0,)])
-    def test_given_nonsense(self, tmp_path: Path, bad: tuple[float, ...]) -> None:
+    def test_refuses_invalid_spacing(self, tmp_path: Path, bad: tuple[float, ...]) -> None:
         np.save(tmp_path / "a.npy", np.zeros((3, 3, 3), np.uint8))
         with pytest.raises(InputError, match="three positive numbers"):
             read_volume(tmp_path / "a.npy", spacing_mm=bad)  # type: ignore[arg-type]
 
     @pytest.mark.parametrize("qform", [True, False])
     @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
-    def test_nifti_header_without_a_usable_one(
+    def test_nifti_header_without_usable_spacing(
         self, tmp_path: Path, numbered: NDArray[np.uint16], bad: float, qform: bool
     ) -> None:
         path = tmp_path / "a.nii"
@@ -247,8 +251,8 @@ class TestSpacing:
             read_volume(path)
         volume = read_volume(path, spacing_mm=(0.5, 3.0, 2.0))
         assert volume.spacing_mm == (0.5, 3.0, 2.0)
-        lies_in_ras = volume.values[0, -1, -1] == numbered[0, 0, 0]
-        assert lies_in_ras == qform  # without a form there is no orientation to turn
+        is_in_ras = volume.values[0, -1, -1] == numbered[0, 0, 0]
+        assert is_in_ras == qform  # without a form there is no orientation to convert
 
     def test_nifti_sform_with_a_zero_column(
         self, tmp_path: Path, numbered: NDArray[np.uint16]
@@ -262,7 +266,7 @@ class TestSpacing:
             read_volume(path)
 
     @pytest.mark.parametrize("spacings", [None, "0 1 1", "-1 1 1", "nan 1 1"])
-    def test_nrrd_header_without_a_usable_one(
+    def test_nrrd_header_without_usable_spacing(
         self, tmp_path: Path, numbered: NDArray[np.uint16], spacings: str | None
     ) -> None:
         header = {} if spacings is None else {"spacings": np.array(spacings.split(), float)}

@@ -1,4 +1,4 @@
-"""A breast from dedicated breast CT, before and after compression, when it is at hand."""
+"""A breast from dedicated breast CT, before and after compression, if available."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ NAMES = {0: "air", 1: "fat", 2: "glandular", 3: "skin"}
 
 def read(name: str) -> Volume:
     if not (FOLDER / name).exists():
-        pytest.skip(f"real breast data are not here: {FOLDER / name}")
+        pytest.skip(f"real breast data are not available: {FOLDER / name}")
     return relabel(read_volume(FOLDER / name), NAMES)
 
 
@@ -37,10 +37,10 @@ def test_uncompressed() -> None:
     assert summarise(box)["body_mm"] == summary["body_mm"]
 
 
-def test_compressed_lies_between_its_plates() -> None:
+def test_compressed_breast_is_between_its_plates() -> None:
     summary = summarise(read("compressedPhantom3.nrrd"))
     assert summary["origin_mm"] == pytest.approx([15.0934, 81.59, -5.063], abs=1e-3)
     thickness = summary["body_mm"]["upper"][1] - summary["body_mm"]["lower"][1]
-    # plates stood 65.07 mm apart; voxelisation may take or add two voxels
+    # plates were 65.07 mm apart; voxelisation may remove or add two voxels
     assert thickness == pytest.approx(65.07, abs=2 * 0.273)
     assert str(int(Tissue.GLANDULAR)) in summary["labels"]

@@ -1,4 +1,4 @@
-"""Headers that name other files, or claim more than their file or the machine can hold."""
+"""Headers that name other files, or claim more than their file or the memory can hold."""
 
 import gzip
 import io
@@ -29,7 +29,7 @@ HEADER = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 6 5 4\nencoding: raw\nspa
 
 @pytest.fixture
 def foreign(tmp_path: Path) -> Path:
-    """Voxels of somebody else, beside the folder of an upload."""
+    """Voxels of another user, next to the folder of an upload."""
     path = tmp_path / "foreign.raw"
     path.write_bytes(FOREIGN.tobytes())
     (tmp_path / "upload").mkdir()
@@ -55,7 +55,7 @@ def test_nrrd_never_opens_a_second_file(foreign: Path, spelling: bytes, end: byt
         read_volume(path)
 
 
-def test_a_detached_header_opens_its_data(foreign: Path) -> None:
+def test_detached_header_opens_its_data(foreign: Path) -> None:
     path = foreign.parent / "scan.nhdr"
     path.write_bytes(HEADER + b"data file: foreign.raw\n")
     np.testing.assert_array_equal(read_volume(path).values, FOREIGN)
@@ -66,7 +66,7 @@ def test_a_detached_header_opens_its_data(foreign: Path) -> None:
         read_volume(path)
 
 
-def test_a_confined_header_opens_data_in_its_folder_only(foreign: Path) -> None:
+def test_confined_header_opens_data_only_in_its_folder(foreign: Path) -> None:
     path = foreign.parent / "upload" / "scan.nhdr"
     path.write_bytes(HEADER + b"data file: ../foreign.raw\n")
     np.testing.assert_array_equal(read_volume(path).values, FOREIGN)
@@ -97,7 +97,9 @@ def test_tiff_never_opens_a_second_file(foreign: Path, name: str) -> None:
         read_volume(path, spacing_mm=UNIT)
 
 
-def test_other_kinds_of_tiff_read_no_index(foreign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_kinds_of_tiff_open_no_index_file(
+    foreign: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     opened: list[str] = []
     real = io.open
 
@@ -142,7 +144,7 @@ def sized(sizes: str, *lines: str, encoding: str = "raw") -> bytes:
 
 
 BOMB = gzip.compress(bytes(2**20))
-LIES = {
+CASES = {
     "more than the file": ("a.nrrd", sized("900 900 900")),
     "more than any memory": ("a.nrrd", sized("9000000 9000000 9000000")),
     "sizes beyond 64 bits": ("a.nrrd", sized("99999999999999999999 1 1")),
@@ -174,11 +176,11 @@ LIES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("lie", LIES)
-def test_no_header_claims_more_than_there_is(
-    tmp_path: Path, lie: str, peak_mib: Callable[[], float]
+@pytest.mark.parametrize("case", CASES)
+def test_refuses_headers_that_claim_too_much(
+    tmp_path: Path, case: str, peak_mib: Callable[[], float]
 ) -> None:
-    name, content = LIES[lie]
+    name, content = CASES[case]
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"a\.n"):
@@ -186,7 +188,7 @@ def test_no_header_claims_more_than_there_is(
     assert peak_mib() < 64
 
 
-def test_a_strip_of_a_tiff_expands_to_its_page_only(
+def test_tiff_strip_larger_than_its_page_is_refused(
     tmp_path: Path, peak_mib: Callable[[], float]
 ) -> None:
     path = tmp_path / "a.tif"
@@ -201,13 +203,13 @@ def test_a_strip_of_a_tiff_expands_to_its_page_only(
         tags["StripByteCounts"].overwrite((len(bomb),))
     with path.open("ab") as file:
         file.write(bomb)
-    with pytest.raises(InputError, match="holds more pixels than its page"):
+    with pytest.raises(InputError, match="has more pixels than its page"):
         read_volume(path, spacing_mm=UNIT)
     assert peak_mib() < 64
 
 
 class TestDicom:
-    def test_far_slots_of_a_segmentation(
+    def test_distant_slots_of_a_segmentation(
         self, tmp_path: Path, write_segmentation: Any, peak_mib: Callable[[], float]
     ) -> None:
         frame = np.ones((1000, 1000), np.uint8)
@@ -218,7 +220,7 @@ class TestDicom:
             read_volume(path)
         assert peak_mib() <= before
 
-    def test_a_deflated_file(self, tmp_path: Path, write_series: Any) -> None:
+    def test_deflated_file(self, tmp_path: Path, write_series: Any) -> None:
         values = np.ones((3, 5, 4), np.uint16)
         paths = write_series(tmp_path, values)
         for path in paths:
@@ -232,13 +234,11 @@ class TestDicom:
         ("name", "value"),
         [("Rows", 65535), ("Columns", 65535), ("BitsAllocated", 7), ("SamplesPerPixel", 60000)],
     )
-    def test_pixels_that_are_not_there(
-        self, tmp_path: Path, write_series: Any, name: str, value: int
-    ) -> None:
-        def lie(_: int, image: Any) -> None:
+    def test_missing_pixels(self, tmp_path: Path, write_series: Any, name: str, value: int) -> None:
+        def change(_: int, image: Any) -> None:
             setattr(image, name, value)
 
-        write_series(tmp_path, np.ones((3, 5, 4), np.uint16), change=lie)
+        write_series(tmp_path, np.ones((3, 5, 4), np.uint16), change=change)
         with pytest.raises(InputError, match=str(tmp_path)):
             read_volume(tmp_path)
 
@@ -253,7 +253,7 @@ def test_pipes_and_devices_are_refused(tmp_path: Path, suffix: str) -> None:
             read_volume(path, spacing_mm=UNIT)
 
 
-def test_headers_of_other_programs_are_still_read(tmp_path: Path) -> None:
+def test_headers_of_other_programs_are_read(tmp_path: Path) -> None:
     labels: NDArray[np.uint8] = FOREIGN.transpose()
     header = {
         "space": "left-posterior-superior",

@@ -1,4 +1,4 @@
-"""Bodies made by formula. The half ellipsoid is the breast of the thesis: 170 x 100 x 50 mm."""
+"""Bodies defined by formulas. The half ellipsoid is the breast of the thesis: 170 x 100 x 50 mm."""
 
 from collections.abc import Callable
 
@@ -23,7 +23,7 @@ def body(
     height_mm: float,
     spacing_mm: tuple[float, float, float] = (2.0, 2.0, 2.0),
 ) -> Volume:
-    """Fat where ``inside(x, y, z)`` holds; the chest wall is z = 0, x and y run about 0."""
+    """Return fat where ``inside(x, y, z)`` is true; the wall is z = 0, x and y are centred on 0."""
     size = np.array([2 * half_width_mm[0], 2 * half_width_mm[1], height_mm])
     n = np.ceil(size / spacing_mm).astype(int) + np.array([6, 6, 3])
     first = np.array([-0.5 * (n[0] - 1), -0.5 * (n[1] - 1), 0.5]) * spacing_mm

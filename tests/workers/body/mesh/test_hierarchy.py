@@ -1,4 +1,4 @@
-"""The mesher against solid geometry and topology."""
+"""Meshes compared with solid geometry and topology."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from palpate.workers.body.mesh.skin_thickness import skin_thickness_mm
 
 
 def assert_sound(level, wall_z_mm=0.0):
-    """Positive tetrahedra that share faces in pairs; one closed, outward, flat-bottomed surface."""
+    """Check positive tetrahedra with paired faces; one closed, outward, flat-bottomed surface."""
     mesh = level.mesh
     assert mesh.nodes.dtype == np.float64 and mesh.tets.dtype == np.int32
     assert volumes_mm3(mesh).min() > 0
@@ -29,7 +29,7 @@ def assert_sound(level, wall_z_mm=0.0):
     surface = boundary_triangles(mesh.tets)
     assert np.array_equal(np.unique(np.sort(surface), axis=0), unique[count == 1])
 
-    # Every edge is walked once each way: a closed surface, all of it facing outwards.
+    # Every edge is used once in each direction: a closed surface, all of it facing outwards.
     walked = surface[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     assert len(np.unique(walked, axis=0)) == len(walked)
     assert {tuple(e) for e in walked} == {tuple(e) for e in walked[:, ::-1]}
@@ -68,7 +68,7 @@ def test_volume_and_wall_of_the_half_ellipsoid(breast, breast_mm3, nodes):
     )
 
 
-def test_the_surface_follows_the_outline_below_a_voxel(meshes):
+def test_surface_follows_the_outline_within_a_voxel(meshes):
     # Distance to the ellipsoid F = 0, F = sum (x/a)^2 - 1, to first order: F / |grad F|.
     semi = np.array([85.0, 50.0, 50.0])
     x = meshes.finest.mesh.nodes[np.unique(meshes.finest.surface)]
@@ -109,7 +109,7 @@ def test_anisotropic_voxels_give_the_same_body(make_half_ellipsoid, breast_mm3):
     np.testing.assert_allclose(extent, (170, 100, 50), atol=3)
 
 
-def test_place_in_space(breast):
+def test_position_in_space(breast):
     moved = Volume(breast.values, breast.spacing_mm, (100.0, -20.0, 31.0))
     level = build_hierarchy(moved, element_size_mm=9.0).finest
     assert_sound(level, wall_z_mm=30.0)
@@ -138,8 +138,8 @@ def test_other_bodies(make_body, name, inside):
     assert volumes_mm3(meshes.finest.mesh).sum() == pytest.approx(voxels_mm3, rel=2e-3)
 
 
-def test_a_rough_body_has_no_hinges(make_body):
-    # Ripples no wider than two cells make parts that touch along single edges.
+def test_rough_body_has_no_hinges(make_body):
+    # Ripples no wider than two cells make parts that touch only along edges.
     wave = np.array([(0.55, 0.1, 0.3), (-0.2, 0.6, 0.15), (0.25, -0.3, 0.5)])
 
     def inside(x, y, z):
@@ -153,7 +153,7 @@ def test_a_rough_body_has_no_hinges(make_body):
     assert volumes_mm3(level.mesh).min() > 0
 
 
-def test_the_largest_body_is_taken_and_its_cavity_filled(make_body):
+def test_largest_body_is_used_and_its_cavity_filled(make_body):
     def inside(x, y, z):
         dome = (x + 30) ** 2 + y**2 + z**2 < 45**2
         crumb = (x - 55) ** 2 + y**2 + (z - 20) ** 2 < 12**2
@@ -175,7 +175,7 @@ def test_same_labels_same_mesh(breast):
         assert np.array_equal(first[name], second[name]), name
 
 
-def test_neighbours_in_space_are_neighbours_in_memory(meshes):
+def test_spatial_neighbours_are_close_in_memory(meshes):
     mesh = meshes.finest.mesh
     spread = np.ptp(mesh.tets, axis=1)
     assert np.median(spread) < 0.1 * len(mesh.nodes)
@@ -198,7 +198,7 @@ def test_arrays_round_trip(meshes):
     assert again.levels[0].prolongation is None
 
 
-def test_skin_is_resolved_by_elements_as_thin_as_it(make_body):
+def test_skin_is_resolved_by_elements_of_its_thickness(make_body):
     # A shell of 6 mm under a half sphere of 45 mm: volume 2/3 pi (45^3 - 39^3) = 6 (1 - 2/15
     # + 4/675) mm times its area.
     labels = make_body(lambda x, y, z: x**2 + y**2 + z**2 < 45**2, (45.0, 45.0), 45.0, (1.5,) * 3)
@@ -221,17 +221,17 @@ def test_skin_is_resolved_by_elements_as_thin_as_it(make_body):
         ({"nodes": 100}, "too coarse"),
     ],
 )
-def test_requests_that_make_no_sense(breast, request_, message):
+def test_refuses_invalid_requests(breast, request_, message):
     with pytest.raises(InputError, match=message):
         build_hierarchy(breast, **request_)
 
 
-def test_a_volume_of_air_is_refused():
+def test_refuses_volume_of_air():
     with pytest.raises(InputError, match="no tissue"):
         build_hierarchy(Volume(np.zeros((9, 9, 9), np.uint8), (2, 2, 2)), nodes=2000)
 
 
-def test_a_body_of_one_voxel_is_refused():
+def test_refuses_body_of_one_voxel():
     labels = np.zeros((9, 9, 9), np.uint8)
     labels[4, 4, 4] = 1
     with pytest.raises(InputError, match="too thin"):
@@ -239,13 +239,13 @@ def test_a_body_of_one_voxel_is_refused():
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 2.5), (2.5, 1.0, 1.0), (1.0, 2.5, 1.0)])
-def test_the_outline_is_a_distance_in_mm_whatever_the_voxels(spacing):
-    """Across the flat faces of a box the field grows by about 1 mm a mm, and is 0 on the face.
+def test_outline_is_a_distance_in_mm_for_any_voxels(spacing):
+    """Across flat faces of a box the field grows by about 1 mm per mm, and is 0 on the face.
 
-    The blur is as wide, in mm, along every axis. Between the two samples beside a face the
+    The blur has the same width, in mm, along every axis. Between the two samples next to a face the
     slope is 1.11 along the longest step (a kernel of 0.9 steps has 0.443 in its middle, and
     0.9449 probit(0.5 + 0.443 / 2) = 0.555), and 1.04 along shorter ones, whose own width is
-    less than that of the longest, for which the distance is made.
+    less than that of the longest, which the distance is based on.
     """
     n = np.rint(np.array([40.0, 30.0, 20.0]) / spacing).astype(int)
     labels = Volume(np.ones(tuple(n[::-1]), np.uint8), spacing, (0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""A plane through a box that is divided into tetrahedra shows a rectangle, tiled by polygons."""
+"""A plane section of a box of tetrahedra is a rectangle, tiled by polygons."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def box() -> TetMesh:
 
 
 def area_of(polygons: FloatArray) -> FloatArray:
-    """Area of each, by the shoelace formula; less than true where sides cross."""
+    """Return the area of each polygon by the shoelace formula; too small if sides cross."""
     x, y = polygons[..., 0], polygons[..., 1]
     return 0.5 * np.abs((x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1))
 
@@ -35,7 +35,7 @@ def test_polygons_tile_the_rectangle(box: TetMesh, normal: int, part: float) -> 
     assert (found.polygons.max(axis=(0, 1)) < across + 1e-12).all()
 
 
-def test_each_polygon_lies_in_its_tetrahedron(box: TetMesh) -> None:
+def test_each_polygon_is_in_its_tetrahedron(box: TetMesh) -> None:
     found = plane_section(box, 2, 2.0)
     corners = box.nodes[box.tets[found.tets]]
     places = np.insert(found.polygons.mean(axis=1), 2, 2.0, axis=1)
@@ -45,7 +45,7 @@ def test_each_polygon_lies_in_its_tetrahedron(box: TetMesh) -> None:
     assert at.sum(axis=1).max() < 1 + 1e-9
 
 
-def test_a_plane_through_nodes_and_one_beside_the_body(box: TetMesh) -> None:
+def test_plane_through_nodes_and_plane_outside_the_body(box: TetMesh) -> None:
     within = box.nodes[8:, 2]
     found = plane_section(box, 2, float(within[0]))
     assert area_of(found.polygons).sum() == pytest.approx(6.0, rel=1e-6)

@@ -1,4 +1,4 @@
-"""Interpolation between levels: exact where it can be, tame where it cannot."""
+"""Interpolation between levels: exact inside, bounded outside."""
 
 import numpy as np
 import pytest
@@ -30,30 +30,30 @@ def test_linear_functions_are_reproduced(meshes):
         np.testing.assert_allclose(computed, fine.mesh.nodes @ slope + 7, atol=1e-9)
 
 
-def test_a_quadratic_is_missed_by_no_more_than_the_cells_allow(meshes):
+def test_error_of_a_quadratic_is_bounded_by_the_cell_size(meshes):
     # Interpolating x^2 linearly errs by at most R^2, R the radius of the smallest sphere around
     # the cell: a / sqrt 2 for the half squares of the wall. Nodes were moved by a quarter of a cell
-    # at most and some lie outside, hence 1.5. A coarse level has cells twice as large.
+    # at most and some are outside, hence 1.5. A coarse level has cells twice as large.
     for step, (coarse, fine) in enumerate(reversed(pairs(meshes)), start=1):
         error = fine.prolongation @ coarse.mesh.nodes[:, 0] ** 2 - fine.mesh.nodes[:, 0] ** 2
         limit = (meshes.element_size_mm * 2**step) ** 2 / 2
         assert 0.05 * limit < np.abs(error).max() < 1.5 * limit
 
 
-def test_what_is_held_on_the_coarse_wall_is_held_on_the_fine_one(meshes):
+def test_wall_nodes_interpolate_only_wall_nodes(meshes):
     for coarse, fine in pairs(meshes):
         value = np.random.default_rng(3).standard_normal(len(coarse.mesh.nodes))
         value[coarse.wall] = 0
         assert not (fine.prolongation @ value)[fine.wall].any()
 
 
-def test_outside_continues_mildly_and_stops():
+def test_extrapolation_is_bounded():
     corner = TetMesh(np.eye(4, 3, k=-1), np.array([[0, 1, 2, 3]], np.int32))
     points = np.array([(0.25, 0.25, 0.25), (-0.1, 0.2, 0.2), (-5.0, 0.2, 0.2)])
     weights = prolongation(corner, NONE, points, NONE).toarray()
     np.testing.assert_allclose(weights[0], 0.25)
     np.testing.assert_allclose(weights[1], (0.7, -0.1, 0.2, 0.2))
-    # Weights (5.6, -5, 0.2, 0.2) are cut off at -FARTHEST and scaled to the sum 1.
+    # Weights (5.6, -5, 0.2, 0.2) are clipped at -FARTHEST and scaled to the sum 1.
     total = 5.6 - FARTHEST + 0.4
     np.testing.assert_allclose(weights[2], np.array([5.6, -FARTHEST, 0.2, 0.2]) / total)
     assert weights[2].sum() == pytest.approx(1)

@@ -1,4 +1,4 @@
-"""Quality measures against tetrahedra worked out by hand."""
+"""Quality measures of tetrahedra calculated by hand."""
 
 import json
 
@@ -17,7 +17,7 @@ def one(nodes):
     return TetMesh(np.asarray(nodes, float), np.array([[0, 1, 2, 3]], np.int32))
 
 
-def test_the_regular_tetrahedron_is_one_in_every_measure():
+def test_every_measure_of_the_regular_tetrahedron_is_one():
     summary = summarise(one(REGULAR))
     for name in ("M1", "M2", "M3", "M4", "aspect"):
         assert summary[name]["min"] == pytest.approx(1, rel=1e-12), name
@@ -25,7 +25,7 @@ def test_the_regular_tetrahedron_is_one_in_every_measure():
     assert summary["volume_mm3"] == pytest.approx(8 / 3)  # a cube of 8 less four corners of 4/3
 
 
-def test_a_corner_of_the_cube():
+def test_corner_of_the_cube():
     # V = 1/6, areas 1/2 (three) and sqrt(3)/2: r = 3 V / A = 1 / (3 + sqrt 3); R = sqrt(3) / 2;
     # sum of squared edges 9; longest sqrt 2; shortest altitude 1 / sqrt 3.
     # Solid angle at (1, 0, 0): dihedral angles 90, 54.74, 54.74 degrees, minus 180 degrees.
@@ -45,7 +45,7 @@ def test_a_corner_of_the_cube():
         assert computed[name][0] == pytest.approx(value, rel=1e-5), name
 
 
-def test_the_lattice_tetrahedron():
+def test_lattice_tetrahedron():
     # Edges 1, 1 and four of sqrt(3)/2, V = 1/12, faces sqrt(2)/4: altitude 1 / sqrt 2.
     computed = measures(one(LATTICE))
     assert computed["volume_mm3"][0] == pytest.approx(1 / 12)
@@ -53,7 +53,7 @@ def test_the_lattice_tetrahedron():
     assert computed["M3"][0] == pytest.approx(12 * 0.25 ** (2 / 3) / 5)
 
 
-def test_place_turn_and_size_do_not_matter():
+def test_measures_ignore_position_rotation_and_size():
     rng = np.random.default_rng(5)
     nodes = rng.standard_normal((4, 3))
     if volumes_mm3(one(nodes))[0] < 0:
@@ -65,7 +65,7 @@ def test_place_turn_and_size_do_not_matter():
         assert after[name][0] == pytest.approx(before[name][0], rel=1e-9), name
 
 
-def test_flatter_is_worse_and_inside_out_is_negative():
+def test_flat_is_worse_and_inverted_is_negative():
     flat = CORNER * (1, 1, 0.01)
     for name in ("M1", "M2", "M3", "M4"):
         assert measures(one(flat))[name][0] < 0.3 * measures(one(CORNER))[name][0], name
@@ -73,7 +73,7 @@ def test_flatter_is_worse_and_inside_out_is_negative():
     assert measures(one(CORNER[[0, 2, 1, 3]]))["M3"][0] < 0
 
 
-def test_a_summary_is_plain_json():
+def test_summary_is_plain_json():
     both = TetMesh(
         np.concatenate([REGULAR, CORNER]), np.array([[0, 1, 2, 3], [4, 5, 6, 7]], np.int32)
     )

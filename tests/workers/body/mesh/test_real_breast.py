@@ -1,4 +1,4 @@
-"""A breast from a dedicated CT, 146 million voxels, where its file is at hand."""
+"""A breast from a dedicated CT, 146 million voxels, if its file is available."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ FILE = (
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not FILE.exists(), reason="the CT volume is not on this machine")
+@pytest.mark.skipif(not FILE.exists(), reason="the CT volume is not available")
 def test_ct_breast():
     nrrd = pytest.importorskip("nrrd")
     values, _ = nrrd.read(str(FILE))

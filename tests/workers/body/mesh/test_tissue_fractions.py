@@ -1,4 +1,4 @@
-"""Votes and volume fractions on volumes small enough to count."""
+"""Votes and volume fractions on small volumes, with known counts."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ AIR, FAT, GLAND, LIGAMENT = Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR, Tissue.LIG
 
 
 def voted(at_nodes, at_centroid, elsewhere=AIR):
-    """Tissue of a tetrahedron over 9^3 voxels of 1 mm whose five points read these labels."""
+    """Return the tissue of a tetrahedron over 9^3 voxels of 1 mm, labelled at its five points."""
     nodes = np.array([(0.5, 0.5, 0.5), (8.5, 0.5, 0.5), (0.5, 8.5, 0.5), (0.5, 0.5, 8.5)])
     labels = np.full((9, 9, 9), elsewhere, np.uint8)
     for point, label in zip([*nodes, nodes.mean(axis=0)], [*at_nodes, at_centroid], strict=True):
@@ -42,13 +42,13 @@ def test_five_points_vote(at_nodes, at_centroid, tissue):
     assert voted(at_nodes, at_centroid) == tissue
 
 
-def test_all_in_air_takes_the_nearest_tissue():
+def test_tetrahedron_in_air_gets_the_nearest_tissue():
     assert voted((AIR,) * 4, AIR, elsewhere=GLAND) == GLAND
     assert voted((AIR,) * 4, AIR) == FAT
 
 
 def test_fractions_of_two_layers(breast):
-    # Half ellipsoid cut at z = h: below lies pi a b (h - h^3 / (3 c^2)).
+    # Half ellipsoid cut at z = h: the volume below is pi a b (h - h^3 / (3 c^2)).
     values = breast.values.copy()
     height = 20.0
     z = breast.origin_mm[2] + np.arange(len(values)) * breast.spacing_mm[2]
@@ -69,7 +69,7 @@ def test_fractions_of_two_layers(breast):
     assert mixed > 0.1  # the coarse cells do straddle the interface
 
 
-def test_a_cut_tetrahedron_is_sampled_in_proportion():
+def test_cut_tetrahedron_is_sampled_in_proportion():
     # The corner of a cube of 20 mm, cut at z = 8: above remains (1 - 8/20)^3 of it.
     nodes = np.array([(0, 0, 0), (20, 0, 0), (0, 20, 0), (0, 0, 20)], float)
     mesh = TetMesh(nodes, np.array([[0, 1, 2, 3]], np.int32))
@@ -81,7 +81,7 @@ def test_a_cut_tetrahedron_is_sampled_in_proportion():
 
 
 def cut_along(labels_of, origin=(0.5, 0.5, 0.5)):
-    """Fractions of the tetrahedron of `NODES` over voxels of 0.5 x 0.25 x 1 mm."""
+    """Return the fractions of the tetrahedron of `NODES` over voxels of 0.5 x 0.25 x 1 mm."""
     spacing = (0.5, 0.25, 1.0)
     k, j, i = np.meshgrid(*(np.arange(n) for n in (16, 48, 40)), indexing="ij")
     x, y, z = (o + n * h for o, n, h in zip(origin, (i, j, k), spacing, strict=True))
@@ -93,8 +93,8 @@ def cut_along(labels_of, origin=(0.5, 0.5, 0.5)):
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("part", [0.25, 0.5])
-def test_an_interface_normal_to_an_axis_leaves_the_tip_of_a_tetrahedron(axis, part):
-    r"""A plane across each leg of a right-angled tetrahedron, at its own place on each.
+def test_interface_normal_to_an_axis_leaves_the_tip_of_a_tetrahedron(axis, part):
+    r"""A plane across each leg of a right-angled tetrahedron, at a different position on each.
 
     ::
 
@@ -107,8 +107,8 @@ def test_an_interface_normal_to_an_axis_leaves_the_tip_of_a_tetrahedron(axis, pa
             |____\
 
     The legs are 12, 8 and 12 mm long and start at x = 3, y = 2 and z = 1 mm, voxels are
-    0.5 x 0.25 x 1 mm: axes that are exchanged, a sign that is flipped or a corner that is
-    off by a voxel give another fraction. Every plane is a face between voxels.
+    0.5 x 0.25 x 1 mm: exchanged axes, a flipped sign or a corner that is off by a voxel give
+    another fraction. Every plane is a face between voxels.
     """
     start, length = (3.0, 2.0, 1.0)[axis], (12.0, 8.0, 12.0)[axis]
     origin = (-0.25, -0.125, 0.5)
@@ -117,7 +117,7 @@ def test_an_interface_normal_to_an_axis_leaves_the_tip_of_a_tetrahedron(axis, pa
     assert row[FAT] == pytest.approx(1 - (1 - part) ** 3, abs=0.02)
 
 
-def test_the_octants_of_a_cube_are_told_apart():
+def test_octants_of_a_cube_are_distinguished():
     """Six tetrahedra of a cube of 8 mm around the diagonal, a tissue in one octant only.
 
     The octant at the far corner (x, y, z > half) is a cube on the diagonal that all six
@@ -142,7 +142,7 @@ def test_the_octants_of_a_cube_are_told_apart():
 
 
 @pytest.mark.parametrize("values", [np.full((9, 9, 9), 77, np.uint16), np.ones((9, 9, 9))])
-def test_labels_that_are_no_tissues_are_refused(values):
+def test_refuses_labels_that_are_not_tissues(values):
     mesh = TetMesh(np.eye(4, 3), np.array([[0, 1, 2, 3]], np.int32))
     with pytest.raises(InputError, match="Relabel"):
         majority_fractions(mesh, Volume(values, (1, 1, 1)))

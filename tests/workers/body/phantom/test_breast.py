@@ -1,4 +1,4 @@
-"""The generated breast: volume, tissue shares, anatomy, and the same again from the same seed."""
+"""The generated breast: volume, tissue fractions, anatomy, and repeatability."""
 
 import json
 
@@ -18,7 +18,7 @@ def phantom():
 
 @pytest.mark.parametrize("preset", ["445ml", "250ml"])
 @pytest.mark.parametrize(("spacing", "tolerance"), [(0.5, 5e-4), (1.0, 1e-3), (2.0, 3e-3)])
-def test_volume_is_that_of_two_half_ellipsoids(preset, spacing, tolerance):
+def test_volume_equals_two_half_ellipsoids(preset, spacing, tolerance):
     settings = BreastPhantom.preset(preset, spacing_mm=spacing)
     phantom = generate_breast(settings, 3)
     body = np.count_nonzero(phantom.labels.values) * spacing**3 / 1000
@@ -39,7 +39,7 @@ def test_glandular_fraction_by_volume_is_within_one_percent(preset, spacing, see
     assert phantom.facts["glandular_fraction"] == pytest.approx(computed)
 
 
-def test_few_large_compartments_still_meet_the_fraction_by_splitting_one():
+def test_few_large_compartments_meet_the_fraction_by_splitting_one():
     settings = BreastPhantom(spacing_mm=1.0, compartments=20, glandular_fraction=0.07)
     phantom = generate_breast(settings, 2)
     assert phantom.facts["split_compartment"]
@@ -63,7 +63,7 @@ def test_labels_follow_the_compartments_one_to_one(phantom):
     assert len(np.unique(ids[tissue])) == phantom.facts["compartments"]
 
 
-def test_volumes_stand_in_the_house_frame(phantom):
+def test_volumes_have_the_standard_frame(phantom):
     labels = phantom.labels
     assert labels.spacing_mm == (0.5, 0.5, 0.5)
     assert labels.origin_mm == pytest.approx((-49.75, -49.75, 0.25))
@@ -72,13 +72,13 @@ def test_volumes_stand_in_the_house_frame(phantom):
     low, high = zyx.min(axis=0), zyx.max(axis=0) + 1
     np.testing.assert_array_equal(low, 0)
     np.testing.assert_array_equal(high, labels.values.shape)
-    # The slice furthest from the chest wall holds the nipple: x = y = 0.
+    # The slice furthest from the chest wall contains the nipple: x = y = 0.
     tip = zyx[zyx[:, 0] == 99][:, ::-1] * 0.5 + labels.origin_mm
     assert np.abs(tip[:, 1].mean()) < 0.3
     assert -6 < tip[:, 0].min() < 0 < tip[:, 0].max() < 13
 
 
-def test_gland_lies_behind_the_nipple_with_fat_around(phantom):
+def test_gland_is_behind_the_nipple_surrounded_by_fat(phantom):
     labels = phantom.labels
     zyx = np.argwhere(labels.values == Tissue.GLANDULAR)
     x, y, z = (zyx[:, ::-1] * 0.5 + labels.origin_mm).T
@@ -91,7 +91,7 @@ def test_gland_lies_behind_the_nipple_with_fat_around(phantom):
     assert np.mean(x > 80) < 0.02
 
 
-def test_tissue_shares_do_not_depend_on_the_voxel_size():
+def test_tissue_fractions_do_not_depend_on_the_voxel_size():
     """Layers thinner than a voxel keep their volume: 0.6 mm of ligament at 2 mm."""
     shares = [generate_breast(BreastPhantom(spacing_mm=h), 4).facts for h in (0.5, 1.0, 2.0)]
     for name in ("ligament_fraction", "skin_ml", "interior_ml"):
@@ -99,12 +99,12 @@ def test_tissue_shares_do_not_depend_on_the_voxel_size():
         assert values == pytest.approx([values[0]] * 3, rel=0.03)
 
 
-def test_no_skin_and_no_ligament_when_not_asked_for():
+def test_no_skin_and_no_ligament_if_not_requested():
     labels = generate_breast(BreastPhantom(spacing_mm=2.0, skin_mm=0, ligament_mm=0), 1).labels
     assert set(np.unique(labels.values)) == {Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR}
 
 
-def test_same_seed_same_phantom_other_seed_other_phantom():
+def test_phantom_is_determined_by_its_seed():
     settings = BreastPhantom(spacing_mm=1.0)
     one, again, other = (generate_breast(settings, seed) for seed in (5, 5, 6))
     np.testing.assert_array_equal(one.compartments.values, again.compartments.values)
@@ -129,7 +129,7 @@ def test_facts_are_ready_for_json(phantom):
     assert json.loads(json.dumps(phantom.facts)) == phantom.facts
 
 
-def test_the_race_takes_compartments_as_often_as_their_odds():
+def test_race_selects_compartments_in_proportion_to_their_odds():
     """First place of an exponential race goes to i with probability w_i / sum w."""
     rng = np.random.default_rng(0)
     voxels, odds = np.full(4, 10), np.array([1.0, 2.0, 3.0, 4.0])
@@ -138,8 +138,8 @@ def test_the_race_takes_compartments_as_often_as_their_odds():
     np.testing.assert_allclose(share, odds / 10, atol=4 * np.sqrt(0.25 / 4000))
 
 
-def test_the_last_place_goes_to_the_compartment_that_fits():
-    """900 of 1000 are taken; 400 does not fit, of those that follow 100 does."""
+def test_last_place_goes_to_a_compartment_that_fits():
+    """900 of 1000 are selected; 400 does not fit, of the following ones 100 does."""
     voxels, odds = np.array([900, 400, 100, 30]), np.array([1e12, 1e6, 1.0, 1e-6])
     choice = choose_compartments(voxels, odds, 1000, np.random.default_rng(0))
     assert sorted(choice.whole) == [0, 2]

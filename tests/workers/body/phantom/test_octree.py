@@ -1,4 +1,4 @@
-"""The octree gives what evaluating every voxel gives, and that is the Gaussian classifier."""
+"""The octree equals the evaluation of every voxel with the Gaussian classifier."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def points_of(settings, zyx):
 
 @pytest.fixture(scope="module")
 def fine():
-    """The default breast at 1 mm: settings, compartments, ids."""
+    """Return the default breast at 1 mm: settings, compartments, ids."""
     settings = BreastPhantom()
     compartments = compartments_of(settings)
     return settings, compartments, partition(settings, compartments)[0]
@@ -87,7 +87,7 @@ def test_octree_equals_brute_force_on_parts_at_1_mm(fine, box):
     np.testing.assert_array_equal(ids[part], expected[part])
 
 
-def test_few_boxes_are_looked_at():
+def test_few_boxes_are_visited():
     settings = BreastPhantom()
     _, boxes = partition(settings, compartments_of(settings))
     assert boxes < 0.05 * np.prod(settings.shape_xyz)
@@ -107,7 +107,7 @@ def test_compartments_are_the_most_probable_gaussian_class(fine):
     np.testing.assert_array_equal(ids[tuple(zyx.T)] - FIRST_ID, log_probability.argmax(axis=1))
 
 
-def test_ligament_is_where_a_wall_is_met_within_half_its_thickness(fine):
+def test_ligament_is_within_half_its_thickness_of_a_wall(fine):
     """Walk from a voxel centre against the gradient of f_best - f_j in small steps."""
     settings, compartments, ids = fine
     zyx = np.argwhere(ids >= LIGAMENT_ID)
@@ -154,7 +154,7 @@ def test_same_points_get_the_same_ids_at_another_spacing():
 
 
 @pytest.mark.parametrize("skin", [1.5, 2.5])
-def test_skin_is_as_thick_as_asked_for(skin):
+def test_skin_has_the_requested_thickness(skin):
     """Distance to a dense sample of the outline, independent of the kernel's formula."""
     settings = BreastPhantom(
         lower_mm=30, upper_mm=60, half_width_mm=35, depth_mm=30, skin_mm=skin, compartments=50
@@ -162,7 +162,7 @@ def test_skin_is_as_thick_as_asked_for(skin):
     ids, _ = partition(settings, compartments_of(settings))
     t = np.linspace(0, np.pi / 2, 350)
     p = np.linspace(0, 2 * np.pi, 1000)
-    # Past the chest wall too: the skin is cut there, not closed.
+    # Beyond the chest wall too: the skin is cut there, not closed.
     polar, around = (v.ravel() for v in np.meshgrid(np.append(t, t[1:40] + np.pi / 2), p))
     x = np.sin(polar) * np.cos(around)
     outline = np.column_stack(
@@ -180,7 +180,7 @@ def test_skin_is_as_thick_as_asked_for(skin):
     assert depth[~is_skin].min() > skin - 0.05
 
 
-def test_layer_frames_are_right_angled_and_radial():
+def test_layer_frames_are_orthogonal_and_radial():
     settings = BreastPhantom()
     points = np.array([[10.0, 20, 5], [-30, -10, 12], [0, 0, 25], [80, 0, 1], [0, -40, 10]])
     frames = layer_frames(settings, points)
@@ -191,7 +191,7 @@ def test_layer_frames_are_right_angled_and_radial():
     np.testing.assert_allclose(frames[:, 1, 2], 0, atol=1e-15)  # circumferential
 
 
-def test_seeds_lie_inside_and_apart():
+def test_seeds_are_inside_and_separated():
     settings = BreastPhantom()
     seeds = compartments_of(settings, 9).seeds_mm
     c = np.where(seeds[:, 0] >= 0, settings.upper_mm, settings.lower_mm)

@@ -1,4 +1,4 @@
-"""Settings of a breast phantom: presets, the voxel box, and what is refused."""
+"""Settings of a breast phantom: presets, the voxel box, and refusals."""
 
 import math
 
@@ -9,14 +9,14 @@ from palpate.storage.errors import InputError
 from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
 
 
-def test_the_default_is_the_445_ml_body():
+def test_default_is_the_445_ml_body():
     settings = BreastPhantom()
     assert settings == BreastPhantom.preset("445ml")
     assert settings.outline_ml == pytest.approx(math.pi / 3 * 5 * 5 * 17)
     assert settings.shape_xyz == (170, 100, 50)
 
 
-def test_the_250_ml_preset_is_170_by_75_by_37_5_mm():
+def test_250_ml_preset_is_170_by_75_by_37_5_mm():
     settings = BreastPhantom.preset("250ml", spacing_mm=0.5)
     assert settings.shape_xyz == (340, 150, 75)
     assert settings.outline_ml == pytest.approx(250, abs=0.5)
@@ -28,7 +28,7 @@ def test_full_resolution_box_is_106_million_voxels():
 
 @pytest.mark.parametrize("spacing", [0.2, 0.3, 0.7, 1.0, 1.3, 2.0])
 @pytest.mark.parametrize("preset", ["445ml", "250ml"])
-def test_the_box_covers_the_body_and_the_mid_planes_are_voxel_faces(preset, spacing):
+def test_box_covers_the_body_and_mid_planes_are_voxel_faces(preset, spacing):
     settings = BreastPhantom.preset(preset, spacing_mm=spacing)
     first = np.array(settings.origin_mm)
     last = first + (np.array(settings.shape_xyz) - 1) * spacing
@@ -62,18 +62,18 @@ def test_the_box_covers_the_body_and_the_mid_planes_are_voxel_faces(preset, spac
         ("compartments", True),
     ],
 )
-def test_a_bad_setting_is_refused_by_name_with_what_was_found(name, value):
+def test_invalid_setting_is_refused_with_name_and_value(name, value):
     with pytest.raises(InputError, match=name) as caught:
         BreastPhantom(**{name: value})
     assert repr(value) in str(caught.value)
 
 
-def test_a_box_too_large_for_memory_is_refused():
+def test_refuses_box_too_large_for_memory():
     with pytest.raises(InputError, match="larger spacing_mm"):
         BreastPhantom(upper_mm=250, lower_mm=250, half_width_mm=150, depth_mm=150, spacing_mm=0.2)
 
 
-def test_unknown_names_are_refused_with_the_known_ones():
+def test_unknown_names_are_refused_with_a_list():
     with pytest.raises(InputError, match="445ml, 250ml"):
         BreastPhantom.preset("450ml")
     with pytest.raises(InputError, match="glandular_fraction"):
@@ -81,17 +81,17 @@ def test_unknown_names_are_refused_with_the_known_ones():
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, True, "1", None])
-def test_a_bad_seed_is_refused(seed):
+def test_refuses_invalid_seed(seed):
     with pytest.raises(InputError, match="seed"):
         generate_breast(BreastPhantom(spacing_mm=2.0), seed)
 
 
-def test_numpy_scalars_are_numbers_too():
+def test_accepts_numpy_scalars():
     settings = BreastPhantom(spacing_mm=np.float64(2.0), compartments=np.int64(60))
     assert generate_breast(settings, np.int64(3)).facts["compartments"] > 20
 
 
-def test_ligaments_that_leave_no_room_for_gland_are_refused():
+def test_refuses_ligaments_that_leave_no_room_for_gland():
     settings = BreastPhantom(
         spacing_mm=2.0, ligament_mm=3.0, compartments=4000, glandular_fraction=0.35
     )

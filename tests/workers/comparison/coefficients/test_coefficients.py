@@ -1,4 +1,4 @@
-"""The 28 coefficients against values worked out by hand and by brute force."""
+"""The 28 coefficients against values calculated by hand and by brute force."""
 
 import math
 
@@ -27,7 +27,7 @@ def volume(
 
 
 def blobs(seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Two rough overlapping sets of different size."""
+    """Return two rough overlapping sets of different size."""
     rng = np.random.default_rng(seed)
     z, y, x = np.mgrid[:14, :17, :19]
     near = (x - 8) ** 2 + (y - 8) ** 2 + (z - 7) ** 2 < 36 + 8 * rng.standard_normal(x.shape)
@@ -48,7 +48,7 @@ def rods() -> tuple[Volume, Volume]:
     return volume(x), volume(y)
 
 
-def test_two_rods_worked_out_by_hand() -> None:
+def test_two_rods_calculated_by_hand() -> None:
     found = coefficients(*rods()).by_name
     # d(X, Y): percentiles 50, 75, 90 of (1 2 3 4) by rank are 2, 3, 4; of (1 2) 1, 2, 2.
     both = {"D5": (2, 1), "D9": (3, 2), "D13": (4, 2), "D17": (4, 2), "D21": (2.5, 1.5)}
@@ -115,7 +115,7 @@ def test_agrees_with_the_score_of_the_search(surface: str) -> None:
     assert found.mhd_mm == pytest.approx(target.distance_mm(voxel_set(a, GLAND, b)), rel=1e-14)
 
 
-def test_exchanging_the_sets_turns_what_has_a_direction() -> None:
+def test_swapping_the_sets_reverses_directed_coefficients() -> None:
     a, b = (volume(mask) for mask in blobs(4))
     forth, back = coefficients(a, b), coefficients(b, a)
     assert forth.hausdorff_mm == pytest.approx(back.hausdorff_mm)
@@ -142,7 +142,7 @@ def test_percentiles_count_the_voxels_at_distance_zero(percent: int, wanted: flo
     assert distances.percentile_mm(percent) == wanted
 
 
-def test_an_empty_set_is_refused() -> None:
+def test_refuses_empty_set() -> None:
     a, _ = blobs(6)
     with pytest.raises(InputError, match="no glandular voxel"):
         coefficients(volume(np.zeros_like(a)), volume(a))

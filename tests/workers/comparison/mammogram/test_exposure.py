@@ -1,4 +1,4 @@
-"""Attenuation, readings and noise against published values and the laws of Poisson."""
+"""Attenuation, readings and noise against published values and Poisson statistics."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from palpate.workers.comparison.mammogram.spectrum import BEAMS, Spectrum, spect
 
 
 def far_geometry(rows: int = 40, columns: int = 50) -> Geometry:
-    """A detector so far and small that all pixels are alike."""
+    """Return a detector so far and small that all pixels are alike."""
     return Geometry(
         np.array([0.0, 1000.0, 0.0]),
         np.zeros(3),
@@ -39,11 +39,11 @@ def lengths(mm: dict[Tissue, float], geometry: Geometry) -> FloatArray:
         (Tissue.GLANDULAR, 30.0, 0.378, 0.01),
         (Tissue.MUSCLE, 20.0, 1.05 * 0.8205, 0.01),
         (Tissue.MUSCLE, 30.0, 1.05 * 0.3783, 0.01),
-        # Their fat held less water than Hammerstein's adipose tissue.
+        # Their fat had less water than Hammerstein's adipose tissue.
         (Tissue.FAT, 20.0, 0.456, 0.14),
     ],
 )
-def test_attenuation_is_that_of_the_literature(
+def test_attenuation_matches_the_literature(
     tissue: Tissue, energy: float, per_cm: float, within: float
 ) -> None:
     found = 10 * attenuation_per_mm(tissue, np.array([energy]))[0]
@@ -61,7 +61,7 @@ def test_attenuation_orders_the_tissues_and_falls_with_energy() -> None:
     assert not attenuation_per_mm(Tissue.AIR, energies).any()
 
 
-# Half-value layers that SpekPy says of its own spectra, here by attenuation in aluminium:
+# Half-value layers computed by SpekPy for its own spectra, here by attenuation in aluminium:
 # NIST XCOM, mass attenuation in cm2/g.
 ALUMINIUM = np.array(
     [[8, 50.33], [10, 26.23], [15, 7.955], [20, 3.441], [30, 1.128]], dtype=np.float64
@@ -72,7 +72,7 @@ AIR_ENERGY_ABSORPTION = np.array(
 
 
 @pytest.mark.parametrize(("beam", "hvl_mm"), [("mo_mo", 0.354), ("rh_rh", 0.401), ("w_rh", 0.510)])
-def test_the_half_value_layer_halves_the_kerma(beam: str, hvl_mm: float) -> None:
+def test_half_value_layer_halves_the_kerma(beam: str, hvl_mm: float) -> None:
     spectrum = spectrum_of(beam)  # type: ignore[arg-type]
     energies = spectrum.energies_kev
 
@@ -85,7 +85,7 @@ def test_the_half_value_layer_halves_the_kerma(beam: str, hvl_mm: float) -> None
     assert set(BEAMS) == {"mo_mo", "rh_rh", "w_rh"}
 
 
-def test_one_energy_follows_beers_law() -> None:
+def test_single_energy_follows_beers_law() -> None:
     geometry, beam = far_geometry(), Spectrum(np.array([20.0]), np.array([1e9]))
     found = read_out(lengths({Tissue.FAT: 30.0, Tissue.SKIN: 3.0}, geometry), geometry, beam, mas=2)
     mu = {t: attenuation_per_mm(t, np.array([20.0]))[0] for t in (Tissue.FAT, Tissue.SKIN)}
@@ -95,8 +95,8 @@ def test_one_energy_follows_beers_law() -> None:
     np.testing.assert_allclose(found.open_kev, 20 * 2 * 1e9 * 1e-6, rtol=1e-6)
 
 
-def test_a_beam_hardens() -> None:
-    """Twice the tissue attenuates less than twice as much, unlike one energy."""
+def test_beam_hardens() -> None:
+    """Twice the tissue attenuates less than twice as much, unlike a single energy."""
     geometry, beam = far_geometry(), spectrum_of("w_rh")
     once, twice = (
         read_out(lengths({Tissue.FAT: mm}, geometry), geometry, beam, mas=60).log_attenuation[0, 0]
@@ -118,7 +118,7 @@ def test_quantum_noise_has_the_variance_of_its_photons() -> None:
     mean, variance = counts @ beam.energies_kev, counts @ beam.energies_kev**2
     assert found.energy_kev.mean() == pytest.approx(mean, abs=4 * np.sqrt(variance / pixels))
     assert found.energy_kev.var() == pytest.approx(variance, rel=4 * np.sqrt(2 / pixels))
-    # Photons come whole: every reading is a multiple of 10 keV.
+    # Photons are counted whole: every reading is a multiple of 10 keV.
     np.testing.assert_allclose(found.energy_kev % 10, 0)
 
 
@@ -133,7 +133,7 @@ def test_electronic_noise_adds_its_own_variance() -> None:
     assert added.mean() == pytest.approx(0.0, abs=6.0)
 
 
-def test_the_seed_decides_the_noise() -> None:
+def test_seed_determines_the_noise() -> None:
     body = Volume(np.ones((4, 20, 6), np.uint8), (1.0, 1.0, 1.0))
     geometry = geometry_of(body, unit=Unit(pixel_mm=1.0))
     first, again, other = (expose(body, geometry, noise=Noise(s)).energy_kev for s in (1, 1, 2))
@@ -144,7 +144,7 @@ def test_the_seed_decides_the_noise() -> None:
     np.testing.assert_allclose(first.mean(), still.energy_kev.mean(), rtol=1e-2)
 
 
-def test_intensity_falls_with_the_distance_and_the_slant() -> None:
+def test_intensity_falls_with_distance_and_slant() -> None:
     body = Volume(np.zeros((10, 10, 400), np.uint8), (1.0, 1.0, 1.0))
     body.values[0, 0, [0, -1]] = 1
     geometry = geometry_of(body, unit=Unit(pixel_mm=4.0))
@@ -155,7 +155,7 @@ def test_intensity_falls_with_the_distance_and_the_slant() -> None:
     assert found.min() < 0.95 * found.max()
 
 
-def test_what_makes_no_sense_is_refused() -> None:
+def test_refuses_invalid_input() -> None:
     geometry = far_geometry(2, 2)
     with pytest.raises(InputError, match="exposure must be positive"):
         read_out(lengths({}, geometry), geometry, spectrum_of("mo_mo"), mas=0.0)
@@ -165,5 +165,5 @@ def test_what_makes_no_sense_is_refused() -> None:
         attenuation_per_mm(Tissue.FAT, np.array([80.0]))
     with pytest.raises(InputError, match="seed >= 0"):
         Noise(seed=-1)
-    with pytest.raises(InputError, match="as many energies"):
+    with pytest.raises(InputError, match="as many photon counts as energies"):
         Spectrum(np.array([20.0]), np.array([1.0, 2.0]))

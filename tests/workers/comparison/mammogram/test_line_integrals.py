@@ -1,4 +1,4 @@
-"""Lengths of rays in voxel bodies against closed forms, and against sampling."""
+"""Path lengths of rays in voxel bodies against closed forms, and against sampling."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def body_of(inside: NDArray[np.bool_], voxel_mm: float, start: float) -> Volume:
 
 
 def ellipsoid(half_mm: tuple[float, float, float], voxel_mm: float) -> Volume:
-    """Voxels whose centre lies in an ellipsoid about the origin."""
+    """Return voxels whose centre is in an ellipsoid about the origin."""
     n = 2 * int(np.ceil(max(half_mm) / voxel_mm) + 1)
     at = (np.arange(n) - (n - 1) / 2) * voxel_mm
     a, b, c = half_mm
@@ -33,7 +33,7 @@ def ellipsoid(half_mm: tuple[float, float, float], voxel_mm: float) -> Volume:
 
 
 def ellipsoid_chords(half_mm: tuple[float, float, float], geometry: Geometry) -> FloatArray:
-    """Length of |s + t w| <= 1 in units of the half axes."""
+    """Return the length of |s + t w| <= 1 in units of the half axes."""
     ray = geometry.pixels_mm - geometry.source_mm
     s, w = geometry.source_mm / half_mm, ray / half_mm
     a, b, c = (w * w).sum(-1), w @ s, s @ s - 1
@@ -42,7 +42,7 @@ def ellipsoid_chords(half_mm: tuple[float, float, float], geometry: Geometry) ->
 
 
 def box_chords(low: FloatArray, high: FloatArray, geometry: Geometry) -> FloatArray:
-    """Length between the planes of a box (slabs)."""
+    """Return the length between the planes of a box (slabs)."""
     ray = geometry.pixels_mm - geometry.source_mm
     with np.errstate(divide="ignore"):
         a, b = (low - geometry.source_mm) / ray, (high - geometry.source_mm) / ray
@@ -51,7 +51,7 @@ def box_chords(low: FloatArray, high: FloatArray, geometry: Geometry) -> FloatAr
 
 
 @pytest.mark.parametrize("axis", [CC_AXIS, mlo_axis(45.0), mlo_axis(-30.0)])
-def test_a_block_of_voxels_is_exact(axis: tuple[float, float, float]) -> None:
+def test_block_of_voxels_is_exact(axis: tuple[float, float, float]) -> None:
     spacing = (1.0, 0.7, 1.3)
     values = np.full((30, 40, 50), Tissue.FAT, np.uint8)
     values[:, 10:25, 5:20] = Tissue.GLANDULAR
@@ -105,7 +105,7 @@ def test_against_sampling_of_random_voxels() -> None:
         np.testing.assert_allclose(lengths[row, column], wanted, atol=0.02)
 
 
-def test_the_shadow_is_magnified_and_ends_at_the_wall() -> None:
+def test_shadow_is_magnified_and_ends_at_the_wall() -> None:
     body = Volume(np.ones((20, 10, 30), np.uint8), (1.0, 1.0, 1.0), (-14.5, 0.5, 0.5))
     unit = Unit(source_mm=600.0, gap_mm=100.0, pixel_mm=0.25)
     geometry = geometry_of(body, CC_AXIS, unit)
@@ -113,12 +113,12 @@ def test_the_shadow_is_magnified_and_ends_at_the_wall() -> None:
     # Its top, at 110 mm above the detector, is magnified by 600 / 490.
     assert shadow.any(axis=1).sum() * 0.25 == pytest.approx(30 * 600 / 490, abs=0.5)
     assert shadow.any(axis=0).sum() * 0.25 == pytest.approx(20 * 600 / 490, abs=0.25)
-    # The focal spot stands above the wall: the first column sees the whole height there.
+    # The focal spot is above the wall: the first column sees the whole height there.
     assert shadow[:, 0].any()
     assert geometry.pixels_mm[..., 2].min() == pytest.approx(0.125)
 
 
-def test_oblique_is_upright_of_a_turned_body() -> None:
+def test_oblique_view_equals_upright_view_of_a_rotated_body() -> None:
     half = (15.0, 15.0, 10.0)
     upright = geometry_of(ellipsoid(half, 0.5), CC_AXIS, COARSE, support_mm=-15.0)
     oblique = geometry_of(ellipsoid(half, 0.5), mlo_axis(), COARSE, support_mm=-15.0)
@@ -128,13 +128,13 @@ def test_oblique_is_upright_of_a_turned_body() -> None:
     np.testing.assert_allclose(a[middle[0], :columns], b[middle[1], :columns], atol=1e-9)
 
 
-def test_what_makes_no_sense_is_refused() -> None:
+def test_refuses_invalid_input() -> None:
     body = Volume(np.ones((4, 4, 4), np.uint8), (1.0, 1.0, 1.0))
     with pytest.raises(InputError, match="all air"):
         geometry_of(Volume(np.zeros((4, 4, 4), np.uint8), (1.0, 1.0, 1.0)))
-    with pytest.raises(InputError, match="across z"):
+    with pytest.raises(InputError, match="perpendicular to z"):
         geometry_of(body, (0.0, 1.0, 1.0))
-    with pytest.raises(InputError, match="focal spot stands"):
+    with pytest.raises(InputError, match="focal spot is at"):
         geometry_of(Volume(body.values, (1.0, 1000.0, 1.0)))
     with pytest.raises(InputError, match="pixels > 0"):
         Unit(pixel_mm=0.0)

@@ -42,7 +42,7 @@ def test_dense_tissue_is_bright_and_air_is_black() -> None:
     assert fat.min() > 0
 
 
-def test_the_difference_is_grey_where_nothing_differs() -> None:
+def test_equal_parts_are_grey_in_the_difference() -> None:
     with_lump, without = mammogram(True), mammogram(False)
     assert (difference_picture(with_lump, with_lump) == EQUAL).all()
     forth, back = difference_picture(with_lump, without), difference_picture(without, with_lump)
@@ -50,13 +50,13 @@ def test_the_difference_is_grey_where_nothing_differs() -> None:
     assert back[27, 15] < 86
     assert forth[5, 5] == EQUAL
     other = expose(body(True), geometry_of(body(True), unit=Unit(pixel_mm=2.0)))
-    with pytest.raises(InputError, match="in one geometry"):
+    with pytest.raises(InputError, match="in the same geometry"):
         difference_picture(with_lump, other)
 
 
 @pytest.mark.parametrize("intent", ["presentation", "processing"])
 @pytest.mark.parametrize("view", ["CC", "MLO"])
-def test_a_dicom_file_reads_back(view: str, intent: str) -> None:
+def test_dicom_file_round_trips(view: str, intent: str) -> None:
     taken = mammogram(noise=Noise(2))
     content = dicom_bytes(mammogram_dataset(taken, view, intent))  # type: ignore[arg-type]
     read = pydicom.dcmread(BytesIO(content))
@@ -72,7 +72,7 @@ def test_a_dicom_file_reads_back(view: str, intent: str) -> None:
     assert read.ViewCodeSequence[0].CodeMeaning == meaning
     assert [float(v) for v in read.ImagerPixelSpacing] == [1.0, 1.0]
     assert float(read.DistanceSourceToDetector) == 650.0
-    # What type 1 and 2 attributes of DX Detector, DX Image and Mammography Image demand;
+    # Required type 1 and 2 attributes of DX Detector, DX Image and Mammography Image;
     # the whole file was checked once with dciodvfy, which finds no error.
     for keyword in (
         "PositionerType", "BreastImplantPresent", "PartialView", "DetectorTemperature",
@@ -91,6 +91,6 @@ def test_equal_mammograms_give_equal_files() -> None:
     assert other.SOPInstanceUID != pydicom.dcmread(BytesIO(first)).SOPInstanceUID
 
 
-def test_an_unknown_view_is_refused() -> None:
+def test_refuses_unknown_view() -> None:
     with pytest.raises(InputError, match="CC or MLO"):
         mammogram_dataset(mammogram(), "ML")  # type: ignore[arg-type]

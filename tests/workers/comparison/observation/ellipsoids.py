@@ -1,4 +1,4 @@
-"""Ellipsoids as labels, and what is known of them exactly."""
+"""Ellipsoids as labels, with their exact properties."""
 
 import numpy as np
 from scipy.integrate import dblquad
@@ -7,7 +7,7 @@ from palpate.storage.values import Tissue, Volume
 
 
 def lattice(shape_xyz, spacing_mm):
-    """Voxel centres about the middle of a box: z, y, x grids and the origin."""
+    """Return voxel centres about the middle of a box: z, y, x grids and the origin."""
     axes = [(np.arange(n) - (n - 1) / 2) * h for n, h in zip(shape_xyz, spacing_mm, strict=True)]
     z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
     return x, y, z, tuple(float(axis[0]) for axis in axes)
@@ -26,7 +26,7 @@ def breast(
     spacing_mm=(0.5, 0.5, 0.5),
     shape=(104, 84, 72),
 ):
-    """Fat with glandular ellipsoids (half axes, centre) in it, all moved by a shift."""
+    """Return fat with glandular ellipsoids (half axes, centre) in it, all moved by a shift."""
     x, y, z, origin = lattice(shape, spacing_mm)
     shift = np.asarray(shift, float)
     values = np.where(inside((x, y, z), outer, shift), Tissue.FAT, Tissue.AIR).astype(np.uint8)
@@ -36,19 +36,19 @@ def breast(
 
 
 def normals(points, half_axes):
-    """Unit normals of the level of the ellipsoid's function through the points."""
+    """Return unit normals of the level of the ellipsoid's function through the points."""
     slope = points / np.square(half_axes)
     return slope / np.linalg.norm(slope, axis=1, keepdims=True)
 
 
 def offsets(points, half_axes):
-    """Distance to the ellipsoid to second order (G. Taubin, IEEE PAMI 13, 1991), outwards."""
+    """Return the distance to the ellipsoid to second order (G. Taubin, IEEE PAMI 13, 1991)."""
     level = np.sum(np.square(points / half_axes), axis=1) - 1
     return level / (2 * np.linalg.norm(points / np.square(half_axes), axis=1))
 
 
 def area(half_axes):
-    """Surface by quadrature over the sphere of directions."""
+    """Return the surface area by quadrature over the sphere of directions."""
     a, b, c = half_axes
 
     def element(phi, theta):

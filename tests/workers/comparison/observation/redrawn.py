@@ -1,4 +1,4 @@
-"""A segmentation drawn once more, by a hand that errs at random.
+"""Repeated segmentations with random errors.
 
 Every interface moves outwards by a Gaussian random field of its own: white noise on
 the voxels, blurred by a Gaussian of standard deviation ``l / sqrt 2``, whose
@@ -27,30 +27,30 @@ def perturbed(
     labels : Volume
         `Tissue` labels.
     noise : SegmentationNoise
-        ``sd_mm`` and ``correlation_mm`` are used; what the voxels leave of the interfaces
-        is there already.
+        ``sd_mm`` and ``correlation_mm`` are used; the effect of the voxels on the interfaces
+        is present already.
     seed : int
-        The same one gives the same volume.
+        Equal seeds give equal volumes.
     smooth_voxels : float
-        See `workers.comparison.observation.isosurface.surface`; what vanishes there is lost here.
+        See `workers.comparison.observation.isosurface.surface`; thin parts are lost here too.
 
     Returns
     -------
     Volume
-        ``uint8`` on the same grid. Tissue that the outline gains, or that the glandular
-        tissue gives up, takes the label of the nearest voxel of another tissue, fat if there
-        is none. The end of the body at the chest wall stays where it is.
+        ``uint8`` on the same grid. Tissue added to the outline, or removed from the glandular
+        tissue, gets the label of the nearest voxel of another tissue, fat if there
+        is none. The end of the body at the chest wall stays in place.
 
     Raises
     ------
     InputError
-        If the volume holds no body, or one that fills it.
+        If the volume has no body, or one that fills it.
     """
     rng = np.random.default_rng(seed)
     body_voxels = np.flatnonzero((labels.values != Tissue.AIR).any(axis=(1, 2)))
     if not len(body_voxels):
-        raise InputError("The volume holds no body, only air. Check the labels.")
-    # Seen from the chest wall on, the body is cut off there and its end no interface.
+        raise InputError("The volume has no body, only air. Check the labels.")
+    # From the chest wall upwards; the body is cut off there, which is not an interface.
     wall = int(body_voxels[0])
     x, y, z = labels.origin_mm
     above = Volume(labels.values[wall:], labels.spacing_mm, (x, y, z + wall * labels.spacing_mm[2]))
@@ -78,7 +78,7 @@ def _moved(
 
 
 def _field(labels: Volume, correlation_mm: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Gaussian random numbers of variance 1 on the voxels; opposite faces of the box agree."""
+    """Return Gaussian random numbers of variance 1 on the voxels, periodic across the box."""
     sigma = correlation_mm / np.sqrt(2) / np.asarray(labels.spacing_mm)[::-1]
     field = rng.standard_normal(labels.values.shape, np.float32)
     variance = 1.0
@@ -91,7 +91,7 @@ def _field(labels: Volume, correlation_mm: float, rng: np.random.Generator) -> N
 
 
 def _without_gland(values: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """The tissues as if there were no glandular tissue and no air."""
+    """Return the tissues as if there were no glandular tissue and no air."""
     other = ~np.isin(values, (Tissue.AIR, Tissue.GLANDULAR))
     if not other.any():
         return np.full(values.shape, Tissue.FAT, np.uint8)

@@ -1,4 +1,4 @@
-"""Half-millimetre label volumes of ../shared/reference/gap-open, where they are at hand."""
+"""Half-millimetre label volumes of ../shared/reference/gap-open, if available."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from palpate.workers.comparison.observation.residual import observe, residual
 CASES = Path(__file__).parents[5] / "shared" / "reference" / "gap-open"
 BOTH = (OUTLINE, GLANDULAR)
 
-pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not beside the project")
+pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not available")
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def points(reference):
 
 
 @pytest.mark.slow
-def test_the_reference_against_itself(reference, points):
+def test_reference_against_itself(reference, points):
     r, _ = residual(points.points, points, observe(reference, BOTH))
     assert abs(r.mean()) < 0.003 and r.std() < 0.015 and np.abs(r).max() < 0.25
     counts = np.bincount(points.interface)
@@ -35,14 +35,14 @@ def test_the_reference_against_itself(reference, points):
     assert points.points[:, 2].min() > 3.0
 
 
-def test_with_the_true_displacement_only_segmentation_noise_is_left(points):
+def test_true_displacement_leaves_only_segmentation_noise(points):
     truth = np.load(CASES / "dev_0fb9b9" / "truth.npz")
     field = RBFInterpolator(truth["nodes"], truth["u40"], neighbors=40, kernel="thin_plate_spline")
     outline = points.of(np.flatnonzero(points.interface == 0))
     deformed = read_volume(CASES / "dev_0fb9b9" / "deformed_40N.nrrd")
     still, _ = residual(outline.points, outline, observe(deformed, (OUTLINE,)))
     r, _ = residual(outline.points + field(outline.points), outline, observe(deformed, (OUTLINE,)))
-    # Each of two scans errs by 0.3 mm, see its case; the body was pressed by 30 mm.
+    # Each of two scans errs by 0.3 mm, see its case; the body was compressed by 30 mm.
     assert abs(still).mean() > 3
     assert abs(r.mean()) < 0.06
     assert r.std() == pytest.approx(0.3 * np.sqrt(2), rel=0.1)

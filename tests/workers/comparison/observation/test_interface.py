@@ -22,13 +22,13 @@ def points():
 
 
 @pytest.mark.parametrize(("number", "half_axes"), [(0, OUTER), (1, INNER)])
-def test_they_lie_on_the_ellipsoid_and_look_out_of_it(points, number, half_axes):
+def test_points_are_on_the_ellipsoid_with_outward_normals(points, number, half_axes):
     own = points.interface == number
     off = offsets(points.points[own], half_axes) / 0.5  # in voxels
     assert abs(off.mean()) < 0.02
     assert np.abs(off).mean() < 0.05
     assert np.quantile(np.abs(off), 0.9) < 0.1
-    assert np.abs(off).max() < 0.45  # where the ellipsoid runs along the grid
+    assert np.abs(off).max() < 0.45  # where the ellipsoid is parallel to the grid
     np.testing.assert_allclose(np.linalg.norm(points.normals, axis=1), 1)
     angle = np.degrees(
         np.arccos(np.sum(points.normals[own] * normals(points.points[own], half_axes), axis=1))
@@ -37,7 +37,7 @@ def test_they_lie_on_the_ellipsoid_and_look_out_of_it(points, number, half_axes)
 
 
 @pytest.mark.parametrize(("number", "half_axes"), [(0, OUTER), (1, INNER)])
-def test_their_areas_are_that_of_the_ellipsoid(points, number, half_axes):
+def test_areas_sum_to_the_area_of_the_ellipsoid(points, number, half_axes):
     own = points.interface == number
     exact = area(half_axes)
     assert points.area_mm2[own].sum() == pytest.approx(exact, rel=0.01)
@@ -47,24 +47,24 @@ def test_their_areas_are_that_of_the_ellipsoid(points, number, half_axes):
     assert nearest.min() > 0.8 * 1.5 and nearest.max() < 1.7 * 1.5
 
 
-def test_wide_apart_each_stands_for_the_square_of_the_spacing():
+def test_sparse_points_each_represent_the_square_of_the_spacing():
     points = interface_points(breast(), BOTH, spacing_mm=4.0, wall_margin_mm=0.0)
     assert points.area_mm2.sum() / len(points) == pytest.approx(16.0, rel=0.1)
 
 
-def test_they_are_the_same_each_time(points):
+def test_points_are_repeatable(points):
     again = interface_points(breast(), BOTH, spacing_mm=1.5, wall_margin_mm=0.0)
     for column in fields(points):
         np.testing.assert_array_equal(getattr(points, column.name), getattr(again, column.name))
 
 
-def test_none_are_near_the_wall_or_on_a_cut():
+def test_no_points_near_the_wall_or_on_a_cut():
     whole = breast()
     half = Volume(whole.values[36:], whole.spacing_mm, (*whole.origin_mm[:2], 0.25))
     cut = interface_points(half, BOTH, 1.5, 0.0)  # the box ends at z = 0.25
     assert cut.normals[:, 2].min() > -0.2
     assert cut.area_mm2[cut.interface == 0].sum() == pytest.approx(area(OUTER) / 2, rel=0.03)
-    capped = np.pad(half.values, ((6, 0), (0, 0), (0, 0)))  # as a body that ends in air
+    capped = np.pad(half.values, ((6, 0), (0, 0), (0, 0)))  # like a body that ends in air
     labels = Volume(capped, half.spacing_mm, (*half.origin_mm[:2], 0.25 - 6 * 0.5))
     assert (interface_points(labels, (OUTLINE,), 1.5, 0.0).normals[:, 2] < -0.9).any()
     clear = interface_points(labels, BOTH, 1.5, 4.0)
@@ -72,7 +72,7 @@ def test_none_are_near_the_wall_or_on_a_cut():
     assert clear.normals[:, 2].min() > 0.1
 
 
-def test_each_compartment_is_a_part_and_specks_are_none():
+def test_each_compartment_is_a_part_but_specks_are_not():
     labels = breast(glands=TWO)
     values = labels.values.copy()
     values[36, 20, 52] = values[60, 40:42, 50:52] = Tissue.GLANDULAR
@@ -95,7 +95,7 @@ def test_clear_points_are_not_on_thin_strands():
     assert np.sum(clear.points[:, 0] < -10) > 0.9 * np.sum(every.points[:, 0] < -10)
 
 
-def test_bad_requests_are_said():
+def test_refuses_invalid_requests():
     labels = breast()
     with pytest.raises(InputError, match="spacing > 0 mm"):
         interface_points(labels, BOTH, 0.0, 4.0)

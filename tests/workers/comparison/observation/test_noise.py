@@ -1,4 +1,4 @@
-"""The noise model against volumes that were perturbed with it, and its algebra."""
+"""The noise model against volumes perturbed with it, and its algebra."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_replicates_have_the_covariance_of_the_model(points, replicates):
     assert abs(sample[~same].mean()) < 0.03
 
 
-def test_two_drawings_tell_their_noise(labels):
+def test_noise_is_estimated_from_two_segmentations(labels):
     noise = [
         from_repeat(
             perturbed(labels, NOISE, 100 + n), perturbed(labels, NOISE, 200 + n), wall_margin_mm=2.0
@@ -69,7 +69,7 @@ def test_two_drawings_tell_their_noise(labels):
     assert all(n.reference_sd_mm == n.sd_mm for n in noise)
 
 
-def test_the_length_is_found_where_it_is_another(labels):
+def test_estimates_another_correlation_length(labels):
     noise = SegmentationNoise(0.2, 2.5, 0.2, 0.02)
     computed = from_repeat(
         perturbed(labels, noise, 1), perturbed(labels, noise, 2), wall_margin_mm=2.0
@@ -78,7 +78,7 @@ def test_the_length_is_found_where_it_is_another(labels):
     assert computed.correlation_mm == pytest.approx(2.5, rel=0.2)
 
 
-def test_a_common_offset_is_no_noise(labels):
+def test_common_offset_is_not_noise(labels):
     larger = breast(outer=(22.5, 17.5, 14.5), glands=(((11.5, 9.5, 7.5), (0, 0, 0)),))
     noise = from_repeat(labels, larger, wall_margin_mm=2.0)
     assert np.hypot(noise.sd_mm, noise.nugget_mm) < 0.07
@@ -94,7 +94,7 @@ def test_states_share_the_reference(points):
     assert np.all(np.diag(smooth) == pytest.approx(1))
 
 
-def test_the_covariance_is_positive_definite_where_points_are_dense(labels):
+def test_covariance_is_positive_definite_for_dense_points(labels):
     dense = interface_points(labels, (GLANDULAR,), 0.8, 2.0)
     noise = SegmentationNoise(0.3, 6.0, 0.3, 3e-4)
     values = np.linalg.eigvalsh(covariance(dense, noise, 1))
@@ -102,7 +102,7 @@ def test_the_covariance_is_positive_definite_where_points_are_dense(labels):
     np.linalg.cholesky(covariance(dense, noise, 2))
 
 
-def test_sides_of_a_sheet_err_on_their_own():
+def test_errors_of_the_sides_of_a_sheet_are_independent():
     values = np.zeros((40, 40, 40), np.uint8)
     values[18:22, 5:35, 5:35] = Tissue.GLANDULAR
     points = interface_points(Volume(values, (0.5,) * 3), (GLANDULAR,), 1.5, 0.0)
@@ -113,7 +113,7 @@ def test_sides_of_a_sheet_err_on_their_own():
     assert smooth[np.ix_(up, up)][np.triu_indices(up.sum(), 1)].max() > 0.8
 
 
-def test_a_drawing_is_consistent_and_repeatable(labels):
+def test_perturbed_segmentation_is_consistent_and_repeatable(labels):
     values = labels.values.copy()
     values[:, :20][values[:, :20] == Tissue.FAT] = Tissue.SKIN
     mixed = Volume(values, labels.spacing_mm, labels.origin_mm)
@@ -121,14 +121,14 @@ def test_a_drawing_is_consistent_and_repeatable(labels):
     np.testing.assert_array_equal(redrawn.values, perturbed(mixed, NOISE, 7).values)
     assert np.any(redrawn.values != perturbed(mixed, NOISE, 8).values)
     assert set(np.unique(redrawn.values)) == set(np.unique(values))
-    assert not (redrawn.values[:, 24:] == Tissue.SKIN).any()  # stays beside its own side
+    assert not (redrawn.values[:, 24:] == Tissue.SKIN).any()  # skin stays on its own side
     changed = np.mean(redrawn.values != values)
     assert 0.005 < changed < 0.05
     still = perturbed(mixed, SegmentationNoise(0.0, 4.0, 0.0, 0.01), 7)
     assert np.mean(still.values != values) < 0.1 * changed
 
 
-def test_the_end_at_the_wall_stays():
+def test_end_at_the_wall_stays():
     whole = breast()
     values = np.zeros_like(whole.values)
     values[36:] = whole.values[36:]
@@ -138,7 +138,7 @@ def test_the_end_at_the_wall_stays():
     assert (redrawn[36][tuple(np.argwhere(values[36] > 0)[inner].T)] > 0).all()
 
 
-def test_senseless_noise_is_said():
+def test_refuses_invalid_noise():
     for numbers in (
         (-0.1, 4, 0.3, 0.1),
         (0.3, 0, 0.3, 0.1),

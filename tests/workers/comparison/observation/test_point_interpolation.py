@@ -1,4 +1,4 @@
-"""Interpolation at points, against the location by Qhull's own triangulation."""
+"""Interpolation at points, against the location in Qhull's triangulation."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def mesh(cloud):
     return TetMesh(cloud.points, tets)
 
 
-def test_values_are_those_of_another_location(cloud, mesh):
+def test_values_match_another_point_location(cloud, mesh):
     points = np.random.default_rng(5).uniform(-12, 12, (500, 3))
     values = np.sin(mesh.nodes / 5)
     simplex = cloud.find_simplex(points)
@@ -37,7 +37,7 @@ def test_values_are_those_of_another_location(cloud, mesh):
     np.testing.assert_allclose(matrix @ values, expected, atol=1e-9)
 
 
-def test_points_a_little_outside_continue_linearly(mesh):
+def test_points_slightly_outside_are_extrapolated_linearly(mesh):
     centre = mesh.nodes.mean(axis=0)
     rim = mesh.nodes[np.argsort(-np.linalg.norm(mesh.nodes, axis=1))[:20]]
     points = rim + 0.1 * (rim - centre) / np.linalg.norm(rim - centre, axis=1, keepdims=True)
@@ -46,8 +46,8 @@ def test_points_a_little_outside_continue_linearly(mesh):
     assert np.median(np.linalg.norm(matrix @ mesh.nodes - points, axis=1)) < 1e-9
 
 
-def test_points_of_another_body_are_said(mesh):
-    with pytest.raises(InputError, match="1 of 2 points lie outside"):
+def test_refuses_points_of_another_body(mesh):
+    with pytest.raises(InputError, match="1 of 2 points are outside"):
         interpolation(mesh, np.array([(0.0, 0.0, 0.0), (90.0, 0.0, 0.0)]))
     with pytest.raises(InputError, match="finite"):
         interpolation(mesh, np.array([(0.0, np.inf, 0.0)]))

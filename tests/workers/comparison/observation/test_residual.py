@@ -1,4 +1,4 @@
-"""Residuals of ellipsoids that were shifted by a known amount."""
+"""Residuals of ellipsoids shifted by a known amount."""
 
 from dataclasses import replace
 
@@ -24,14 +24,14 @@ def shifted():
     return observe(breast(shift=SHIFT), BOTH)
 
 
-def test_the_reference_against_itself(points):
+def test_reference_against_itself(points):
     r, normals = residual(points.points, points, observe(breast(), BOTH))
     assert abs(r.mean()) < 1e-3 and r.std() < 5e-3
     assert np.sum(normals * points.normals, axis=1) == pytest.approx(1, abs=0.05)
 
 
-def test_a_shift_is_seen_along_the_normal(points, shifted):
-    # Points that the model leaves behind lie outside where the body moved away from them.
+def test_shift_is_observed_along_the_normal(points, shifted):
+    # Points that the model leaves in place are outside where the body moved away from them.
     r, _ = residual(points.points, points, shifted)
     expected = -points.normals @ SHIFT
     # To second order a shift of 1.1 mm along a surface of radius >= 4.5 mm adds 0.14 mm.
@@ -48,7 +48,7 @@ def test_points_outside_are_positive(points, shifted):
         assert r.mean() == pytest.approx(step, abs=0.02) and r.std() < 0.05
 
 
-def test_the_normal_is_the_derivative(points, shifted):
+def test_normal_is_the_derivative(points, shifted):
     where = points.points + 0.8 * SHIFT
     _, normals = residual(where, points, shifted)
     change = 1e-5 * np.random.default_rng(5).standard_normal(where.shape)
@@ -57,8 +57,8 @@ def test_the_normal_is_the_derivative(points, shifted):
     np.testing.assert_allclose(difference, 2 * np.sum(normals * change, axis=1), atol=1e-8)
 
 
-def test_mismatches_are_said(points, shifted):
-    with pytest.raises(InputError, match="positions of shape"):
+def test_refuses_mismatches(points, shifted):
+    with pytest.raises(InputError, match="Expected positions"):
         residual(points.points[:-1], points, shifted)
     alone = replace(shifted, distances=shifted.distances[:1])
     with pytest.raises(InputError, match="only 1 were observed"):

@@ -23,18 +23,18 @@ def sphere(radius, centre=(0.21, -0.34, 0.12)):
 
 
 @pytest.mark.parametrize("radius", [6, 10, 20, 35])
-def test_spheres_are_found_below_the_size_of_a_voxel(radius):
+def test_spheres_are_located_within_a_voxel(radius):
     labels, exact = sphere(radius)
     error = (signed_distance(labels, FAT).values - exact)[np.abs(exact) < 5]
     assert abs(error.mean()) < 0.02
     assert np.abs(error).mean() < 0.05
-    # Where the sphere runs along the grid, labels do not tell where in the voxel it is.
+    # Where the sphere is parallel to the grid, labels do not locate it within a voxel.
     assert np.quantile(np.abs(error), 0.99) < 0.25
     assert np.abs(error).max() < 0.5
 
 
-def test_a_plain_gaussian_would_shrink_them():
-    # The bias that the two Gaussians take out: s^2 / R = 0.225 at s = 1.5, R = 10.
+def test_plain_gaussian_shrinks_spheres():
+    # The bias that the two Gaussians remove: s^2 / R = 0.225 at s = 1.5, R = 10.
     labels, exact = sphere(10)
     plain = gaussian_filter((labels.values > 0).astype(float), 1.5)
     shell = np.abs(plain - 0.5) < 0.05
@@ -42,7 +42,7 @@ def test_a_plain_gaussian_would_shrink_them():
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.4, 0.7, 1.1)])
-def test_a_slab_is_exact(spacing):
+def test_slab_is_exact(spacing):
     values = np.zeros((30, 28, 26), np.uint8)
     values[:, 8:20] = Tissue.FAT  # open towards the faces of the box along x and z
     distance_field = signed_distance(Volume(values, spacing, (3.0, -2.0, 5.0)), FAT)
@@ -55,7 +55,7 @@ def test_a_slab_is_exact(spacing):
     np.testing.assert_allclose(gradient, [(0, 1, 0)], atol=2e-3)
 
 
-def test_a_cut_through_tissue_is_no_interface():
+def test_cut_through_tissue_is_not_an_interface():
     values = np.zeros((20, 20, 20), np.uint8)
     values[:12, 4:16, :] = Tissue.FAT  # cut at both faces along x and at the lowest along z
     interface_surface = surface(Volume(values, (1.0,) * 3), FAT)
@@ -67,7 +67,7 @@ def test_a_cut_through_tissue_is_no_interface():
     assert not (interface_surface.normals()[:, 2] < -0.1).any()
 
 
-def test_distances_are_those_to_every_triangle():
+def test_distances_match_brute_force_over_triangles():
     labels = breast(shape=(52, 42, 36), spacing_mm=(1.0, 0.9, 1.1))
     drawn = surface(labels, (Tissue.GLANDULAR,))
     step = np.asarray(labels.spacing_mm)
@@ -82,14 +82,14 @@ def test_distances_are_those_to_every_triangle():
     mine = distance[tuple(grid.T)]
     near = brute < NEAR * step.min()
     assert np.all(mine > brute - 0.01)
-    # A vertex handed on by neighbours is now and then the second nearest.
+    # A vertex passed on by neighbours is occasionally the second nearest.
     assert (mine - brute)[near].max() < 0.08 and (mine - brute).max() < 0.16
     assert np.abs(mine - brute)[near].mean() < 0.004
 
 
-def test_the_gradient_is_that_of_the_value():
+def test_gradient_is_the_derivative_of_the_value():
     distance_field = signed_distance(breast(), (Tissue.GLANDULAR,), band_mm=12.0)
-    points = np.random.default_rng(1).uniform(-32, 32, (400, 3))  # many outside of the box
+    points = np.random.default_rng(1).uniform(-32, 32, (400, 3))  # many outside the box
     distance, gradient = distance_field.at(points)
     assert np.isfinite(distance).all() and np.isfinite(gradient).all()
     step = 1e-5
@@ -101,7 +101,7 @@ def test_the_gradient_is_that_of_the_value():
         np.testing.assert_allclose(gradient[:, axis], slope, atol=1e-4)
 
 
-def test_outside_of_the_box_its_distance_is_added():
+def test_distance_to_the_box_is_added_outside():
     distance_field = signed_distance(breast(), (Tissue.FAT, Tissue.GLANDULAR))
     corner = np.array(distance_field.origin_mm)
     at_corner, _ = distance_field.at(corner[None])
@@ -110,7 +110,7 @@ def test_outside_of_the_box_its_distance_is_added():
     np.testing.assert_allclose(gradient, [(-3 / 13, -4 / 13, -12 / 13)])
 
 
-def test_distances_end_at_the_band():
+def test_distances_are_clipped_at_the_band():
     distance_field = signed_distance(breast(), (Tissue.GLANDULAR,), band_mm=3.0).values
     assert (distance_field.min(), distance_field.max()) == (-3.0, 3.0)
     wide = signed_distance(breast(), (Tissue.GLANDULAR,)).values
@@ -133,7 +133,7 @@ def test_cubic_convolution_is_exact_for_quadratics():
     np.testing.assert_allclose(gradient, exact, atol=1e-3)
 
 
-def test_what_cannot_be_measured_is_said():
+def test_refuses_what_cannot_be_measured():
     labels = breast()
     with pytest.raises(InputError, match="no voxel of muscle"):
         signed_distance(labels, (Tissue.MUSCLE,))

@@ -1,4 +1,4 @@
-"""A rough body becomes smooth and stays as large."""
+"""A rough body becomes smooth and keeps its size."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def error_mm(labels: Volume) -> np.ndarray:
     return signed_distance(labels, OUTLINE.inside).at(points)[0]
 
 
-def test_a_smooth_body_stays_as_it_is() -> None:
+def test_smooth_body_is_unchanged() -> None:
     before, after = half_ellipsoid(), smooth_outline(half_ellipsoid(), 4.0)
     assert abs(error_mm(after).mean()) < 0.08
     ratio = np.count_nonzero(after.values) / np.count_nonzero(before.values)
@@ -45,7 +45,7 @@ def test_a_smooth_body_stays_as_it_is() -> None:
     assert gland[0] == gland[1]
 
 
-def test_roughness_goes() -> None:
+def test_roughness_is_removed() -> None:
     rough = perturbed(half_ellipsoid(), SegmentationNoise(0.6, 4.0, 0.0, 0.05), seed=2)
     before, after = error_mm(rough), error_mm(smooth_outline(rough, 4.0))
     assert before.std() > 0.4
@@ -54,12 +54,12 @@ def test_roughness_goes() -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_wave_is_damped_as_the_difference_of_gaussians_says(axis) -> None:
+def test_wave_is_damped_like_the_difference_of_gaussians(axis) -> None:
     r"""A top face z = h + a sin(k s) along one axis s, k = 2 pi / w, on voxels of three lengths.
 
-    A low wave moves the level by its filtered height: beside a plane g_s has the density
-    1 / s and g_2s half of it, so ``2 g_s - g_2s`` leaves the part
-    ``(4 exp(-k^2 s^2 / 2) - exp(-2 k^2 s^2)) / 3`` of the height, where it was. A slope
+    A low wave moves the level by its filtered height: near a plane g_s has the density
+    1 / s and g_2s half of it, so ``2 g_s - g_2s`` leaves the fraction
+    ``(4 exp(-k^2 s^2 / 2) - exp(-2 k^2 s^2)) / 3`` of the height, in place. A slope
     across the wave spreads the heights over the fractions of a voxel.
     """
     spacing, length, height, wave = (0.5, 1.0, 0.4), 2.5, 0.6, 10.0
@@ -88,6 +88,6 @@ def test_a_wave_is_damped_as_the_difference_of_gaussians_says(axis) -> None:
     assert slope == pytest.approx(0.05, abs=0.01)
 
 
-def test_a_length_is_positive() -> None:
+def test_refuses_nonpositive_length() -> None:
     with pytest.raises(InputError, match="length > 0"):
         smooth_outline(half_ellipsoid(), 0.0)

@@ -1,4 +1,4 @@
-"""Whole-number distance maps against scipy, and the weights that they are made of."""
+"""Whole-number distance maps against scipy, and their weights."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_weights_of_odd_spacings_are_close(spacing):
     np.testing.assert_allclose(np.sqrt(metric.weights) * metric.unit_mm, spacing[::-1], rtol=1e-6)
 
 
-def test_numbers_that_do_not_fit_are_refused():
+def test_refuses_numbers_beyond_64_bits():
     volume = of_mask(np.ones((1, 1, 1), bool), (1.0, 1.0, 1.0))
     voxels = voxel_set(volume, (2,), volume)
     with pytest.raises(InputError, match="64-bit"):

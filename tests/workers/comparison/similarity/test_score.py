@@ -1,4 +1,4 @@
-"""Scores of shapes whose distances can be worked out by hand, and of random ones by scipy."""
+"""Scores of shapes with distances calculated by hand, and of random ones by scipy."""
 
 import math
 
@@ -72,11 +72,11 @@ def test_three_four_five():
     assert score.jc == 0.0
 
 
-def test_nearest_is_not_the_first_met_along_an_axis():
+def test_nearest_voxel_may_be_off_the_axis():
     """::
 
     Y  #....#     The voxel X at column 0, row 2 is 2 from the upper left;
-       ......     nothing lies on its own row.
+       ......     there is nothing on its own row.
        X.....
     """
     score = Scorer(draw("#....# ...... ......")).score(draw("...... ...... #....."))
@@ -116,7 +116,7 @@ def test_edge_of_the_image_is_a_boundary():
 
 
 def random_pair(rng):
-    """Two masks of any density, sometimes of separate lumps."""
+    """Return two masks of any density, sometimes of separate lumps."""
     shape = rng.integers(2, 22, 3)
     x, y = (rng.random(shape) < rng.choice([0.01, 0.1, 0.5, 0.9]) for _ in range(2))
     x[tuple(rng.integers(0, shape))] = True
@@ -138,8 +138,8 @@ def test_random_volumes_against_scipy(surface, spacing):
 
 @pytest.mark.parametrize("surface", SURFACES)
 @pytest.mark.parametrize("spacing", [SPACINGS[0], SPACINGS[3]])
-def test_way_of_searching_does_not_change_a_bit(surface, spacing, monkeypatch):
-    """Looking around, line by line, or distance maps: equal scores, not nearly equal ones."""
+def test_search_method_does_not_change_the_result(surface, spacing, monkeypatch):
+    """Local search, line by line, or distance maps: equal scores, not only nearly equal ones."""
     rng = np.random.default_rng(12)
     for _ in range(10):
         x, y = random_pair(rng)
@@ -154,7 +154,7 @@ def test_way_of_searching_does_not_change_a_bit(surface, spacing, monkeypatch):
 @pytest.mark.parametrize("surface", SURFACES)
 @pytest.mark.parametrize("looks", [0.0, 2.0])
 def test_boxes_may_differ(surface, looks, monkeypatch):
-    """One scorer meets candidates in boxes of their own, in and out of the box of the target."""
+    """One scorer gets candidates in boxes of their own, inside and outside the target's box."""
     monkeypatch.setattr(nearest_voxel, "FAR_LOOKS", looks)
     monkeypatch.setattr(nearest_voxel, "NEAR_LOOKS", looks)
     rng = np.random.default_rng(13)
@@ -181,16 +181,16 @@ def test_boxes_may_differ(surface, looks, monkeypatch):
 
 
 def test_distances_beyond_every_disc():
-    """Two voxels 300 apart along y, further than lines are looked up."""
+    """Two voxels 300 apart along y, further than lines are searched."""
     x, y = np.zeros((1, 301, 4), bool), np.zeros((1, 301, 4), bool)
     x[0, 0, 0] = y[0, 300, 3] = True
     assert Scorer(of_mask(y)).score(of_mask(x)).mhd_mm == pytest.approx(math.hypot(300, 3))
 
 
 def test_a_line_outside_the_disc_may_be_nearer(monkeypatch):
-    """From X the line of its own row offers 100, but 70 rows on, beyond `FAR`, a voxel is nearer.
+    """From X the line of its own row gives 100, but 70 rows on, beyond `FAR`, a voxel is nearer.
 
-    Looking around must then give up rather than answer 100.
+    The local search must then give up instead of returning 100.
     """
     monkeypatch.setattr(nearest_voxel, "FAR_LOOKS", 1e9)
     x, y = np.zeros((1, 80, 101), bool), np.zeros((1, 80, 101), bool)
@@ -200,7 +200,7 @@ def test_a_line_outside_the_disc_may_be_nearer(monkeypatch):
     metric = Metric.of_spacing(box.spacing_mm)
     assert nearest_voxel.squared_distances(sets[0], sets[1], BOUNDARY, metric) is None
     y[0, 70, 0] = False
-    y[0, 60, 0] = True  # within the disc the answer is sure
+    y[0, 60, 0] = True  # within the disc the result is certain
     other = voxel_set(of_mask(y), (Tissue.GLANDULAR,), box)
     squared = nearest_voxel.squared_distances(sets[0], other, BOUNDARY, metric)
     np.testing.assert_array_equal(squared, [3600])
@@ -233,7 +233,7 @@ def test_identical_volumes(surface):
 
 
 def test_solid_and_its_own_skin():
-    """The boundary voxels of a cube of 3 without its middle are those of the cube: MHD 0."""
+    """The boundary voxels of a cube of 3 without its middle equal those of the cube: MHD 0."""
     full = np.ones((3, 3, 3), bool)
     skin = full.copy()
     skin[1, 1, 1] = False
@@ -258,7 +258,7 @@ def test_geometric_similarity_function():
     assert gsf(1.0, 0.0) == -math.inf
 
 
-def test_several_labels_are_one_set_and_can_be_scored_apart():
+def test_several_labels_are_scored_together_or_separately():
     """::
 
     target     FGGS     fat JC 1; glandular 1 of 2 common; skin 1 of 2 common;
@@ -273,13 +273,13 @@ def test_several_labels_are_one_set_and_can_be_scored_apart():
     assert Scorer(target, (G, S)).score(candidate).jc == 1.0
 
 
-def test_other_integer_types_are_labels_too():
+def test_accepts_other_integer_types():
     mask = np.array([[[1, 0, 1]]], bool)
     wide = Volume(of_mask(mask).values.astype(np.int64), (1.0, 1.0, 1.0))
     assert Scorer(wide).score(of_mask(mask)).jc == 1.0
 
 
-def test_errors_say_what_is_wrong():
+def test_refuses_invalid_input():
     target = of_mask(np.ones((2, 2, 2), bool))
     empty = of_mask(np.zeros((2, 2, 2), bool))
     with pytest.raises(InputError, match=r"no glandular voxel.*\[1\]"):

@@ -10,9 +10,9 @@ EVEN = {(0, 1, 2), (1, 2, 0), (2, 0, 1)}
 
 
 def box_mesh(cells, low_mm, high_mm, *, jitter=0.0, seed=0) -> TetMesh:
-    """Kuhn's (Freudenthal's) cut of a box; inner nodes moved by up to `jitter` cells.
+    """Return Kuhn's (Freudenthal's) cut of a box; inner nodes moved by up to `jitter` cells.
 
-    Nodes on a side of the box stay on it, so that the box stays what it was.
+    Nodes on a side of the box stay on it, so that the box keeps its shape.
     """
     cells, low_mm, high_mm = (np.asarray(a) for a in (cells, low_mm, high_mm))
     axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low_mm, high_mm, cells, strict=True)]
@@ -33,7 +33,7 @@ def box_mesh(cells, low_mm, high_mm, *, jitter=0.0, seed=0) -> TetMesh:
 
 
 def inside_some_tet(mesh: TetMesh, displacement_mm, points_mm, tolerance: float):
-    """Least barycentric coordinate of the best element of each point, one by one, >= -tolerance."""
+    """Check that the best element of each point has barycentric coordinates >= -tolerance."""
     deformed = mesh.nodes + displacement_mm
     best = np.full(len(points_mm), -np.inf)
     for tet in mesh.tets:

@@ -1,4 +1,4 @@
-"""Skin that pressing thins below a voxel stays closed; nothing else changes."""
+"""Skin thinned below a voxel by compression stays closed; nothing else changes."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ SHAPE = (9, 20, 12)
 
 
 def block(**tissues) -> Volume:
-    """Fat between two sheets of skin, one voxel thick, at both ends of y."""
+    """Return fat between two sheets of skin, one voxel thick, at both ends of y."""
     values = np.full(SHAPE, Tissue.FAT, np.uint8)
     values[:, [0, -1]] = Tissue.SKIN
     for name, place in tissues.items():
@@ -21,7 +21,7 @@ def block(**tissues) -> Volume:
 
 
 def squeezed(mesh, ratio: float, shift_mm: float = 0.0):
-    """Displacement that shortens y to `ratio` and shifts it."""
+    """Return a displacement that shortens y to `ratio` and shifts it."""
     displacement = np.zeros_like(mesh.nodes)
     displacement[:, 1] = (ratio - 1) * mesh.nodes[:, 1] + shift_mm
     return displacement
@@ -43,8 +43,8 @@ def test_squeezed_skin_is_closed(ratio, shift_mm):
     assert not changed[:, 1:-1].any()
 
 
-def test_the_plain_image_has_holes():
-    """The case is one that needs closing: no centre is in the first sheet of skin."""
+def test_plain_image_has_holes():
+    """The case needs closing: no voxel centre is in the first sheet of skin."""
     plain = warp_labels(block(), MESH, squeezed(MESH, 0.3, 0.15)).values
     assert (plain[:, 0] == Tissue.FAT).all()
 
@@ -57,8 +57,8 @@ def test_glandular_tissue_at_the_surface_stays():
     assert (plain[:, 0] == Tissue.GLANDULAR).any()
 
 
-def test_a_body_cut_or_without_skin_is_unchanged():
-    """Cut sides get no skin, nor does a place without skin, nor a body at rest."""
+def test_body_without_skin_is_unchanged():
+    """Cut sides get no skin, nor does a region without skin, nor a body at rest."""
     bare = block(FAT=np.s_[:, 0, :6])
     u = squeezed(MESH, 0.3, 0.15)
     whole = warp_with_skin(bare, MESH, u).values

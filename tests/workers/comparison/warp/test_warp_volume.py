@@ -18,7 +18,7 @@ LABELS = Volume(RNG.integers(1, 6, (11, 13, 17), dtype=np.uint8), (0.5, 1.0, 1.5
 
 
 def edges_mm(volume: Volume):
-    """Corners of the box that the voxels fill, half a voxel beyond the outermost centres."""
+    """Return corners of the voxels' box, half a voxel beyond the outermost centres."""
     low = np.asarray(volume.origin_mm) - 0.5 * np.asarray(volume.spacing_mm)
     return low, low + np.asarray(volume.shape_xyz) * volume.spacing_mm
 
@@ -34,7 +34,7 @@ def centres_mm(volume: Volume):
 
 
 def wavy(mesh: TetMesh, amplitude_mm: float):
-    """A smooth displacement with rotation, stretch and bending, that folds nothing if small."""
+    """Return a smooth displacement with rotation, stretch and bending, without folds if small."""
     return amplitude_mm * np.sin(mesh.nodes[:, [1, 2, 0]] * [0.4, 0.5, 0.6] + [0.3, 1.1, 2.0])
 
 
@@ -59,7 +59,7 @@ def test_tissue_outside_the_mesh_does_not_appear():
 
 @pytest.mark.parametrize("voxels", [(1, 0, 0), (0, -2, 0), (3, 1, -4)])
 def test_shift_by_whole_voxels(voxels):
-    """The box moves by the shift, its contents stay; seen from the old box this is a roll."""
+    """The box moves by the shift, its contents stay; within the old box this is a roll."""
     mesh = mesh_of(LABELS)
     shift_mm = np.asarray(voxels) * LABELS.spacing_mm
     warped = warp_labels(LABELS, mesh, np.broadcast_to(shift_mm, mesh.nodes.shape))
@@ -75,7 +75,7 @@ def test_shift_by_whole_voxels(voxels):
 
 
 def test_affine_map_against_the_inverse_map_of_each_voxel():
-    """Under x -> F x + c voxel centre p shows the reference voxel nearest to F^-1 (p - c)."""
+    """Under x -> F x + c voxel centre p gets the reference voxel nearest to F^-1 (p - c)."""
     F = np.array([[1.2, 0.1, 0.0], [-0.2, 0.8, 0.15], [0.05, 0.0, 1.1]])
     c = np.array([0.37, -1.21, 2.13])
     mesh = mesh_of(LABELS)
@@ -119,7 +119,7 @@ def test_compartment_numbers_keep_their_type():
 
 
 def test_linear_grey_field_is_exact_under_an_affine_map():
-    """g(X) = a + b . X is linear, so after x = F X + c it reads a + b . F^-1 (x - c) everywhere."""
+    """g(X) = a + b . X is linear, so after x = F X + c its value is a + b . F^-1 (x - c)."""
     a, b = 3.0, np.array([0.7, -1.3, 0.4])
     grey = Volume(
         (a + centres_mm(LABELS) @ b).astype(np.float64), LABELS.spacing_mm, LABELS.origin_mm
@@ -127,7 +127,7 @@ def test_linear_grey_field_is_exact_under_an_affine_map():
     F = np.array([[1.1, 0.0, 0.2], [0.1, 0.9, 0.0], [0.0, -0.1, 1.05]])
     c = np.array([1.0, 2.0, -3.0])
     centre = np.asarray(LABELS.origin_mm)
-    mesh = box_mesh(  # within the outermost centres, where nothing is held constant
+    mesh = box_mesh(  # within the outermost centres, where no value is clamped
         (4, 3, 3),
         centre,
         centre + (np.asarray(LABELS.shape_xyz) - 1) * LABELS.spacing_mm,
@@ -144,9 +144,9 @@ def test_linear_grey_field_is_exact_under_an_affine_map():
 
 
 def test_grey_between_two_voxels():
-    """Voxels 0 and 8 along x, shifted right by a quarter: the second reads 0.75 * 8 = 6.
+    """Voxels 0 and 8 along x, shifted right by a quarter: the second is 0.75 * 8 = 6.
 
-    The first comes from x = -0.25, beyond the first centre, where 0 is held.
+    The first comes from x = -0.25, beyond the first centre, where 0 is used.
     """
     grey = Volume(np.array([[[0, 8]]], dtype=np.int16), (1.0, 1.0, 1.0))
     mesh = mesh_of(grey, (1, 1, 1), 0.0)
@@ -158,7 +158,7 @@ def test_grey_between_two_voxels():
 @pytest.mark.parametrize("jitter", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize("spacing", [(0.31, 0.31, 0.31), (0.2, 0.47, 1.3)])
 def test_every_voxel_of_a_jittered_box_is_written_once(jitter, spacing):
-    """A box with its sides between voxel centres holds a known number of centres."""
+    """A box with its sides between voxel centres contains a known number of centres."""
     lattice = Volume(np.zeros((1, 1, 1), np.uint8), spacing)
     size = (np.array([30, 25, 12]) + 0.5) * spacing
     mesh = box_mesh((5, 4, 3), -0.25 * np.asarray(spacing), size, jitter=jitter, seed=3)
@@ -179,7 +179,7 @@ def test_nodes_edges_and_faces_on_voxel_centres():
 
 
 def test_numbering_of_nodes_and_elements_does_not_matter():
-    """Which element owns a tied voxel must not depend on the order of its corners."""
+    """The owner of a tied voxel must not depend on the order of the elements' corners."""
     lattice = Volume(np.zeros((1, 1, 1), np.uint8), (1.0, 1.0, 1.0))
     mesh = box_mesh((4, 4, 4), (0, 0, 0), (8, 8, 8))
     rng = np.random.default_rng(5)
@@ -193,8 +193,8 @@ def test_numbering_of_nodes_and_elements_does_not_matter():
     np.testing.assert_array_equal(coverage.counts.values, np.ones((8, 8, 8)))
 
 
-def test_deformed_mesh_owns_what_lies_in_its_elements():
-    """Point by point: inside by a clear margin is owned once, outside by a margin is not."""
+def test_deformed_mesh_owns_the_voxels_in_its_elements():
+    """Point by point: clearly inside is owned once, clearly outside is not owned."""
     mesh = mesh_of(LABELS)
     displacement = wavy(mesh, 0.5)
     coverage = warp_coverage(mesh, displacement, LABELS)
@@ -265,7 +265,7 @@ def test_corner_a_hair_beyond_a_voxel_centre():
 
 
 def test_runs_of_one_line_join():
-    """Elements as thin as 1/500 voxel, seen along x: each centre once however they are cut."""
+    """Elements as thin as 1/500 voxel, along x: each centre once for every cut."""
     lattice = Volume(np.zeros((1, 1, 1), np.uint8), (1.0, 1.0, 1.0))
     cuts = np.sort(np.random.default_rng(2).uniform(0, 6, 60))
     cuts = np.concatenate([[-0.5], cuts, cuts[-1:] + 0.002, [6.5]])
@@ -284,7 +284,7 @@ def test_runs_of_one_line_join():
         (np.arange(24.0).reshape(8, 3) * 1e5, "would fill a box"),
     ],
 )
-def test_displacement_that_cannot_be_used(displacement, message):
+def test_refuses_unusable_displacement(displacement, message):
     volume = Volume(np.ones((2, 2, 2), np.uint8), (1.0, 1.0, 1.0))
     with pytest.raises(InputError, match=message):
         warp_labels(volume, mesh_of(volume, (1, 1, 1)), displacement)

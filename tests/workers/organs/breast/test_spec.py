@@ -105,7 +105,7 @@ def test_a_case_cannot_be_changed():
         ),
         (
             {"reference": {"phantom": {"spacing_mm": 0}}},
-            "reference.phantom: spacing_mm must lie between 0.2 and 2 mm, got 0",
+            "reference.phantom: spacing_mm must be between 0.2 and 2 mm, got 0",
         ),
         (
             {"reference": {"phantom": {"preset": "450ml"}}},

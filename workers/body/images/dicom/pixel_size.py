@@ -1,4 +1,4 @@
-"""Size of the pixels that a DICOM file states, checked before they are decoded."""
+"""Pixel sizes in the header of a DICOM file, checked before pixels are decoded."""
 
 from pathlib import Path
 from typing import Any
@@ -10,19 +10,19 @@ BITS = (1, 8, 16, 32, 64)
 
 
 def pixel_bytes(path: Path, dataset: Any) -> tuple[int, int]:
-    """Return the bytes of all pixels and of one pixel, once decoded.
+    """Return the number of bytes of all decoded pixels, and of one pixel.
 
     Parameters
     ----------
     path : Path
-        Of the file, for messages.
+        Path of the file, for messages.
     dataset : pydicom.Dataset
-        With ``Rows``.
+        Must have ``Rows``.
 
     Raises
     ------
     InputError
-        If a size is missing or makes no sense, or there are fewer pixels than it states.
+        If a size is missing or invalid, or the file has fewer pixels than stated.
     """
     names = ("Rows", "Columns", "NumberOfFrames", "SamplesPerPixel")
     sizes = [_whole(path, dataset, name) for name in names]

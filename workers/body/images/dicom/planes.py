@@ -1,7 +1,7 @@
-"""Find where the slices of a DICOM image lie, and in which order they stack.
+"""Positions and order of the slices of a DICOM image.
 
 DICOM gives each slice its own position (PS3.3, C.7.6.2.1.1 and C.7.6.16.2.3);
-that they make a regular stack has to be found out.
+whether they form a regular stack has to be checked.
 """
 
 from dataclasses import dataclass
@@ -15,23 +15,23 @@ from palpate.storage.values import FloatArray
 from palpate.workers.body.images.scan import Scan
 
 STATED_TOLERANCE = 0.01
-"""Relative difference of the distance of slices from the one that a tag states."""
+"""Allowed relative difference between the distance of slices and its tag."""
 MOST_SLOTS = 100_000
-"""Places of slices between two neighbours, at most."""
+"""Largest number of slice positions between two neighbours."""
 GAP_TOLERANCE = 0.05
-"""How far a slice may be from its place in the stack, in gaps (positions are rounded)."""
+"""Allowed deviation of a slice from its position in the stack, in gaps (positions are rounded)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Planes:
-    """Describe a regular stack.
+    """A regular stack of slices.
 
     Parameters
     ----------
     slots : ndarray of int, shape (n,)
-        Place of each given slice in the stack, 0 for the lowest along the normal.
+        Position of each slice in the stack, 0 for the lowest along the normal.
     step_mm : ndarray, shape (3,)
-        From the first row and column of one slice to those of the next.
+        Step from the first row and column of one slice to those of the next.
     origin_mm : ndarray, shape (3,)
         Centre of the first pixel of slot 0.
     """
@@ -48,7 +48,7 @@ def stack(
     *,
     may_skip: bool = False,
 ) -> Planes:
-    """Sort slices along their normal; positions alone decide how far apart they are.
+    """Sort slices along their normal; only positions determine their distances.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ def stack(
     orientation : ndarray, shape (6,)
         ImageOrientationPatient: direction of a row, then of a column.
     what : str
-        How to name the image in messages.
+        Name of the image in messages.
     may_skip : bool, optional
-        Whether slots may stay empty (segmentations leave out empty slices).
+        Allow empty slots (segmentations omit empty slices).
 
     Raises
     ------
     InputError
-        If there are fewer than two places, or they are not evenly spaced on a line.
+        If there are fewer than two positions, or they are not evenly spaced on a line.
     """
     normal = np.cross(orientation[:3], orientation[3:])
     depth = positions_mm @ normal
@@ -79,8 +79,8 @@ def stack(
     gap_mm = float(apart.min() if may_skip else np.median(apart))
     if not np.isfinite(gaps).all() or gaps.max() > MOST_SLOTS * gap_mm:
         raise InputError(
-            f"{what} has slices {gaps.max():.4g} mm apart beside others {gap_mm:.4g} mm apart, so "
-            "it is no stack of slices. Export it again."
+            f"{what} has slices {gaps.max():.4g} mm apart and others {gap_mm:.4g} mm apart, so "
+            "it is not a stack of slices. Export it again."
         )
     jumps = np.rint(gaps / gap_mm).astype(np.intp)
     slots = np.zeros(depth.size, dtype=np.intp)
@@ -97,7 +97,7 @@ def stack(
     off = np.linalg.norm(positions_mm - origin - slots[:, None] * step, axis=1)
     if off.max() > GAP_TOLERANCE * even:
         raise InputError(
-            f"{what} has slices that do not lie on one line ({off.max():.3g} mm off). "
+            f"{what} has slices that are not on one line ({off.max():.3g} mm off). "
             "Resample it on a regular grid first."
         )
     return Planes(slots, step, origin)
@@ -115,16 +115,16 @@ def _refuse_gaps(gaps: FloatArray, gap_mm: float, what: str) -> None:
 def check_stated_gap(planes: Planes, tags: Any, what: str) -> None:
     """Raise InputError if a tag contradicts the distance of the slices' positions.
 
-    SpacingBetweenSlices is that distance. SliceThickness is expected to be it where the file
-    has no SpacingBetweenSlices; with one, slices may overlap or leave gaps.
+    SpacingBetweenSlices is that distance. Without it, SliceThickness is expected to equal it; with
+    it, slices may overlap or leave gaps.
 
     Parameters
     ----------
     planes : Planes
     tags : pydicom.Dataset
-        With PixelMeasures, or a slice.
+        Data set of PixelMeasures, or of a slice.
     what : str
-        How to name the image in messages.
+        Name of the image in messages.
     """
     gap = float(np.linalg.norm(planes.step_mm))
     for name in ("SpacingBetweenSlices", "SliceThickness"):
@@ -143,7 +143,7 @@ def check_stated_gap(planes: Planes, tags: Any, what: str) -> None:
 def plane_scan(
     values: NDArray[Any], planes: Planes, orientation: FloatArray, pixel_spacing: Any
 ) -> Scan:
-    """Make a scan of a stack.
+    """Return the scan of a stack.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def check_orientation(values: Any, what: str) -> FloatArray:
     Raises
     ------
     InputError
-        If they are missing or are not that.
+        If they are missing or invalid.
     """
     orientation = np.array([] if values is None else values, dtype=float)
     if orientation.size == 6:

@@ -1,8 +1,8 @@
-"""Read DICOM segmentations: one file with many frames (PS3.3, A.51 and C.8.20).
+"""DICOM segmentations: one file with many frames (PS3.3, A.51 and C.8.20).
 
 BINARY frames (one segment at one position each; the label is the segment
-number) and LABELMAP frames (labels as they are) are read. Frames without any
-voxel of a segment are usually left out of the file; they stay 0.
+number) and LABELMAP frames (labels unchanged) are supported. Frames without any
+voxel of a segment are usually missing in the file; they stay 0.
 """
 
 from dataclasses import replace
@@ -24,19 +24,19 @@ from palpate.workers.body.images.tissue_names import tissue_in
 
 
 def is_multi_frame(dataset: Any) -> bool:
-    """Say whether a dataset has functional groups for each frame, or many frames."""
+    """Return True if a data set has functional groups for each frame, or many frames."""
     return (
         "PerFrameFunctionalGroupsSequence" in dataset or int(dataset.get("NumberOfFrames") or 1) > 1
     )
 
 
 def read_segmentation(path: Path, dataset: Any) -> Scan:
-    """Read a segmentation that is opened already.
+    """Read a segmentation from an opened data set.
 
     Raises
     ------
     InputError
-        If the file has frames but is no segmentation, holds fractions, or its
+        If the file has frames but is not a segmentation, contains fractions, or its
         segments overlap.
     """
     kind = str(dataset.get("SegmentationType", ""))
@@ -61,7 +61,7 @@ def read_segmentation(path: Path, dataset: Any) -> Scan:
     pixels = np.asarray(dataset.pixel_array)
     if pixels.ndim != 3 or len(pixels) != len(frames):
         raise InputError(
-            f"{path} holds pixels of shape {pixels.shape} for {len(frames)} frames; it is damaged. "
+            f"{path} has pixels of shape {pixels.shape} for {len(frames)} frames; it is damaged. "
             "Export it again."
         )
     values = np.zeros((slots, *pixels.shape[1:]), np.uint16)
@@ -83,12 +83,12 @@ def read_segmentation(path: Path, dataset: Any) -> Scan:
 
 
 def _names(dataset: Any, path: Path) -> dict[int, str]:
-    """Return the name of each segment; that of its coded type where only this names a tissue.
+    """Return the name of each segment: its label, or its coded type if only that names a tissue.
 
     Raises
     ------
     InputError
-        If label and coded type of a segment are two tissues.
+        If label and coded type of a segment name different tissues.
     """
     names: dict[int, str] = {}
     for segment in dataset.get("SegmentSequence") or []:
@@ -108,7 +108,7 @@ def _names(dataset: Any, path: Path) -> dict[int, str]:
 
 
 class _Frame:
-    """Wrap one item of PerFrameFunctionalGroupsSequence."""
+    """One item of PerFrameFunctionalGroupsSequence."""
 
     def __init__(self, item: Any) -> None:
         self.item = item
@@ -122,8 +122,8 @@ class _Frame:
 
 
 def _group(shared: Any, own: Any, name: str, path: Path) -> Any:
-    """Return the one item of a functional group, of this frame or shared by all."""
+    """Return the single item of a functional group, from this frame or shared by all."""
     for item in (own, shared):
         if item is not None and item.get(name):
             return item.get(name)[0]
-    raise InputError(f"{path} has no {name}; the place of its frames is not known.")
+    raise InputError(f"{path} has no {name}, so the position of its frames is unknown.")

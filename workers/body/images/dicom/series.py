@@ -1,7 +1,7 @@
-"""Read DICOM, with pydicom: a folder with one series of slices, or one SEG file.
+"""DICOM images, read with pydicom: a folder with one series of slices, or one SEG file.
 
 Slices are sorted by ImagePositionPatient along the normal of their plane, never
-by file name or instance number. The frame is LPS, as the standard has it.
+by file name or instance number. The frame is LPS, as in the standard.
 """
 
 from collections import Counter
@@ -37,7 +37,7 @@ def read_dicom(path: Path) -> Scan:
     images = [(p, d) for p in paths if _may_be_slice(p) and (d := _dataset(p)) is not None]
     if not images:
         raise InputError(
-            f"{path} holds no DICOM image. Give the folder whose files are the slices of one "
+            f"{path} contains no DICOM image. Give the folder whose files are the slices of one "
             "series (folders inside it are not searched)."
         )
     if any(is_multi_frame(dataset) for _, dataset in images):
@@ -64,7 +64,7 @@ def _may_be_slice(path: Path) -> bool:
 
 
 def _dataset(path: Path) -> Any:
-    """Return the dataset of an image; None for DICOM that is no image (a report, a plan)."""
+    """Return the data set of an image; None for DICOM that is not an image (a report, a plan)."""
     try:
         syntax = pydicom.filereader.read_file_meta_info(path).get("TransferSyntaxUID")
         if syntax == DeflatedExplicitVRLittleEndian:  # pydicom would expand all of it
@@ -89,7 +89,7 @@ def _series(images: list[tuple[Path, Any]], what: str) -> Scan:
     orientation = check_orientation(first.get("ImageOrientationPatient"), what)
     for path, dataset in images:
         if dataset.get("ImagePositionPatient") is None:
-            raise InputError(f"{path} has no ImagePositionPatient; its place is not known.")
+            raise InputError(f"{path} has no ImagePositionPatient, so its position is unknown.")
         other = check_orientation(dataset.get("ImageOrientationPatient"), str(path))
         if not np.allclose(other, orientation, atol=1e-4):
             raise InputError(f"{path} has another orientation than {images[0][0].name}.")
@@ -124,12 +124,12 @@ def _refuse_mixed(images: list[tuple[Path, Any]], what: str) -> None:
     series = Counter(str(d.get("SeriesInstanceUID", "none")) for _, d in images)
     if len(series) > 1:
         listed = "; ".join(f"{uid}: {count} slices" for uid, count in series.most_common(4))
-        raise InputError(f"{what} holds {len(series)} series ({listed}). Give one folder for each.")
+        raise InputError(f"{what} has {len(series)} series ({listed}). Give one folder for each.")
     frames = Counter(str(d.get("FrameOfReferenceUID") or "none") for _, d in images)
     if len(frames) > 1:
         listed = "; ".join(f"{uid}: {count} slices" for uid, count in frames.most_common(4))
         raise InputError(
-            f"{what} holds slices of {len(frames)} frames of reference ({listed}), whose positions "
+            f"{what} has slices of {len(frames)} frames of reference ({listed}), whose positions "
             "cannot be compared. Give one folder for each."
         )
     for name in ("Rows", "Columns", "PixelSpacing"):
@@ -142,7 +142,7 @@ def _refuse_mixed(images: list[tuple[Path, Any]], what: str) -> None:
 
 
 def _pixels(path: Path, dataset: Any) -> NDArray[Any]:
-    """Return pixels after rescale slope and intercept; whole where those are."""
+    """Return pixels after rescale slope and intercept; integers if these are."""
     if dataset.get("SamplesPerPixel", 1) != 1:
         raise InputError(f"{path} is a colour image; labels need one number in each pixel.")
     try:

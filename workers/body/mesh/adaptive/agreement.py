@@ -1,4 +1,4 @@
-"""How well a mesh of two tissues agrees with the voxels it was made from."""
+"""Agreement of a mesh of two tissues with the voxels it was made from."""
 
 from dataclasses import dataclass
 
@@ -16,17 +16,17 @@ ON_A_FACE = 1e-9  # barycentric weight that still counts as inside
 
 @dataclass(frozen=True)
 class Agreement:
-    """A mesh against voxels.
+    """Agreement of a mesh with voxels.
 
     Parameters
     ----------
     labels : float
-        Part of the body's voxels whose centre lies in a tetrahedron of their own material;
+        Fraction of the body's voxels whose centre is in a tetrahedron of their own material;
         a centre outside the mesh does not agree.
     tissue_volume : float
-        Volume of the tissue in the mesh over that of its voxels, less one.
+        Volume of the tissue in the mesh over the volume of its voxels, minus one.
     body_volume : float
-        The same of the whole body.
+        The same for the whole body.
     """
 
     labels: float
@@ -37,7 +37,7 @@ class Agreement:
 def agreement(
     mesh: TetMesh, inside: BoolArray, labels: Volume, tissue: Tissue = Tissue.GLANDULAR
 ) -> Agreement:
-    """Compare a mesh with its voxels, of which all but one tissue and air are one material.
+    """Compare a mesh with its voxels, with all tissues but one, and but air, as one material.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def agreement(
 def _materials(
     nodes: FloatArray, tets: IntArray, inside: BoolArray, shape: tuple[int, int, int]
 ) -> NDArray[np.uint8]:
-    """Material of the tetrahedron around each voxel centre; nodes in voxels."""
+    """Return the material of the tetrahedron at each voxel centre; nodes are in voxels."""
     found = np.zeros(shape, np.uint8)
     nz, ny, nx = shape
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)

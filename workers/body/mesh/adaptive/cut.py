@@ -1,8 +1,8 @@
-"""Make the faces of tetrahedra follow a surface: move near nodes onto it, cut what still crosses.
+"""Fitting of tetrahedra to a surface: near nodes move onto it, remaining crossings are cut.
 
 This is isosurface stuffing (F. Labelle and J. R. Shewchuk, ACM Trans. Graph. 26 (2007) 57)
 with the tetrahedra of both sides kept. A face that is cut into a triangle and a quadrangle
-gets the diagonal that starts at its deeper node. That is an order of the nodes, so the
+gets the diagonal that starts at its deeper node. This is an order of the nodes, so the
 three quadrangles of a wedge never form a ring, and both sides of a face agree.
 """
 
@@ -31,19 +31,19 @@ from palpate.workers.compile_flags import EXACT
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """A mesh that follows a surface.
+    """A mesh fitted to a surface.
 
     Parameters
     ----------
     mesh : TetMesh
-        Positively oriented. Its first nodes are those of the mesh that was cut.
+        Positively oriented. Its first nodes are the nodes of the original mesh.
     inside : ndarray of bool, shape (m,)
         Tetrahedra on the negative side.
     on_surface : ndarray of bool, shape (n,)
     parent : ndarray of int32, shape (m,)
-        The tetrahedron that each is a part of.
+        The original tetrahedron of each part.
     new_ends : ndarray of int32, shape (k, 2)
-        Ends of the edges on which the last k nodes stand.
+        Ends of the edges that contain the last k nodes.
     """
 
     mesh: TetMesh
@@ -61,20 +61,20 @@ def cut(
     fixed: BoolArray,
     on_wall: BoolArray,
 ) -> Cut:
-    """Follow the surface on which a field has a value.
+    """Fit a mesh to a level of a field.
 
     Parameters
     ----------
     mesh : TetMesh
     size_mm : ndarray, shape (m,)
-        Size of the lattice about each tetrahedron.
+        Size of the lattice around each tetrahedron.
     surface : LevelSet
     level_mm : float
         Value of the field on the surface.
     fixed : ndarray of bool, shape (n,)
         Nodes that must not move.
     on_wall : ndarray of bool, shape (n,)
-        Nodes that stay in their plane z.
+        Nodes that stay at their z.
     """
     nodes, field, frame = mesh.nodes.copy(), surface.field, surface.frame
     distance = _at_nodes(nodes, field, frame) - level_mm
@@ -121,7 +121,7 @@ def _cut_fractions(
     frame: FloatArray,
     level: float,
 ) -> FloatArray:
-    """Where each edge meets the surface, as a part from its negative node (Illinois rule)."""
+    """Return where each edge meets the surface, as a fraction from its negative node (Illinois)."""
     part = np.empty(len(edges))
     for e in range(len(edges)):
         p, q = nodes[edges[e, 0]], nodes[edges[e, 1]]
@@ -192,7 +192,7 @@ def _snap(
 
 @njit(**EXACT)
 def _deeper(distance: FloatArray, p: int, q: int) -> bool:
-    """Whether the diagonal of a quadrangle starts at p, not q: an order of the nodes."""
+    """Return True if the diagonal of a quadrangle starts at p, not q: an order of the nodes."""
     if abs(distance[p]) != abs(distance[q]):
         return abs(distance[p]) > abs(distance[q])
     return p < q
@@ -250,7 +250,7 @@ def _one_side(
         count = add_tet(tets, count, nodes, p, q, Q, on[0])
         return add_tet(tets, count, nodes, p, Q, P, on[0])
     b[0], t[0] = p, q  # wedge along the edge between two nodes
-    # Both sides name the four cut points alike: by the lower negative and positive node.
+    # Both sides name the four cut points in the same way: by lower negative and positive node.
     for c in range(2):
         b[c + 1] = first + edge_between(edges, start, incident, p, out[c])
         t[c + 1] = first + edge_between(edges, start, incident, q, out[c])

@@ -1,6 +1,6 @@
 """Body-centred tetrahedra of a graded octree, without hanging nodes.
 
-Every leaf has a node at its centre, and around each of its faces stand tetrahedra
+Every leaf has a node at its centre, and its faces are surrounded by tetrahedra
 (F. Labelle and J. R. Shewchuk, "Isosurface stuffing", ACM Trans. Graph. 26 (2007), section 3):
 
 - two equal leaves: the two centres and each edge of the face; where a finer leaf touches
@@ -12,7 +12,7 @@ Every leaf has a node at its centre, and around each of its faces stand tetrahed
 - a leaf at the chest wall: its centre and its lower face, halved along diagonals that
   alternate like a chess board, or in eight where a finer leaf touches.
 
-Seen from either side a face is cut alike, so neighbours fit.
+A face is cut in the same way from either side, so neighbours fit.
 """
 
 from dataclasses import dataclass
@@ -28,14 +28,14 @@ from palpate.workers.compile_flags import EXACT
 
 @dataclass(frozen=True, eq=False)
 class GradedLattice:
-    """Tetrahedra of an octree that stands on the chest wall.
+    """Tetrahedra of an octree on the chest wall.
 
     Parameters
     ----------
     mesh : TetMesh
-        Positively oriented; z of the lowest nodes is exactly that of the wall.
+        Positively oriented; z of the lowest nodes is exactly the z of the wall.
     size_mm : ndarray, shape (m,)
-        Size of the smaller leaf beside each tetrahedron.
+        Size of the smaller leaf at each tetrahedron.
     """
 
     mesh: TetMesh
@@ -43,21 +43,21 @@ class GradedLattice:
 
 
 def graded_lattice(levels: Levels, corner_mm: FloatArray, cell_mm: float) -> GradedLattice:
-    """Tetrahedra between the centres and corners of leaves.
+    """Return the tetrahedra between the centres and corners of leaves.
 
     Parameters
     ----------
     levels : ndarray of uint8, shape (nz, ny, nx)
         See `workers.body.mesh.adaptive.octree.graded_levels`.
     corner_mm : ndarray, shape (3,)
-        Lowest corner of the first smallest cell; its z is that of the wall.
+        Lowest corner of the first smallest cell; its z is the z of the wall.
     cell_mm : float
         Size of the smallest cells.
     """
     count = _emit(levels, np.empty((0, 4), np.int64), np.empty(0, np.int8))
     keys, level = np.empty((count, 4), np.int64), np.empty(count, np.int8)
     _emit(levels, keys, level)
-    # Nodes stand at whole numbers of half smallest cells.
+    # Node coordinates are multiples of half the smallest cells.
     nz, ny, nx = (2 * n + 1 for n in levels.shape)
     used = np.zeros(nz * ny * nx, np.bool_)
     used[keys.ravel()] = True
@@ -92,10 +92,10 @@ def _key(at: NDArray[np.int64], nx: int, ny: int) -> int:
 
 @njit(**EXACT)
 def _split(levels: Levels, at: NDArray[np.int64], axis: int, size: int, level: int) -> bool:
-    """Whether a leaf finer than `level` touches the edge from `at` along `axis`.
+    """Return True if a leaf finer than `level` touches the edge from `at` along `axis`.
 
-    ``at`` counts smallest cells. Leaves around an edge of a leaf are of its level, the one
-    above or the one below, and uniform along it.
+    ``at`` counts smallest cells. Leaves around an edge of a leaf have its level, the one
+    above or the one below, and are uniform along it.
     """
     u, v = (axis + 1) % 3, (axis + 2) % 3
     cell = at.copy()
@@ -131,7 +131,7 @@ def _put(
 
 @njit(**EXACT)
 def _emit(levels: Levels, keys: NDArray[np.int64], sizes: NDArray[np.int8]) -> int:
-    """Write the tetrahedra, or count them where there is no room."""
+    """Write the tetrahedra, or count them if the arrays are empty."""
     shape = np.array((levels.shape[2], levels.shape[1], levels.shape[0]))
     nx, ny = 2 * shape[0] + 1, 2 * shape[1] + 1
     n = 0
@@ -173,10 +173,10 @@ def _at_face(
         return n
     other = level if wall else levels[beyond[2], beyond[1], beyond[0]]
     if other == level and side == 0 and not wall:
-        return n  # done from the other leaf
+        return n  # handled from the other leaf
 
     centre = _key(2 * low + size, nx, ny)
-    # Corners of the face in half cells, going round, and the midpoints after each.
+    # Corners of the face in half cells, in order around it, each followed by the next midpoint.
     corner = np.empty((4, 3), np.int64)
     for c in range(4):
         corner[c] = 2 * low

@@ -1,6 +1,6 @@
 """The surface between one tissue and the others as a smooth field.
 
-Like the outline of the body: the part of the tissue in a voxel is blurred and turned into
+As for the outline of the body, the fraction of the tissue in a voxel is blurred and converted to
 a distance by the inverse of the normal distribution (see `workers.body.mesh.outline`).
 """
 
@@ -14,7 +14,7 @@ from scipy.special import ndtri
 from palpate.storage.values import FloatArray, Tissue, Volume
 from palpate.workers.body.mesh.outline import SATURATION
 
-# Standard deviation of the blur in samples: less shows the staircase of the voxels, more
+# Standard deviation of the blur in samples: less leaves a staircase of voxels, more
 # closes the gaps between neighbouring compartments.
 BLUR = 0.6
 MARGIN = 2
@@ -29,9 +29,9 @@ class LevelSet:
     field : ndarray of float32, shape (nz, ny, nx)
         In mm, negative in the tissue.
     frame : ndarray, shape (2, 3)
-        Place of ``field[0, 0, 0]`` and distance of the samples along x, y, z.
+        Position of ``field[0, 0, 0]`` and distance of the samples along x, y, z.
     volume_mm3 : float
-        Of the tissue's voxels.
+        Volume of the tissue's voxels.
     """
 
     field: NDArray[np.float32]
@@ -40,9 +40,9 @@ class LevelSet:
 
 
 def level_set_of(labels: Volume, tissue: Tissue, blur: float = BLUR) -> LevelSet:
-    """Level set of the voxels of one tissue, with a sample at each voxel.
+    """Return the level set of the voxels of one tissue, with a sample at each voxel.
 
-    The tissue goes on straight through the plane of the chest wall.
+    The tissue is continued straight through the plane of the chest wall.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def level_set_of(labels: Volume, tissue: Tissue, blur: float = BLUR) -> LevelSet
 
 
 def _spread(blur: float) -> float:
-    """Return the deviation in voxels that gives the centres beside a plane half a voxel."""
+    """Return the deviation in voxels that puts voxel centres half a voxel from a plane surface."""
     step = np.repeat((0.0, 1.0), 32)
     beside = ndimage.gaussian_filter1d(step, blur, mode="nearest")[32]
     return float(0.5 / ndtri(beside))

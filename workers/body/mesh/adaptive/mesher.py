@@ -1,4 +1,4 @@
-"""An adaptive mesh of a body with a tissue inside."""
+"""Adaptive meshes of a body with a tissue inside."""
 
 from dataclasses import dataclass, replace
 
@@ -16,13 +16,13 @@ from palpate.workers.body.mesh.node_order import in_memory_order
 from palpate.workers.body.mesh.outline import Outline, outline_of
 from palpate.workers.body.mesh.quality import volumes_mm3
 
-ROUNDS = 3  # of matching the volumes and smoothing
+ROUNDS = 3  # of volume matching and smoothing
 SWEEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveMesh:
-    """Tetrahedra of two tissues; no tetrahedron is cut by the surface between them.
+    """Tetrahedra of two tissues, not cut by the surface between them.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ def adaptive_mesh(labels: Volume, sizes: Sizes, tissue: Tissue = Tissue.GLANDULA
     """Mesh a body so that faces follow the surface of one tissue.
 
     A body-centred lattice, graded 2:1 from small cells at that surface to large ones, is
-    cut along the outline and along the surface. Nodes are moved to better the tetrahedra;
-    the value of the level set at which the surface lies is shifted until the tissue has
-    the volume of its voxels, and the same for the body. Equal input gives equal output.
+    cut along the outline and along the surface. Nodes are moved to improve the tetrahedra;
+    the level of the surface is shifted until the tissue has the volume of its voxels, and the
+    same for the body. Equal input gives equal output.
 
     Parameters
     ----------
@@ -56,11 +56,11 @@ def adaptive_mesh(labels: Volume, sizes: Sizes, tissue: Tissue = Tissue.GLANDULA
     Raises
     ------
     InputError
-        If no voxel is of the tissue or the body, or the cells are too large for it.
+        If there is no voxel of the tissue or the body, or the cells are too large for it.
     """
     if not (labels.values == tissue).any():
         raise InputError(
-            f"No voxel is {tissue.name.lower()}: there is no surface to adapt a mesh to. Use a "
+            f"No voxel is {tissue.name.lower()}, so there is no surface to adapt a mesh to. Use a "
             "homogeneous mesh, or check the labels."
         )
     outline = outline_of(labels, float(max(labels.spacing_mm)))
@@ -110,7 +110,7 @@ def _cut_lattice(
 
 
 def _fitted(mesh: TetMesh, inside: BoolArray, constraints: Constraints) -> TetMesh:
-    """Alternate between smoothing and matching the volumes; the volumes have the last word."""
+    """Alternate between smoothing and volume matching, ending with the volumes."""
     reach = 0.5 * _shortest_edge(mesh)
     for last in (*[False] * (ROUNDS - 1), True):
         mesh = smoothed(mesh, constraints, SWEEPS)
@@ -121,7 +121,7 @@ def _fitted(mesh: TetMesh, inside: BoolArray, constraints: Constraints) -> TetMe
 
 
 def _shifted(mesh: TetMesh, inside: BoolArray, c: Constraints) -> Constraints:
-    """Surfaces moved outwards by the volume that is missing over their area."""
+    """Return constraints with surfaces moved outwards by the missing volume over their area."""
     volume = volumes_mm3(mesh)
     tissue = float(volume[inside].sum())
     inner_area = _area(mesh, inside, c.on_interface)
@@ -134,7 +134,7 @@ def _shifted(mesh: TetMesh, inside: BoolArray, c: Constraints) -> Constraints:
 
 
 def _area(mesh: TetMesh, inside: BoolArray, on: BoolArray) -> float:
-    """Area of the faces of `inside` tetrahedra whose nodes all lie on a surface."""
+    """Return the area of the faces of `inside` tetrahedra whose nodes are all on a surface."""
     tets = mesh.tets[inside]
     total = 0.0
     for a, b, c in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)):
@@ -147,7 +147,7 @@ def _area(mesh: TetMesh, inside: BoolArray, on: BoolArray) -> float:
 
 
 def _shortest_edge(mesh: TetMesh) -> FloatArray:
-    """Length of the shortest edge at each node, shape (n,)."""
+    """Return the length of the shortest edge at each node, shape (n,)."""
     found = np.full(len(mesh.nodes), np.inf)
     for a, b in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)):
         p, q = mesh.tets[:, a], mesh.tets[:, b]
@@ -158,7 +158,7 @@ def _shortest_edge(mesh: TetMesh) -> FloatArray:
 
 
 def _rows_in(rows: IntArray, subset: IntArray) -> BoolArray:
-    """Which rows are in a subset of them."""
+    """Return a mask of the rows that are in a subset of them."""
     fields = [("", rows.dtype)] * rows.shape[1]
     a, b = (np.ascontiguousarray(r).view(fields).ravel() for r in (rows, subset))
     return np.isin(a, b)
@@ -172,9 +172,9 @@ def _compact(nodes: FloatArray, tets: IntArray) -> tuple[TetMesh, BoolArray]:
 
 
 def _in_order(mesh: TetMesh, inside: BoolArray, wall_z_mm: float, step_mm: float) -> AdaptiveMesh:
-    """Nodes and tetrahedra in the order of memory, see `in_memory_order`."""
+    """Return nodes and tetrahedra in memory order, see `in_memory_order`."""
     ordered = in_memory_order(mesh, step_mm)
-    number = np.lexsort(mesh.nodes.T)  # nodes are distinct, so their places tell them apart
+    number = np.lexsort(mesh.nodes.T)  # nodes are distinct, so positions identify them
     place = np.lexsort(ordered.nodes.T)
     renamed = np.empty(len(number), np.int64)
     renamed[number] = place

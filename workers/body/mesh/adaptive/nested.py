@@ -1,4 +1,4 @@
-"""An adaptive mesh on top of coarser homogeneous ones, for the solver."""
+"""Hierarchies for the solver with an adaptive finest mesh on coarser homogeneous ones."""
 
 from dataclasses import replace
 
@@ -19,9 +19,9 @@ from palpate.workers.body.mesh.tissue_fractions import N_TISSUES, volume_fractio
 def adaptive_hierarchy(
     labels: Volume, sizes: Sizes, tissue: Tissue = Tissue.GLANDULAR
 ) -> Hierarchy:
-    """Nested meshes, coarse to fine, of which the finest is adaptive.
+    """Build nested meshes, coarse to fine, of which the finest is adaptive.
 
-    Coarser levels carry the tissues as parts by volume; the finest has one tissue to a
+    Coarser levels have tissue fractions by volume; the finest has one tissue per
     tetrahedron, `tissue` or fat.
 
     Parameters
@@ -34,7 +34,7 @@ def adaptive_hierarchy(
     Raises
     ------
     InputError
-        As `adaptive_mesh`.
+        See `adaptive_mesh`.
     """
     two = np.where(labels.values == Tissue.AIR, Tissue.AIR, Tissue.FAT).astype(np.uint8)
     two[labels.values == tissue] = tissue

@@ -1,4 +1,4 @@
-"""Sizes of cubic cells: fine where asked for, at most twice as large from cell to cell."""
+"""Octrees of cubic cells: fine where required, at most twice as large from cell to cell."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ Levels = NDArray[np.uint8]
 
 
 def graded_levels(largest: Levels, layers: int = 1) -> Levels:
-    """Level of the leaf that holds each of the smallest cells.
+    """Return the level of the leaf that contains each of the smallest cells.
 
     A leaf of level l is an aligned cube of 2^l smallest cells along each edge. Leaves
     that share a face, an edge or a corner differ by one level at most.
@@ -21,10 +21,10 @@ def graded_levels(largest: Levels, layers: int = 1) -> Levels:
     Parameters
     ----------
     largest : ndarray of uint8, shape (nz, ny, nx)
-        Largest level that each smallest cell allows; every side is a multiple of two to
+        Largest level allowed at each smallest cell; every side is a multiple of two to
         the power of the largest of them.
     layers : int
-        At least so many leaves of a level lie between finer and coarser ones, >= 1.
+        Least number of leaves of a level between finer and coarser ones, >= 1.
 
     Returns
     -------

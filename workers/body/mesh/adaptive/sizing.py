@@ -1,4 +1,4 @@
-"""How large the cells of a graded lattice may be: small along surfaces."""
+"""Sizes of the cells of a graded lattice: small along surfaces."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -21,15 +21,15 @@ class Sizes:
     Parameters
     ----------
     smallest_mm : float
-        Where the tissue inside, or a gap in it, is thinner than cells of `surface_mm`.
+        Size where the tissue inside, or a gap in it, is thinner than cells of `surface_mm`.
     surface_mm : float, optional
-        Elsewhere along its surface; `smallest_mm` if not given.
+        Size elsewhere along its surface; `smallest_mm` if not given.
     skin_mm : float
-        At the outline of the body.
+        Size at the outline of the body.
     largest_mm : float
-        Away from surfaces.
+        Size away from surfaces.
     layers : int
-        At least so many cells of a size between smaller and larger ones.
+        Least number of cells of a size between smaller and larger ones.
 
     Raises
     ------
@@ -59,22 +59,22 @@ class Sizes:
         return self.smallest_mm if self.surface_mm is None else self.surface_mm
 
     def level_of(self, size_mm: float) -> int:
-        """Largest level of cells not larger than a size."""
+        """Return the largest level of cells not larger than a size."""
         return int(np.floor(np.log2(size_mm / self.smallest_mm) + 1e-9))
 
 
 def cell_levels(
     labels: Volume, tissue: Tissue, outline: Outline, sizes: Sizes
 ) -> tuple[Levels, FloatArray]:
-    """Levels of the smallest cells around a body, and the lowest corner of the first.
+    """Return the levels of the smallest cells around a body, and the lowest corner of the first.
 
     Parameters
     ----------
     labels : Volume
     tissue : Tissue
-        Whose surface gets the smallest cells.
+        Tissue whose surface gets the smallest cells.
     outline : Outline
-        Of the body.
+        Outline of the body.
     sizes : Sizes
     """
     h, top = sizes.smallest_mm, sizes.level_of(sizes.largest_mm)
@@ -108,7 +108,7 @@ def _grown(cells: BoolArray, by: int) -> BoolArray:
 
 
 def _cells_at(places: FloatArray, corner: FloatArray, h: float, shape: list[int]) -> BoolArray:
-    """Cells of size h that hold one of the places."""
+    """Return a mask of the cells of size h that contain one of the places."""
     found = np.zeros(shape, np.bool_)
     cell = np.floor((places - corner) / h).astype(np.int64)
     cell = cell[((cell >= 0) & (cell < np.array(shape)[::-1])).all(axis=1)]
@@ -117,9 +117,9 @@ def _cells_at(places: FloatArray, corner: FloatArray, h: float, shape: list[int]
 
 
 def _faces_mm(labels: Volume, inside: BoolArray) -> FloatArray:
-    """Middles of the voxel faces between inside and outside, shape (k, 3)."""
+    """Return the centres of the voxel faces between inside and outside, shape (k, 3)."""
     padded = np.pad(inside, 1)
-    padded[0] = padded[1]  # the tissue goes on through the wall
+    padded[0] = padded[1]  # the tissue is continued through the wall
     found = []
     for axis in range(3):
         at = np.argwhere(np.diff(padded.view(np.int8), axis=axis))[:, ::-1] - 1.0
@@ -130,9 +130,9 @@ def _faces_mm(labels: Volume, inside: BoolArray) -> FloatArray:
 
 
 def _thin_mm(labels: Volume, inside: BoolArray, thickness_mm: float) -> FloatArray:
-    """Voxels where the tissue or a gap in it is thinner than a ball of a diameter.
+    """Return the voxels where the tissue or a gap in it is thinner than a ball of this diameter.
 
-    These are the voxels that closing and opening by the ball change.
+    These are the voxels changed by closing and opening with the ball.
     """
     box = find_objects(inside.view(np.int8))[0]
     room = [int(np.ceil(2 * thickness_mm / s)) for s in labels.spacing_mm[::-1]]

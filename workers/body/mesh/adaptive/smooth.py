@@ -1,4 +1,4 @@
-"""Move the nodes of a graded mesh to better its tetrahedra; surfaces stay where they are."""
+"""Smoothing of the nodes of a graded mesh, with surfaces kept in place."""
 
 from dataclasses import dataclass
 
@@ -13,13 +13,13 @@ from palpate.workers.body.mesh.node_smoothing import _mean_ratio
 from palpate.workers.body.mesh.outline import project
 from palpate.workers.compile_flags import EXACT
 
-# Badness of a tetrahedron is M3^-3: the worst ones count most. This one is turned inside out.
+# Badness of a tetrahedron is M3^-3: the worst ones count most. This value means inverted.
 FLAT = 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """What holds the nodes.
+    """Constraints on the nodes.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Constraints:
     skin_mm, interface_mm : float
         Values of the fields on the surfaces.
     on_skin, on_interface, on_wall : ndarray of bool, shape (n,)
-        Nodes that stay on a surface, and in their plane z. On two surfaces a node is held.
+        Nodes that stay on a surface, and at their z. A node on two surfaces is fixed.
     """
 
     skin: LevelSet
@@ -43,15 +43,15 @@ class Constraints:
 def smoothed(mesh: TetMesh, constraints: Constraints, sweeps: int) -> TetMesh:
     """Lower the sum of badness around each node, node by node.
 
-    A node tries to go to the mean of its neighbours, part of the way, and along the axes,
-    each time back onto its surface, and stays at the best place.
+    A node is tried at the mean of its neighbours, part of the way there, and along the axes,
+    each time projected onto its surface, and stays at the best position.
 
     Parameters
     ----------
     mesh : TetMesh
     constraints : Constraints
     sweeps : int
-        Times that every node is visited; nodes among good tetrahedra are passed over.
+        Number of visits to every node; nodes with good tetrahedra are skipped.
     """
     nodes = mesh.nodes.copy()
     start, around = elements_of_nodes(mesh.tets, len(nodes))
@@ -70,7 +70,7 @@ def smoothed(mesh: TetMesh, constraints: Constraints, sweeps: int) -> TetMesh:
 
 
 def on_levels(mesh: TetMesh, constraints: Constraints, reach: FloatArray) -> TetMesh:
-    """Bring nodes back onto their surfaces, unless a tetrahedron would suffer.
+    """Move nodes back onto their surfaces, unless this degrades a tetrahedron.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def on_levels(mesh: TetMesh, constraints: Constraints, reach: FloatArray) -> Tet
 
 @njit(**EXACT)
 def _badness(nodes: FloatArray, tets: IntArray, start: IntArray, around: IntArray, v: int) -> float:
-    """Sum of M3^-3 = (sum of squared edges)^3 / 432 det^2 over the tetrahedra of a node."""
+    """Return the sum of M3^-3 = (sum of squared edges)^3 / 432 det^2 around a node."""
     total = 0.0
     for a in range(start[v], start[v + 1]):
         m = around[a]
@@ -144,7 +144,7 @@ def _to_level(
             continue
         before = _worst(nodes, tets, start, around, v)
         old = nodes[v].copy()
-        for _ in range(4):  # halfway, where all of the way is too far
+        for _ in range(4):  # halve the move while it is too large
             nodes[v] = place
             if _worst(nodes, tets, start, around, v) > min(0.9 * before, 0.3):
                 break

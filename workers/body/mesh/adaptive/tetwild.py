@@ -1,9 +1,9 @@
-"""The same body through fTetWild, a mesher of others, for comparison.
+"""Meshes of the same body by fTetWild, an independent mesher, for comparison.
 
-Y. Hu et al., "Fast tetrahedral meshing in the wild", ACM Trans. Graph. 39(4), 2020. Through
-the package pytetwild, which is not among the dependencies: ``pip install 'palpate[mesh]'``.
-fTetWild knows no materials, so a tetrahedron is of the tissue in which its centroid lies; and
-it is not repeatable, so a mesh has to be kept, not made again.
+Y. Hu et al., "Fast tetrahedral meshing in the wild", ACM Trans. Graph. 39(4), 2020. Used through
+the optional package pytetwild: ``pip install 'palpate[mesh]'``.
+fTetWild has no materials, so a tetrahedron gets the tissue at its centroid. It is
+not repeatable, so a mesh has to be stored, not made again.
 """
 
 from contextlib import chdir
@@ -24,13 +24,13 @@ from palpate.workers.body.mesh.outline import outline_of
 from palpate.workers.body.mesh.quality import volumes_mm3
 
 MISSING = "fTetWild is not installed: pip install 'palpate[mesh]'"
-# Distance from the surfaces that are given, as a part of the size; its energy is 3 for a
-# regular tetrahedron, and much below 8 it may take for ever.
+# Distance from the given surfaces, as a fraction of the size; its energy is 3 for a
+# regular tetrahedron, and far below 8 it may take for ever.
 ENVELOPE, STOP_ENERGY = 0.1, 8.0
 
 
 def has_tetwild() -> bool:
-    """Whether the package is installed; it imports pyvista, which it does not ask for."""
+    """Return True if the package is installed, with pyvista, an undeclared dependency."""
     return find_spec("pytetwild") is not None and find_spec("pyvista") is not None
 
 
@@ -56,13 +56,13 @@ def tetwild_mesh(labels: Volume, size_mm: float, tissue: Tissue = Tissue.GLANDUL
 
     outline = outline_of(labels, float(max(labels.spacing_mm)))
     inner = level_set_of(labels, tissue)
-    # The body ends at the plane of the wall: the highest of both fields is its outline there.
+    # The body ends at the plane of the wall: there the maximum of both fields is its outline.
     step, wall = outline.frame[1], outline.wall_z_mm
     z = outline.origin_mm[2] + step[2] * np.arange(outline.field.shape[0])
     body = np.maximum(outline.field, (wall - z)[:, None, None])
     vertices, faces = _joined(_surface(body, outline.frame), _surface(inner.field, inner.frame))
     extent = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    # It leaves a file behind in the current folder.
+    # pytetwild leaves a file behind in the current folder.
     with TemporaryDirectory(prefix="palpate-tetwild-") as scratch, chdir(scratch):
         points, tets = pytetwild.tetrahedralize(
             vertices, faces, optimize=True, edge_length_fac=size_mm / extent,
@@ -77,7 +77,7 @@ def tetwild_mesh(labels: Volume, size_mm: float, tissue: Tissue = Tissue.GLANDUL
 
 
 def _surface(field: Any, frame: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Triangles of the zero level, closed at the edge of the samples."""
+    """Return the triangles of the zero level, closed at the edge of the samples."""
     padded = np.pad(field, 1, constant_values=float(np.abs(field).max()))
     at, faces, _, _ = marching_cubes(padded, 0.0)
     return frame[0] + (at[:, ::-1] - 1) * frame[1], faces.astype(np.int32)
@@ -91,7 +91,7 @@ def _joined(
 
 
 def _upright(mesh: TetMesh) -> TetMesh:
-    """Tetrahedra of positive volume; flat ones are left out."""
+    """Return tetrahedra of positive volume, without flat ones."""
     volume = volumes_mm3(mesh)
     turned = np.where((volume < 0)[:, None], mesh.tets[:, [0, 2, 1, 3]], mesh.tets)
     return TetMesh(mesh.nodes, turned[np.abs(volume) > 1e-12])

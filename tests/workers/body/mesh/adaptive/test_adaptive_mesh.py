@@ -28,22 +28,22 @@ def meshed(labels: Volume) -> AdaptiveMesh:
     return adaptive_mesh(labels, Sizes(0.8))
 
 
-def test_it_is_as_good_as_the_adaptive_meshes_of_the_thesis(meshed: AdaptiveMesh) -> None:
+def test_quality_matches_the_adaptive_meshes_of_the_thesis(meshed: AdaptiveMesh) -> None:
     found = measures(meshed.mesh)
     assert found["volume_mm3"].min() > 0
-    # Thesis Table 4.2, where a regular tetrahedron has 1.
+    # Thesis Table 4.2, with 1 for a regular tetrahedron.
     assert found["aspect"].mean() <= 1.70
     assert found["aspect"].max() <= 8.86
 
 
-def test_it_keeps_labels_and_volumes(meshed: AdaptiveMesh, labels: Volume) -> None:
+def test_keeps_labels_and_volumes(meshed: AdaptiveMesh, labels: Volume) -> None:
     found = agreement(meshed.mesh, meshed.inside, labels)
     assert found.labels >= 0.985
     assert abs(found.tissue_volume) < 0.01
     assert abs(found.body_volume) < 0.002
 
 
-def test_it_has_no_hanging_node_and_no_hole(meshed: AdaptiveMesh) -> None:
+def test_has_no_hanging_node_and_no_hole(meshed: AdaptiveMesh) -> None:
     """The boundary is one closed surface that encloses the volume of the tetrahedra."""
     mesh = meshed.mesh
     triangles = boundary_triangles(mesh.tets)
@@ -62,7 +62,7 @@ def test_it_has_no_hanging_node_and_no_hole(meshed: AdaptiveMesh) -> None:
     assert len(np.unique(mesh.tets)) == len(mesh.nodes)
 
 
-def test_cells_are_small_at_the_surface_and_large_away(meshed: AdaptiveMesh) -> None:
+def test_cells_are_small_at_the_surface_and_large_elsewhere(meshed: AdaptiveMesh) -> None:
     volumes = measures(meshed.mesh)["volume_mm3"]
     tets = meshed.mesh.tets
     shared = np.intersect1d(tets[meshed.inside], tets[~meshed.inside])
@@ -79,7 +79,7 @@ def test_equal_input_gives_equal_output(meshed: AdaptiveMesh, labels: Volume) ->
     assert np.array_equal(again.inside, meshed.inside)
 
 
-def test_agreement_of_a_mesh_that_is_known() -> None:
+def test_agreement_of_a_known_mesh() -> None:
     """A cube of six tetrahedra, one of them inside, against sampled voxels."""
     values = np.full((12, 12, 12), Tissue.FAT, np.uint8)
     z, y, x = np.mgrid[:12, :12, :12]
@@ -100,7 +100,7 @@ def test_agreement_of_a_mesh_that_is_known() -> None:
     assert wrong.labels < 0.2
 
 
-def test_sizes_and_labels_that_make_no_sense_are_refused(labels: Volume) -> None:
+def test_refuses_invalid_sizes_and_labels(labels: Volume) -> None:
     with pytest.raises(InputError, match="0 < smallest"):
         Sizes(0.0)
     with pytest.raises(InputError, match="0 < smallest"):

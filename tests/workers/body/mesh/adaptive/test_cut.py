@@ -1,4 +1,4 @@
-"""Cutting keeps volume and neighbours, and meets the surface."""
+"""Cutting keeps volume and neighbours, and follows the surface."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ RADIUS, CENTRE = 8.3, np.array([0.3, -0.2, 6.0])
 
 
 def ball(voxel_mm: float = 0.5) -> Volume:
-    """A ball that the wall cuts off at z = 0."""
+    """Return a ball cut off by the wall at z = 0."""
     n = round(12 / voxel_mm)
     at = (np.arange(2 * n) + 0.5 - n) * voxel_mm
     z, y, x = np.meshgrid(at + 12, at, at, indexing="ij")
@@ -38,7 +38,7 @@ def field_at(surface: LevelSet, points: FloatArray) -> FloatArray:
     return np.array([distance_at(surface.field, surface.frame, *p) for p in points])
 
 
-def test_both_sides_together_are_what_was_cut() -> None:
+def test_both_sides_together_equal_the_original() -> None:
     before, _, after = cut_ball(1.0)
     volumes = volumes_mm3(after.mesh)
     assert volumes.min() > 0
@@ -49,7 +49,7 @@ def test_both_sides_together_are_what_was_cut() -> None:
     assert areas[1] == pytest.approx(areas[0], rel=1e-12)
 
 
-def test_the_surface_between_them_is_closed_and_shared() -> None:
+def test_surface_between_the_sides_is_closed_and_shared() -> None:
     """Every face of one side, off the wall, is a face of the other side."""
     _, _, after = cut_ball(1.0)
     sides = []
@@ -62,7 +62,7 @@ def test_the_surface_between_them_is_closed_and_shared() -> None:
     assert len(sides[0]) > 500
 
 
-def test_nodes_of_the_surface_lie_on_it() -> None:
+def test_surface_nodes_are_on_the_surface() -> None:
     _, surface, after = cut_ball(1.0)
     on = after.mesh.nodes[after.on_surface]
     assert np.abs(field_at(surface, on)).max() < 0.01
@@ -73,7 +73,7 @@ def test_nodes_of_the_surface_lie_on_it() -> None:
     assert (on[:, 2] == 0).sum() > 36  # the circle is 36 mm long
 
 
-def test_volume_and_shape() -> None:
+def test_volume_and_shape_converge() -> None:
     errors = []
     height = RADIUS + CENTRE[2]
     exact = np.pi * height**2 * (3 * RADIUS - height) / 3
@@ -81,12 +81,12 @@ def test_volume_and_shape() -> None:
         _, _, after = cut_ball(cell)
         volumes = volumes_mm3(after.mesh)
         errors.append(abs(volumes[after.inside].sum() / exact - 1))
-    # Chords cut off a part that falls with the square of their length.
+    # Chords cut off a volume that falls with the square of their length.
     assert errors[1] < 0.4 * errors[0]
     assert measures(after.mesh)["aspect"].max() < 8.0
 
 
-def test_what_is_fixed_does_not_move() -> None:
+def test_fixed_nodes_do_not_move() -> None:
     n = 16
     lattice = graded_lattice(np.zeros((n, n, n), np.uint8), np.array([-12.0, -12.0, 0.0]), 1.5)
     surface = level_set_of(ball(), Tissue.GLANDULAR)

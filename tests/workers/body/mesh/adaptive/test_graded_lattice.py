@@ -15,7 +15,7 @@ CORNER = np.array([1.0, -2.0, 3.0])
 
 
 def scattered(seed: int, top: int = 3) -> NDArray[np.uint8]:
-    """Largest levels with small cells wanted at random places, at the borders too."""
+    """Return largest levels with small cells at random places, including the borders."""
     rng = np.random.default_rng(seed)
     largest = np.full((16, 24, 32), top, np.uint8)
     largest[rng.random(largest.shape) < 1e-3] = 0
@@ -45,7 +45,7 @@ def test_leaves_are_aligned_balanced_and_no_larger_than_allowed(seed: int, layer
             assert (levels[z : z + size, y : y + size, x : x + size] == level).all()
 
 
-def test_one_small_cell_is_surrounded_by_so_many_layers() -> None:
+def test_small_cell_is_surrounded_by_the_requested_layers() -> None:
     largest = np.full((32, 32, 32), 2, np.uint8)
     largest[16, 16, 16] = 0
     for layers in (1, 2):
@@ -55,14 +55,14 @@ def test_one_small_cell_is_surrounded_by_so_many_layers() -> None:
         assert line[0] == line[-1] == 2
 
 
-def test_sides_that_do_not_fit_are_refused() -> None:
+def test_refuses_sides_that_do_not_fit() -> None:
     with pytest.raises(InputError, match="multiples of 4"):
         graded_levels(np.full((6, 8, 8), 2, np.uint8))
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_no_node_hangs(seed: int) -> None:
-    """Faces without a partner lie on the wall or beside the outermost centres only."""
+def test_has_no_hanging_nodes(seed: int) -> None:
+    """Faces without a partner are only on the wall or next to the outermost centres."""
     lattice = lattice_of(seed)
     mesh = lattice.mesh
     triangles = boundary_triangles(mesh.tets)
@@ -93,7 +93,7 @@ def test_volumes_and_shapes(seed: int) -> None:
     assert aspect.max() == pytest.approx(2 * np.sqrt(2) / np.sqrt(1.5))
 
 
-def test_equal_leaves_give_the_lattice() -> None:
+def test_equal_leaves_give_the_uniform_lattice() -> None:
     lattice = graded_lattice(np.zeros((4, 5, 6), np.uint8), CORNER, CELL_MM)
     corners = len(np.unique(lattice.mesh.tets))
     assert corners == len(lattice.mesh.nodes)

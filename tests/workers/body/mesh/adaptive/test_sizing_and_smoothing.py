@@ -1,4 +1,4 @@
-"""Where cells are small, where the level set lies, and what smoothing may do."""
+"""Cell sizes, the position of the level set, and the effect of smoothing."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from palpate.workers.body.mesh.quality import measures
 
 
 def blocks() -> Volume:
-    """Gland in two halves with a gap of two voxels between them, in a block of fat.
+    """Return gland in two halves with a gap of two voxels, in a block of fat.
 
     ::
 
@@ -48,18 +48,18 @@ def test_cells_are_smallest_where_the_tissue_or_a_gap_is_thin() -> None:
     assert np.count_nonzero(levels == 0) < 0.7 * np.count_nonzero(everywhere == 0)
 
 
-def test_the_level_set_is_the_distance_to_a_plane() -> None:
+def test_level_set_is_the_distance_to_a_plane() -> None:
     labels = blocks()
     surface = level_set_of(labels, Tissue.GLANDULAR)
     assert surface.volume_mm3 == pytest.approx(2 * 7 * 8 * 16)
     for away in (-0.4, -0.1, 0.0, 0.2, 0.4):
-        # Beside the plane y = 16 mm, far from edges; and across the wall it goes straight on.
+        # Near the plane y = 16 mm, far from edges; it continues straight across the wall.
         for z in (0.3, 8.0):
             found = distance_at(surface.field, surface.frame, 11.5, 16.0 + away, z)
             assert found == pytest.approx(away, abs=1e-3 + 0.2 * max(abs(away) - 0.25, 0))
 
 
-def test_smoothing_betters_the_sum_and_keeps_surfaces() -> None:
+def test_smoothing_improves_the_sum_and_keeps_surfaces() -> None:
     labels = blocks()
     outline = outline_of(labels, 0.5)
     skin = LevelSet(outline.field, outline.frame, outline.volume_mm3)

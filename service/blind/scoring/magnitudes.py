@@ -78,14 +78,18 @@ def lump_apart_mm(
     Parameters
     ----------
     centre_mm : tuple of float or None
-        Middle of the body, from which the found place counts.
+        Middle of the body: answers of earlier versions hold offsets from it.
     """
     given = next((c.parameters for c in truth.causes if c.effect == MAPPED.name), None)
     found = by_name.get(MAPPED.name)
-    if given is None or found is None or centre_mm is None or not found.refitted:
+    if given is None or found is None or not found.refitted or MAPPED.place is None:
         return None
     sizes = {p.parameter: p.magnitude for p in found.parameters}
-    doors = {p.name: p.door_name for p in MAPPED.parameters}
-    offsets = () if MAPPED.place is None else MAPPED.place.offsets
-    at = np.add(centre_mm, [sizes[doors[name]] for name in offsets])
+    positions = [name for name, _ in MAPPED.place.positions_mm((0.0, 0.0, 0.0)).values()]
+    if positions[0] in sizes:
+        at = np.array([sizes[name] for name in positions])
+    elif centre_mm is None:
+        return None
+    else:
+        at = np.add(centre_mm, [sizes[f"{name}_mm"] for name in MAPPED.place.offsets])
     return float(np.linalg.norm(at - np.asarray(given["centre_mm"])))

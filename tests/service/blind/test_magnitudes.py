@@ -134,7 +134,15 @@ def test_new_causes_are_compared_by_what_they_have_in_common_with_the_catalogue(
     }
 
 
-def test_a_lump_is_looked_for_from_the_middle_of_the_body() -> None:
+def test_distance_of_a_lump_is_between_scan_coordinates() -> None:
+    truth = Truth.model_validate(draw(5, "inclusion").record())
+    at = truth.causes[0].parameters["centre_mm"]
+    shifted = {f"inclusion_position_{axis}_mm": at[n] + 2.0 for n, axis in enumerate("xyz")}
+    found = said("inclusion", **shifted)
+    assert lump_apart_mm(truth, found, None) == pytest.approx(math.sqrt(12.0))
+
+
+def test_earlier_answers_hold_offsets_of_a_lump_from_the_middle_of_the_body() -> None:
     truth = Truth.model_validate(draw(5, "inclusion").record())
     at = truth.causes[0].parameters["centre_mm"]
     off = {f"inclusion_{axis}_mm": at[n] - 10.0 for n, axis in enumerate("xyz")}

@@ -116,12 +116,17 @@ def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
 def _parameters(
     diagnosis: Diagnosis, effect: Effect, names: tuple[str, ...]
 ) -> list[ParameterEstimate]:
-    """Return those of the joint fit of `names`; without one what the screening expects."""
+    """Return the parameters of the joint fit of `names`; without one, those of the screening.
+
+    Positions are in the coordinates of the scans.
+    """
     analysis, fitted = diagnosis.analysis, diagnosis.joint_fits.get(names)
     posterior = fitted and parameter_posterior(
         analysis.noise, analysis.hypothesis(fitted.fit), fitted.fit.unknowns
     )
     screened = analysis.screening_by_name[effect.name]
+    centre_mm = analysis.inverse.frame.centre_mm
+    positions = {} if effect.place is None else effect.place.positions_mm(centre_mm)
     needs_nu = any(p.reading.kind == "poisson" for p in effect.parameters)
     nu = _poissons_ratio(diagnosis) if needs_nu else None
     found = []
@@ -135,7 +140,10 @@ def _parameters(
                 value = max(value, effect.neutral[parameter.name])
         else:
             continue
-        found.append(_estimate_of(parameter, value, sd, nu, is_size=i < effect.size_count))
+        name, origin = positions.get(parameter.name, (parameter.door_name, 0.0))
+        is_size = i < effect.size_count
+        estimate = _estimate_of(parameter, origin + value, sd, nu, is_size=is_size)
+        found.append(replace(estimate, parameter=name))
     return found
 
 

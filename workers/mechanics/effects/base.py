@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from palpate.storage.errors import InputError
-from palpate.storage.values import FloatArray, IntArray
+from palpate.storage.values import FloatArray, IntArray, Triple
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.parameters import Parameter, Vocabulary
@@ -64,6 +64,24 @@ class Place:
     def offsets(self) -> tuple[str, ...]:
         """The names of the offsets from the middle of the body along x, y and z."""
         return self.names[:3]
+
+    def positions_mm(self, centre_mm: Triple) -> dict[str, tuple[str, float]]:
+        """Return the coordinates that the offsets become in the scans.
+
+        Parameters
+        ----------
+        centre_mm : tuple of float
+            Middle of the body.
+
+        Returns
+        -------
+        dict of str to (str, float)
+            For each offset the name of its coordinate, with unit, and what is added to it.
+        """
+        return {
+            name: (f"{name[:-1]}position_{name[-1]}_mm", along)
+            for name, along in zip(self.offsets, centre_mm, strict=True)
+        }
 
 
 @dataclass(frozen=True, slots=True)

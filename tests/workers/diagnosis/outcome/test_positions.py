@@ -1,0 +1,43 @@
+"""Positions of local effects are reported in the coordinates of the scans."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from palpate.workers.diagnosis.outcome import summarise
+from palpate.workers.diagnosis.outcome.parameter_posterior import ParameterPosterior
+from palpate.workers.mechanics.effects.base import Effect
+from palpate.workers.mechanics.effects.boundary import LOCAL_ATTACHMENT
+from palpate.workers.mechanics.effects.local_stiffness import INCLUSION
+
+CENTRE_MM = (100.0, -20.0, 22.5)
+
+
+@pytest.mark.parametrize(
+    ("effect", "stem"), [(INCLUSION, "inclusion"), (LOCAL_ATTACHMENT, "attachment")]
+)
+def test_position_is_the_offset_from_the_middle_of_the_body(
+    effect: Effect, stem: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fitted = dict.fromkeys((p.name for p in effect.parameters), 1.0)
+    fitted |= {f"{stem}_x": 3.0, f"{stem}_y": 4.0, f"{stem}_z": -7.2}
+    posterior = ParameterPosterior(np.array(list(fitted.values())), np.full(len(fitted), 0.5))
+    monkeypatch.setattr(summarise, "parameter_posterior", lambda *_: posterior)
+    fit = SimpleNamespace(unknowns=SimpleNamespace(names=tuple(fitted)))
+    analysis = SimpleNamespace(
+        noise=None,
+        hypothesis=lambda fit: None,
+        inverse=SimpleNamespace(frame=SimpleNamespace(centre_mm=CENTRE_MM)),
+        screening_by_name={effect.name: SimpleNamespace(estimate=())},
+    )
+    joint_fits = {(effect.name,): SimpleNamespace(fit=fit)}
+    diagnosis = SimpleNamespace(analysis=analysis, joint_fits=joint_fits)
+    found = {p.parameter: p for p in summarise._parameters(diagnosis, effect, (effect.name,))}
+    position = [found[f"{stem}_position_{axis}_mm"] for axis in "xyz"]
+    assert [p.magnitude for p in position] == pytest.approx([103.0, -16.0, 15.3])
+    assert [(p.sd, p.unit) for p in position] == [(0.5, "mm")] * 3
+    shown = position[2].shown
+    assert (shown.low, shown.value, shown.high) == pytest.approx((14.48, 15.3, 16.12), abs=0.01)
+    assert f"{stem}_z_mm" not in found
+    assert found[f"{stem}_radius_mm"].magnitude == 1.0

@@ -8,6 +8,7 @@ from palpate.service.remote.client import Client
 from palpate.service.study.spec import StudySpec, read_spec
 from palpate.storage.digest import file_digest
 from palpate.storage.errors import InputError
+from palpate.workers.input_files import check_regular
 from palpate.workers.spec import validated
 
 IMAGE_KEYS = ("volume", "file", "labels")
@@ -42,6 +43,7 @@ def _upload(client: Client, data: dict[str, Any]) -> None:
 
 
 def _uploaded(client: Client, path: Path) -> str:
+    check_regular(path)
     folder = f"image-{file_digest(path)}"
     if path.is_file():
         client.upload(path, folder)

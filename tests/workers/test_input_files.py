@@ -5,6 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from palpate.service.remote.client import Client
+from palpate.service.remote.uploads import with_uploaded_images
+from palpate.service.study.preflight import preflight
+from palpate.service.study.spec import read_spec
 from palpate.storage.errors import InputError, StoreError
 from palpate.workers.input_files import (
     check_regular,
@@ -87,3 +91,30 @@ def test_a_pipe_is_no_case(tmp_path: Path, name: str) -> None:
     for read in (open_source, understood):
         with pytest.raises(InputError, match="a pipe or a device"):
             read(tmp_path / name)
+
+
+EYE = """
+name: eye
+case:
+  organ: cornea
+  reference: {{frame: {{file: {frame}, pixel_mm: [0.02, 0.02]}}}}
+  load: {{iop_mmhg: 15, jet: {{pressure_kpa: 15, diameter_mm: 3, centre_mm: 0}}}}
+target: {{frame: {{file: {frame}, pixel_mm: [0.02, 0.02]}}}}
+search: {{parameters: {{mu1_pa: [5000, 20000]}}, population: 12}}
+"""
+
+
+@pytest.mark.parametrize("name", ["pipe.png", "device.png"])
+def test_a_pipe_is_no_frame(tmp_path: Path, name: str) -> None:
+    """Neither here nor on the way to a service."""
+    frame = tmp_path / name
+    if name == "pipe.png":
+        os.mkfifo(frame)
+    else:
+        frame.symlink_to("/dev/zero")
+    (tmp_path / "eye.yaml").write_text(EYE.format(frame=frame))
+    spec = read_spec(tmp_path / "eye.yaml")
+    with pytest.raises(InputError, match="a pipe or a device"):
+        preflight(spec, str(tmp_path / "store"))
+    with pytest.raises(InputError, match="a pipe or a device"):
+        with_uploaded_images(Client("http://127.0.0.1:9"), spec)

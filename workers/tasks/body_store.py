@@ -24,6 +24,7 @@ from palpate.storage.stores.volumes import (
 )
 from palpate.storage.values import Volume
 from palpate.workers.comparison.similarity.objective import objective_named
+from palpate.workers.input_files import check_regular
 from palpate.workers.organs.organ import (
     AligningOrgan,
     Facts,
@@ -67,6 +68,8 @@ class BodyStore:
             if given is not None:
                 return self._stored(self.organ, given, spec)
         files = self.organ.body_files(spec)
+        for file in files:
+            check_regular(file)
         settings = self.organ.body_settings(spec)
         request = self._request("body", settings, [file_digest(file) for file in files])
 

@@ -12,12 +12,12 @@ ALONG_Y = ("y", [0, 1, 0])
 
 
 def read_case_settings(case: Path) -> dict[str, Any]:
-    """Return the settings in a case file.
+    """Read the settings in a case file.
 
     Raises
     ------
     InputError
-        If it cannot be read.
+        If the file cannot be read.
     """
     path = case / NAME
     try:

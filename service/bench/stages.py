@@ -111,7 +111,7 @@ def _compared(row: Row, other: Row, stage: str, over: str) -> Row:
 
 
 def per_unknown(solve: Row, before: Row | None) -> Row:
-    """Return the time per unknown, three a node, and its ratio to that of the mesh `before`."""
+    """Return the time per unknown, three per node, and its ratio to the mesh `before`."""
     assert solve.nodes is not None
     seconds = solve.seconds / (3 * solve.nodes)
     row = replace(solve, stage="unknown", seconds=seconds, peak_mb=None)

@@ -38,7 +38,7 @@ def missing_guard(script: Path, line: int) -> str:
 
 
 def is_unguarded(text: str, line: int) -> bool:
-    """Return whether the top level of a script is certain to run on import, too.
+    """Return True if the top level of a script is certain to run on import, too.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def is_unguarded(text: str, line: int) -> bool:
 
 
 def lacks_guard() -> bool:
-    """Return whether the running program is a script that never checks ``__name__``."""
+    """Return True if the running program is a script that never checks ``__name__``."""
     script = _script_of(sys.modules.get("__main__"))
     text = "" if script is None else _text(script)
     return bool(text) and "__name__" not in text and "parent_process" not in text

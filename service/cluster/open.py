@@ -85,7 +85,7 @@ class _SteadyCluster(LocalCluster):
 
     @property
     def has_workers(self) -> bool:
-        """Return whether there is a worker that has not been given up."""
+        """Return True if there is a worker that has not been given up."""
         return any(worker.status not in GIVEN_UP for worker in self.workers.values())
 
     def forget_given_up(self) -> bool:

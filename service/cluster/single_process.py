@@ -16,7 +16,7 @@ class SingleProcess:
 
     @property
     def threads(self) -> int:
-        """Return how many tasks run at once."""
+        """Return the number of tasks that run at once."""
         return 1
 
     def call(self, task: Callable[..., Returned], *arguments: object) -> Returned:

@@ -46,12 +46,12 @@ class WaitingCalls:
         self._next = next(self._calls, None)
 
     def __bool__(self) -> bool:
-        """Return whether there may be more calls."""
+        """Return True if there may be more calls."""
         return self._next is not None
 
     @property
     def ready(self) -> bool:
-        """Return whether a call can be sent now."""
+        """Return True if a call can be sent now."""
         if self._next is NOT_YET:
             self._next = next(self._calls, None)
         return self._next is not None and self._next is not NOT_YET

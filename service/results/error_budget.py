@@ -94,7 +94,7 @@ class ErrorSource:
 
     @property
     def supported(self) -> bool:
-        """Return whether it has decisive support from the residual."""
+        """Return True if it has decisive support from the residual."""
         return self.log_bayes_factor > DECISIVE
 
 

@@ -156,7 +156,7 @@ class LocalModel:
         return tuple(tuple(float(v) for v in row) for row in matrix)
 
     def unseen(self, i: int) -> bool:
-        """Return whether a coordinate has a large share in an unidentified direction."""
+        """Return True if a coordinate has a large share in an unidentified direction."""
         return bool((np.abs(self.eigenvectors[i, ~self.seen]) > LEAST_SHARE).any())
 
     def ends(self, i: int) -> FloatArray:
@@ -220,14 +220,14 @@ class LocalModel:
 
     @property
     def converged(self) -> bool:
-        """Return whether the Gauss step is negligible in all constants off their bounds."""
+        """Return True if the Gauss step is negligible in all constants off their bounds."""
         free = np.array([not self.at_bound(i) for i in range(len(self.names))])
         part, gradient = self.information[np.ix_(free, free)], self.gradient[free]
         inverse = np.linalg.pinv(part, rcond=UNSEEN, hermitian=True)
         return float(gradient @ inverse @ gradient) <= MOST_FALL * self.noise_factor**2
 
     def at_bound(self, i: int) -> bool:
-        """Return whether a constant is at a bound of the search."""
+        """Return True if a constant is at a bound of the search."""
         low, high = self.bounds[i]
         return at_edge(float(self.values[i]), (float(low), float(high)))
 

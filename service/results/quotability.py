@@ -176,7 +176,7 @@ def ends(interval: Interval | None) -> tuple[float, float] | None:
 def no_better(
     before: Mapping[str, Scores], after: Mapping[str, Scores], parts: Iterable[str]
 ) -> bool:
-    """Return whether the best candidate matches the target no better than the undeformed body."""
+    """Return True if the best candidate matches the target no better than the undeformed body."""
     compared = [part for part in parts if part in before and part in after]
     if not compared:
         return False

@@ -69,7 +69,7 @@ class EstimateFacts:
 
 @dataclass(frozen=True)
 class Quotability:
-    """Whether an estimate may be quoted.
+    """The quotability of an estimate.
 
     Parameters
     ----------

@@ -116,7 +116,7 @@ def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
 
 
 def is_running(folder: Path) -> bool:
-    """Return whether a driver holds the journal of the study."""
+    """Return True if a driver holds the journal of the study."""
     return Journal.is_being_written(StudyLayout(folder).journal)
 
 

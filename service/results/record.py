@@ -64,7 +64,7 @@ class ParameterEstimate:
 
     @property
     def quotable(self) -> bool:
-        """Return whether the estimate may be quoted."""
+        """Return True if the estimate may be quoted."""
         return self.quotability is not None and self.quotability.quotable
 
     @property
@@ -261,7 +261,7 @@ class StudyResults:
 
     @property
     def identifiable(self) -> Identifiable:
-        """Return whether the load identifies the stiffnesses or only their ratios."""
+        """Return the identifiability of the stiffnesses: values, or only their ratios."""
         return self.spec.identifiable
 
     @property

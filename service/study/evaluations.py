@@ -94,7 +94,7 @@ class EvaluationRun:
             self.write_down(sharing[ending.key], ending, reused=False)
 
     def _has_other_endings(self, pending: PendingGeneration) -> bool:
-        """Return whether a candidate of a generation has ended other than by a crash.
+        """Return True if a candidate of a generation has ended other than by a crash.
 
         A candidate evaluated in an earlier generation does not count.
         """

@@ -15,7 +15,7 @@ from palpate.storage.records.journal import Journal
 from palpate.storage.records.record import StudyRecord
 from palpate.storage.records.tasks import PreparedBody, PreparedTarget
 
-HEAD = "# What this study was asked, with all defaults written out. Changing it has no effect.\n"
+HEAD = "# The settings of this study, with all defaults. Changing them has no effect.\n"
 
 
 class StudyFolder:

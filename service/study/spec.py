@@ -65,7 +65,7 @@ class StudySpec(Door):
     seed
         Seed of the search; the same seed gives the same candidates.
     keep
-        Deformed bodies to store in addition to those of the target and the best candidate.
+        Deformed bodies to store in addition to the target and the best candidate.
     deadline_s
         Longest time of one evaluation, in s. One that takes longer is retried once, then it has
         failed. Default: no limit.
@@ -170,7 +170,7 @@ class StudySpec(Door):
     def levels(self) -> tuple[LevelSpec, ...]:
         """Return the coarser resolutions in which constants are fitted first, coarse to fine.
 
-        Without ``search.levels`` a fit from scratch takes those of `COARSE_LEVELS` that have at
+        Without ``search.levels`` a fit from scratch takes the `COARSE_LEVELS` that have at
         most half the nodes of the case.
         """
         if self.search.levels is not None:
@@ -212,7 +212,7 @@ class StudySpec(Door):
 
     @property
     def identifiable(self) -> Identifiable:
-        """Return whether absolute stiffnesses can be found, or only their ratios."""
+        """Return the identifiability of the stiffnesses: values, or only their ratios."""
         parameters = self.case.parameters
         return self.case.identifiable(
             {parameters.at_door(name).name for name in self.search.parameters}

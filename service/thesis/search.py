@@ -56,7 +56,7 @@ class SearchRun:
 
     @property
     def is_finished(self) -> bool:
-        """Return whether the search has ended."""
+        """Return True if the search has ended."""
         return StudyLog.read(StudyLayout(self.folder).journal).end is not None
 
     @property

@@ -100,7 +100,7 @@ class Interval:
 
     @property
     def holds(self) -> bool:
-        """Return whether the interval covers the truth."""
+        """Return True if the interval covers the truth."""
         return self.lower is not None and self.lower <= self.truth <= (self.upper or 0.0)
 
 

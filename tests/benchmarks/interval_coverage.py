@@ -114,7 +114,7 @@ class Interval:
 
     @property
     def holds(self) -> bool:
-        """Return whether the interval covers the truth."""
+        """Return True if the interval covers the truth."""
         shown = self.lower is not None and self.upper is not None
         return shown and self.lower <= self.truth <= self.upper  # type: ignore[operator]
 

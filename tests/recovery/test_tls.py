@@ -101,7 +101,7 @@ def driver(folder: Path, address: str, environment: dict[str, str]) -> tuple[int
 
 
 def is_served(port: int, tls: ssl.SSLContext) -> bool:
-    """Return whether the scheduler sends its greeting to a client with these certificates."""
+    """Return True if the scheduler sends its greeting to a client with these certificates."""
     with socket.create_connection(("127.0.0.1", port), timeout=20) as plain:
         try:
             with tls.wrap_socket(plain) as encrypted:
@@ -110,7 +110,7 @@ def is_served(port: int, tls: ssl.SSLContext) -> bool:
             return False
 
 
-def test_a_study_runs_over_tls_and_strangers_are_refused(
+def test_study_runs_over_tls_and_rejects_unknown_clients(
     certificates: Certificates, tmp_path: Path
 ) -> None:
     run(tmp_path / "calm" / "demo", Inline())

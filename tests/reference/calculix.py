@@ -109,7 +109,7 @@ class Answer:
 
 
 def available() -> bool:
-    """Return whether `ccx` can be run."""
+    """Return True if `ccx` can be run."""
     return shutil.which("ccx") is not None
 
 

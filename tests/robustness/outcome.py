@@ -38,7 +38,7 @@ class Outcome:
 
     @property
     def is_bad(self) -> bool:
-        """Return whether this is a failure."""
+        """Return True if this is a failure."""
         return (
             self.kind not in ("refused", "read")
             or SECRET in self.text

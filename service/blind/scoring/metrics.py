@@ -43,7 +43,7 @@ class Target:
     at_least: bool
 
     def met(self, value: float) -> bool:
-        """Return whether a value satisfies the bound."""
+        """Return True if a value satisfies the bound."""
         return value >= self.value if self.at_least else value <= self.value
 
 
@@ -81,7 +81,7 @@ def floor_mm(records: Records) -> float | None:
 
 
 def visible(record: CaseRecord, floor: float | None) -> bool:
-    """Return whether the true gap exceeds the visible limit; True if this is unknown."""
+    """Return True if the true gap exceeds the visible limit, or if this is unknown."""
     if floor is None or record.true_before_mm is None:
         return True
     return record.true_before_mm > VISIBLE * floor
@@ -351,7 +351,7 @@ def _within(
     interval: Callable[[CaseRecord], tuple[float, float] | None],
     true: Callable[[CaseRecord], float | None],
 ) -> Estimate:
-    """Return how often the interval covers the truth, for cases in which both are known."""
+    """Return the share of intervals that cover the truth, where both are known."""
     both = [(interval(r), true(r)) for r in records]
     return share([i[0] <= t <= i[1] for i, t in both if i is not None and t is not None])
 

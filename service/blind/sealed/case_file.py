@@ -28,5 +28,5 @@ def read_case_settings(case: Path) -> dict[str, Any]:
 
 
 def is_along_y(load: Mapping[str, Any]) -> bool:
-    """Return whether a loaded scan was compressed along y, the default."""
+    """Return True if a loaded scan was compressed along y, the default."""
     return load.get("axis", "y") in ALONG_Y

@@ -104,12 +104,12 @@ class CaseRecord:
 
     @property
     def silent(self) -> bool:
-        """Return whether the model lacks nothing that data could show."""
+        """Return True if the model lacks nothing that data could show."""
         return self.group in ("control", "absorbed")
 
     @property
     def named(self) -> bool:
-        """Return whether the answer is an effect, or two that act together, without doubt."""
+        """Return True if the answer is an effect, or two that act together, without doubt."""
         return self.answer == "effect"
 
     @property
@@ -119,22 +119,22 @@ class CaseRecord:
 
     @property
     def right_family(self) -> bool:
-        """Return whether the first accused effect is in a true family."""
+        """Return True if the first accused effect is in a true family."""
         return bool(self.primary_families) and self.primary_families[0] in self.families
 
     @property
     def right_first(self) -> bool:
-        """Return whether the first accused effect acts, or is a relative of one that does."""
+        """Return True if the first accused effect acts, or is a relative of one that does."""
         return self.right_family if self.group == "relative" else self.first in self.effects
 
     @property
     def strictly_right(self) -> bool:
-        """Return whether an effect is accused, and none that does not act."""
+        """Return True if an effect is accused, and none that does not act."""
         return bool(self.primary) and set(self.primary) <= set(self.effects)
 
     @property
     def covered(self) -> bool:
-        """Return whether the 90 % set includes a true cause: no gap, an acting effect, or none."""
+        """Return True if the 90 % set includes a true cause: no gap, an acting effect, or none."""
         return bool(set(self.set90) & set(self.true_causes))
 
     @property
@@ -146,7 +146,7 @@ class CaseRecord:
 
     @property
     def right(self) -> bool:
-        """Return whether the answer is correct for this group of cases."""
+        """Return True if the answer is correct for this group of cases."""
         if self.silent:
             return self.answer == NO_GAP
         if self.group == "unlike":
@@ -155,7 +155,7 @@ class CaseRecord:
 
     @property
     def is_careful(self) -> bool:
-        """Return whether the answer reports a gap but is not sure of any effect."""
+        """Return True if the answer reports a gap but is not sure of any effect."""
         return self.answer in (NONE_OF_THESE, "cannot-be-told-apart")
 
     @property

@@ -39,7 +39,7 @@ class SchedulerEvents:
 
     @property
     def are_due(self) -> bool:
-        """Return whether nothing has been sent for `SEND_EVERY_S`."""
+        """Return True if nothing has been sent for `SEND_EVERY_S`."""
         return time.monotonic() - self._sent >= SEND_EVERY_S
 
     def add(self, record: dict[str, Any]) -> None:

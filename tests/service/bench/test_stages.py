@@ -69,7 +69,7 @@ def test_failed_stage_is_named_with_its_size(tmp_path: Path) -> None:
         list(_solver([300], 500.0, tmp_path))
 
 
-def test_the_table() -> None:
+def test_row_formatting() -> None:
     row = Row("two at once", "1 mm, 90 nodes asked", 91, 7, 1.5, 256.0, 1.25, "one alone")
     for part in ("two at once", "(91)", "1.5000 s", "256 MB", "1.25 x one alone"):
         assert part in line(row)

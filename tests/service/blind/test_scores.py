@@ -271,7 +271,7 @@ def test_counts_intervals_that_cover_the_truth() -> None:
     assert value(found, "shrinkage_within") == (1 / 3, 3)
 
 
-def test_a_large_gap_may_be_off_by_a_quarter() -> None:
+def test_large_gaps_have_a_relative_tolerance() -> None:
     off = record(true_before_mm=1.0, claimed_before_mm=0.8)
     assert scored(off)["gap_error"].met
     assert not scored(record(true_before_mm=0.2, claimed_before_mm=0.3))["gap_error"].met

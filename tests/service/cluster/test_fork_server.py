@@ -31,7 +31,7 @@ def started(folder: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 def has_ended(group: int, within_s: float) -> bool:
-    """Return whether no process of a group is left; the fork server may finish an import."""
+    """Return True if no process of a group is left; the fork server may finish an import."""
     end = time.monotonic() + within_s
     while time.monotonic() < end:
         try:

@@ -67,7 +67,7 @@ def test_a_worker_that_dask_has_given_up_is_replaced(monkeypatch: pytest.MonkeyP
         assert Dispatcher(cluster.client, no_worker_s=30.0).call(signals_of_process)
 
 
-def test_no_scheduler_at_an_address() -> None:
+def test_reports_a_missing_scheduler() -> None:
     with (
         pytest.raises(ClusterError, match="There is no scheduler at tcp://"),
         open_cluster("tcp://127.0.0.1:9", connect_s=0.5),

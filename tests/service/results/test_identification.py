@@ -93,7 +93,7 @@ def test_describes_a_trade_off_between_constants() -> None:
     assert found.correlation[0][1] < -0.5
 
 
-def test_a_common_scale_leaves_ratios() -> None:
+def test_common_scale_identifies_only_ratios() -> None:
     q = orthogonal()
     jacobian = np.outer(q[:, 0], [-20.0, 20.0])  # only the ratio matters
     found = identification_from_tangents(

@@ -337,7 +337,7 @@ class CorneaTarget(TargetSpec):
 
 
 class CorneaScore(ScoreSpec):
-    """How two sections are compared: in pixels of this size, between two vertical lines.
+    """Comparison of two sections: in pixels of this size, between two vertical lines.
 
     ``window_mm`` crops both sections; an image shows less of a cornea than is simulated.
 

@@ -51,7 +51,7 @@ def _sides(polygon: FloatArray, owner: int) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _sweep(sides: FloatArray, xs: FloatArray) -> tuple[float, float, float]:
-    """Return both areas and that of the intersection; -1 three times if sides are too many."""
+    """Return both areas and the intersection's; -1 three times if sides are too many."""
     active = np.empty(MAX_SIDES, dtype=np.int64)
     slope = np.empty(MAX_SIDES)
     level = np.empty(MAX_SIDES)

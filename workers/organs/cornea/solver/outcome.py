@@ -33,7 +33,7 @@ class CorneaOutcome:
 
     @property
     def converged(self) -> bool:
-        """Return whether the displacement is in equilibrium with the full load."""
+        """Return True if the displacement is in equilibrium with the full load."""
         return self.solution.converged
 
     @property

@@ -72,7 +72,7 @@ class PreparedMesh:
 
     @property
     def axisymmetric(self) -> bool:
-        """Return whether the section is revolved."""
+        """Return True if the section is revolved."""
         return self.kind == AXISYMMETRIC
 
     def spread(self, values: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ IDLE_S = 60.0
 
 
 class FollowTheWork(Adaptive):
-    """Scales a cluster whose scheduler runs in this process; see the module docstring.
+    """Scaling of a cluster whose scheduler runs in this process; see the module docstring.
 
     Parameters
     ----------

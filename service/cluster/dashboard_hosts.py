@@ -29,7 +29,7 @@ def answer_to_own_hosts(scheduler: Scheduler, hosts: Iterable[str] = OWN) -> Non
 
 
 class _OwnHosts(HTTPServerConnectionDelegate):
-    """Passes requests for allowed hosts to another delegate."""
+    """A delegate that passes on requests for allowed hosts only."""
 
     def __init__(self, inner: HTTPServerConnectionDelegate, hosts: frozenset[str]) -> None:
         self.inner, self.hosts = inner, hosts

@@ -14,7 +14,7 @@ MOST_GENERATIONS = 200
 
 
 class IdleTime:
-    """Integrates the time during which worker threads have no task.
+    """The accumulated time during which worker threads have no task.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ def add_tab(client: Client) -> bool:
 
 
 class PalpateTab(SchedulerPlugin):
-    """Sums up records of studies and diagnoses in the scheduler's process, and displays them."""
+    """A plugin that sums up and displays studies and diagnoses in the scheduler's process."""
 
     name = "palpate-tab"
     idempotent = True

@@ -88,7 +88,7 @@ class Ending:
 
 
 class TaskRunner(Protocol):
-    """Runs tasks: a `Dispatcher`, or this process; see `service.cluster.single_process`."""
+    """A runner of tasks: a `Dispatcher`, or this process; see `service.cluster.single_process`."""
 
     @property
     def threads(self) -> int:

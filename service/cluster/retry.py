@@ -1,4 +1,4 @@
-"""Retry a command if that may help.
+"""Retries of a command, where they may help.
 
 ::
 

@@ -12,7 +12,7 @@ Returned = TypeVar("Returned")
 
 
 class SingleProcess:
-    """Runs tasks here, in order; a `service.cluster.dispatch.TaskRunner`."""
+    """A `service.cluster.dispatch.TaskRunner` that runs tasks in this process, in order."""
 
     @property
     def threads(self) -> int:

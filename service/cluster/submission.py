@@ -11,7 +11,7 @@ Call = tuple[Any, tuple[Any, ...]]
 
 
 class Later(Enum):
-    """Marks a call that has to wait until some task has ended."""
+    """Marker for a call that has to wait until some task has ended."""
 
     NOT_YET = "not yet"
 

@@ -80,7 +80,7 @@ class PendingGeneration:
 
 
 class SearchReplay:
-    """Proposes generations one by one, each from the previous ones.
+    """Step-by-step proposal of generations, each from the previous ones.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from palpate.storage.records.record import EvaluationRecord
 
 
 class SteadyReplay:
-    """Proposes candidates one by one, each from the endings available to it.
+    """Step-by-step proposal of candidates, each from the endings available to it.
 
     Parameters
     ----------

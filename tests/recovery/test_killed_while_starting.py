@@ -14,7 +14,7 @@ from palpate.service.errors import ClusterError
 
 
 class Killer:
-    """Kills the first worker processes of this process, or all, as soon as they appear."""
+    """A thread that kills the first worker processes, or all, as soon as they appear."""
 
     def __init__(self, most: float) -> None:
         self.most, self.killed = most, set[int]()

@@ -1,4 +1,4 @@
-"""Kill a service at random moments of an upload and a study, and restart it."""
+"""Kills of a service at random moments of an upload and a study, with restarts."""
 
 import random
 import threading

@@ -11,7 +11,7 @@ LINE_EVERY_S = 10.0
 
 
 class SetProgress:
-    """Counts cases on standard error.
+    """Progress bar for cases, on standard error.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ _log = logging.getLogger(__name__)
 
 
 class SchedulerEvents:
-    """Sends records as events of the scheduler, topic `TOPIC`, in the background.
+    """A background sender of records as events of the scheduler, topic `TOPIC`.
 
     One event is a list of records in chronological order.
 
@@ -62,7 +62,7 @@ class SchedulerEvents:
 
 
 class DaskRecords(Observer):
-    """Sends the events of a study to the scheduler; endings every `SEND_EVERY_S` at most.
+    """Observer that sends events to the scheduler; endings every `SEND_EVERY_S` at most.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class StopSearch(Exception):  # noqa: N818 - a request, not an error
 
 
 class Observer:
-    """Receives the events of a study; override those of interest.
+    """Base class for receivers of the events of a study; override the methods of interest.
 
     A method that raises `StopSearch` ends the search.
     """
@@ -93,7 +93,7 @@ class Observer:
 
 
 class Hooks(Observer):
-    """Passes every event to all observers; an observer that fails is dropped, not the study.
+    """Dispatch of every event to all observers; an observer that fails is dropped.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ def progress_observer(console: Console) -> "Progress":
 
 
 class Progress(Observer):
-    """Counts evaluations; `LiveProgress` and `PlainProgress` display the counts.
+    """Counts of evaluations, displayed by `LiveProgress` and `PlainProgress`.
 
     Parameters
     ----------

@@ -92,7 +92,7 @@ def _restore_level(logger: logging.Logger) -> None:
 
 
 class RunLog(Observer):
-    """Logs the events of a study."""
+    """Observer that logs the events of a study."""
 
     def __init__(self) -> None:
         self._ranked = BestSoFar()

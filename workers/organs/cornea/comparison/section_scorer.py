@@ -39,7 +39,7 @@ class NamedScore:
 
 
 class SectionScorer:
-    """Compares sections with one target.
+    """Comparison of sections with one target.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Chapter:
-    """One experiment.
+    """A chapter on one experiment.
 
     Parameters
     ----------
